@@ -1,0 +1,205 @@
+"""Every way DyKnow refuses, one exception per cause.
+
+Each exception carries what it needs to explain itself, and its text names the thing that is
+wrong and says what was expected. Only ``dyknow.ros`` turns them into answers of services.
+
+::
+
+    DyKnowError
+    ├── InvalidName              a string is not a ROS name
+    ├── TypeMismatch             a topic carries another type
+    ├── RemappedTopic            the command line of the process sends this topic elsewhere
+    ├── PeerTimeout              somebody outside did not answer in time
+    ├── HandleClosed             the nodelet of this handle is unloaded, or it was unregistered
+    ├── NodeletError
+    │   ├── NameTaken            a nodelet of that name is there already
+    │   ├── UnknownNodelet       no nodelet of that name is there
+    │   ├── UnknownNodeletType   no plugin description declares the type
+    │   ├── BrokenPlugin         declared, but it cannot be used
+    │   ├── BadRemapping         sources and targets do not pair up
+    │   ├── LoadFailed           the nodelet's own start raised
+    │   └── UnloadedMeanwhile    unloaded by somebody else before the operation was complete
+    └── PortError
+        ├── PortConflict         the port exists with another direction or type
+        └── InvalidConfiguration everything that is wrong with one set_config, at once
+            (its problems are UnknownPort, DuplicatePort, InvalidName, TypeMismatch, …)
+"""
+
+from __future__ import annotations
+
+from typing import Iterable, Sequence, Tuple
+
+
+def _listed(names: Iterable[str]) -> str:
+    return ", ".join(sorted(names)) or "none"
+
+
+class DyKnowError(Exception):
+    """Root of all exceptions that DyKnow raises on purpose."""
+
+
+class InvalidName(DyKnowError):
+    """A string that should be a ROS graph name is not one."""
+
+    def __init__(self, name: str, what: str = "name") -> None:
+        self.name = name
+        self.what = what
+        super().__init__(
+            f"'{name}' is not a valid {what}: expected letters, digits, '_' and '/', "
+            "starting with a letter, '/' or '~'"
+        )
+
+
+class TypeMismatch(DyKnowError):
+    """A topic is live with one type and was asked for with another."""
+
+    def __init__(self, topic: str, wanted: str, present: str) -> None:
+        self.topic = topic
+        self.wanted = wanted
+        self.present = present
+        super().__init__(f"topic '{topic}' carries {present}, but {wanted} was asked for")
+
+
+class RemappedTopic(DyKnowError):
+    """A remapping of the process stands between a topic and its name."""
+
+    def __init__(self, topic: str, target: str) -> None:
+        self.topic = topic
+        self.target = target
+        super().__init__(
+            f"topic '{topic}' cannot be reached from this process: its command line remaps "
+            f"it to '{target}'; name that topic, or start the nodelet manager without the remapping"
+        )
+
+
+class PeerTimeout(DyKnowError):
+    """Somebody outside this process did not answer in time."""
+
+    def __init__(self, peer: str, seconds: float) -> None:
+        self.peer = peer
+        self.seconds = seconds
+        super().__init__(f"{peer} did not answer within {seconds:g} s")
+
+
+class HandleClosed(DyKnowError):
+    """A handle was used after its nodelet was unloaded, or after it was unregistered."""
+
+    def __init__(self, what: str) -> None:
+        self.what = what
+        super().__init__(f"{what} is closed: it was unregistered, or its nodelet is unloaded")
+
+
+class NodeletError(DyKnowError):
+    """Something about one nodelet, known by its name."""
+
+    def __init__(self, name: str, text: str) -> None:
+        self.name = name
+        super().__init__(text)
+
+
+class NameTaken(NodeletError):
+    """A nodelet of that name is loaded, or is being loaded."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name, f"a nodelet named '{name}' is already loaded; choose another name")
+
+
+class UnknownNodelet(NodeletError):
+    """No nodelet of that name is loaded here."""
+
+    def __init__(self, name: str, known: Iterable[str]) -> None:
+        self.known = tuple(sorted(known))
+        super().__init__(name, f"no nodelet named '{name}' is loaded; loaded: {_listed(known)}")
+
+
+class UnknownNodeletType(NodeletError):
+    """No plugin description declares that type."""
+
+    def __init__(self, type_name: str, known: Iterable[str], broken: Sequence[str] = ()) -> None:
+        self.known = tuple(sorted(known))
+        self.broken = tuple(broken)
+        text = (
+            f"no package declares a nodelet type '{type_name}'; declared types: {_listed(known)}"
+        )
+        if broken:
+            text += "; descriptions that could not be used: " + "; ".join(broken)
+        super().__init__(type_name, text)
+
+
+class BrokenPlugin(NodeletError):
+    """A declared plugin cannot be used: bad description, no import, no Nodelet."""
+
+    def __init__(self, what: str, reason: str) -> None:
+        self.reason = reason
+        super().__init__(what, f"{what}: {reason}")
+
+
+class BadRemapping(NodeletError):
+    """Remapping sources and targets of a load request do not pair up."""
+
+    def __init__(self, name: str, sources: int, targets: int) -> None:
+        super().__init__(
+            name,
+            f"cannot load '{name}': {sources} remap_source_args but {targets} remap_target_args; "
+            "expected one target for each source",
+        )
+
+
+class LoadFailed(NodeletError):
+    """The nodelet's constructor or ``on_init`` raised; nothing of it is left."""
+
+    def __init__(self, name: str, type_name: str, cause: BaseException) -> None:
+        self.cause = cause
+        super().__init__(
+            name, f"cannot load '{name}' of type {type_name}: {type(cause).__name__}: {cause}"
+        )
+
+
+class UnloadedMeanwhile(NodeletError):
+    """The nodelet was unloaded before an operation on it was complete."""
+
+    def __init__(self, name: str, operation: str) -> None:
+        super().__init__(name, f"nodelet '{name}' was unloaded during its {operation}")
+
+
+class PortError(DyKnowError):
+    """Something about the ports of one nodelet."""
+
+
+class PortConflict(PortError):
+    """A port is declared again with another direction or type."""
+
+    def __init__(self, port: str, present: str, wanted: str) -> None:
+        self.port = port
+        super().__init__(
+            f"port '{port}' exists as {present} and cannot also be {wanted}: "
+            "the name of a port is unique in its nodelet"
+        )
+
+
+class UnknownPort(PortError):
+    """A port was named that the nodelet does not have."""
+
+    def __init__(self, port: str, known: Iterable[str]) -> None:
+        self.port = port
+        self.known = tuple(sorted(known))
+        super().__init__(f"unknown port '{port}'; known ports: {_listed(known)}")
+
+
+class DuplicatePort(PortError):
+    """A port was named more than once in one request."""
+
+    def __init__(self, port: str) -> None:
+        self.port = port
+        super().__init__(f"port '{port}' is named more than once; expected one topic for each port")
+
+
+class InvalidConfiguration(PortError):
+    """All that is wrong with one configuration; nothing of it was applied."""
+
+    def __init__(self, nodelet: str, problems: Sequence[DyKnowError]) -> None:
+        self.nodelet = nodelet
+        self.problems: Tuple[DyKnowError, ...] = tuple(problems)
+        super().__init__(
+            f"{nodelet}: nothing was changed: " + "; ".join(str(problem) for problem in problems)
+        )

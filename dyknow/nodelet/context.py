@@ -1,0 +1,222 @@
+"""What one nodelet owns in the runtime, and gives back when it is unloaded.
+
+Who owns what: the ``Runtime`` is one for the process; a ``Context`` is one for a nodelet and owns
+its strands, endpoints, services and timers. Handles only refer to it.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+import traceback
+from dataclasses import dataclass
+from typing import Any, Callable, List, Mapping, Optional, Sequence, Tuple
+
+from dyknow.nodelet.bus import Bus, Endpoint
+from dyknow.nodelet.endpoints import Publication, Subscription
+from dyknow.nodelet.middleware import Closable, Middleware
+from dyknow.nodelet.scheduler import Clock, Executor, Strand
+from dyknow.nodelet.timers import Timer, TimerQueue
+
+_log = logging.getLogger("rosout.dyknow")
+
+
+@dataclass(frozen=True)
+class Runtime:
+    """The parts of the process that all nodelets share."""
+
+    middleware: Middleware
+    bus: Bus
+    executor: Executor
+    timers: TimerQueue
+    clock: Clock = time.monotonic
+
+    @classmethod
+    def make(
+        cls, middleware: Middleware, executor: Executor, clock: Clock = time.monotonic
+    ) -> Runtime:
+        """Put a runtime together."""
+        return cls(middleware, Bus(middleware, clock), executor, TimerQueue(middleware), clock)
+
+    def close(self) -> None:
+        """End the threads."""
+        self.timers.close()
+        self.executor.close()
+
+
+class Context:
+    """One nodelet's share of the runtime."""
+
+    def __init__(
+        self,
+        runtime: Runtime,
+        name: str,
+        remappings: Optional[Mapping[str, str]] = None,
+        my_argv: Sequence[str] = (),
+    ) -> None:
+        """Prepare a nodelet's share; its callbacks wait until ``start``."""
+        self.runtime = runtime
+        self.name = name
+        self.remappings = dict(remappings or {})
+        self.my_argv = tuple(my_argv)
+        self.strand = Strand(runtime.executor, name, held=True)
+        self.callback_errors = 0
+        self.closed = False
+        self.started_at = runtime.clock()
+        #: Set by the host: unloads this nodelet.
+        self.unload: Callable[[], None] = self.close
+        #: Set by the host: told what is attached, returns what it opened for it.
+        self.on_attach: Callable[[Context, Any], Optional[Closable]] = lambda context, thing: None
+        self.attached: Any = None
+        self.shutdown_hooks: List[Callable[[], None]] = []
+        self._lock = threading.Lock()
+        self._strands = [self.strand]
+        self._endpoints: List[Endpoint] = []
+        self._timers: List[Timer] = []
+        self._closables: List[Closable] = []
+
+    def start(self) -> None:
+        """Let callbacks run: those that came during ``on_init`` first."""
+        with self._lock:
+            strands = list(self._strands)
+            self._held = False
+        for strand in strands:
+            strand.resume()
+
+    _held = True
+
+    def new_strand(self, what: str) -> Strand:
+        """Make a further strand, for what may overlap with the nodelet's other callbacks."""
+        with self._lock:
+            strand = Strand(self.runtime.executor, f"{self.name} ({what})", held=self._held)
+            if self.closed:
+                strand.kill()
+            self._strands.append(strand)
+        return strand
+
+    def drop_strand(self, strand: Strand) -> None:
+        """End a strand that ``new_strand`` made."""
+        strand.kill()
+        with self._lock:
+            if strand in self._strands:
+                self._strands.remove(strand)
+
+    def failed(self, what: str, error: BaseException) -> None:
+        """Count and log what a callback raised; the nodelet lives on."""
+        self.callback_errors += 1
+        lines = traceback.format_exception(type(error), error, error.__traceback__)
+        _log.error("%s: the callback of %s raised\n%s", self.name, what, "".join(lines))
+
+    def publication(
+        self, what: str, datatype: Any, latch: bool, queue_size: Optional[int], **options: Any
+    ) -> Publication:
+        """Make a publication that this nodelet owns, not connected yet."""
+        publication = Publication(
+            datatype,
+            latch,
+            queue_size,
+            self.runtime.middleware,
+            self.runtime.clock,
+            f"publisher '{what}' of {self.name}",
+            options,
+        )
+        self._own(publication)
+        return publication
+
+    def subscription(
+        self,
+        what: str,
+        datatype: Any,
+        receive: Callable[[Any], None],
+        queue_size: Optional[int],
+        strand: Strand,
+        **options: Any,
+    ) -> Subscription:
+        """Make a subscription that this nodelet owns, not connected yet."""
+        subscription = Subscription(
+            datatype,
+            self.runtime.middleware.adapt(datatype, receive),
+            queue_size,
+            strand,
+            lambda error: self.failed(f"'{what}'", error),
+            self.runtime.clock,
+            options,
+        )
+        self._own(subscription)
+        return subscription
+
+    def timer(
+        self, period: float, callback: Callable[[Any], None], strand: Strand, oneshot: bool
+    ) -> Timer:
+        """Start a timer that this nodelet owns; the period is in seconds."""
+        timer = self.runtime.timers.add(
+            period, callback, strand, oneshot, lambda error: self.failed("a timer", error)
+        )
+        with self._lock:
+            self._timers = [each for each in self._timers if each.is_alive()]
+            self._timers.append(timer)
+            late = self.closed
+        if late:
+            timer.shutdown()
+        return timer
+
+    def _own(self, endpoint: Endpoint) -> None:
+        with self._lock:
+            if self.closed:
+                raise self.runtime.middleware.closed(f"nodelet {self.name}")
+            self._endpoints.append(endpoint)
+
+    def release(self, *endpoints: Endpoint) -> None:
+        """Take endpoints of this nodelet off the bus for good."""
+        with self._lock:
+            self._endpoints = [each for each in self._endpoints if each not in endpoints]
+        self.runtime.bus.release(endpoints)
+
+    def own(self, closable: Closable) -> None:
+        """Close this together with the nodelet."""
+        with self._lock:
+            late = self.closed
+            if not late:
+                self._closables.append(closable)
+        if late:
+            closable.close()
+
+    def disown(self, closable: Closable) -> None:
+        """Forget what was closed before."""
+        with self._lock:
+            if closable in self._closables:
+                self._closables.remove(closable)
+
+    def attach(self, thing: Any) -> None:
+        """Let the host open what belongs to a part of the nodelet, such as its proxy."""
+        self.attached = thing
+        opened = self.on_attach(self, thing)
+        if opened is not None:
+            self.own(opened)
+
+    def stop(self) -> None:
+        """Drop what is queued and run no further callback; publishing is still possible."""
+        with self._lock:
+            strands = list(self._strands)
+        for strand in strands:
+            strand.kill()
+
+    def close(self) -> None:
+        """Give everything back; late publishes are refused from now on."""
+        self.stop()
+        with self._lock:
+            self.closed = True
+            endpoints, self._endpoints = self._endpoints, []
+            timers, self._timers = self._timers, []
+            closables, self._closables = self._closables, []
+        steps: List[Tuple[str, Callable[[], None]]] = [
+            ("topics", lambda: self.runtime.bus.release(endpoints))
+        ]
+        steps += [("a timer", timer.shutdown) for timer in timers]
+        steps += [("a registration", closable.close) for closable in reversed(closables)]
+        for what, step in steps:
+            try:
+                step()
+            except Exception:  # the boundary: one failure must not leave the rest behind
+                _log.exception("%s: closing %s failed", self.name, what)

@@ -1,0 +1,299 @@
+"""The two ends of a stream inside the process, and the link between them.
+
+A ``Publication`` hands each message, by reference, to the ``Connection`` of every subscription
+of its topic. A connection is one subscription's link to one topic and has the queue of what it
+has yet to deliver. When a subscription moves to another topic it gets a new connection: the old
+one takes no more but still delivers what it holds, and all of that stands in the nodelet's strand
+before anything of the new one.
+
+Who owns what: the bus makes and links these objects; ports and handles hold them.
+"""
+
+from __future__ import annotations
+
+import collections
+import threading
+from typing import Any, Callable, Deque, Dict, Optional, Tuple
+
+from dyknow.nodelet.middleware import Middleware, OutsidePublisher, OutsideSubscriber, Receive
+from dyknow.nodelet.scheduler import Clock, Strand
+from dyknow.nodelet.traffic import Traffic
+
+#: Stands for "no message", since None is not one of ours to judge.
+NOTHING: Any = object()
+
+_HELD, _OPEN, _CLOSED = "held", "open", "closed"
+
+
+class Connection:
+    """One subscription's link to one topic.
+
+    Held, it collects messages; open, it delivers them on the strand; closed, it takes no more.
+    """
+
+    __slots__ = (
+        "_arrived",
+        "_limit",
+        "_lock",
+        "_post",
+        "_queue",
+        "_state",
+        "_subscription",
+        "_task",
+        "outside",
+        "topic",
+    )
+
+    def __init__(self, subscription: Subscription, topic: str) -> None:
+        self.topic = topic
+        self.outside: Optional[OutsideSubscriber] = None
+        self._subscription = subscription
+        self._limit = subscription.queue_size or -1
+        self._lock = threading.Lock()
+        self._queue: Deque[Any] = collections.deque()
+        self._state = _HELD
+        self._post = subscription.strand.post
+        self._task = self._deliver
+        self._arrived: Optional[threading.Event] = None
+
+    def push(self, message: Any) -> None:
+        """Take a message, from any thread; beyond ``queue_size`` the oldest goes, counted."""
+        with self._lock:
+            queue = self._queue
+            if self._state is _OPEN:
+                if len(queue) == self._limit:
+                    queue.popleft()
+                    queue.append(message)
+                    self._subscription.traffic.dropped += 1
+                else:
+                    queue.append(message)
+                    self._post(self._task)
+            elif self._state is _HELD:
+                if len(queue) == self._limit:
+                    queue.popleft()
+                    self._subscription.traffic.dropped += 1
+                queue.append(message)
+                if self._arrived is not None:
+                    self._arrived.set()
+
+    def _deliver(self) -> None:
+        with self._lock:
+            if not self._queue:
+                return
+            message = self._queue.popleft()
+        subscription = self._subscription
+        clock = subscription.clock
+        start = clock()
+        try:
+            subscription.receive(message)
+        except BaseException as error:  # the boundary: a callback never takes its neighbours down
+            subscription.failed(error)
+        subscription.traffic.received(start, clock() - start)
+
+    def arrived(self, seconds: float) -> bool:
+        """Wait for the first message of a held connection."""
+        with self._lock:
+            if self._queue:
+                return True
+            if self._arrived is None:
+                self._arrived = threading.Event()
+        return self._arrived.wait(seconds)
+
+    def open(self) -> None:
+        """Deliver what was held, and everything from now on."""
+        with self._lock:
+            if self._state is _HELD:
+                self._state = _OPEN
+                for _ in self._queue:
+                    self._post(self._task)
+
+    def close(self, discard: bool) -> None:
+        """Take no more; what is queued is still delivered unless it is to be discarded."""
+        with self._lock:
+            self._state = _CLOSED
+            if discard:
+                self._queue.clear()
+
+
+class Subscription:
+    """A callback with a queue on a strand, connected to one topic or to none."""
+
+    __slots__ = (
+        "clock",
+        "closed",
+        "connection",
+        "datatype",
+        "failed",
+        "options",
+        "queue_size",
+        "receive",
+        "strand",
+        "traffic",
+    )
+
+    def __init__(
+        self,
+        datatype: Any,
+        receive: Receive,
+        queue_size: Optional[int],
+        strand: Strand,
+        failed: Callable[[BaseException], None],
+        clock: Clock,
+        options: Optional[Dict[str, Any]] = None,
+    ) -> None:
+        """Describe a subscription.
+
+        Args:
+            datatype: message class.
+            receive: called with each message, on the strand.
+            queue_size: messages that wait at most; None or 0 for no bound, as in rospy.
+            strand: where ``receive`` is run.
+            failed: told what ``receive`` raises.
+            clock: steady seconds, for the statistics.
+            options: further arguments for the outside half.
+        """
+        self.datatype = datatype
+        self.receive = receive
+        self.queue_size = queue_size
+        self.strand = strand
+        self.failed = failed
+        self.clock = clock
+        self.options = options or {}
+        self.traffic = Traffic(clock)
+        self.connection: Optional[Connection] = None
+        self.closed = False
+
+    @property
+    def topic(self) -> str:
+        """Global name of the connected topic, empty when disconnected."""
+        return self.connection.topic if self.connection is not None else ""
+
+
+class Publication:
+    """What a nodelet publishes through: connected to one topic or to none.
+
+    ``publish`` looks at the route once, so a message goes wholly where the publication was
+    connected at that moment.
+    """
+
+    __slots__ = (
+        "_closed",
+        "_lock",
+        "_middleware",
+        "_outside",
+        "_route",
+        "_what",
+        "datatype",
+        "latch",
+        "latched",
+        "options",
+        "queue_size",
+        "topic",
+        "traffic",
+    )
+
+    def __init__(
+        self,
+        datatype: Any,
+        latch: bool,
+        queue_size: Optional[int],
+        middleware: Middleware,
+        clock: Clock,
+        what: str,
+        options: Optional[Dict[str, Any]] = None,
+    ) -> None:
+        """Describe a publication.
+
+        Args:
+            datatype: message class.
+            latch: keep the last message for subscriptions that come later.
+            queue_size: bound for each slow subscriber outside.
+            middleware: builds messages from fields and makes the exceptions.
+            clock: steady seconds, for the statistics.
+            what: names this publication in errors.
+            options: further arguments for the outside half.
+        """
+        self.datatype = datatype
+        self.latch = latch
+        self.queue_size = queue_size
+        self.options = options or {}
+        self.topic = ""
+        self.traffic = Traffic(clock)
+        self.latched = NOTHING
+        self._middleware = middleware
+        self._what = what
+        self._lock = threading.Lock()
+        self._route: Optional[Tuple[Receive, ...]] = None
+        self._outside: Optional[OutsidePublisher] = None
+        self._closed = False
+
+    def publish(self, message: Any = NOTHING, /, *fields: Any, **named: Any) -> None:
+        """Publish a message, or the message made of the given fields, as in rospy.
+
+        Raises:
+            HandleClosed: the publication was unregistered or its nodelet unloaded (in ROS, a
+                ``rospy.ROSException``).
+        """
+        if message.__class__ is not self.datatype or fields or named:
+            if message is not NOTHING:
+                fields = (message, *fields)
+            message = self._middleware.build(self.datatype, fields, named)
+        with self._lock:
+            if self._route is None:
+                self._unrouted(message)
+                return
+            self.traffic.sent()
+            if self.latch:
+                self.latched = message
+            for push in self._route:
+                push(message)
+            outside = self._outside
+        if outside is not None:
+            if self.latch:
+                outside.latch(message)
+            elif outside.peers.connections:
+                outside.publish(message)
+
+    def _unrouted(self, message: Any) -> None:
+        if self._closed:
+            raise self._middleware.closed(self._what)
+        self.traffic.dropped += 1
+        if self.latch:
+            self.latched = message
+
+    @property
+    def outside(self) -> Optional[OutsidePublisher]:
+        """The registration in ROS."""
+        return self._outside
+
+    @property
+    def closed(self) -> bool:
+        """Whether it was unregistered."""
+        return self._closed
+
+    def attend(self, outside: Optional[OutsidePublisher]) -> Any:
+        """Publish to these listeners outside too; returns the latched message they are owed."""
+        with self._lock:
+            self._outside = outside
+            return self.latched
+
+    def reroute(self, route: Tuple[Receive, ...], newcomers: Tuple[Receive, ...] = ()) -> None:
+        """Publish to ``route`` from now on; ``newcomers`` get a latched message first."""
+        with self._lock:
+            self._route = route
+            if self.latched is not NOTHING:
+                for push in newcomers:
+                    push(self.latched)
+
+    def disconnect(self, closed: bool = False) -> None:
+        """Publish to nobody; for good, if ``closed``."""
+        with self._lock:
+            self._route = None
+            self._closed = self._closed or closed
+            self._outside = None
+            self.topic = ""
+
+    def get_num_connections(self) -> int:
+        """Listeners: one for each outside, and one for all of this process, as in roscpp."""
+        route, outside = self._route, self._outside
+        return (1 if route else 0) + (len(outside.peers.connections) if outside else 0)

@@ -1,0 +1,286 @@
+"""The plain NodeHandle: rospy's API in the name and on the queue of one nodelet, on topics.
+
+Handles hold no state of their own: what they do is done by the state behind them. The same
+``Publisher`` and ``Subscriber`` classes serve topics here and ports in ``dyknow.proxy``.
+"""
+
+from __future__ import annotations
+
+import queue
+from typing import Any, Callable, Optional
+
+from dyknow.nodelet import names
+from dyknow.nodelet.context import Context
+from dyknow.nodelet.middleware import Closable
+from dyknow.nodelet.service import Service
+from dyknow.nodelet.states import PublisherState, SubscriberState
+from dyknow.nodelet.timers import Timer
+
+#: rospy's default, in bytes.
+DEFAULT_BUFF_SIZE = 65536
+
+
+class Publisher:
+    """What a nodelet publishes through; use it as a ``rospy.Publisher``."""
+
+    def __init__(self, state: PublisherState) -> None:
+        self._state = state
+        #: Publish a message or its fields. It is the state's own method: no call in between.
+        self.publish: Callable[..., None] = state.publication.publish
+        self.data_class = state.publication.datatype
+        self.type = self.data_class._type
+        self.md5sum = self.data_class._md5sum
+
+    @property
+    def name(self) -> str:
+        """Global name of the topic; of a port, the topic that it is connected to now."""
+        return self._state.publication.topic
+
+    resolved_name = name
+
+    def get_num_connections(self) -> int:
+        """Count who listens: one for each node outside, one for this process."""
+        return self._state.publication.get_num_connections()
+
+    def unregister(self) -> None:
+        """Withdraw it; publishing raises ``rospy.ROSException`` afterwards."""
+        state = self._state
+
+        def refuse(*args: Any, **kwds: Any) -> None:
+            raise state.closed()
+
+        self.publish = refuse
+        state.unregister(self)
+
+
+class Subscriber:
+    """What a nodelet receives through; use it as a ``rospy.Subscriber``."""
+
+    def __init__(self, state: SubscriberState) -> None:
+        self._state = state
+        self.data_class = state.datatype
+        self.type = self.data_class._type
+        self.md5sum = self.data_class._md5sum
+
+    @property
+    def name(self) -> str:
+        """Global name of the topic; of a port, the topic that it is connected to now."""
+        return self._state.subscription.topic
+
+    resolved_name = name
+
+    def get_num_connections(self) -> int:
+        """Count the publishers that are connected; all of this process are one."""
+        connection = self._state.subscription.connection
+        outside = connection.outside if connection is not None else None
+        return outside.publishers() if outside is not None else 0
+
+    def registerCallback(self, callback: Callable[..., Any], *args: Any) -> int:  # noqa: N802
+        """Call back with each message too, as message_filters expects of its inputs."""
+        return self._state.add_callback(callback, args)
+
+    def unregister(self) -> None:
+        """Stop receiving; messages that wait are dropped."""
+        self._state.unregister(self)
+
+
+class NodeHandle:
+    """rospy's functions for one nodelet: ``rospy.X`` becomes ``handle.X``.
+
+    Relative names begin in ``namespace``, a ``~`` stands for the nodelet. What has nothing to do
+    with names or queues (``Time``, ``Duration``, ``Rate``, ``loginfo``, ``ROSException`` …) is
+    rospy's own.
+    """
+
+    def __init__(self, context: Context, namespace: str, concurrent: bool = False) -> None:
+        """Make a handle.
+
+        Args:
+            context: the nodelet's share of the runtime.
+            namespace: where relative names begin.
+            concurrent: whether callbacks may overlap (each subscription keeps its order).
+        """
+        self.context = context
+        self.namespace = namespace
+        self.concurrent = concurrent
+
+    def __getattr__(self, name: str) -> Any:
+        """Hand on to ROS what DyKnow adds nothing to."""
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return self.context.runtime.middleware.member(name, self)
+
+    # Names
+
+    def resolve_name(self, name: str, caller_id: Optional[str] = None) -> str:
+        """Make a name global and remap it: the load request's table first, then the process's."""
+        private = caller_id or self.context.name
+        namespace = self.namespace if caller_id is None else names.parent(caller_id)
+        resolved = names.resolve(name, namespace, private)
+        if resolved in self.context.remappings:
+            return self.context.remappings[resolved]
+        return self.context.runtime.middleware.process_remap(resolved)
+
+    def get_name(self) -> str:
+        """Global name of the nodelet."""
+        return self.context.name
+
+    def get_namespace(self) -> str:
+        """Namespace of the nodelet, with a slash at its end as in rospy."""
+        return names.parent(self.context.name).rstrip("/") + "/"
+
+    # Topics
+
+    def Publisher(  # noqa: N802
+        self,
+        name: str,
+        data_class: Any,
+        subscriber_listener: Any = None,
+        tcp_nodelay: bool = False,
+        latch: bool = False,
+        headers: Any = None,
+        queue_size: Optional[int] = None,
+    ) -> Publisher:
+        """Publish on a topic; the arguments are those of ``rospy.Publisher``."""
+        topic = self.resolve_name(name)
+        options = _given(
+            subscriber_listener=subscriber_listener, tcp_nodelay=tcp_nodelay, headers=headers
+        )
+        publication = self.context.publication(name, data_class, latch, queue_size, **options)
+        self._connect(publication, topic)
+        return Publisher(PublisherState(self.context, name, publication))
+
+    def Subscriber(  # noqa: N802
+        self,
+        name: str,
+        data_class: Any,
+        callback: Optional[Callable[..., Any]] = None,
+        callback_args: Any = None,
+        queue_size: Optional[int] = None,
+        buff_size: int = DEFAULT_BUFF_SIZE,
+        tcp_nodelay: bool = False,
+    ) -> Subscriber:
+        """Subscribe to a topic; the arguments are those of ``rospy.Subscriber``."""
+        topic = self.resolve_name(name)
+        state = SubscriberState(
+            self.context,
+            name,
+            data_class,
+            callback,
+            callback_args,
+            queue_size,
+            self.concurrent,
+            **_given(buff_size=buff_size if buff_size != DEFAULT_BUFF_SIZE else None),
+        )
+        self._connect(state.subscription, topic)
+        return Subscriber(state)
+
+    def wait_for_message(
+        self, topic: str, topic_type: Any, timeout: Optional[float] = None
+    ) -> Any:
+        """Block until one message arrives; the nodelet's queue is not needed for it.
+
+        Raises:
+            ROSException: nothing came within ``timeout`` seconds.
+            ROSInterruptException: the nodelet was unloaded meanwhile.
+        """
+        inbox = Inbox(self.context)
+        subscriber = self.__class__(self.context, self.namespace, concurrent=True).Subscriber(
+            topic, topic_type, inbox.put, queue_size=1
+        )
+        try:
+            return inbox.get(f"a message on '{topic}'", timeout)
+        finally:
+            subscriber.unregister()
+
+    def _connect(self, endpoint: Any, topic: str) -> None:
+        try:
+            self.context.runtime.bus.rewire([(endpoint, topic)])
+        except BaseException:
+            self.context.release(endpoint)
+            raise
+
+    # Services, parameters, time
+
+    def Service(  # noqa: N802
+        self,
+        name: str,
+        service_class: Any,
+        handler: Callable[[Any], Any],
+        buff_size: int = DEFAULT_BUFF_SIZE,
+        error_handler: Any = None,
+    ) -> Service:
+        """Offer a service; its handler runs on the nodelet's queue, between its callbacks."""
+        options = _given(
+            buff_size=buff_size if buff_size != DEFAULT_BUFF_SIZE else None,
+            error_handler=error_handler,
+        )
+        return Service(
+            self.context, self.resolve_name(name), service_class, handler, self.concurrent, options
+        )
+
+    def Timer(  # noqa: N802
+        self,
+        period: Any,
+        callback: Callable[[Any], None],
+        oneshot: bool = False,
+        reset: bool = False,
+    ) -> Timer:
+        """Call back every ``period`` (a Duration), on the nodelet's queue.
+
+        It follows simulated time; when that goes back, the next call is one period later whatever
+        ``reset`` says.
+        """
+        strand = self.context.new_strand("timer") if self.concurrent else self.context.strand
+        seconds = self.context.runtime.middleware.period(period)
+        return self.context.timer(seconds, callback, strand, oneshot)
+
+    # Life
+
+    def is_shutdown(self) -> bool:
+        """Whether the nodelet is unloaded or the process ends."""
+        return self.context.closed or self.context.runtime.middleware.is_shutdown()
+
+    def on_shutdown(self, hook: Callable[[], None]) -> None:
+        """Call ``hook`` when the nodelet is unloaded."""
+        self.context.shutdown_hooks.append(hook)
+
+    def signal_shutdown(self, reason: str = "") -> None:
+        """Unload this nodelet; its neighbours and the process go on."""
+        self.context.unload()
+
+
+class Inbox(Closable):
+    """One message, handed from a callback to a thread that waits for it."""
+
+    def __init__(self, context: Context) -> None:
+        self._context = context
+        self._queue: queue.SimpleQueue[Any] = queue.SimpleQueue()
+
+    def put(self, message: Any) -> None:
+        """Hand a message over."""
+        self._queue.put((message,))
+
+    def close(self) -> None:
+        """End the wait: the nodelet is unloaded."""
+        self._queue.put(None)
+
+    def get(self, what: str, timeout: Optional[float]) -> Any:
+        """Wait for the message."""
+        middleware = self._context.runtime.middleware
+        self._context.own(self)
+        try:
+            entry = self._queue.get(timeout=timeout)
+        except queue.Empty:
+            raise middleware.timed_out(f"{what} did not come within {timeout:g} s") from None
+        finally:
+            self._context.disown(self)
+        if entry is None:
+            raise middleware.interrupted(f"{what}: nodelet {self._context.name} was unloaded")
+        return entry[0]
+
+
+def _given(**options: Any) -> Any:
+    return {key: value for key, value in options.items() if value}
+
+

@@ -1,0 +1,241 @@
+"""Loads nodelets into this process and unloads them.
+
+Who owns what: the loader owns a table of names; an entry owns one nodelet and its context. A name
+is taken from the first moment of its load to the last of its unload. No lock is held while code
+of a nodelet runs, so a slow ``on_init`` blocks neither ``list`` nor other loads.
+"""
+
+from __future__ import annotations
+
+import enum
+import logging
+import threading
+import traceback
+from dataclasses import dataclass
+from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Type
+
+from dyknow.errors import LoadFailed, NameTaken, UnknownNodelet, UnloadedMeanwhile
+from dyknow.nodelet.context import Context, Runtime
+from dyknow.nodelet.middleware import Closable
+from dyknow.nodelet.nodelet import Nodelet
+
+#: Seconds that an unload waits for ``on_shutdown``.
+SHUTDOWN_PATIENCE = 1.0
+
+_log = logging.getLogger("rosout.dyknow")
+
+
+class _State(enum.Enum):
+    LOADING = "loading"
+    RUNNING = "running"
+    UNLOADING = "unloading"
+
+
+@dataclass
+class _Entry:
+    """One taken name."""
+
+    context: Context
+    state: _State = _State.LOADING
+    nodelet: Optional[Nodelet] = None
+
+
+class _Run:
+    """A call on a thread of its own, which the caller may stop waiting for."""
+
+    def __init__(self, call: Callable[[], Any], name: str) -> None:
+        self.error: Optional[BaseException] = None
+        self.done = threading.Event()
+        self._call = call
+        threading.Thread(target=self._run, name=name, daemon=True).start()
+
+    def _run(self) -> None:
+        try:
+            self._call()
+        except BaseException as error:  # the boundary of the thread; handed to who waits
+            self.error = error
+        finally:
+            self.done.set()
+
+
+class Loader:
+    """The nodelets of this process, by name."""
+
+    def __init__(
+        self,
+        runtime: Runtime,
+        find_class: Callable[[str], Type[Nodelet]],
+        on_attach: Callable[[Context, Any], Optional[Closable]] = lambda context, thing: None,
+        on_unloaded: Callable[[str], None] = lambda name: None,
+    ) -> None:
+        """Make an empty loader.
+
+        Args:
+            runtime: what the nodelets share.
+            find_class: imports the class of a declared type.
+            on_attach: opens what belongs to a nodelet's proxy.
+            on_unloaded: told the name after a running nodelet was unloaded.
+        """
+        self.runtime = runtime
+        self._find_class = find_class
+        self._on_attach = on_attach
+        self._on_unloaded = on_unloaded
+        self._lock = threading.Lock()
+        self._entries: Dict[str, _Entry] = {}
+
+    def list(self) -> List[str]:
+        """Names of the nodelets that run, sorted."""
+        with self._lock:
+            return sorted(
+                name for name, entry in self._entries.items() if entry.state is _State.RUNNING
+            )
+
+    def get(self, name: str) -> Nodelet:
+        """Return the running nodelet of that name.
+
+        Raises:
+            UnknownNodelet: none of that name runs.
+        """
+        with self._lock:
+            entry = self._entries.get(name)
+            if entry is not None and entry.state is _State.RUNNING and entry.nodelet is not None:
+                return entry.nodelet
+        raise UnknownNodelet(name, self.list())
+
+    def load(
+        self,
+        name: str,
+        type_name: str,
+        remappings: Optional[Mapping[str, str]] = None,
+        my_argv: Sequence[str] = (),
+    ) -> Nodelet:
+        """Make a nodelet and return it once its ``on_init`` has returned.
+
+        Args:
+            name: global name.
+            type_name: declared type, ``package/Class``.
+            remappings: table of global names.
+            my_argv: arguments for the nodelet.
+
+        Raises:
+            NameTaken: the name is in use.
+            UnknownNodeletType: no package declares the type.
+            BrokenPlugin: the declared class cannot be used.
+            LoadFailed: the nodelet raised; nothing of it is left.
+            UnloadedMeanwhile: somebody unloaded it before it was up.
+        """
+        context = Context(self.runtime, name, remappings, my_argv)
+        context.on_attach = self._on_attach
+        context.unload = lambda: self._unload_self(name)
+        entry = _Entry(context)
+        with self._lock:
+            if name in self._entries:
+                raise NameTaken(name)
+            self._entries[name] = entry
+        try:
+            nodelet_class = self._find_class(type_name)
+            run = _Run(lambda: self._start(entry, nodelet_class), f"{name} on_init")
+            context.own(_Signal(run.done))  # an unload ends the wait
+            run.done.wait()
+            if run.error is not None and not context.closed:
+                raise LoadFailed(name, type_name, run.error) from run.error
+            with self._lock:
+                if entry.state is not _State.LOADING or entry.nodelet is None:
+                    raise UnloadedMeanwhile(name, "load")
+                entry.state = _State.RUNNING
+            context.start()
+            return entry.nodelet
+        except UnloadedMeanwhile:
+            raise
+        except BaseException:
+            context.close()
+            self._free(name, entry)
+            raise
+
+    def unload(self, name: str) -> None:
+        """Unload a nodelet: when this returns nothing of it is registered and the name is free.
+
+        Queued messages are dropped. A callback that runs is not waited for: its late publishes
+        are refused. A nodelet that is still in its ``on_init`` can be unloaded too.
+
+        Raises:
+            UnknownNodelet: no nodelet of that name is loaded.
+        """
+        with self._lock:
+            entry = self._entries.get(name)
+            known = [each for each, one in self._entries.items() if one.state is _State.RUNNING]
+            if entry is None or entry.state is _State.UNLOADING:
+                raise UnknownNodelet(name, known)
+            was_running = entry.state is _State.RUNNING
+            entry.state = _State.UNLOADING
+        context = entry.context
+        context.stop()
+        if was_running:
+            self._shut_down(entry)
+            if context.strand.busy:
+                _log.info("%s: unloaded while a callback runs; it is not waited for", name)
+        context.close()
+        self._free(name, entry)
+        if was_running:
+            self._on_unloaded(name)
+
+    def close(self) -> None:
+        """Unload everything, the newest first."""
+        with self._lock:
+            loaded = list(self._entries)
+        for name in reversed(loaded):
+            try:
+                self.unload(name)
+            except UnknownNodelet:
+                continue  # somebody else was faster
+
+    @staticmethod
+    def _start(entry: _Entry, nodelet_class: Type[Nodelet]) -> None:
+        nodelet = nodelet_class()
+        nodelet.bind(entry.context)
+        nodelet.on_init()
+        entry.nodelet = nodelet
+
+    def _free(self, name: str, entry: _Entry) -> None:
+        with self._lock:
+            if self._entries.get(name) is entry:
+                del self._entries[name]
+
+    def _unload_self(self, name: str) -> None:
+        try:
+            self.unload(name)
+        except UnknownNodelet:
+            _log.info("%s: asked to be unloaded twice", name)
+
+    @staticmethod
+    def _shut_down(entry: _Entry) -> None:
+        nodelet, context = entry.nodelet, entry.context
+        assert nodelet is not None
+
+        def hooks() -> None:
+            for hook in (nodelet.on_shutdown, *context.shutdown_hooks):
+                try:
+                    hook()
+                except BaseException:  # the boundary: the other hooks and the unload go on
+                    _log.error(
+                        "%s: on_shutdown raised\n%s", context.name, traceback.format_exc()
+                    )
+
+        run = _Run(hooks, f"{context.name} on_shutdown")
+        if not run.done.wait(SHUTDOWN_PATIENCE):
+            _log.warning(
+                "%s: on_shutdown has not returned after %g s; it is not waited for any longer",
+                context.name,
+                SHUTDOWN_PATIENCE,
+            )
+
+
+class _Signal(Closable):
+    """Sets an event when the context is closed."""
+
+    def __init__(self, event: threading.Event) -> None:
+        self._event = event
+
+    def close(self) -> None:
+        """Set the event."""
+        self._event.set()

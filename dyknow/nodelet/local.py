@@ -1,0 +1,260 @@
+"""A middleware without ROS: everything stays in this process.
+
+The public fake beside the real one: runs nodelets in tests and wherever there is no roscore. Its
+time is set by hand, its "outside" is a list that can be looked at.
+"""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass, field
+from typing import Any, Callable, Dict, List, Optional, Sequence
+
+from dyknow.errors import DyKnowError, HandleClosed
+from dyknow.nodelet.middleware import (
+    Closable,
+    Handler,
+    Middleware,
+    OutsidePublisher,
+    OutsideSubscriber,
+    Receive,
+    Ticker,
+)
+
+
+class ManualTicker(Ticker):
+    """Time that stands still until ``advance``."""
+
+    def __init__(self) -> None:
+        self.seconds = 0.0
+        self._changed = threading.Condition()
+        self._woken = False
+
+    def now(self) -> float:
+        """Seconds advanced so far."""
+        return self.seconds
+
+    def advance(self, seconds: float) -> None:
+        """Let time pass."""
+        with self._changed:
+            self.seconds += seconds
+            self._changed.notify_all()
+
+    def wait(self, until: Optional[float]) -> None:
+        """Block until ``advance`` or ``wake`` end it."""
+        with self._changed:
+            self._changed.wait_for(
+                lambda: self._woken or (until is not None and self.seconds >= until)
+            )
+            self._woken = False
+
+    def wake(self) -> None:
+        """End the present or the next ``wait``."""
+        with self._changed:
+            self._woken = True
+            self._changed.notify_all()
+
+
+class LocalPublisher(OutsidePublisher):
+    """Records what would have gone out; append to ``connections`` to listen."""
+
+    def __init__(self, middleware: LocalMiddleware, topic: str, datatype: Any) -> None:
+        self.middleware = middleware
+        self.topic = topic
+        self.datatype = datatype
+        self.peers = self
+        self.connections: List[Callable[[Any], None]] = middleware.listeners.setdefault(topic, [])
+        self.open = True
+
+    def publish(self, message: Any) -> None:
+        """Hand the message to every listener."""
+        for listener in self.connections:
+            listener(message)
+
+    def latch(self, message: Any) -> None:
+        """Hand the message on; who comes later is not served by this fake."""
+        self.publish(message)
+
+    def wait(self, seconds: float) -> None:
+        """Return at once: listeners are there or not."""
+
+    def drain(self, seconds: float) -> None:
+        """Return at once: there is no network."""
+
+    def close(self) -> None:
+        """Withdraw the registration."""
+        if self.open:
+            self.open = False
+            self.middleware.registrations.remove(("publisher", self.topic))
+
+
+class LocalSubscriber(OutsideSubscriber):
+    """Receives what ``LocalMiddleware.send`` sends."""
+
+    def __init__(
+        self, middleware: LocalMiddleware, topic: str, datatype: Any, receive: Receive
+    ) -> None:
+        self.middleware = middleware
+        self.topic = topic
+        self.datatype = datatype
+        self.receive = receive
+        self.open = True
+        middleware.subscribers.append(self)
+
+    def publishers(self) -> int:
+        """Nobody outside is known before it sends."""
+        return 0
+
+    def wait(self, arrived: Callable[[float], bool], seconds: float) -> None:
+        """Return at once: nobody outside is known before it sends."""
+
+    def close(self) -> None:
+        """Withdraw the registration."""
+        if self.open:
+            self.open = False
+            self.middleware.subscribers.remove(self)
+            self.middleware.registrations.remove(("subscriber", self.topic))
+
+
+@dataclass
+class LocalService(Closable):
+    """One offered service."""
+
+    middleware: LocalMiddleware
+    name: str
+    handler: Handler
+
+    def close(self) -> None:
+        """Withdraw it."""
+        self.middleware.services.pop(self.name, None)
+
+
+@dataclass(frozen=True)
+class LocalTimerEvent:
+    """What a timer callback is told, in seconds; the field names are rospy's."""
+
+    last_expected: Optional[float]
+    last_real: Optional[float]
+    current_expected: float
+    current_real: float
+    last_duration: Optional[float]
+
+
+@dataclass
+class LocalMiddleware(Middleware):
+    """Everything ROS would do, done with dictionaries.
+
+    Attributes:
+        ticker: time for timers, moved by hand.
+        parameters: the parameter server.
+        services: handlers by global name.
+        listeners: who listens outside, by topic.
+        subscribers: registered subscribers.
+        registrations: every registration that is not withdrawn, as (kind, name).
+        types: topics that live outside, with their types.
+    """
+
+    ticker: ManualTicker = field(default_factory=ManualTicker)
+    parameters: Dict[str, Any] = field(default_factory=dict)
+    services: Dict[str, Handler] = field(default_factory=dict)
+    listeners: Dict[str, List[Callable[[Any], None]]] = field(default_factory=dict)
+    subscribers: List[LocalSubscriber] = field(default_factory=list)
+    registrations: List[Any] = field(default_factory=list)
+    types: Dict[str, str] = field(default_factory=dict)
+    remappings: Dict[str, str] = field(default_factory=dict)
+
+    def send(self, topic: str, message: Any) -> None:
+        """Publish from outside."""
+        for subscriber in list(self.subscribers):
+            if subscriber.topic == topic:
+                subscriber.receive(message)
+
+    def call(self, service: str, request: Any) -> Any:
+        """Call a service from outside."""
+        return self.services[service](request)
+
+    def advertise(
+        self,
+        topic: str,
+        datatype: Any,
+        latch: bool,
+        queue_size: Optional[int],
+        options: Dict[str, Any],
+    ) -> LocalPublisher:
+        """Register a publisher."""
+        self.registrations.append(("publisher", topic))
+        return LocalPublisher(self, topic, datatype)
+
+    def subscribe(
+        self, topic: str, datatype: Any, receive: Receive, options: Dict[str, Any]
+    ) -> LocalSubscriber:
+        """Register a subscriber."""
+        self.registrations.append(("subscriber", topic))
+        return LocalSubscriber(self, topic, datatype, receive)
+
+    def datatype_of(self, topic: str) -> str:
+        """Type of a topic that lives outside."""
+        return self.types.get(topic, "")
+
+    def build(self, datatype: Any, args: Sequence[Any], kwds: Dict[str, Any]) -> Any:
+        """Make a message from its fields; one that is a message already passes."""
+        if len(args) == 1 and not kwds and getattr(args[0], "_type", None) == datatype._type:
+            return args[0]
+        return datatype(*args, **kwds)
+
+    def adapt(self, datatype: Any, receive: Receive) -> Receive:
+        """Messages need no adapting here."""
+        return receive
+
+    def closed(self, what: str) -> Exception:
+        """Make the plain exception."""
+        return HandleClosed(what)
+
+    def offer(
+        self, service: str, service_class: Any, handler: Handler, options: Dict[str, Any]
+    ) -> LocalService:
+        """Offer a service to ``call``."""
+        self.services[service] = handler
+        return LocalService(self, service, handler)
+
+    def interrupted(self, what: str) -> Exception:
+        """Make the plain exception."""
+        return DyKnowError(what)
+
+    def timed_out(self, what: str) -> Exception:
+        """Make the plain exception."""
+        return DyKnowError(what)
+
+    def is_shutdown(self) -> bool:
+        """The process goes on."""
+        return False
+
+    def timer_event(self, last: Any, expected: float, real: float, duration: Any) -> Any:
+        """Make an event in plain seconds."""
+        return LocalTimerEvent(
+            last.current_expected if last else None,
+            last.current_real if last else None,
+            expected,
+            real,
+            duration,
+        )
+
+    def period(self, duration: Any) -> float:
+        """Durations are plain seconds here."""
+        return float(duration)
+
+    def process_remap(self, name: str) -> str:
+        """Apply ``remappings``."""
+        return self.remappings.get(name, name)
+
+    def member(self, name: str, handle: Any) -> Any:
+        """Parameters, under rospy's names; nothing else."""
+        parameters, resolve = self.parameters, handle.resolve_name
+        members: Dict[str, Callable[..., Any]] = {
+            "get_param": lambda key, *default: parameters.get(resolve(key), *default),
+            "set_param": lambda key, value: parameters.__setitem__(resolve(key), value),
+            "has_param": lambda key: resolve(key) in parameters,
+        }
+        if name not in members:
+            raise AttributeError(f"the local middleware has no '{name}'")
+        return members[name]

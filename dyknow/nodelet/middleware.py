@@ -1,0 +1,190 @@
+"""The seam between the runtime and ROS.
+
+The runtime calls nothing of ROS itself: it is given a ``Middleware``. The real one is
+``dyknow.ros.middleware.RospyMiddleware``, the public fake beside it ``dyknow.nodelet.local``.
+
+"Outside" means other processes, and ordinary rospy handles in this one: everything that the bus
+does not reach by reference.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Any, Callable, Dict, Optional, Protocol, Sequence, Sized
+
+Receive = Callable[[Any], None]
+Handler = Callable[[Any], Any]
+
+
+class Peers(Protocol):
+    """Who listens outside; looked at on every publish, so an attribute and not a call."""
+
+    @property
+    def connections(self) -> Sized:
+        """Empty as long as nobody listens."""
+
+
+class OutsidePublisher(ABC):
+    """The outside half of one publication on one topic: an ordinary registration in ROS."""
+
+    peers: Peers
+
+    @abstractmethod
+    def publish(self, message: Any) -> None:
+        """Serialise ``message`` once and hand it to everyone who listens outside."""
+
+    @abstractmethod
+    def latch(self, message: Any) -> None:
+        """Send ``message`` to those who listen, and keep it for those who come."""
+
+    @abstractmethod
+    def wait(self, seconds: float) -> None:
+        """Return when the outside subscribers of the topic are connected, or time is up."""
+
+    @abstractmethod
+    def drain(self, seconds: float) -> None:
+        """Return when everything published is handed to the network, or time is up."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Withdraw the registration."""
+
+
+class OutsideSubscriber(ABC):
+    """The outside half of one connection: an ordinary registration in ROS."""
+
+    @abstractmethod
+    def publishers(self) -> int:
+        """Publishers that are connected; all of this process count as one."""
+
+    @abstractmethod
+    def wait(self, arrived: Callable[[float], bool], seconds: float) -> None:
+        """Return when messages flow from the outside publishers, or none are there, or time is up.
+
+        Args:
+            arrived: waits at most that many seconds for a first message and tells whether it came.
+            seconds: how long to wait for all of it.
+        """
+
+    @abstractmethod
+    def close(self) -> None:
+        """Withdraw the registration."""
+
+
+class Closable(ABC):
+    """Something that is offered to ROS until it is closed."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Withdraw it."""
+
+
+class Ticker(ABC):
+    """Source of time for timers: waits that follow ROS time."""
+
+    @abstractmethod
+    def now(self) -> float:
+        """Seconds; steady, or simulated time when the system runs on it."""
+
+    @abstractmethod
+    def wait(self, until: Optional[float]) -> None:
+        """Return at ``until`` (None: never), after ``wake``, or earlier for no reason."""
+
+    @abstractmethod
+    def wake(self) -> None:
+        """End the present or the next ``wait``."""
+
+
+class Middleware(ABC):
+    """Everything that a nodelet gets from ROS and that is not done in this process."""
+
+    ticker: Ticker
+
+    @abstractmethod
+    def advertise(
+        self,
+        topic: str,
+        datatype: Any,
+        latch: bool,
+        queue_size: Optional[int],
+        options: Dict[str, Any],
+    ) -> OutsidePublisher:
+        """Register a publisher of a global topic name.
+
+        Args:
+            topic: global name.
+            datatype: message class.
+            latch: whether late subscribers get the last message.
+            queue_size: messages kept for each slow outside subscriber; None for the default.
+            options: further arguments of ``rospy.Publisher`` that were given.
+        """
+
+    @abstractmethod
+    def subscribe(
+        self, topic: str, datatype: Any, receive: Receive, options: Dict[str, Any]
+    ) -> OutsideSubscriber:
+        """Register a subscriber; ``receive`` gets every message from outside, on any thread."""
+
+    @abstractmethod
+    def datatype_of(self, topic: str) -> str:
+        """Type of a topic that has a live publisher or subscriber anywhere, else empty."""
+
+    @abstractmethod
+    def build(self, datatype: Any, args: Sequence[Any], kwds: Dict[str, Any]) -> Any:
+        """Make a message from what was given to ``publish``, with rospy's rules and errors."""
+
+    @abstractmethod
+    def adapt(self, datatype: Any, receive: Receive) -> Receive:
+        """Wrap ``receive`` so that it can be given any message of this process.
+
+        The same function comes back unless ``datatype`` stands for "any type".
+        """
+
+    @abstractmethod
+    def closed(self, what: str) -> Exception:
+        """Make the exception that a closed handle raises."""
+
+    @abstractmethod
+    def offer(
+        self, service: str, service_class: Any, handler: Handler, options: Dict[str, Any]
+    ) -> Closable:
+        """Offer a service under a global name; ``handler`` is called on any thread."""
+
+    @abstractmethod
+    def interrupted(self, what: str) -> Exception:
+        """Make the exception for a service call that its nodelet can no longer answer."""
+
+    @abstractmethod
+    def timed_out(self, what: str) -> Exception:
+        """Make the exception for a message that did not come in time."""
+
+    @abstractmethod
+    def is_shutdown(self) -> bool:
+        """Whether the whole process is to end."""
+
+    @abstractmethod
+    def timer_event(self, last: Any, expected: float, real: float, duration: Any) -> Any:
+        """Make the event that a timer callback gets.
+
+        Args:
+            last: the event before, None at the first.
+            expected: when the callback was due, on the ticker's scale.
+            real: when it is called.
+            duration: seconds that the callback before took, None at the first.
+        """
+
+    @abstractmethod
+    def period(self, duration: Any) -> float:
+        """Seconds of a duration as nodelets give it."""
+
+    @abstractmethod
+    def process_remap(self, name: str) -> str:
+        """Apply the remappings of the process's command line to a global name."""
+
+    @abstractmethod
+    def member(self, name: str, handle: Any) -> Any:
+        """Return what the attribute ``name`` of a NodeHandle is where DyKnow adds nothing to ROS.
+
+        Raises:
+            AttributeError: ROS has no such thing, or a nodelet must not use it.
+        """

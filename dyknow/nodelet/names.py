@@ -1,0 +1,89 @@
+"""ROS graph names: validity, namespaces, resolution and remapping.
+
+The rules are those of http://wiki.ros.org/Names, in the order in which roscpp's NodeHandle
+applies them: a name is first made global, then looked up in the remappings.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Dict, Mapping, Sequence
+
+from dyknow.errors import BadRemapping, InvalidName
+
+Remappings = Mapping[str, str]
+
+_LEGAL = re.compile(r"[~/A-Za-z][A-Za-z0-9_/]*\Z")
+
+
+def check(name: str, what: str = "name") -> str:
+    """Return ``name`` if it is a legal graph name.
+
+    Raises:
+        InvalidName: it is empty, holds a character that ROS does not allow, or a double slash.
+    """
+    if not _LEGAL.match(name) or "//" in name or name.startswith("~/") or name in ("~", "/"):
+        raise InvalidName(name, what)
+    return name.rstrip("/")
+
+
+def join(namespace: str, name: str) -> str:
+    """Append a relative ``name`` to a ``namespace`` (``/`` for the root)."""
+    return namespace.rstrip("/") + "/" + name.lstrip("/")
+
+
+def parent(name: str) -> str:
+    """Namespace that a global name stands in: ``/robot`` for ``/robot/camera``, ``/`` at the root."""
+    return name.rstrip("/").rpartition("/")[0] or "/"
+
+
+def resolve(name: str, namespace: str, private: str, what: str = "name") -> str:
+    """Make ``name`` global without remapping it.
+
+    Args:
+        name: what the user wrote; empty stands for the namespace itself.
+        namespace: where relative names begin.
+        private: what a leading ``~`` stands for.
+        what: the kind of name, for the error.
+
+    Raises:
+        InvalidName: ``name`` is not a graph name.
+    """
+    if not name:
+        return namespace
+    name = check(name, what)
+    if name.startswith("~"):
+        return join(private, name[1:])
+    if name.startswith("/"):
+        return name
+    return join(namespace, name)
+
+
+def remap(name: str, *tables: Remappings) -> str:
+    """Look a global name up in each table in turn; the first hit decides, as in roscpp."""
+    for table in tables:
+        if name in table:
+            return table[name]
+    return name
+
+
+def pair_remappings(
+    nodelet: str, sources: Sequence[str], targets: Sequence[str], namespace: str
+) -> Dict[str, str]:
+    """Turn the two lists of a load request into a table of global names.
+
+    Relative names begin in ``namespace`` (the manager's, as in the C++ manager); a ``~`` stands
+    for the nodelet itself, where the C++ manager would silently miss it.
+
+    Raises:
+        BadRemapping: the lists differ in length.
+        InvalidName: an entry is not a graph name.
+    """
+    if len(sources) != len(targets):
+        raise BadRemapping(nodelet, len(sources), len(targets))
+    return {
+        resolve(source, namespace, nodelet, "remap source"): resolve(
+            target, namespace, nodelet, "remap target"
+        )
+        for source, target in zip(sources, targets)
+    }

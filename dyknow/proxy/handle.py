@@ -1,0 +1,106 @@
+"""The DyKnow NodeHandle: the plain one, with ports where that has topics."""
+
+from __future__ import annotations
+
+from typing import Any, Callable, Optional
+
+from dyknow.nodelet.handle import DEFAULT_BUFF_SIZE, Inbox, Publisher, Subscriber
+from dyknow.nodelet.handle import NodeHandle as PlainNodeHandle
+from dyknow.proxy.proxy import NodeletProxy, ReconfigureCallback
+
+
+class NodeHandle:
+    """Wraps a plain handle of a nodelet; everything but topics is handed on to it.
+
+    All handles of one nodelet share one proxy, so a port is the same port in each of them.
+    """
+
+    def __init__(self, node_handle: PlainNodeHandle) -> None:
+        """Wrap one of the nodelet's own handles, such as ``self.node_handle``."""
+        if not isinstance(node_handle, PlainNodeHandle):
+            raise TypeError(
+                "dyknow.NodeHandle expects a handle of the nodelet, such as self.node_handle, "
+                f"not {type(node_handle).__name__}"
+            )
+        self._plain = node_handle
+        self._proxy = NodeletProxy.of(node_handle.context)
+
+    def __getattr__(self, name: str) -> Any:
+        """Hand everything else on to the plain handle."""
+        if name.startswith("__") or name == "_plain":
+            raise AttributeError(name)
+        return getattr(self._plain, name)
+
+    def Publisher(  # noqa: N802
+        self,
+        port: str,
+        data_class: Any,
+        subscriber_listener: Any = None,
+        tcp_nodelay: bool = False,
+        latch: bool = False,
+        headers: Any = None,
+        queue_size: Optional[int] = None,
+    ) -> Publisher:
+        """Declare an out-port; the arguments are those of ``rospy.Publisher``.
+
+        It starts disconnected unless the load request remaps its name.
+        """
+        options = {"subscriber_listener": subscriber_listener, "headers": headers}
+        given = {key: value for key, value in options.items() if value}
+        if tcp_nodelay:
+            given["tcp_nodelay"] = True
+        state = self._proxy.publisher(self._plain, port, data_class, latch, queue_size, **given)
+        return Publisher(state)
+
+    def Subscriber(  # noqa: N802
+        self,
+        port: str,
+        data_class: Any,
+        callback: Optional[Callable[..., Any]] = None,
+        callback_args: Any = None,
+        queue_size: Optional[int] = None,
+        buff_size: int = DEFAULT_BUFF_SIZE,
+        tcp_nodelay: bool = False,
+    ) -> Subscriber:
+        """Declare an in-port; the arguments are those of ``rospy.Subscriber``.
+
+        It starts disconnected unless the load request remaps its name.
+        """
+        given = {"buff_size": buff_size} if buff_size != DEFAULT_BUFF_SIZE else {}
+        state = self._proxy.subscriber(
+            self._plain,
+            port,
+            data_class,
+            callback,
+            callback_args,
+            queue_size,
+            self._plain.concurrent,
+            **given,
+        )
+        return Subscriber(state)
+
+    def wait_for_message(self, port: str, topic_type: Any, timeout: Optional[float] = None) -> Any:
+        """Block until a message arrives at an in-port; the nodelet's queue is not needed for it.
+
+        Raises:
+            ROSException: nothing came within ``timeout`` seconds.
+            ROSInterruptException: the nodelet was unloaded meanwhile.
+        """
+        inbox = Inbox(self._plain.context)
+        state = self._proxy.subscriber(
+            self._plain, port, topic_type, inbox.put, None, 1, concurrent=True
+        )
+        try:
+            return inbox.get(f"a message at port '{port}'", timeout)
+        finally:
+            state.unregister(self)
+
+    def set_reconfigure_callback(self, callback: Optional[ReconfigureCallback]) -> None:
+        """Call back when ports were connected elsewhere.
+
+        The callback gets two maps from port to topic, of in-ports and of out-ports; a topic is
+        empty where the port is disconnected. It runs on the nodelet's queue, after the last
+        message of the old and before the first of the new connection. What it raises is logged
+        and does not undo the switch.
+        """
+        self._proxy.set_reconfigure_callback(callback)

@@ -1,0 +1,153 @@
+"""Ports: the state objects of the paper's figure 2.
+
+A port lives as long as its nodelet, whatever handles come and go: it remembers its type and the
+topic that it is connected to. Handles made on it later find that connection again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, List, Optional, Sequence
+
+from dyknow.nodelet.bus import Endpoint
+from dyknow.nodelet.context import Context
+from dyknow.nodelet.endpoints import Publication
+from dyknow.nodelet.states import PublisherState, SubscriberState
+from dyknow.nodelet.traffic import TrafficSnapshot
+
+IN, OUT = "in", "out"
+
+
+@dataclass(frozen=True)
+class PortConfig:
+    """A port as others see it.
+
+    Attributes:
+        name: unique in the nodelet.
+        direction: ``in`` or ``out``.
+        datatype: ROS type name, ``*`` for any.
+        topic: global name, empty when disconnected.
+    """
+
+    name: str
+    direction: str
+    datatype: str
+    topic: str
+
+
+@dataclass(frozen=True)
+class PortStatistics:
+    """What went through a port since the nodelet was loaded."""
+
+    port: PortConfig
+    traffic: TrafficSnapshot
+
+
+class Port:
+    """A named place of a nodelet that can be connected to a topic."""
+
+    direction = ""
+
+    def __init__(self, name: str, datatype: Any, topic: str) -> None:
+        """Make a port that is to be connected to ``topic`` (empty: to none)."""
+        self.name = name
+        self.datatype = datatype
+        self.topic = topic
+
+    @property
+    def config(self) -> PortConfig:
+        """The port at this moment."""
+        return PortConfig(self.name, self.direction, self.datatype._type, self.topic)
+
+    @property
+    def kind(self) -> str:
+        """Direction and type, for errors."""
+        return f"{self.direction}-port of type {self.datatype._type}"
+
+    def endpoints(self) -> Sequence[Endpoint]:
+        """What moves when the port is connected elsewhere."""
+        raise NotImplementedError
+
+    def statistics(self) -> PortStatistics:
+        """What went through."""
+        snapshots = [endpoint.traffic.snapshot() for endpoint in self.endpoints()]
+        return PortStatistics(self.config, _together(snapshots))
+
+
+class OutPort(Port):
+    """What the nodelet publishes through; all handles share one publication."""
+
+    direction = OUT
+
+    def __init__(self, name: str, datatype: Any, topic: str) -> None:
+        """Make the port without a handle yet."""
+        super().__init__(name, datatype, topic)
+        self.publication: Optional[Publication] = None
+        self.handles: List[PortPublisher] = []
+
+    def endpoints(self) -> Sequence[Endpoint]:
+        """Its publication, while a handle is there."""
+        return () if self.publication is None else (self.publication,)
+
+
+class InPort(Port):
+    """What the nodelet receives through; each handle has its own callbacks and queue."""
+
+    direction = IN
+
+    def __init__(self, name: str, datatype: Any, topic: str) -> None:
+        """Make the port without a handle yet."""
+        super().__init__(name, datatype, topic)
+        self.handles: List[PortSubscriber] = []
+
+    def endpoints(self) -> Sequence[Endpoint]:
+        """One subscription for each handle."""
+        return tuple(handle.subscription for handle in self.handles)
+
+
+class PortPublisher(PublisherState):
+    """One handle's share of an out-port."""
+
+    def __init__(self, context: Context, port: OutPort, publication: Publication) -> None:
+        super().__init__(context, port.name, publication)
+        self._port = port
+        port.handles.append(self)
+
+    def unregister(self, handle: object) -> None:
+        """Withdraw the publication with the last handle; the port stays."""
+        port = self._port
+        if self in port.handles:
+            port.handles.remove(self)
+        if not port.handles and port.publication is not None:
+            publication, port.publication = port.publication, None
+            self.context.release(publication)
+
+
+class PortSubscriber(SubscriberState):
+    """One handle's share of an in-port."""
+
+    def join(self, port: InPort) -> None:
+        """Receive what the port receives."""
+        self._port = port
+        port.handles.append(self)
+
+    def unregister(self, handle: object) -> None:
+        """Stop receiving; the port stays."""
+        if self in self._port.handles:
+            self._port.handles.remove(self)
+        super().unregister(handle)
+
+
+def _together(snapshots: Sequence[TrafficSnapshot]) -> TrafficSnapshot:
+    if not snapshots:
+        return TrafficSnapshot()
+    busiest = max(snapshots, key=lambda each: each.messages)
+    calls = sum(each.messages for each in snapshots)
+    busy = sum(each.mean_callback * each.messages for each in snapshots)
+    return TrafficSnapshot(
+        messages=busiest.messages,
+        dropped=max(each.dropped for each in snapshots),
+        rate=busiest.rate,
+        mean_callback=busy / calls if calls else 0.0,
+        max_callback=max(each.max_callback for each in snapshots),
+    )

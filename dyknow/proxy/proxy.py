@@ -1,0 +1,298 @@
+"""The nodelet proxy: one for a nodelet, it maps ports to topics and changes that map.
+
+A change is checked as a whole, then applied as a whole. Reconfigurations of one nodelet take
+turns; nothing else waits for that turn, and it waits for no callback.
+"""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
+
+from dyknow.errors import (
+    DuplicatePort,
+    DyKnowError,
+    HandleClosed,
+    InvalidConfiguration,
+    InvalidName,
+    PortConflict,
+    RemappedTopic,
+    TypeMismatch,
+    UnknownPort,
+    UnloadedMeanwhile,
+)
+from dyknow.nodelet import names
+from dyknow.nodelet.bus import Move
+from dyknow.nodelet.context import Context
+from dyknow.nodelet.handle import NodeHandle
+from dyknow.proxy.port import (
+    IN,
+    InPort,
+    OutPort,
+    Port,
+    PortConfig,
+    PortPublisher,
+    PortStatistics,
+    PortSubscriber,
+)
+
+#: Seconds that a reconfiguration waits for peers outside.
+PATIENCE = 0.5
+
+ReconfigureCallback = Callable[[Dict[str, str], Dict[str, str]], None]
+
+
+@dataclass(frozen=True)
+class ProxyStatistics:
+    """What a nodelet did since it was loaded.
+
+    Attributes:
+        uptime: seconds, steady.
+        reconfigurations: number of times that ports were connected elsewhere.
+        callback_errors: callbacks that raised.
+        ports: in the order of their declaration.
+    """
+
+    uptime: float
+    reconfigurations: int
+    callback_errors: int
+    ports: Tuple[PortStatistics, ...]
+
+
+class NodeletProxy:
+    """Ports of one nodelet and where they are connected."""
+
+    def __init__(self, context: Context) -> None:
+        """Make the proxy; use ``of``, since a nodelet has one."""
+        self._context = context
+        self._ports: Dict[str, Port] = {}
+        self._turn = threading.RLock()
+        self._reconfigurations = 0
+        self._callback: Optional[ReconfigureCallback] = None
+        #: Called after every change of a port, on the thread that made it.
+        self.on_change: Callable[[], None] = lambda: None
+
+    @classmethod
+    def of(cls, context: Context) -> NodeletProxy:
+        """Return the proxy of a nodelet; the first call makes it."""
+        if not isinstance(context.attached, cls):
+            context.attach(cls(context))
+        proxy = context.attached
+        assert isinstance(proxy, cls)
+        return proxy
+
+    @property
+    def name(self) -> str:
+        """Name of the nodelet."""
+        return self._context.name
+
+    # What the services offer
+
+    def get_config(self) -> List[PortConfig]:
+        """Return the ports, in the order of their declaration."""
+        return [port.config for port in list(self._ports.values())]
+
+    def set_config(self, config: Sequence[Tuple[str, str]]) -> None:
+        """Connect ports to topics, all or none.
+
+        Args:
+            config: pairs of a port and a topic; an empty topic disconnects.
+
+        Raises:
+            InvalidConfiguration: something is wrong with an entry; nothing was changed.
+            UnloadedMeanwhile: the nodelet was unloaded; nothing is connected any more.
+        """
+        with self._turn:
+            changes = self._checked(config)
+            changed = [port for port, topic in changes if port.topic != topic]
+            if not changed:
+                return
+            topics = {port.name: topic for port, topic in changes}
+            moves = [
+                (endpoint, topic) for port, topic in changes for endpoint in port.endpoints()
+            ]
+            self._switch(moves, self._maps(topics))
+            for port, topic in changes:
+                port.topic = topic
+            self._reconfigurations += 1
+        self.on_change()
+
+    def get_statistics(self) -> ProxyStatistics:
+        """Return the counts of this moment."""
+        context = self._context
+        return ProxyStatistics(
+            uptime=context.runtime.clock() - context.started_at,
+            reconfigurations=self._reconfigurations,
+            callback_errors=context.callback_errors,
+            ports=tuple(port.statistics() for port in list(self._ports.values())),
+        )
+
+    # What the handle uses
+
+    def set_reconfigure_callback(self, callback: Optional[ReconfigureCallback]) -> None:
+        """Call back after every reconfiguration with the maps of in-ports and of out-ports."""
+        self._callback = callback
+
+    def publisher(
+        self,
+        handle: NodeHandle,
+        name: str,
+        datatype: Any,
+        latch: bool,
+        queue_size: Optional[int],
+        **options: Any,
+    ) -> PortPublisher:
+        """Declare an out-port, or share one that is there.
+
+        The first handle decides about ``queue_size`` and ``options``.
+
+        Raises:
+            PortConflict: the port exists as an in-port, with another type or another latch.
+        """
+        with self._turn:
+            port = self._declare(OutPort, handle, name, datatype)
+            publication = port.publication
+            if publication is None:
+                publication = self._context.publication(
+                    name, datatype, latch, queue_size, **options
+                )
+                self._place(port, publication)
+                port.publication = publication
+            elif publication.latch != latch:
+                wanted = "latched" if latch else "not latched"
+                raise PortConflict(name, port.kind, wanted)
+            state = PortPublisher(self._context, port, publication)
+        self.on_change()
+        return state
+
+    def subscriber(
+        self,
+        handle: NodeHandle,
+        name: str,
+        datatype: Any,
+        callback: Optional[Callable[..., Any]],
+        callback_args: Any,
+        queue_size: Optional[int],
+        concurrent: bool,
+        **options: Any,
+    ) -> PortSubscriber:
+        """Declare an in-port, or share one that is there.
+
+        Raises:
+            PortConflict: the port exists as an out-port, or with another type.
+        """
+        with self._turn:
+            port = self._declare(InPort, handle, name, datatype)
+            state = PortSubscriber(
+                self._context,
+                name,
+                datatype,
+                callback,
+                callback_args,
+                queue_size,
+                concurrent,
+                **options,
+            )
+            self._place(port, state.subscription)
+            state.join(port)
+        self.on_change()
+        return state
+
+    # Inside
+
+    def _declare(self, kind: Any, handle: NodeHandle, name: str, datatype: Any) -> Any:
+        names.check(name, "port name")
+        port = self._ports.get(name)
+        if port is None:
+            resolved = names.resolve(name, handle.namespace, self._context.name)
+            topic = self._context.remappings.get(resolved, "")
+            port = self._ports[name] = kind(name, datatype, topic)
+        elif port.direction != kind.direction or port.datatype._md5sum != datatype._md5sum:
+            raise PortConflict(name, port.kind, f"{kind.direction}-port of type {datatype._type}")
+        return port
+
+    def _place(self, port: Port, endpoint: Any) -> None:
+        if not port.topic:
+            return
+        try:
+            self._context.runtime.bus.rewire([(endpoint, port.topic)])
+        except BaseException:
+            self._context.release(endpoint)
+            raise
+
+    def _checked(self, config: Sequence[Tuple[str, str]]) -> List[Tuple[Port, str]]:
+        problems: List[DyKnowError] = []
+        changes: List[Tuple[Port, str]] = []
+        seen: Dict[str, int] = {}
+        types: Dict[str, Any] = {}
+        for name, _ in config:
+            seen[name] = seen.get(name, 0) + 1
+        problems.extend(DuplicatePort(name) for name, count in seen.items() if count > 1)
+        for name, text in config:
+            port = self._ports.get(name)
+            if port is None:
+                problems.append(UnknownPort(name, self._ports))
+                continue
+            try:
+                topic = self._topic(text)
+                if topic:
+                    self._check_type(port, topic, types)
+                changes.append((port, topic))
+            except DyKnowError as problem:
+                problems.append(problem)
+        if problems:
+            raise InvalidConfiguration(self.name, problems)
+        return changes
+
+    def _topic(self, text: str) -> str:
+        if not text:
+            return ""
+        topic = names.resolve(text, names.parent(self.name), self.name, "topic name")
+        if topic == "/" or topic.endswith("/"):
+            raise InvalidName(text, "topic name")
+        target = self._context.runtime.middleware.process_remap(topic)
+        if target != topic:
+            raise RemappedTopic(topic, target)
+        return topic
+
+    def _check_type(self, port: Port, topic: str, types: Dict[str, Any]) -> None:
+        wanted = port.datatype._type
+        present = types.setdefault(topic, wanted)
+        if topic != port.topic and present == wanted:
+            present = self._context.runtime.bus.datatype_of(topic) or wanted
+        if "*" not in (wanted, present) and wanted != present:
+            raise TypeMismatch(topic, f"{wanted} (port '{port.name}')", present)
+
+    def _maps(self, topics: Dict[str, str]) -> Tuple[Dict[str, str], Dict[str, str]]:
+        inputs: Dict[str, str] = {}
+        outputs: Dict[str, str] = {}
+        for port in self._ports.values():
+            side = inputs if port.direction == IN else outputs
+            side[port.name] = topics.get(port.name, port.topic)
+        return inputs, outputs
+
+    def _switch(
+        self, moves: Sequence[Move], maps: Tuple[Dict[str, str], Dict[str, str]]
+    ) -> None:
+        context, callback = self._context, self._callback
+
+        def tell() -> None:
+            assert callback is not None
+            try:
+                callback(*maps)
+            except BaseException as error:  # the boundary: the switch stands all the same
+                context.failed("a reconfiguration", error)
+
+        def between() -> None:
+            if callback is not None:
+                context.strand.post(tell)
+
+        try:
+            context.runtime.bus.rewire(moves, between, PATIENCE)
+        except HandleClosed as closed:
+            if context.closed:
+                raise UnloadedMeanwhile(self.name, "reconfiguration") from closed
+            raise
+        except TypeMismatch as problem:
+            raise InvalidConfiguration(self.name, [problem]) from problem
