@@ -1,0 +1,32 @@
+"""DyKnow: streams in ROS 1 that can be re-wired while everything runs.
+
+The names below are loaded when they are first used, so that ``import dyknow`` alone imports neither rospy nor a message.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from dyknow.nodelet.nodelet import Nodelet
+    from dyknow.proxy.handle import NodeHandle
+
+__all__ = ["NodeHandle", "Nodelet"]
+
+_HOMES = {
+    "Nodelet": "dyknow.nodelet",
+    "NodeHandle": "dyknow.proxy",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(importlib.import_module(_HOMES[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_HOMES})

@@ -1,0 +1,1 @@
+"""The rqt plugin of DyKnow and its window of its own."""
