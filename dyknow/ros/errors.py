@@ -1,0 +1,19 @@
+"""Exceptions of handles that are also rospy's, so that converted nodes catch what they caught."""
+
+from __future__ import annotations
+
+import rospy
+
+from dyknow.errors import DyKnowError, HandleClosed
+
+
+class ClosedHandle(HandleClosed, rospy.ROSException):  # type: ignore[misc]
+    """A handle was used after it was unregistered or its nodelet unloaded."""
+
+
+class MessageTimeout(DyKnowError, rospy.ROSException):  # type: ignore[misc]
+    """A message did not come in time."""
+
+
+class Interrupted(DyKnowError, rospy.ServiceException, rospy.ROSInterruptException):  # type: ignore[misc]
+    """The nodelet was unloaded while somebody waited for it."""

@@ -1,0 +1,238 @@
+"""Keeps rospy from connecting to itself where the bus delivers already.
+
+rospy links a publisher and a subscriber of one process through a TCP connection to itself. For a
+topic on which the bus publishes that would deliver everything twice, so the connection to our own
+address is answered with an INTRAPROCESS transport that carries nothing; rosnode and rqt_graph
+still see it. The hook is one attribute of rospy's protocol handler (its documented
+``ProtocolHandler`` interface): no class is patched.
+
+What ordinary rospy handles in this process (tf2's listeners and broadcasters, say) exchange on
+such a topic is passed on by this module: to ordinary subscribers on a strand of their own, from
+ordinary publishers as a copy, since those may change a message after publishing it.
+
+Who owns what: ``IntraProcess`` owns one ``LocalTopic`` for each topic that the bus publishes on,
+from the first publication until rospy's publisher of that topic is gone.
+"""
+
+from __future__ import annotations
+
+import threading
+from io import BytesIO
+from typing import Any, Callable, Dict, List, Set, Tuple
+
+import rospy
+import rospy.core
+import rospy.impl.registration
+import rospy.impl.tcpros
+from rospy.impl.transport import INBOUND, Transport
+
+from dyknow.nodelet.endpoints import NOTHING, Connection
+from dyknow.nodelet.scheduler import Executor, Strand
+
+Callback = Tuple[Callable[..., Any], Any]
+
+
+class IntraProcessTransport(Transport):  # type: ignore[misc]
+    """What rospy shows for a link inside the process."""
+
+    transport_type = "INTRAPROCESS"
+
+    def __init__(self, topic: str, uri: str, closed: Callable[[], None]) -> None:
+        super().__init__(INBOUND, topic)
+        self.endpoint_id = uri
+        self.callerid_pub = rospy.get_name()
+        self.is_latched = False
+        self.latch: Any = None
+        self.socket = None
+        self._closed = closed
+
+    def get_transport_info(self) -> str:
+        """Describe the link for ``rosnode info``."""
+        return "INTRAPROCESS"
+
+    def close(self) -> None:
+        """End it; rospy's version calls itself through the clean-up callback without this guard."""
+        if not self.done:
+            super().close()
+            self._closed()
+
+
+class Always:
+    """Listeners that the bus has to reach through ``publish`` although no connection shows it."""
+
+    connections = (None,)
+
+
+def twin(message: Any) -> Any:
+    """Copy a message the way the network does."""
+    buffer = BytesIO()
+    message.serialize(buffer)
+    return message.__class__().deserialize(buffer.getvalue())
+
+
+class LocalTopic:
+    """Ordinary rospy handles of this process on one topic of the bus."""
+
+    def __init__(self, name: str, uri: str, executor: Executor) -> None:
+        self.name = name
+        self.halves: Set[Any] = set()
+        self.latched: Any = NOTHING
+        self._uri = uri
+        self._strand = Strand(executor, f"rospy subscribers of {name}")
+        self._adopted: Any = None
+        self._listening: Any = None
+
+    @property
+    def foreign(self) -> List[Callback]:
+        """Callbacks of ordinary subscribers."""
+        implementation = self._listening
+        if implementation is None:
+            return []
+        return [each for each in list(implementation.callbacks) if not _ours(each[0])]
+
+    def adopt(self, implementation: Any) -> None:
+        """Pass on what ordinary publishers of this process publish on the topic."""
+        if self._adopted is implementation:
+            return
+        self._adopted = implementation
+        outwards = implementation.publish
+
+        def publish(message: Any, connection_override: Any = None) -> Any:
+            if connection_override is None:
+                self._from_ordinary(message)
+            return outwards(message, connection_override)
+
+        implementation.publish = publish
+        self.outwards: Callable[[Any], Any] = outwards
+        subscriber = rospy.impl.registration.get_topic_manager().get_subscriber_impl(self.name)
+        if subscriber is not None and subscriber.has_connection(self._uri):
+            self.link(subscriber)  # takes the place of rospy's connection to itself
+
+    def link(self, subscriber: Any) -> None:
+        """Show the link on rospy's subscriber and follow its ordinary callbacks."""
+        present = [c for c in subscriber.connections if isinstance(c, IntraProcessTransport)]
+        if not present:
+            subscriber.add_connection(
+                IntraProcessTransport(self.name, self._uri, lambda: self._unlinked(subscriber))
+            )
+        if self._listening is subscriber:
+            return
+        self._listening = subscriber
+        add, remove = subscriber.add_callback, subscriber.remove_callback
+
+        def add_callback(callback: Any, args: Any) -> None:
+            add(callback, args)
+            self.refresh()
+            if not _ours(callback) and self.latched is not NOTHING:
+                self._hand_over(self.latched, [(callback, args)])
+
+        def remove_callback(callback: Any, args: Any) -> None:
+            remove(callback, args)
+            self.refresh()
+
+        subscriber.add_callback, subscriber.remove_callback = add_callback, remove_callback
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Let the publications of the bus know whether ordinary subscribers are there."""
+        listeners = Always if self.foreign else self._adopted
+        for half in list(self.halves):
+            half.peers = listeners
+
+    def deliver(self, message: Any) -> None:
+        """Hand a message of the bus to the ordinary subscribers."""
+        self._hand_over(message, self.foreign)
+
+    def unlink(self) -> None:
+        """Take the link off rospy's subscriber: nobody publishes here any more."""
+        subscriber = self._listening
+        if subscriber is not None:
+            for connection in list(subscriber.connections or ()):
+                if isinstance(connection, IntraProcessTransport):
+                    subscriber.remove_connection(connection)
+
+    def _unlinked(self, subscriber: Any) -> None:
+        if self._listening is subscriber and subscriber.closed:
+            self._listening = None
+            self.refresh()
+
+    def _from_ordinary(self, message: Any) -> None:
+        subscriber = self._listening
+        callbacks = list(subscriber.callbacks) if subscriber is not None else []
+        if callbacks:
+            self._hand_over(twin(message), callbacks)
+
+    def _hand_over(self, message: Any, callbacks: List[Callback]) -> None:
+        subscriber = self._listening
+        for callback, args in callbacks:
+            if _ours(callback):
+                callback(message)
+            elif subscriber is not None:
+                self._strand.post(
+                    lambda callback=callback, args=args: subscriber._invoke_callback(  # type: ignore[misc]
+                        message, callback, args
+                    )
+                )
+
+
+class IntraProcess:
+    """The hook, and the topics that it is for."""
+
+    def __init__(self, executor: Executor) -> None:
+        """Install the hook; the node must be initialised."""
+        self._executor = executor
+        self._lock = threading.Lock()
+        self._topics: Dict[str, LocalTopic] = {}
+        self._uri: str = rospy.core.get_node_uri()
+        handler = rospy.impl.tcpros.get_tcpros_handler()
+        self._connect_outside = handler.create_transport
+        handler.create_transport = self._create_transport
+        rospy.impl.registration.get_registration_listeners().add_listener(_Departures(self.retire))
+
+    def publishing(self, topic: str) -> LocalTopic:
+        """Take over a topic, before rospy's publisher is made."""
+        with self._lock:
+            if topic not in self._topics:
+                self._topics[topic] = LocalTopic(topic, self._uri, self._executor)
+            return self._topics[topic]
+
+    def retire(self, topic: str) -> None:
+        """Give the topic back if rospy has no publisher for it any more."""
+        if rospy.impl.registration.get_topic_manager().get_publisher_impl(topic) is not None:
+            return
+        with self._lock:
+            local = self._topics.get(topic)
+            if local is None or local.halves:
+                return
+            del self._topics[topic]
+        local.unlink()
+
+    def _create_transport(self, topic: str, uri: str, parameters: Any) -> Tuple[int, str, int]:
+        if uri == self._uri:
+            with self._lock:
+                local = self._topics.get(topic)
+            if local is not None:
+                manager = rospy.impl.registration.get_topic_manager()
+                subscriber = manager.get_subscriber_impl(topic)
+                if subscriber is None:
+                    return 0, f"no subscriber of {topic}", 0
+                local.link(subscriber)
+                return 1, "intraprocess", 0
+        answer: Tuple[int, str, int] = self._connect_outside(topic, uri, parameters)
+        return answer
+
+
+class _Departures(rospy.impl.registration.RegistrationListener):  # type: ignore[misc]
+    """Tells when the last publisher of a topic in this process is gone."""
+
+    def __init__(self, gone: Callable[[str], None]) -> None:
+        self._gone = gone
+
+    def reg_removed(self, resolved_name: str, data_type_or_uri: str, reg_type: str) -> None:
+        """Pass publishers on."""
+        if reg_type == rospy.impl.registration.Registration.PUB:
+            self._gone(resolved_name)
+
+
+def _ours(callback: Any) -> bool:
+    return isinstance(getattr(callback, "__self__", None), Connection)

@@ -1,0 +1,85 @@
+"""Questions to the ROS master, each with a timeout (rosgraph's own have none)."""
+
+from __future__ import annotations
+
+import http.client
+import os
+import socket
+import xmlrpc.client
+from typing import Any, List, Set, Tuple
+
+from dyknow.errors import PeerTimeout
+
+#: Seconds that the master may take to answer.
+TIMEOUT = 3.0
+
+
+class _Transport(xmlrpc.client.Transport):
+    def __init__(self, seconds: float) -> None:
+        super().__init__()
+        self._seconds = seconds
+
+    def make_connection(self, host: Any) -> http.client.HTTPConnection:
+        connection = super().make_connection(host)
+        connection.timeout = self._seconds
+        return connection
+
+
+class Master:
+    """The master that ROS_MASTER_URI names, asked in the name of one node."""
+
+    def __init__(self, caller: str, uri: str = "", timeout: float = TIMEOUT) -> None:
+        """Prepare questions; nothing is sent yet.
+
+        Args:
+            caller: global name of the node that asks.
+            uri: the master's address; by default that of the environment.
+            timeout: seconds for each answer.
+        """
+        self.caller = caller
+        self.uri = uri or os.environ.get("ROS_MASTER_URI", "http://localhost:11311")
+        self.timeout = timeout
+
+    def ask(self, question: str, *args: Any) -> Any:
+        """Call a function of the master's API and return its value.
+
+        Raises:
+            PeerTimeout: no answer in time, or no master.
+        """
+        transport = _Transport(self.timeout)
+        server = xmlrpc.client.ServerProxy(self.uri, transport=transport)
+        try:
+            code, message, value = getattr(server, question)(self.caller, *args)
+        except (socket.timeout, OSError, http.client.HTTPException) as error:
+            raise PeerTimeout(f"the ROS master at {self.uri}", self.timeout) from error
+        finally:
+            transport.close()
+        if code != 1:
+            raise LookupError(message)
+        return value
+
+    def publishers(self, topic: str) -> Set[str]:
+        """Names of the nodes that publish on a topic."""
+        return self._nodes(topic, 0)
+
+    def subscribers(self, topic: str) -> Set[str]:
+        """Names of the nodes that subscribe to a topic."""
+        return self._nodes(topic, 1)
+
+    def datatype(self, topic: str) -> str:
+        """Type of a topic with a live publisher or subscriber, else empty.
+
+        The master's types outlive the publishers, so the system state is asked too where the
+        master knows a type.
+        """
+        known: List[Tuple[str, str]] = self.ask("getTopicTypes")
+        found = dict(map(tuple, known)).get(topic, "")  # type: ignore[arg-type]
+        if not found:
+            return ""
+        state = self.ask("getSystemState")
+        alive = any(name == topic and nodes for side in state[:2] for name, nodes in side)
+        return found if alive else ""
+
+    def _nodes(self, topic: str, side: int) -> Set[str]:
+        state = self.ask("getSystemState")
+        return {node for name, nodes in state[side] if name == topic for node in nodes}

@@ -1,0 +1,146 @@
+"""The seam to ROS, over rospy."""
+
+from __future__ import annotations
+
+from io import BytesIO
+from typing import Any, Dict, Optional, Sequence
+
+import rospy
+import rospy.msg
+import rospy.timer
+
+from dyknow.errors import PeerTimeout
+from dyknow.nodelet.middleware import Closable, Handler, Middleware, Receive
+from dyknow.nodelet.scheduler import Executor
+from dyknow.ros import members
+from dyknow.ros.errors import ClosedHandle, Interrupted, MessageTimeout
+from dyknow.ros.intraprocess import IntraProcess
+from dyknow.ros.master import Master
+from dyknow.ros.ticker import make_ticker
+from dyknow.ros.topics import RospyPublisher, RospySubscriber
+
+
+class RospyMiddleware(Middleware):
+    """ROS as the nodelets of this process see it; the node must be initialised."""
+
+    def __init__(self, executor: Executor) -> None:
+        """Install the in-process hook; ``executor`` runs callbacks of ordinary subscribers."""
+        self.ticker = make_ticker()
+        self._intraprocess = IntraProcess(executor)
+
+    def advertise(
+        self,
+        topic: str,
+        datatype: Any,
+        latch: bool,
+        queue_size: Optional[int],
+        options: Dict[str, Any],
+    ) -> RospyPublisher:
+        """Register a publisher."""
+        return RospyPublisher(self._intraprocess, topic, datatype, latch, queue_size, options)
+
+    def subscribe(
+        self, topic: str, datatype: Any, receive: Receive, options: Dict[str, Any]
+    ) -> RospySubscriber:
+        """Register a subscriber."""
+        return RospySubscriber(topic, datatype, receive, options)
+
+    def datatype_of(self, topic: str) -> str:
+        """Ask the master; a master that does not answer knows nothing."""
+        try:
+            found = Master(rospy.get_name()).datatype(topic)
+        except PeerTimeout as error:
+            rospy.logwarn("the type of %s is not checked: %s", topic, error)
+            return ""
+        return "" if found == "*" else found
+
+    def build(self, datatype: Any, args: Sequence[Any], kwds: Dict[str, Any]) -> Any:
+        """Make a message as ``rospy.Publisher.publish`` does."""
+        return rospy.msg.args_kwds_to_message(datatype, tuple(args), kwds)
+
+    def adapt(self, datatype: Any, receive: Receive) -> Receive:
+        """Give subscribers of ``rospy.AnyMsg`` the serialised message that they expect."""
+        if datatype._md5sum != "*":
+            return receive
+
+        def receive_any(message: Any) -> None:
+            receive(message if message._md5sum == "*" else _serialised(datatype, message))
+
+        return receive_any
+
+    def closed(self, what: str) -> Exception:
+        """Make an exception that is a ``rospy.ROSException`` too."""
+        return ClosedHandle(what)
+
+    def interrupted(self, what: str) -> Exception:
+        """Make an exception that is rospy's for interrupted waits and for failed services."""
+        return Interrupted(what)
+
+    def timed_out(self, what: str) -> Exception:
+        """Make an exception that is a ``rospy.ROSException`` too."""
+        return MessageTimeout(what)
+
+    def is_shutdown(self) -> bool:
+        """Whether rospy was told to end."""
+        return bool(rospy.is_shutdown())
+
+    def offer(
+        self, service: str, service_class: Any, handler: Handler, options: Dict[str, Any]
+    ) -> Closable:
+        """Offer a rospy service."""
+        return RospyService(service, service_class, handler, options)
+
+    def timer_event(self, last: Any, expected: float, real: float, duration: Any) -> Any:
+        """Make a ``rospy.timer.TimerEvent``, on the scale of ROS time."""
+        now = rospy.Time.now()
+        late = rospy.Duration.from_sec(max(0.0, real - expected))
+        due = now - late if now.to_sec() > late.to_sec() else rospy.Time()
+        return rospy.timer.TimerEvent(
+            last.current_expected if last is not None else None,
+            last.current_real if last is not None else None,
+            due,
+            now,
+            duration,
+        )
+
+    def period(self, duration: Any) -> float:
+        """Seconds of a ``rospy.Duration``; plain numbers are seconds already."""
+        return float(duration.to_sec() if hasattr(duration, "to_sec") else duration)
+
+    def process_remap(self, name: str) -> str:
+        """Apply the remappings of the command line."""
+        return str(rospy.resolve_name(name))
+
+    def member(self, name: str, handle: Any) -> Any:
+        """Return rospy's own."""
+        return members.member(name, handle)
+
+
+class RospyService(Closable):
+    """One service at rospy."""
+
+    def __init__(
+        self, name: str, service_class: Any, handler: Handler, options: Dict[str, Any]
+    ) -> None:
+        self._service = rospy.Service(name, service_class, handler, **options)
+
+    def close(self) -> None:
+        """Unregister it."""
+        if self._service is not None:
+            service, self._service = self._service, None
+            service.shutdown("closed")
+
+
+def _serialised(any_class: Any, message: Any) -> Any:
+    buffer = BytesIO()
+    message.serialize(buffer)
+    wrapped = any_class()
+    wrapped._buff = buffer.getvalue()
+    wrapped._connection_header = {
+        "type": message._type,
+        "md5sum": message._md5sum,
+        "message_definition": message._full_text,
+        "callerid": rospy.get_name(),
+        "latching": "0",
+    }
+    return wrapped

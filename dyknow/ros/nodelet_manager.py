@@ -1,0 +1,257 @@
+"""The nodelet manager: a node that hosts nodelets on threads, in place of the C++ one.
+
+Who owns what: the manager owns the runtime, the loader, the bonds and its three services. A load
+or an unload that fails is a failed service call, with the cause as its text: stock clients rely
+on that.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+from dataclasses import dataclass
+from typing import Any, Dict, List, Optional, Sequence
+
+import rospy
+from nodelet.srv import (
+    NodeletList,
+    NodeletListResponse,
+    NodeletLoad,
+    NodeletLoadResponse,
+    NodeletUnload,
+    NodeletUnloadResponse,
+)
+
+from dyknow.errors import DyKnowError
+from dyknow.nodelet import names
+from dyknow.nodelet.context import Context, Runtime
+from dyknow.nodelet.loader import Loader
+from dyknow.nodelet.middleware import Closable
+from dyknow.nodelet.plugins import Plugins
+from dyknow.nodelet.scheduler import WorkerPool
+from dyknow.proxy.proxy import NodeletProxy
+from dyknow.ros.bonds import Bonds
+from dyknow.ros.middleware import RospyMiddleware
+from dyknow.ros.packages import plugin_files
+from dyknow.ros.proxy_services import ProxyServices
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Private parameters of a nodelet manager.
+
+    Attributes:
+        num_worker_threads: callbacks that can run at the same time; 0 for max(4, cores).
+        switch_interval: seconds that a thread in Python code keeps the interpreter before it lets
+            others in. Python's own 5 ms would let one busy nodelet delay each hop of all others.
+        stuck_after: seconds after which a callback that has not returned is reported.
+    """
+
+    num_worker_threads: int = 0
+    switch_interval: float = 0.0005
+    stuck_after: float = 10.0
+
+    @classmethod
+    def read(cls) -> Settings:
+        """Read the node's private parameters.
+
+        Raises:
+            DyKnowError: a parameter has no sensible value.
+        """
+        workers = rospy.get_param("~num_worker_threads", cls.num_worker_threads)
+        if isinstance(workers, bool) or not isinstance(workers, int) or workers < 0:
+            raise DyKnowError(f"~num_worker_threads: expected an integer from 0, not {workers!r}")
+        seconds = {}
+        for name in ("switch_interval", "stuck_after"):
+            value = rospy.get_param("~" + name, getattr(cls, name))
+            if isinstance(value, bool) or not isinstance(value, (int, float)) or not value > 0:
+                raise DyKnowError(f"~{name}: expected seconds above 0, not {value!r}")
+            seconds[name] = float(value)
+        return cls(workers, **seconds)
+
+    @property
+    def workers(self) -> int:
+        """Number of threads that it comes to."""
+        return self.num_worker_threads or max(4, os.cpu_count() or 1)
+
+
+class NodeletManager:
+    """Hosts nodelets in this process; the node must be initialised."""
+
+    def __init__(self, settings: Settings) -> None:
+        """Start without nodelets and without services."""
+        sys.setswitchinterval(settings.switch_interval)
+        pool = WorkerPool(settings.workers, settings.stuck_after)
+        self._runtime = Runtime.make(RospyMiddleware(pool), pool)
+        self._bonds = Bonds(names.join(rospy.get_name(), "bond"))
+        self._bonded: Dict[str, str] = {}
+        self.loader = Loader(self._runtime, Plugins(plugin_files).load, _attach, self._unloaded)
+        self._services: List[Any] = []
+
+    def offer(self) -> None:
+        """Offer the services of nodelet/Nodelet{Load,Unload,List}."""
+        for name, service_class, handler in (
+            ("~load_nodelet", NodeletLoad, self._load),
+            ("~unload_nodelet", NodeletUnload, self._unload),
+            ("~list", NodeletList, self._list),
+        ):
+            self._services.append(rospy.Service(name, service_class, handler))
+
+    def load(
+        self,
+        name: str,
+        type_name: str,
+        sources: Sequence[str] = (),
+        targets: Sequence[str] = (),
+        my_argv: Sequence[str] = (),
+        bond_id: str = "",
+    ) -> None:
+        """Load a nodelet; names are as in a NodeletLoad request.
+
+        Raises:
+            DyKnowError: it could not be loaded, and nothing of it is left.
+        """
+        namespace = names.parent(rospy.get_name())
+        name = names.resolve(name, namespace, rospy.get_name(), "nodelet name")
+        remappings = names.pair_remappings(name, sources, targets, namespace)
+        self.loader.load(name, type_name, remappings, my_argv)
+        if bond_id:
+            self._bond(name, bond_id)
+        rospy.loginfo("loaded nodelet %s of type %s", name, type_name)
+
+    def unload(self, name: str) -> None:
+        """Unload a nodelet.
+
+        Raises:
+            UnknownNodelet: there is none of that name.
+        """
+        name = names.resolve(name, names.parent(rospy.get_name()), rospy.get_name())
+        self.loader.unload(name)
+        rospy.loginfo("unloaded nodelet %s", name)
+
+    def close(self) -> None:
+        """Unload everything and end."""
+        for service in self._services:
+            service.shutdown("the nodelet manager ends")
+        self.loader.close()
+        self._bonds.close()
+        self._runtime.close()
+
+    # Bonds
+
+    def _bond(self, name: str, bond_id: str) -> None:
+        try:
+            self._bonds.add(bond_id, lambda: self._bond_broken(name, bond_id))
+        except BaseException:
+            self.loader.unload(name)
+            raise
+        self._bonded[name] = bond_id
+        if name not in self.loader.list():  # unloaded in between
+            self._unloaded(name)
+
+    def _bond_broken(self, name: str, bond_id: str) -> None:
+        # An unload may take a second; the heartbeats of the other bonds must not wait for it.
+        threading.Thread(target=self._unload_bonded, args=(name, bond_id), daemon=True).start()
+
+    def _unload_bonded(self, name: str, bond_id: str) -> None:
+        if self._bonded.get(name) != bond_id:
+            return
+        rospy.loginfo("the bond of nodelet %s is broken: unloading it", name)
+        try:
+            self.unload(name)
+        except DyKnowError as error:
+            rospy.loginfo("%s", error)
+
+    def _unloaded(self, name: str) -> None:
+        bond_id = self._bonded.pop(name, None)
+        if bond_id is not None:
+            self._bonds.remove(bond_id)
+
+    # Services
+
+    def _load(self, request: Any) -> NodeletLoadResponse:
+        try:
+            self.load(
+                request.name,
+                request.type,
+                request.remap_source_args,
+                request.remap_target_args,
+                request.my_argv,
+                request.bond_id,
+            )
+        except DyKnowError as error:
+            raise _failed("Failed to load nodelet", request.name, error) from error
+        return NodeletLoadResponse(True)
+
+    def _unload(self, request: Any) -> NodeletUnloadResponse:
+        try:
+            self.unload(request.name)
+        except DyKnowError as error:
+            raise _failed("Failed to unload nodelet", request.name, error) from error
+        return NodeletUnloadResponse(True)
+
+    def _list(self, request: Any) -> NodeletListResponse:
+        return NodeletListResponse(self.loader.list())
+
+
+def _failed(what: str, name: str, error: DyKnowError) -> rospy.ServiceException:
+    rospy.logerr("%s [%s]: %s", what, name, error, exc_info=error.__cause__ is not None)
+    return rospy.ServiceException(str(error))
+
+
+def _attach(context: Context, thing: Any) -> Optional[Closable]:
+    return ProxyServices(thing) if isinstance(thing, NodeletProxy) else None
+
+
+def _serve(manager: NodeletManager) -> int:
+    ended = threading.Event()
+
+    def end() -> None:
+        manager.close()
+        ended.set()
+
+    rospy.on_shutdown(end)
+    ended.wait()  # rospy.spin() would wake up twice a second for nothing
+    return 0
+
+
+def _start(node: str, argv: Sequence[str]) -> Optional[NodeletManager]:
+    rospy.init_node(node, argv=list(argv))
+    try:
+        return NodeletManager(Settings.read())
+    except DyKnowError as error:
+        rospy.logfatal("%s", error)
+        return None
+
+
+def run_manager(argv: Sequence[str], node: str = "manager") -> int:
+    """Run a nodelet manager until it is told to end; returns the exit code."""
+    manager = _start(node, argv)
+    if manager is None:
+        return 1
+    manager.offer()
+    return _serve(manager)
+
+
+def run_standalone(
+    type_name: str, my_argv: Sequence[str], argv: Sequence[str], node: str
+) -> int:
+    """Run one nodelet in a process of its own, under the name of the node."""
+    manager = _start(node, argv)
+    if manager is None:
+        return 1
+    remappings = {
+        source: target
+        for source, target in rospy.names.get_resolved_mappings().items()
+        if source.startswith("/") and not source.startswith("/__")
+    }
+    try:
+        manager.load(
+            rospy.get_name(), type_name, list(remappings), list(remappings.values()), my_argv
+        )
+    except DyKnowError as error:
+        rospy.logfatal("Failed to load nodelet [%s]: %s", rospy.get_name(), error)
+        manager.close()
+        return 1
+    return _serve(manager)

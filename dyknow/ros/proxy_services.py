@@ -1,0 +1,64 @@
+"""The three services of a nodelet's proxy, in the nodelet's own namespace."""
+
+from __future__ import annotations
+
+from typing import Any, List
+
+import rospy
+from dyknow_msgs.srv import (
+    GetConfig,
+    GetConfigResponse,
+    GetStatistics,
+    GetStatisticsResponse,
+    SetConfig,
+    SetConfigResponse,
+)
+
+from dyknow.errors import DyKnowError
+from dyknow.nodelet import names
+from dyknow.nodelet.middleware import Closable
+from dyknow.proxy.proxy import NodeletProxy
+from dyknow.ros.messages import config_pairs, port_messages, statistics_message
+
+
+class ProxyServices(Closable):
+    """Offers get_config, set_config and get_statistics until it is closed.
+
+    They are answered on rospy's threads, not on the nodelet's queue: a nodelet whose callback
+    hangs can still be looked at and re-wired.
+    """
+
+    def __init__(self, proxy: NodeletProxy) -> None:
+        """Offer the services of ``proxy``."""
+        self._proxy = proxy
+        self._services: List[Any] = []
+        try:
+            for name, service_class, handler in (
+                ("get_config", GetConfig, self._get_config),
+                ("set_config", SetConfig, self._set_config),
+                ("get_statistics", GetStatistics, self._get_statistics),
+            ):
+                full_name = names.join(proxy.name, name)
+                self._services.append(rospy.Service(full_name, service_class, handler))
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Withdraw the services."""
+        while self._services:
+            self._services.pop().shutdown("the nodelet is unloaded")
+
+    def _get_config(self, request: Any) -> GetConfigResponse:
+        return GetConfigResponse(port_messages(self._proxy.get_config()))
+
+    def _set_config(self, request: Any) -> SetConfigResponse:
+        try:
+            self._proxy.set_config(config_pairs(request.config))
+        except DyKnowError as error:
+            rospy.logerr("set_config: %s", error)
+            return SetConfigResponse(False, str(error))
+        return SetConfigResponse(True, "")
+
+    def _get_statistics(self, request: Any) -> GetStatisticsResponse:
+        return statistics_message(self._proxy.get_statistics())

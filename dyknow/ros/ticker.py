@@ -1,0 +1,68 @@
+"""The time that timers follow: steady, or /clock when the system runs on simulated time."""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import Optional
+
+import rospy
+import rospy.rostime
+
+from dyknow.nodelet.middleware import Ticker
+
+
+class SteadyTicker(Ticker):
+    """Steady time; sleeps until the next timer is due."""
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self._woken = False
+
+    def now(self) -> float:
+        """Steady seconds."""
+        return time.monotonic()
+
+    def wait(self, until: Optional[float]) -> None:
+        """Sleep until then, or until woken."""
+        with self._changed:
+            timeout = None if until is None else max(0.0, until - time.monotonic())
+            if not self._woken:
+                self._changed.wait(timeout)
+            self._woken = False
+
+    def wake(self) -> None:
+        """End the sleep."""
+        with self._changed:
+            self._woken = True
+            self._changed.notify_all()
+
+
+class ClockTicker(Ticker):
+    """Simulated time; looks again with every message on /clock."""
+
+    def __init__(self) -> None:
+        self._changed: threading.Condition = rospy.rostime.get_rostime_cond()
+        self._woken = False
+
+    def now(self) -> float:
+        """Seconds of /clock, 0 before its first message."""
+        return float(rospy.rostime.get_time())
+
+    def wait(self, until: Optional[float]) -> None:
+        """Sleep until the clock says so, or until woken."""
+        with self._changed:
+            if not self._woken and (until is None or self.now() < until):
+                self._changed.wait()
+            self._woken = False
+
+    def wake(self) -> None:
+        """End the sleep."""
+        with self._changed:
+            self._woken = True
+            self._changed.notify_all()
+
+
+def make_ticker() -> Ticker:
+    """Choose the time of the system; the node must be initialised."""
+    return SteadyTicker() if rospy.rostime.is_wallclock() else ClockTicker()

@@ -1,0 +1,169 @@
+"""The outside halves of the bus: ordinary registrations of rospy."""
+
+from __future__ import annotations
+
+import copy
+import time
+import warnings
+from typing import Any, Callable, Dict, Optional
+
+import rospy
+
+from dyknow.errors import PeerTimeout, RemappedTopic
+from dyknow.nodelet.endpoints import NOTHING
+from dyknow.nodelet.middleware import OutsidePublisher, OutsideSubscriber, Receive
+from dyknow.ros.intraprocess import IntraProcess
+from dyknow.ros.master import Master
+
+#: Messages kept for each slow outside subscriber when the nodelet does not say how many.
+DEFAULT_QUEUE_SIZE = 100
+#: Seconds after the handshake in which a publisher that is not slow has sent something.
+_GRACE = 0.05
+_STEP = 0.002
+
+
+def _unremapped(topic: str) -> str:
+    target: str = rospy.resolve_name(topic)
+    if target != topic:
+        raise RemappedTopic(topic, target)
+    return topic
+
+
+class RospyPublisher(OutsidePublisher):
+    """A rospy.Publisher that only speaks when somebody outside listens."""
+
+    def __init__(
+        self,
+        intraprocess: IntraProcess,
+        topic: str,
+        datatype: Any,
+        latch: bool,
+        queue_size: Optional[int],
+        options: Dict[str, Any],
+    ) -> None:
+        """Register the publisher; the arguments are those of ``Middleware.advertise``."""
+        if queue_size is None:
+            warnings.warn(
+                f"the publisher of {topic} should say how many messages to keep for slow "
+                f"subscribers (queue_size); {DEFAULT_QUEUE_SIZE} are kept",
+                SyntaxWarning,
+                stacklevel=6,
+            )
+            queue_size = DEFAULT_QUEUE_SIZE
+        self._topic = _unremapped(topic)
+        self._closed = False
+        self._intraprocess = intraprocess
+        self._local = intraprocess.publishing(topic)
+        self._local.halves.add(self)
+        self._publisher = rospy.Publisher(
+            topic, datatype, latch=latch, queue_size=queue_size, **options
+        )
+        self._implementation = self._publisher.impl
+        self.peers = self._implementation
+        self._local.adopt(self._implementation)
+        self._local.refresh()
+
+    def publish(self, message: Any) -> None:
+        """Serialise once for everyone outside; ordinary subscribers in here get the object."""
+        if self._local.foreign:
+            self._local.deliver(message)
+        if self._implementation.connections:
+            self._outwards(message)
+
+    def latch(self, message: Any) -> None:
+        """Publish, and keep the message for those who come."""
+        self._local.latched = message
+        if self._local.foreign:
+            self._local.deliver(message)
+        self._outwards(message)
+
+    def wait(self, seconds: float) -> None:
+        """Wait for the connections of the subscribers that the master knows."""
+        deadline = time.monotonic() + seconds
+        try:
+            others = Master(rospy.get_name()).subscribers(self._topic) - {rospy.get_name()}
+        except PeerTimeout:
+            return
+        implementation = self._implementation
+        while len(implementation.connections or ()) < len(others) and time.monotonic() < deadline:
+            time.sleep(_STEP)
+
+    def drain(self, seconds: float) -> None:
+        """Wait until rospy's sending threads have written everything."""
+        deadline = time.monotonic() + seconds
+        while not all(map(_idle, list(self._implementation.connections or ()))):
+            if time.monotonic() >= deadline:
+                return
+            time.sleep(_STEP)
+
+    def close(self) -> None:
+        """Unregister."""
+        if self._closed:
+            return
+        self._closed = True
+        self._local.halves.discard(self)
+        if self._implementation.is_latch:
+            self._implementation.latch = None
+            self._local.latched = NOTHING
+        self._publisher.unregister()
+        self._intraprocess.retire(self._topic)
+
+    def _outwards(self, message: Any) -> None:
+        # rospy writes header.seq and frame_id into what it sends; others in here hold that object.
+        if getattr(message.__class__, "_has_header", False):
+            message = copy.copy(message)
+            message.header = copy.copy(message.header)
+        implementation = self._implementation
+        implementation.acquire()
+        try:
+            self._local.outwards(message)
+        except rospy.ROSException:
+            if not self._closed:
+                raise
+        finally:
+            implementation.release()
+
+
+class RospySubscriber(OutsideSubscriber):
+    """A rospy.Subscriber that feeds one connection of the bus."""
+
+    def __init__(
+        self, topic: str, datatype: Any, receive: Receive, options: Dict[str, Any]
+    ) -> None:
+        """Register the subscriber; the arguments are those of ``Middleware.subscribe``."""
+        self._topic = _unremapped(topic)
+        self._subscriber = rospy.Subscriber(
+            topic, datatype, receive, tcp_nodelay=True, **options
+        )
+        self._implementation = self._subscriber.impl
+
+    def publishers(self) -> int:
+        """Publishers that are connected."""
+        return len(self._implementation.connections or ())
+
+    def wait(self, arrived: Callable[[float], bool], seconds: float) -> None:
+        """Wait for a first message, or for all handshakes and a little longer."""
+        deadline = time.monotonic() + seconds
+        try:
+            others = Master(rospy.get_name()).publishers(self._topic) - {rospy.get_name()}
+        except PeerTimeout:
+            return
+        while others and time.monotonic() < deadline:
+            if arrived(_STEP):
+                return
+            greeted = {
+                connection.callerid_pub for connection in list(self._implementation.connections)
+            }
+            if others <= greeted:
+                arrived(min(_GRACE, max(0.0, deadline - time.monotonic())))
+                return
+
+    def close(self) -> None:
+        """Unregister."""
+        self._subscriber.unregister()
+
+
+def _idle(connection: Any) -> bool:
+    """Whether a sending queue of rospy is empty and its thread waits for more."""
+    waiters = getattr(getattr(connection, "_cond_data_available", None), "_waiters", True)
+    return connection.done or not (getattr(connection, "_queue", None) or not waiters)
