@@ -1,6 +1,7 @@
 """Runs every check and test of the repository, one after the other, and sums up.
 
-A stage that fails fails the run, but the later stages still run, so that one run shows everything there is to mend.
+A stage that fails fails the run, but the later stages still run, so that one run shows everything
+there is to mend.
 """
 
 from __future__ import annotations
@@ -104,7 +105,7 @@ def unit_tests() -> Outcome:
 
 
 def unit_tests_py38() -> Outcome:
-    """The tests of the layers without ROS on a real Python 3.8, the oldest that DyKnow supports."""
+    """The tests of the layers without ROS on a real Python 3.8, the oldest supported."""
     python = find_python38()
     if python is None:
         return Outcome(0, 0, note="skipped: there is no Python 3.8 on this machine")
@@ -112,7 +113,9 @@ def unit_tests_py38() -> Outcome:
     folders = [folder for folder in folders if (ROOT / folder).is_dir()]
     if not folders:
         return Outcome(0, 1, note="no tests found")
-    code, output = run_command("bash", "tools/venv.sh", "venv38", python, "tools/requirements-py38.txt")
+    code, output = run_command(
+        "bash", "tools/venv.sh", "venv38", python, "tools/requirements-py38.txt"
+    )
     if code != 0:
         return Outcome(0, 1, output)
     venv_python = str(ROOT / "build" / "venv38" / "bin" / "python")
@@ -124,7 +127,9 @@ def find_python38() -> str | None:
     pyenv_roots = [Path(os.environ["PYENV_ROOT"])] if "PYENV_ROOT" in os.environ else []
     pyenv_roots.append(Path.home() / ".pyenv")
     installed = [
-        str(python) for root in pyenv_roots for python in sorted(root.glob("versions/3.8.*/bin/python3.8"))
+        str(python)
+        for root in pyenv_roots
+        for python in sorted(root.glob("versions/3.8.*/bin/python3.8"))
     ]
     question = "import sys, venv; print(sys.executable if sys.version_info[:2] == (3, 8) else '')"
     for candidate in ["python3.8", *installed]:
@@ -140,7 +145,9 @@ def ros_tests() -> Outcome:
     suites = sorted((ROOT / "test" / "ros").glob("*.test"))
     if not suites:
         return Outcome(0, 1, note="no tests found")
-    passed, failed = rostests.run_all(suites, RESULTS, jobs=int(os.environ.get("ROSTEST_JOBS", "1")))
+    passed, failed = rostests.run_all(
+        suites, RESULTS, jobs=int(os.environ.get("ROSTEST_JOBS", "1"))
+    )
     return Outcome(passed, failed, note=f"{passed} passed, {failed} failed")
 
 
@@ -151,7 +158,10 @@ STAGES: tuple[tuple[str, Callable[[], Outcome]], ...] = (
     ("ruff format", check(str(VENV / "ruff"), "format", "--check")),
     ("mypy", check(str(VENV / "mypy"))),
     ("lint-imports", check(str(VENV / "lint-imports"))),
-    ("catkin_lint", check("catkin_lint", "-W2", "--strict", "--ignore", "subproject", "build/ws/src/dyknow")),
+    (
+        "catkin_lint",
+        check("catkin_lint", "-W2", "--strict", "--ignore", "subproject", "build/ws/src/dyknow"),
+    ),
     ("codespell", check(str(VENV / "codespell"))),
     ("docs", check("make", "--no-print-directory", "docs")),
     ("unit tests", unit_tests),
@@ -175,10 +185,13 @@ def main() -> int:
         failed += outcome.failed
         if outcome.failed:
             failed_stages.append(name)
-            print(outcome.output.rstrip("\n")) if outcome.output else None
+            if outcome.output:
+                print(outcome.output.rstrip("\n"))
         word = "FAILED" if outcome.failed else "ok"
         print(f"{word:7}{name:26}{time.monotonic() - started:6.1f} s  {outcome.note}".rstrip())
-    print(f"\n{time.monotonic() - begin:.1f} s in all" + (f"; failed: {', '.join(failed_stages)}" if failed_stages else ""))
+    print(f"\n{time.monotonic() - begin:.1f} s in all")
+    if failed_stages:
+        print(f"failed: {', '.join(failed_stages)}")
     print(f"{passed} passed, {failed} failed")
     return 1 if failed else 0
 

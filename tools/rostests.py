@@ -33,7 +33,9 @@ class SuiteOutcome:
 
 
 def run_all(suites: Sequence[Path], results: Path, jobs: int) -> tuple[int, int]:
-    """Runs the suites, at most `jobs` at a time, prints a line for each and what the failing ones printed.
+    """Runs the suites, at most `jobs` at a time, and prints a line for each.
+
+    Before the line of a failing one stands what it printed.
 
     Returns:
         The numbers of tests passed and failed.

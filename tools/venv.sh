@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# Makes a virtual environment under build/, once for each state of its requirements: bash tools/venv.sh NAME PYTHON REQUIREMENTS [OPTION...]
+# Makes a virtual environment under build/, once for each state of its requirements:
+# bash tools/venv.sh NAME PYTHON REQUIREMENTS [OPTION...]
 set -euo pipefail
 
 name=$1 python=$2 requirements=$3
@@ -12,5 +13,5 @@ echo "venv: making build/$name"
 rm -rf "$venv"
 mkdir -p "$root/build"
 env -u PYTHONPATH "$python" -m venv "$@" "$venv"
-env -u PYTHONPATH "$venv/bin/python" -m pip install --quiet --disable-pip-version-check -r "$requirements"
+env -u PYTHONPATH "$venv/bin/python" -m pip install -qq --disable-pip-version-check -r "$requirements"
 cp "$requirements" "$venv/installed-requirements.txt"
