@@ -7,7 +7,6 @@ there is to mend.
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
 import time
 import xml.etree.ElementTree as ElementTree
@@ -16,6 +15,7 @@ from pathlib import Path
 from typing import Callable
 
 import rostests
+from processes import run_logged
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "build" / "test-results"
@@ -37,26 +37,10 @@ class Outcome:
 
 
 def run_command(*argv: str, **environment: str) -> tuple[int, str]:
-    """Runs a command in the root of the repository; returns its exit code and all it printed."""
-    try:
-        done = subprocess.run(
-            argv,
-            cwd=ROOT,
-            env={**os.environ, **environment},
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            errors="replace",
-            timeout=STAGE_TIMEOUT,
-        )
-    except FileNotFoundError as error:
-        return 127, f"{error}\n"
-    except subprocess.TimeoutExpired as error:
-        output = error.stdout or b""
-        text = output if isinstance(output, str) else output.decode(errors="replace")
-        return 124, f"{text}\nstopped after {STAGE_TIMEOUT:.0f} s\n"
-    return done.returncode, done.stdout
+    """Runs a command; returns its exit code and all it printed."""
+    log = RESULTS / "stage.txt"
+    code = run_logged(argv, log, STAGE_TIMEOUT, environment)
+    return code, log.read_text(errors="replace")
 
 
 def check(*argv: str) -> Callable[[], Outcome]:
@@ -174,6 +158,7 @@ def main() -> int:
     """Runs the stages; returns 0 when none of them failed."""
     os.environ["PATH"] = "/usr/bin:" + os.environ["PATH"]
     sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
+    os.chdir(ROOT)
     RESULTS.mkdir(parents=True, exist_ok=True)
     begin = time.monotonic()
     passed = failed = 0
