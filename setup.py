@@ -7,8 +7,9 @@ setup(
     **generate_distutils_setup(
         packages=find_packages(".", include=["dyknow", "dyknow.*", "dyknow_rqt", "dyknow_rqt.*"]),
         package_dir={"": "."},
+        # What the packages read at run time besides modules, beside those that read it.
         package_data={
-            "": ["*.css", "*.owl", "*.png", "*.rnc", "*.rng", "*.svg", "*.ttl", "*.ui", "*.xml", "py.typed"],
+            "": ["*.owl", "*.png", "*.rnc", "*.rng", "*.svg", "*.ttl", "*.xml", "py.typed"]
         },
     )
 )

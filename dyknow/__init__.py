@@ -1,6 +1,7 @@
 """DyKnow: streams in ROS 1 that can be re-wired while everything runs.
 
-The names below are loaded when they are first used, so that ``import dyknow`` alone imports neither rospy nor a message.
+The names below are loaded when they are first used, so that ``import dyknow`` alone imports
+neither rospy nor a message.
 """
 
 from __future__ import annotations

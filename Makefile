@@ -1,0 +1,42 @@
+# Every target is complete in itself: on a fresh machine it installs and builds what it needs first.
+
+SHELL := /bin/bash
+ROS_PYTHON := /usr/bin/python3
+IN_WORKSPACE := bash tools/in-workspace.sh
+
+.DEFAULT_GOAL := help
+.PHONY: help deps build venv demo gui test benchmark screenshots docs clean
+
+help: ## what there is to make
+	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 20
+
+deps: ## install the distribution's packages that are missing
+	@bash tools/deps.sh
+
+build: deps ## build the checkout in a catkin workspace of its own, build/ws
+	@bash tools/build.sh
+
+demo: build ## run the demonstration (options: make demo ARGS="...")
+	@$(IN_WORKSPACE) $(ROS_PYTHON) -m dyknow.demo $(ARGS)
+
+gui: build ## open the window on the computation graph
+	@$(IN_WORKSPACE) rosrun dyknow dyknow_rqt $(ARGS)
+
+test: deps ## run every check and test (ROSTEST_JOBS=2 runs two rostest suites at a time)
+	@$(ROS_PYTHON) tools/check.py
+
+benchmark: build ## measure the time to arrival over a chain of nodelets (options: make benchmark ARGS="...")
+	@$(IN_WORKSPACE) rosrun dyknow benchmark $(ARGS)
+
+screenshots: build ## take the pictures of the documentation anew
+	@QT_QPA_PLATFORM=offscreen $(IN_WORKSPACE) $(ROS_PYTHON) -m dyknow_rqt.screenshots doc/images
+
+docs: deps ## build the documentation, build/docs/index.html
+	@$(ROS_PYTHON) -m sphinx -q -W --keep-going -b html doc build/docs
+	@echo "docs: build/docs/index.html"
+
+venv: deps ## make the virtual environment of the checks, build/venv
+	@bash tools/venv.sh venv $(ROS_PYTHON) tools/requirements-dev.txt --system-site-packages
+
+clean: ## remove everything that was built
+	rm -rf build

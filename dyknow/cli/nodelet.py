@@ -1,0 +1,84 @@
+"""`rosrun dyknow nodelet`: nodelet_core's command line.
+
+A manager or standalone process of this command hosts nodelets in Python; as a client (`load`,
+`unload`) it serves managers in Python and in C++.
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import Sequence
+
+from dyknow.cli.nodelet_arguments import (
+    USAGE,
+    Command,
+    Help,
+    Load,
+    RunManager,
+    RunStandalone,
+    UsageError,
+    default_node_name,
+    parse,
+)
+from dyknow.ros.exit_codes import DONE, FAILED, INTERRUPTED
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run `nodelet` and return its exit code.
+
+    Args:
+        argv: The command line, program name first; by default the process's.
+    """
+    argv = list(sys.argv if argv is None else argv)
+    try:
+        command = parse(argv[1:])
+    except UsageError as error:
+        print(
+            f"nodelet: {error}\nYour usage:\n{' '.join(argv)}\n\n{USAGE}", end="", file=sys.stderr
+        )
+        return FAILED
+    try:
+        return _run(command, argv)
+    except KeyboardInterrupt:
+        return INTERRUPTED
+
+
+def manager_main(argv: Sequence[str] | None = None) -> int:
+    """Run `nodelet_manager`, which is `nodelet manager`, and return its exit code."""
+    argv = list(sys.argv if argv is None else argv)
+    return main([argv[0], "manager", *argv[1:]])
+
+
+def _run(command: Command, argv: Sequence[str]) -> int:
+    # Each command imports what it needs: --help and a wrong usage answer without waiting for
+    # rospy.
+    if isinstance(command, Help):
+        print(USAGE, end="")
+        return DONE
+    if isinstance(command, RunManager):
+        from dyknow.ros.nodelet_manager import run_manager
+
+        return run_manager(argv)
+    if isinstance(command, RunStandalone):
+        from dyknow.ros.nodelet_manager import run_standalone
+
+        print(f"type is {command.type}", flush=True)
+        return run_standalone(command.type, command.my_argv, argv)
+    if isinstance(command, Load):
+        from dyknow.ros.nodelet_client import run_load
+
+        return run_load(
+            default_node_name(command.type),
+            command.type,
+            command.manager,
+            command.my_argv,
+            command.bond,
+            argv,
+        )
+    from dyknow.ros.nodelet_client import run_unload
+
+    return run_unload(command.name, command.manager, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,125 @@
+"""The command line of `nodelet`, argument by argument that of nodelet_core.
+
+Launch files written for `pkg="nodelet" type="nodelet"` work with another package name, so nothing
+is added between the stock arguments, and everything behind them goes to the nodelet as its
+`my_argv`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Sequence, Union
+
+USAGE = """\
+usage: nodelet manager
+       nodelet load PKG/CLASS MANAGER [--no-bond] [ARGUMENT ...]
+       nodelet standalone PKG/CLASS [ARGUMENT ...]
+       nodelet unload NAME MANAGER
+
+  manager     run a nodelet manager, a process that hosts nodelets
+  load        load a nodelet into a running manager, wait for the manager if it
+              is not up yet, and unload the nodelet when this command is stopped
+  standalone  run one nodelet in a process of its own
+  unload      unload the nodelet NAME (/front/camera) from a manager
+
+  PKG/CLASS   the nodelet's class as its package declares it, for instance
+              dyknow/Relay
+  MANAGER     the manager's node name
+  ARGUMENT    handed to the nodelet (my_argv)
+  --no-bond   do not watch each other: otherwise the nodelet is unloaded when
+              this command dies, and this command ends when the manager does
+
+As everywhere in ROS, __name:=NAME names the manager or nodelet, __ns:=NS puts it
+into a namespace, FROM:=TO remaps a name, and _PARAMETER:=VALUE sets a private
+parameter. For example:
+
+  rosrun dyknow nodelet manager __name:=cameras
+  rosrun dyknow nodelet load dyknow/Throttle cameras __name:=slow in:=/image _rate:=5
+"""
+
+
+class UsageError(Exception):
+    """The command line is none of those that `USAGE` shows; the text says what is missing."""
+
+
+@dataclass(frozen=True)
+class Help:
+    """Print the usage."""
+
+
+@dataclass(frozen=True)
+class RunManager:
+    """Run a nodelet manager."""
+
+    my_argv: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class RunStandalone:
+    """Run the nodelet of class `type` in a process of its own."""
+
+    type: str
+    my_argv: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Load:
+    """Load a nodelet of class `type` into the manager, with a bond or without."""
+
+    type: str
+    manager: str
+    bond: bool
+    my_argv: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Unload:
+    """Unload the nodelet from the manager."""
+
+    name: str
+    manager: str
+
+
+Command = Union[Help, RunManager, RunStandalone, Load, Unload]
+
+
+def parse(arguments: Sequence[str]) -> Command:
+    """Understand a command line.
+
+    Args:
+        arguments: All but the program's name. ROS's own (`a:=b`) may stand anywhere and are left
+            out.
+
+    Raises:
+        UsageError: The command is unknown, or something is missing.
+    """
+    words = tuple(word for word in arguments if ":=" not in word)
+    if any(word in ("-h", "--help") for word in words[:2]):
+        return Help()
+    if not words:
+        raise UsageError("a command is missing")
+    command, rest = words[0], words[1:]
+    if command == "manager":
+        return RunManager(rest)
+    if command == "standalone":
+        _demand(command, rest, "PKG/CLASS")
+        return RunStandalone(rest[0], rest[1:])
+    if command == "load":
+        _demand(command, rest, "PKG/CLASS", "MANAGER")
+        no_bond = rest[2:3] == ("--no-bond",)
+        return Load(rest[0], rest[1], not no_bond, rest[3:] if no_bond else rest[2:])
+    if command == "unload":
+        _demand(command, rest, "NAME", "MANAGER")
+        return Unload(rest[0], rest[1])
+    raise UsageError(f"there is no command '{command}'")
+
+
+def default_node_name(nodelet_type: str) -> str:
+    """The name of a nodelet that was given none: `pkg/Class` becomes `pkg_Class`."""
+    return nodelet_type.replace("/", "_")
+
+
+def _demand(command: str, given: Sequence[str], *names: str) -> None:
+    missing = names[len(given) :]
+    if missing:
+        raise UsageError(f"{command}: {' and '.join(missing)} missing")

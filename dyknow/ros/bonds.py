@@ -1,0 +1,234 @@
+"""The bonds of a process on one topic, one thread for all of them.
+
+A nodelet manager has a bond with every client that loaded a nodelet and stays to watch over it.
+python3-bondpy would do, but gives each bond a publisher, a subscriber, a publishing thread and up
+to three timer threads: forty bonds cost a hundred threads in a process whose interpreter lock is
+wanted elsewhere. `Bonds` speaks the same protocol, with stock sisters on the other end, through
+one publisher, one subscriber and one thread, and has none of the three while there is no bond.
+
+The rules are in `bond_states` and `bond_table`, which know neither rospy nor threads; here are the
+lock, the thread and the topic. Who owns what: the lock guards the table, nothing is called under
+it. The thread owns publisher and subscriber, which come and go with it.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+import traceback
+from typing import Any, Callable, Sequence
+
+import rospy
+from bond.msg import Constants, Status
+
+from dyknow.ros.bond_states import BondTimings
+from dyknow.ros.bond_table import BondTable, Effects, OnBroken, Word
+from dyknow.ros.remote_calls import RemoteCallTimeout, call_within
+
+STOCK_TIMINGS = BondTimings(
+    connect_timeout=Constants.DEFAULT_CONNECT_TIMEOUT,
+    heartbeat_timeout=Constants.DEFAULT_HEARTBEAT_TIMEOUT,
+    disconnect_timeout=Constants.DEFAULT_DISCONNECT_TIMEOUT,
+    heartbeat_period=Constants.DEFAULT_HEARTBEAT_PERIOD,
+    dead_publish_period=Constants.DEAD_PUBLISH_PERIOD,
+)
+"""What bondcpp and bondpy use."""
+
+# Room for a heartbeat of each of many bonds at once; they are small, and a sister that reads none
+# is given up.
+_QUEUE_SIZE = 1000
+
+_PARAMETER_TIMEOUT = 1.0
+
+
+class BondsClosed(RuntimeError):
+    """A bond was to be started after `Bonds.close`."""
+
+
+def in_a_thread(work: Callable[[], None]) -> None:
+    """Do something in a thread that ends with it."""
+    threading.Thread(target=work, name="broken bonds", daemon=True).start()
+
+
+class Bonds:
+    """Every bond of this process on one topic.
+
+    All methods can be called from any thread.
+    """
+
+    def __init__(
+        self,
+        topic: str,
+        timings: BondTimings = STOCK_TIMINGS,
+        executor: Callable[[Callable[[], None]], None] = in_a_thread,
+    ) -> None:
+        """Make an empty set of bonds; nothing is registered before the first.
+
+        Args:
+            topic: Where both ends speak, `MANAGER/bond` for nodelets.
+            timings: How long to wait and how often to speak.
+            executor: Runs the callbacks of broken bonds. By default they have a short-lived
+                thread, since an unload that takes its time must not hold up the heartbeats of the
+                other bonds.
+        """
+        self._topic = topic
+        self._timings = timings
+        self._executor = executor
+        self._condition = threading.Condition()
+        self._table = BondTable(timings)
+        self._thread: threading.Thread | None = None
+        self._publisher: Any = None
+        self._closed_until: float | None = None
+
+    def add(self, bond_id: str, on_broken: OnBroken) -> None:
+        """Start a bond; the sister may be there already or come within the connect timeout.
+
+        Args:
+            bond_id: The id that both ends share.
+            on_broken: Called once, when the sister dies, falls silent or never comes.
+
+        Raises:
+            DuplicateBond: There is a bond with this id.
+            BondsClosed: `close` was called.
+        """
+        with self._condition:
+            if self._closed_until is not None:
+                raise BondsClosed(f"no new bonds on {self._topic}: it is closed")
+            effects = self._table.add(bond_id, on_broken, time.monotonic())
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._serve, name="bonds", daemon=True)
+                self._thread.start()
+            self._condition.notify()
+        self._perform(effects)
+
+    def remove(self, bond_id: str) -> None:
+        """Break a bond on purpose: the sister is told, `on_broken` is not called.
+
+        Nothing happens if there is no such bond: it may just have broken by itself.
+        """
+        with self._condition:
+            effects = self._table.remove(bond_id, time.monotonic())
+            self._condition.notify()
+        self._perform(effects)
+
+    def close(self, timeout: float = 0.5) -> None:
+        """Break all bonds on purpose and refuse new ones.
+
+        Args:
+            timeout: How long (s) to wait at most for the sisters to acknowledge.
+        """
+        with self._condition:
+            now = time.monotonic()
+            self._closed_until = now + timeout
+            effects = self._table.remove_all(now)
+            thread = self._thread
+            self._condition.notify()
+        self._perform(effects)
+        if thread is not None and thread is not threading.current_thread():
+            thread.join(timeout + _PARAMETER_TIMEOUT)
+
+    def _serve(self) -> None:
+        publisher = rospy.Publisher(self._topic, Status, queue_size=_QUEUE_SIZE)
+        with self._condition:
+            self._publisher = publisher
+        subscriber = rospy.Subscriber(self._topic, Status, self._on_status, tcp_nodelay=True)
+        try:
+            while self._serve_once():
+                pass
+        finally:
+            subscriber.unregister()
+            publisher.unregister()
+
+    def _serve_once(self) -> bool:
+        """Do what is due, or sleep until something is; False when the last bond is gone."""
+        with self._condition:
+            now = time.monotonic()
+            effects = self._table.tick(now)
+            if not effects:
+                due = self._next_due(now)
+                if due is None:
+                    self._thread = self._publisher = None
+                    return False
+                self._condition.wait(due - now)
+        self._perform(effects)
+        return True
+
+    def _next_due(self, now: float) -> float | None:
+        """When the thread has to act next, None: never again."""
+        due = self._table.next_due()
+        if due is None or self._closed_until is None:
+            return due
+        if now >= self._closed_until or not self._table.is_parting():
+            return None
+        return min(due, self._closed_until)
+
+    def _on_status(self, status: Any) -> None:
+        with self._condition:
+            effects = self._table.hear(
+                status.id, status.instance_id, status.active, time.monotonic()
+            )
+            if effects:
+                self._condition.notify()
+        self._perform(effects)
+
+    def _perform(self, effects: Effects) -> None:
+        """Carry out what the table asks for; never called with the lock."""
+        self._publish(effects.words)
+        for bond_id in effects.intruded:
+            rospy.logerr_throttle(
+                10,
+                "More than two locations are trying to use a single bond "
+                f"(topic: {self._topic}, id: {bond_id}).",
+            )
+        if effects.broken:
+            self._executor(lambda: _call_each(effects.broken))
+        if effects.silent:
+            counts = not self._is_heartbeat_timeout_disabled()
+            if not counts:
+                ids = ", ".join(end.bond_id for end in effects.silent)
+                rospy.logwarn(
+                    "Heartbeat timeout is disabled.  Not breaking bond "
+                    f"(topic: {self._topic}, id: {ids})"
+                )
+            with self._condition:
+                verdict = self._table.judge_silence(effects.silent, counts, time.monotonic())
+            self._perform(verdict)
+
+    def _publish(self, words: Sequence[Word]) -> None:
+        publisher = self._publisher
+        if publisher is None:
+            return  # The thread is about to make it, and what matters is said more than once.
+        for word in words:
+            status = Status(
+                id=word.bond_id,
+                instance_id=word.instance_id,
+                active=word.active,
+                heartbeat_timeout=self._timings.heartbeat_timeout,
+                heartbeat_period=self._timings.heartbeat_period,
+            )
+            status.header.stamp = rospy.Time.now()
+            try:
+                publisher.publish(status)
+            except rospy.ROSException:
+                return  # The node shuts down and has closed the topic; our silence says the rest.
+
+    def _is_heartbeat_timeout_disabled(self) -> bool:
+        """Whether somebody who debugs has switched off that silence breaks bonds."""
+        name = Constants.DISABLE_HEARTBEAT_TIMEOUT_PARAM
+        try:
+            return bool(
+                call_within(_PARAMETER_TIMEOUT, name, lambda: rospy.get_param(name, False))
+            )
+        except (OSError, RemoteCallTimeout, rospy.ROSException) as error:
+            rospy.logwarn(
+                f"Cannot read the parameter {name}, so heartbeat timeouts count: {error}"
+            )
+            return False
+
+
+def _call_each(callbacks: list[OnBroken]) -> None:
+    for callback in callbacks:
+        try:
+            callback()
+        except Exception:
+            rospy.logerr(f"The callback of a broken bond failed:\n{traceback.format_exc()}")

@@ -1,0 +1,254 @@
+"""The client side of a nodelet manager: what `nodelet load` and `nodelet unload` do.
+
+They work with every manager that offers nodelet_core's services, in Python or C++. `load` is a
+node that carries the nodelet's name and stays as long as the nodelet shall: its main thread only
+waits for the next event (the nodelet is loaded, the bond broke, somebody wants us to stop), and
+everything that may block has a thread of its own. So a signal is answered at once whatever the
+manager does.
+"""
+
+from __future__ import annotations
+
+import ast
+import enum
+import queue
+import re
+import signal
+import threading
+import traceback
+import uuid
+from typing import Sequence
+
+import rospy
+from nodelet.srv import NodeletLoad, NodeletLoadRequest, NodeletUnload
+
+from dyknow.ros.bonds import Bonds
+from dyknow.ros.exit_codes import DONE, FAILED, INTERRUPTED
+from dyknow.ros.remote_calls import RemoteCallTimeout, call_within
+
+_UNLOAD_TIMEOUT = 10.0
+_LOAD_TIMEOUT_AT_EXIT = 0.5
+_UNLOAD_TIMEOUT_AT_EXIT = 2.0
+_BOND_TIMEOUT_AT_EXIT = 0.2
+_LONGEST_EXIT = 4.0
+_SHUTDOWN_TIMEOUT = 2.0
+
+
+class _Event(enum.Enum):
+    LOADED = enum.auto()
+    REFUSED = enum.auto()
+    BROKEN = enum.auto()
+    STOP = enum.auto()
+
+
+def run_load(
+    default_name: str,
+    nodelet_type: str,
+    manager: str,
+    my_argv: Sequence[str],
+    bond: bool,
+    argv: Sequence[str],
+) -> int:
+    """Load a nodelet, stay until it is gone or not wanted any more, and unload it then.
+
+    Args:
+        default_name: The name of the node and the nodelet if the command line gives none.
+        nodelet_type: Its class, `pkg/Class`.
+        manager: The manager's name.
+        my_argv: The nodelet's arguments.
+        bond: Whether to watch over each other.
+        argv: The command line with ROS's own arguments, program name first.
+
+    Returns:
+        The process's exit code.
+    """
+    rospy.init_node(default_name, argv=list(argv), disable_signals=True)
+    return _LoadClient(rospy.get_name(), nodelet_type, manager, my_argv, bond).run()
+
+
+def run_unload(name: str, manager: str, argv: Sequence[str]) -> int:
+    """Unload a nodelet by its name.
+
+    Returns:
+        The process's exit code.
+    """
+    rospy.init_node("nodelet_unloader", argv=list(argv), disable_signals=True)
+    return DONE if unload(name, manager, _UNLOAD_TIMEOUT) else FAILED
+
+
+def unload(name: str, manager: str, timeout: float) -> bool:
+    """Ask a manager to unload a nodelet; log what happens.
+
+    Args:
+        name: The nodelet, with the name under which it was loaded.
+        manager: The manager's name.
+        timeout: How long (s) the manager may take.
+    """
+    rospy.loginfo(f"Unloading nodelet {name} from manager {manager}")
+    service = f"{manager}/unload_nodelet"
+    failure = f"Failed to unload nodelet '{name}` from manager `{manager}'"
+    try:
+        call_within(timeout, service, lambda: rospy.ServiceProxy(service, NodeletUnload)(name))
+    except RemoteCallTimeout as error:
+        rospy.logfatal(f"{failure}: {error}")
+        return False
+    except rospy.ServiceException as error:
+        if _is_available(service, 0.1):
+            rospy.logfatal(failure + _cause(error))
+        else:
+            rospy.logwarn(
+                f"Couldn't find service {service}, perhaps the manager is already shut down"
+            )
+        return False
+    return True
+
+
+def forwarded_remappings() -> dict[str, str]:
+    """The name remappings of this process, resolved in its namespace and sorted by source."""
+    resolved = rospy.names.get_resolved_mappings()
+    return {source: resolved[source] for source in sorted(resolved) if not source.startswith("_")}
+
+
+class _LoadClient:
+    """One `nodelet load`, from the request to the unload."""
+
+    def __init__(
+        self, name: str, nodelet_type: str, manager: str, my_argv: Sequence[str], bond: bool
+    ) -> None:
+        self._name = name
+        self._type = nodelet_type
+        self._manager = manager
+        self._my_argv = my_argv
+        self._bond_id = f"{name}_{uuid.uuid4()}" if bond else ""
+        # A SimpleQueue, since a signal handler may put into it while this very thread waits on it.
+        self._events: queue.SimpleQueue[_Event] = queue.SimpleQueue()
+        self._requested = False
+        self._ended = threading.Event()
+        self._shut_down = threading.Event()
+
+    def run(self) -> int:
+        self._listen_for_stop()
+        threading.Thread(target=self._load, name="load", daemon=True).start()
+        try:
+            return self._follow()
+        finally:
+            self._ended.set()
+            rospy.signal_shutdown("nodelet load ends")
+            # It returns at once if another thread (rosnode kill) is at it; that one has to finish.
+            self._shut_down.wait(_SHUTDOWN_TIMEOUT)
+
+    def _follow(self) -> int:
+        event = self._events.get()
+        if event is _Event.REFUSED:
+            return FAILED
+        if event is _Event.STOP:
+            self._abandon_load()
+            return INTERRUPTED
+        bonds: Bonds | None = None
+        if self._bond_id:
+            bonds = Bonds(f"{self._manager}/bond")
+            bonds.add(self._bond_id, lambda: self._events.put(_Event.BROKEN))
+        if self._events.get() is _Event.BROKEN:
+            rospy.loginfo("Bond broken, exiting")
+            return DONE
+        unloaded = unload(self._name, self._manager, _UNLOAD_TIMEOUT_AT_EXIT)
+        if bonds is not None:
+            bonds.close(_BOND_TIMEOUT_AT_EXIT if unloaded else 0.0)
+        return DONE
+
+    def _abandon_load(self) -> None:
+        """Leave no nodelet behind that the manager is just initialising."""
+        if not self._requested:
+            return
+        try:
+            event = self._events.get(timeout=_LOAD_TIMEOUT_AT_EXIT)
+        except queue.Empty:
+            event = _Event.STOP
+        if event is not _Event.REFUSED:
+            unload(self._name, self._manager, _UNLOAD_TIMEOUT_AT_EXIT)
+
+    def _listen_for_stop(self) -> None:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, lambda *_: self._events.put(_Event.STOP))
+        rospy.on_shutdown(self._on_shutdown_request)
+        rospy.core.add_shutdown_hook(lambda reason: self._shut_down.set())
+
+    def _on_shutdown_request(self) -> None:
+        """Hold up a shutdown by rosnode kill: the unload needs the node."""
+        if not self._ended.is_set():
+            rospy.logwarn("Shutdown request received.")
+            self._events.put(_Event.STOP)
+            self._ended.wait(_LONGEST_EXIT)
+
+    def _load(self) -> None:
+        try:
+            self._events.put(_Event.LOADED if self._request() else _Event.REFUSED)
+        except rospy.ROSInterruptException:
+            pass  # The process ends; nobody waits for the event.
+        except Exception:
+            rospy.logfatal(f"Failed to load nodelet '{self._name}`:\n{traceback.format_exc()}")
+            self._events.put(_Event.REFUSED)
+
+    def _request(self) -> bool:
+        remappings = forwarded_remappings()
+        rospy.loginfo(
+            f"Loading nodelet {self._name} of type {self._type} to manager {self._manager}"
+            " with the following remappings:"
+        )
+        for source, target in remappings.items():
+            rospy.loginfo(f"{source} -> {target}")
+        service = f"{self._manager}/load_nodelet"
+        _wait_for(service)
+        request = NodeletLoadRequest(
+            name=self._name,
+            type=self._type,
+            remap_source_args=list(remappings),
+            remap_target_args=list(remappings.values()),
+            my_argv=list(self._my_argv),
+            bond_id=self._bond_id,
+        )
+        self._requested = True
+        try:
+            if rospy.ServiceProxy(service, NodeletLoad)(request).success:
+                return True
+            cause = ""
+        except rospy.ServiceException as error:
+            cause = _cause(error)
+        rospy.logfatal(
+            f"Failed to load nodelet '{self._name}` of type `{self._type}` "
+            f"to manager `{self._manager}'{cause}"
+        )
+        return False
+
+
+def _cause(error: rospy.ServiceException) -> str:
+    """What a manager says of a failure, which rospy shows as the representation of bytes."""
+    said = re.search(r"responded with an error: (b'.*'|b\".*\")$", str(error), re.DOTALL)
+    if said is None:
+        return f": {error}"
+    text = ast.literal_eval(said.group(1)).decode("utf-8", "replace")
+    return f": {text}" if text else ""
+
+
+def _wait_for(service: str) -> None:
+    """Wait until somebody offers the service, and say now and then that we do."""
+    rospy.logdebug(f"Waiting for service {service} to be available...")
+    if _is_available(service, 1.0):
+        return
+    resolved = rospy.resolve_name(service)
+    rospy.loginfo(f"waitForService: Service [{resolved}] has not been advertised, waiting...")
+    seconds = 0
+    while not _is_available(service, 10.0):
+        seconds += 10
+        rospy.logwarn(f"Waiting for service {service} to be available for {seconds} seconds...")
+    rospy.loginfo(f"waitForService: Service [{resolved}] is now available.")
+
+
+def _is_available(service: str, timeout: float) -> bool:
+    try:
+        rospy.wait_for_service(service, timeout)
+    except rospy.ROSInterruptException:
+        raise
+    except rospy.ROSException:
+        return False
+    return True

@@ -1,0 +1,97 @@
+"""The command line of `nodelet`, without ROS."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+from dyknow.cli.nodelet import main, manager_main
+from dyknow.cli.nodelet_arguments import (
+    Help,
+    Load,
+    RunManager,
+    RunStandalone,
+    Unload,
+    UsageError,
+    default_node_name,
+    parse,
+)
+
+
+@pytest.mark.parametrize(
+    ("line", "command"),
+    [
+        ("manager", RunManager(())),
+        ("manager __name:=m _num_worker_threads:=4", RunManager(())),
+        ("load p/C m", Load("p/C", "m", True, ())),
+        ("load p/C m --no-bond", Load("p/C", "m", False, ())),
+        ("load p/C m --no-bond a b", Load("p/C", "m", False, ("a", "b"))),
+        ("load p/C m a --no-bond", Load("p/C", "m", True, ("a", "--no-bond"))),
+        ("load p/C m --help", Load("p/C", "m", True, ("--help",))),
+        ("load p/C m in:=/image a _rate:=5 __log:=x.log", Load("p/C", "m", True, ("a",))),
+        ("__name:=n load p/C m", Load("p/C", "m", True, ())),
+        ("standalone p/C", RunStandalone("p/C", ())),
+        ("standalone p/C a b", RunStandalone("p/C", ("a", "b"))),
+        ("unload /n m", Unload("/n", "m")),
+        ("unload /n m ignored", Unload("/n", "m")),
+        ("--help", Help()),
+        ("-h", Help()),
+        ("load --help", Help()),
+    ],
+)
+def test_command_lines(line, command):
+    assert parse(line.split()) == command
+
+
+@pytest.mark.parametrize(
+    ("line", "missing"),
+    [
+        ("", "a command is missing"),
+        ("__name:=m", "a command is missing"),
+        ("lod p/C m", "there is no command 'lod'"),
+        ("load", "load: PKG/CLASS and MANAGER missing"),
+        ("load p/C", "load: MANAGER missing"),
+        ("load p/C in:=/image", "load: MANAGER missing"),
+        ("standalone", "standalone: PKG/CLASS missing"),
+        ("unload /n", "unload: MANAGER missing"),
+    ],
+)
+def test_what_is_missing_is_said(line, missing):
+    with pytest.raises(UsageError) as raised:
+        parse(line.split())
+    assert str(raised.value) == missing
+
+
+def test_default_node_name():
+    assert default_node_name("image_proc/resize") == "image_proc_resize"
+
+
+def test_wrong_usage_shows_the_line_and_the_usage(capsys):
+    assert main(["nodelet", "load", "p/C"]) == 255
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert "load: MANAGER missing" in shown.err
+    assert "nodelet load p/C\n" in shown.err
+    assert "unload NAME MANAGER" in shown.err
+
+
+def test_help_is_no_error(capsys):
+    assert main(["nodelet", "--help"]) == 0
+    assert manager_main(["nodelet_manager", "--help"]) == 0
+    shown = capsys.readouterr()
+    assert shown.out.count("usage: nodelet manager") == 2
+    assert shown.err == ""
+
+
+def test_help_does_not_wait_for_rospy():
+    program = (
+        "import sys, dyknow.cli.nodelet\n"
+        "dyknow.cli.nodelet.main(['nodelet', '--help'])\n"
+        "print('rospy' in sys.modules)"
+    )
+    seen = subprocess.run(
+        [sys.executable, "-c", program], check=True, capture_output=True, text=True
+    )
+    assert seen.stdout.splitlines()[-1] == "False"

@@ -1,0 +1,33 @@
+#!/usr/bin/env bash
+# Builds the checkout in a catkin workspace of its own, build/ws.
+set -euo pipefail
+
+root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
+workspace="$root/build/ws"
+package="$workspace/src/dyknow"
+
+# The entries are linked one by one: a link to the whole checkout would contain itself, and rosrun's search follows links.
+mkdir -p "$package"
+find "$package" -mindepth 1 -maxdepth 1 -type l -delete
+for entry in "$root"/*; do
+  case "${entry##*/}" in
+    build) ;;
+    *) ln -s "$entry" "$package/" ;;
+  esac
+done
+
+# ROS's Python is the system's, whichever other one comes first.
+export PATH="/usr/bin:$PATH"
+if [ -f /opt/ros/noetic/setup.bash ]; then
+  set +u
+  . /opt/ros/noetic/setup.bash
+  set -u
+fi
+cd "$workspace"
+log="$workspace/build.log"
+if ! catkin_make -DPYTHON_EXECUTABLE=/usr/bin/python3 -DCMAKE_BUILD_TYPE=Release >"$log" 2>&1; then
+  cat "$log" >&2
+  echo "build: failed" >&2
+  exit 1
+fi
+echo "build: done, in build/ws (log: build/ws/build.log)"

@@ -1,0 +1,185 @@
+"""Runs every check and test of the repository, one after the other, and sums up.
+
+A stage that fails fails the run, but the later stages still run, so that one run shows everything
+there is to mend.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+import xml.etree.ElementTree as ElementTree
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Callable
+
+import rostests
+from processes import run_logged
+
+ROOT = Path(__file__).resolve().parent.parent
+RESULTS = ROOT / "build" / "test-results"
+VENV = ROOT / "build" / "venv" / "bin"
+IN_WORKSPACE = ("bash", str(ROOT / "tools" / "in-workspace.sh"))
+ROS_PYTHON = "/usr/bin/python3"
+STAGE_TIMEOUT = 420.0  # s
+LAYERS_WITHOUT_ROS = ("nodelet", "proxy", "manager")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a stage came to: counts of checks or tests, what to print, or why it was skipped."""
+
+    passed: int
+    failed: int
+    output: str = ""
+    note: str = ""
+
+
+def run_command(*argv: str, **environment: str) -> tuple[int, str]:
+    """Runs a command; returns its exit code and all it printed."""
+    log = RESULTS / "stage.txt"
+    code = run_logged(argv, log, STAGE_TIMEOUT, environment)
+    return code, log.read_text(errors="replace")
+
+
+def check(*argv: str) -> Callable[[], Outcome]:
+    """A stage that is one check, passed when the command ends with 0."""
+
+    def stage() -> Outcome:
+        code, output = run_command(*argv)
+        return Outcome(1, 0) if code == 0 else Outcome(0, 1, output)
+
+    return stage
+
+
+def run_pytest(results: str, *argv: str, **environment: str) -> Outcome:
+    """Runs pytest by the given command and counts its tests."""
+    report = RESULTS / results
+    report.unlink(missing_ok=True)
+    code, output = run_command(*argv, f"--junit-xml={report}", **environment)
+    passed, failed, skipped = _counts(report)
+    if passed + failed + skipped == 0:
+        return Outcome(0, 1, output, "no tests found" if code in (0, 4, 5) else "")
+    note = f"{passed} passed, {failed} failed" + (f", {skipped} skipped" if skipped else "")
+    if code != 0:
+        return Outcome(passed, max(failed, 1), output, note)
+    return Outcome(passed, failed, note=note)
+
+
+def _counts(report: Path) -> tuple[int, int, int]:
+    if not report.exists():
+        return 0, 0, 0
+    suites = list(ElementTree.parse(report).getroot().iter("testsuite"))
+    total, failures, errors, skipped = (
+        sum(int(suite.get(name, "0")) for suite in suites)
+        for name in ("tests", "failures", "errors", "skipped")
+    )
+    return total - failures - errors - skipped, failures + errors, skipped
+
+
+def unit_tests() -> Outcome:
+    """The tests that need no roscore, on the Python of ROS."""
+    return run_pytest(
+        "unit.xml",
+        *IN_WORKSPACE,
+        *(str(VENV / "python"), "-m", "pytest", "-q", "test/unit"),
+        QT_QPA_PLATFORM="offscreen",
+    )
+
+
+def unit_tests_py38() -> Outcome:
+    """The tests of the layers without ROS on a real Python 3.8, the oldest supported."""
+    python = find_python38()
+    if python is None:
+        return Outcome(0, 0, note="skipped: there is no Python 3.8 on this machine")
+    folders = [f"test/unit/{layer}" for layer in LAYERS_WITHOUT_ROS]
+    folders = [folder for folder in folders if (ROOT / folder).is_dir()]
+    if not folders:
+        return Outcome(0, 1, note="no tests found")
+    code, output = run_command(
+        "bash", "tools/venv.sh", "venv38", python, "tools/requirements-py38.txt"
+    )
+    if code != 0:
+        return Outcome(0, 1, output)
+    venv_python = str(ROOT / "build" / "venv38" / "bin" / "python")
+    return run_pytest("unit-py38.xml", venv_python, "-m", "pytest", "-q", *folders, PYTHONPATH="")
+
+
+def find_python38() -> str | None:
+    """The path of a Python 3.8 that runs: the one on PATH, or one that pyenv has installed."""
+    pyenv_roots = [Path(os.environ["PYENV_ROOT"])] if "PYENV_ROOT" in os.environ else []
+    pyenv_roots.append(Path.home() / ".pyenv")
+    installed = [
+        str(python)
+        for root in pyenv_roots
+        for python in sorted(root.glob("versions/3.8.*/bin/python3.8"))
+    ]
+    question = "import sys, venv; print(sys.executable if sys.version_info[:2] == (3, 8) else '')"
+    for candidate in ["python3.8", *installed]:
+        # A shim of pyenv is on PATH even where it cannot run: only running it tells.
+        code, output = run_command(candidate, "-c", question)
+        if code == 0 and output.strip():
+            return output.strip()
+    return None
+
+
+def ros_tests() -> Outcome:
+    """The rostest suites."""
+    suites = sorted((ROOT / "test" / "ros").glob("*.test"))
+    if not suites:
+        return Outcome(0, 1, note="no tests found")
+    passed, failed = rostests.run_all(
+        suites, RESULTS, jobs=int(os.environ.get("ROSTEST_JOBS", "1"))
+    )
+    return Outcome(passed, failed, note=f"{passed} passed, {failed} failed")
+
+
+STAGES: tuple[tuple[str, Callable[[], Outcome]], ...] = (
+    ("build", check("make", "--no-print-directory", "build")),
+    ("check tools", check("make", "--no-print-directory", "venv")),
+    ("ruff check", check(str(VENV / "ruff"), "check")),
+    ("ruff format", check(str(VENV / "ruff"), "format", "--check")),
+    ("mypy", check(str(VENV / "mypy"))),
+    ("lint-imports", check(str(VENV / "lint-imports"))),
+    (
+        "catkin_lint",
+        check("catkin_lint", "-W2", "--strict", "--ignore", "subproject", "build/ws/src/dyknow"),
+    ),
+    ("codespell", check(str(VENV / "codespell"))),
+    ("docs", check("make", "--no-print-directory", "docs")),
+    ("unit tests", unit_tests),
+    ("unit tests on Python 3.8", unit_tests_py38),
+    ("ROS tests", ros_tests),
+)
+
+
+def main() -> int:
+    """Runs the stages; returns 0 when none of them failed."""
+    os.environ["PATH"] = "/usr/bin:" + os.environ["PATH"]
+    sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
+    os.chdir(ROOT)
+    RESULTS.mkdir(parents=True, exist_ok=True)
+    begin = time.monotonic()
+    passed = failed = 0
+    failed_stages = []
+    for name, stage in STAGES:
+        started = time.monotonic()
+        outcome = stage()
+        passed += outcome.passed
+        failed += outcome.failed
+        if outcome.failed:
+            failed_stages.append(name)
+            if outcome.output:
+                print(outcome.output.rstrip("\n"))
+        word = "FAILED" if outcome.failed else "ok"
+        print(f"{word:7}{name:26}{time.monotonic() - started:6.1f} s  {outcome.note}".rstrip())
+    print(f"\n{time.monotonic() - begin:.1f} s in all")
+    if failed_stages:
+        print(f"failed: {', '.join(failed_stages)}")
+    print(f"{passed} passed, {failed} failed")
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,19 @@
+#!/usr/bin/env bash
+# Runs a command in the environment of the built workspace: bash tools/in-workspace.sh COMMAND [ARGUMENT...]
+set -e
+
+root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
+
+# In a function, because the setup files would read this script's arguments as theirs.
+load_workspace() {
+  if [ ! -f "$root/build/ws/devel/setup.bash" ]; then
+    echo "the workspace is not built yet: run 'make build'" >&2
+    exit 1
+  fi
+  . "$root/build/ws/devel/setup.bash"
+}
+
+# ROS's Python is the system's, whichever other one comes first.
+export PATH="/usr/bin:$PATH"
+load_workspace
+exec "$@"

@@ -1,0 +1,64 @@
+"""Runs commands that may not outlive their time limit, nor leave children of theirs behind.
+
+Each command leads a process group of its own, which is ended by its id, and only while it is ours.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+from pathlib import Path
+from typing import Mapping, Sequence
+
+END_TIMEOUT = 30.0  # s, for a command to end its children after SIGINT
+
+
+def run_logged(
+    argv: Sequence[str], log: Path, timeout: float, environment: Mapping[str, str]
+) -> int:
+    """Runs a command with its output in a file.
+
+    Args:
+        argv: The command and its arguments.
+        log: File that is to hold what the command prints.
+        timeout: Time in s after which it is ended, and a line of the log says so.
+        environment: Variables to set besides those of this process.
+
+    Returns:
+        The exit code; that of timeout(1), 124, when it was ended.
+    """
+    with log.open("w") as output:
+        try:
+            process = subprocess.Popen(
+                argv,
+                env={**os.environ, **environment},
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
+        except OSError as error:
+            output.write(f"{error}\n")
+            return 127
+        try:
+            return process.wait(timeout)
+        except subprocess.TimeoutExpired:
+            _end(process)
+            output.seek(0, os.SEEK_END)
+            output.write(f"\nended after {timeout:.0f} s\n")
+            return 124
+        finally:
+            _end(process)
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """Ends a command that still runs: with SIGINT first, so that it can end what it started."""
+    if process.poll() is not None:
+        return
+    process.send_signal(signal.SIGINT)
+    try:
+        process.wait(END_TIMEOUT)
+    except subprocess.TimeoutExpired:
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()

@@ -1,0 +1,98 @@
+"""Runs rostest suites, each with a ROS master, a ROS home and a time limit of its own."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import time
+import xml.etree.ElementTree as ElementTree
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Sequence
+
+from processes import run_logged
+
+IN_WORKSPACE = ("bash", str(Path(__file__).resolve().parent / "in-workspace.sh"))
+SUITE_TIMEOUT = 240.0  # s
+SUMMARY = re.compile(r" \* (TESTS|ERRORS|FAILURES): (\d+)")
+
+
+@dataclass(frozen=True)
+class SuiteOutcome:
+    """What a suite came to: its counts, its duration in s, and all it printed."""
+
+    name: str
+    passed: int
+    failed: int
+    duration: float
+    output: str
+
+
+def run_all(suites: Sequence[Path], results: Path, jobs: int) -> tuple[int, int]:
+    """Runs the suites, at most `jobs` at a time, and prints a line for each.
+
+    Before the line of a failing one stands what it printed.
+
+    Returns:
+        The numbers of tests passed and failed.
+    """
+    passed = failed = 0
+    with ThreadPoolExecutor(max_workers=max(1, jobs)) as pool:
+        for outcome in pool.map(lambda suite: run_suite(suite, results), suites):
+            passed += outcome.passed
+            failed += outcome.failed
+            if outcome.failed:
+                print(outcome.output.rstrip("\n"))
+            word = "FAILED" if outcome.failed else "ok"
+            print(
+                f"  {word:7}{outcome.name:24}{outcome.duration:6.1f} s"
+                f"  {outcome.passed} passed, {outcome.failed} failed"
+            )
+    return passed, failed
+
+
+def run_suite(suite: Path, results: Path) -> SuiteOutcome:
+    """Runs one suite in the built workspace."""
+    home = results / "ros" / suite.stem
+    shutil.rmtree(home, ignore_errors=True)
+    home.mkdir(parents=True)
+    log = home / "output.txt"
+    begin = time.monotonic()
+    code = run_logged(
+        [*IN_WORKSPACE, "rostest", f"--results-base-dir={home}", str(suite)],
+        log,
+        SUITE_TIMEOUT,
+        {"ROS_HOME": str(home), "QT_QPA_PLATFORM": "offscreen"},
+    )
+    text = log.read_text(errors="replace")
+    passed, failed = _count(text, code)
+    text += _printed_by_tests(home)
+    return SuiteOutcome(suite.stem, passed, failed, time.monotonic() - begin, text)
+
+
+def _printed_by_tests(home: Path) -> str:
+    """What the test nodes of a suite printed; rostest keeps it in its result files alone."""
+    texts = []
+    for report in sorted(home.glob("*/rosunit-*.xml")):
+        try:
+            elements = list(ElementTree.parse(report).getroot())
+        except ElementTree.ParseError:
+            continue
+        for element in elements:
+            if element.tag in ("system-out", "system-err"):
+                # rosunit writes the markers of a CDATA section as if they were text.
+                text = re.sub(r"<!\[CDATA\[|\]\]>", "", element.text or "").strip()
+                texts.append(f"\n{report.stem}, {element.tag}:\n{text}\n" if text else "")
+    return "".join(texts)
+
+
+def _count(text: str, code: int) -> tuple[int, int]:
+    counts = {"TESTS": 0, "ERRORS": 0, "FAILURES": 0}
+    for name, number in SUMMARY.findall(text):
+        counts[name] += int(number)
+    failed = counts["ERRORS"] + counts["FAILURES"]
+    passed = max(0, counts["TESTS"] - failed)
+    if failed == 0 and (code != 0 or passed == 0):
+        failed = 1
+    return passed, failed
