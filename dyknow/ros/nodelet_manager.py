@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import sys
 import threading
+import traceback
 from dataclasses import dataclass
 from typing import Any, Dict, List, Optional, Sequence
 
@@ -142,17 +143,13 @@ class NodeletManager:
 
     def _bond(self, name: str, bond_id: str) -> None:
         try:
-            self._bonds.add(bond_id, lambda: self._bond_broken(name, bond_id))
+            self._bonds.add(bond_id, lambda: self._unload_bonded(name, bond_id))
         except BaseException:
             self.loader.unload(name)
             raise
         self._bonded[name] = bond_id
         if name not in self.loader.list():  # unloaded in between
             self._unloaded(name)
-
-    def _bond_broken(self, name: str, bond_id: str) -> None:
-        # An unload may take a second; the heartbeats of the other bonds must not wait for it.
-        threading.Thread(target=self._unload_bonded, args=(name, bond_id), daemon=True).start()
 
     def _unload_bonded(self, name: str, bond_id: str) -> None:
         if self._bonded.get(name) != bond_id:
@@ -196,7 +193,9 @@ class NodeletManager:
 
 
 def _failed(what: str, name: str, error: DyKnowError) -> rospy.ServiceException:
-    rospy.logerr("%s [%s]: %s", what, name, error, exc_info=error.__cause__ is not None)
+    cause = error.__cause__
+    lines = traceback.format_exception(type(cause), cause, cause.__traceback__) if cause else []
+    rospy.logerr("%s [%s]: %s\n%s", what, name, error, "".join(lines))
     return rospy.ServiceException(str(error))
 
 
@@ -234,11 +233,9 @@ def run_manager(argv: Sequence[str], node: str = "manager") -> int:
     return _serve(manager)
 
 
-def run_standalone(
-    type_name: str, my_argv: Sequence[str], argv: Sequence[str], node: str
-) -> int:
+def run_standalone(type_name: str, my_argv: Sequence[str], argv: Sequence[str]) -> int:
     """Run one nodelet in a process of its own, under the name of the node."""
-    manager = _start(node, argv)
+    manager = _start(type_name.replace("/", "_"), argv)
     if manager is None:
         return 1
     remappings = {
