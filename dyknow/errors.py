@@ -191,7 +191,9 @@ class DuplicatePort(PortError):
 
     def __init__(self, port: str) -> None:
         self.port = port
-        super().__init__(f"port '{port}' is named more than once; expected one topic for each port")
+        super().__init__(
+            f"port '{port}' is named more than once; expected one topic for each port"
+        )
 
 
 class InvalidConfiguration(PortError):

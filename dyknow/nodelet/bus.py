@@ -142,7 +142,7 @@ class Bus:
             seconds = max(0.0, deadline - self._clock())
             if seconds and isinstance(plan.half, OutsidePublisher):
                 plan.half.wait(seconds)
-            elif seconds and plan.half is not None and plan.link is not None:
+            elif seconds and isinstance(plan.half, OutsideSubscriber) and plan.link is not None:
                 plan.half.wait(plan.link.arrived, seconds)
 
     def _switch(self, plans: List[_Plan], between: Optional[Callable[[], None]]) -> None:
@@ -213,7 +213,11 @@ class Bus:
         endpoint = plan.endpoint
         if isinstance(endpoint, Publication):
             return self._middleware.advertise(
-                plan.topic, endpoint.datatype, endpoint.latch, endpoint.queue_size, endpoint.options
+                plan.topic,
+                endpoint.datatype,
+                endpoint.latch,
+                endpoint.queue_size,
+                endpoint.options,
             )
         assert plan.link is not None
         return self._middleware.subscribe(

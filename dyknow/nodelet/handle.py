@@ -282,5 +282,3 @@ class Inbox(Closable):
 
 def _given(**options: Any) -> Any:
     return {key: value for key, value in options.items() if value}
-
-

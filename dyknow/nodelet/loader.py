@@ -217,9 +217,7 @@ class Loader:
                 try:
                     hook()
                 except BaseException:  # the boundary: the other hooks and the unload go on
-                    _log.error(
-                        "%s: on_shutdown raised\n%s", context.name, traceback.format_exc()
-                    )
+                    _log.error("%s: on_shutdown raised\n%s", context.name, traceback.format_exc())
 
         run = _Run(hooks, f"{context.name} on_shutdown")
         if not run.done.wait(SHUTDOWN_PATIENCE):

@@ -83,7 +83,7 @@ def read(plugin_file: PluginFile) -> List[PluginClass]:
             base = element.get("base_class_type")
             if base != BASE_CLASS:
                 raise BrokenPlugin(
-                    where, f"expected base_class_type=\"{BASE_CLASS}\" for '{name}', found {base!r}"
+                    where, f"expected base_class_type='{BASE_CLASS}' for '{name}', found {base!r}"
                 )
             description = " ".join((element.findtext("description") or "").split())
             classes.append(PluginClass(name, type_name, description, directory, plugin_file.file))

@@ -161,7 +161,9 @@ class WorkerPool(Executor):
         stuck_after: seconds after which a callback that has not returned is reported, once.
     """
 
-    def __init__(self, size: int, stuck_after: float = 10.0, clock: Clock = time.monotonic) -> None:
+    def __init__(
+        self, size: int, stuck_after: float = 10.0, clock: Clock = time.monotonic
+    ) -> None:
         super().__init__()
         if size < 1:
             raise ValueError(f"a worker pool needs at least one worker, not {size}")
@@ -169,15 +171,13 @@ class WorkerPool(Executor):
         self._stuck_after = stuck_after
         self._clock = clock
         self._queue: queue.SimpleQueue[Optional[Strand]] = queue.SimpleQueue()
-        self.ready = self._queue.put  # type: ignore[method-assign]  # no call in between
+        self.ready = self._queue.put  # type: ignore[assignment, method-assign]  # one call less
         self._workers: List[_Worker] = []
         self._quiet = threading.Condition()
         self._drainers = 0
         self._closed = False
         self._awake = threading.Event()
-        self._watchdog = threading.Thread(
-            target=self._watch, name="dyknow-watchdog", daemon=True
-        )
+        self._watchdog = threading.Thread(target=self._watch, name="dyknow-watchdog", daemon=True)
         for _ in range(size):
             self._hire()
         self._watchdog.start()

@@ -87,13 +87,11 @@ class SubscriberState:
                 callback(message, *args)
             except BaseException as error:  # the boundary, for each callback by itself
                 errors.append(error)
-        for error in errors:
-            self.subscription.failed(error)
+        for raised in errors:
+            self.subscription.failed(raised)
 
     def unregister(self, handle: object) -> None:
         """Stop receiving."""
         self.context.release(self.subscription)
         if self._own_strand:
             self.context.drop_strand(self._strand)
-
-

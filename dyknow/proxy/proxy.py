@@ -109,9 +109,7 @@ class NodeletProxy:
             if not changed:
                 return
             topics = {port.name: topic for port, topic in changes}
-            moves = [
-                (endpoint, topic) for port, topic in changes for endpoint in port.endpoints()
-            ]
+            moves = [(endpoint, topic) for port, topic in changes for endpoint in port.endpoints()]
             self._switch(moves, self._maps(topics))
             for port, topic in changes:
                 port.topic = topic
@@ -272,9 +270,7 @@ class NodeletProxy:
             side[port.name] = topics.get(port.name, port.topic)
         return inputs, outputs
 
-    def _switch(
-        self, moves: Sequence[Move], maps: Tuple[Dict[str, str], Dict[str, str]]
-    ) -> None:
+    def _switch(self, moves: Sequence[Move], maps: Tuple[Dict[str, str], Dict[str, str]]) -> None:
         context, callback = self._context, self._callback
 
         def tell() -> None:

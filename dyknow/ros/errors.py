@@ -7,13 +7,13 @@ import rospy
 from dyknow.errors import DyKnowError, HandleClosed
 
 
-class ClosedHandle(HandleClosed, rospy.ROSException):  # type: ignore[misc]
+class ClosedHandle(HandleClosed, rospy.ROSException):
     """A handle was used after it was unregistered or its nodelet unloaded."""
 
 
-class MessageTimeout(DyKnowError, rospy.ROSException):  # type: ignore[misc]
+class MessageTimeout(DyKnowError, rospy.ROSException):
     """A message did not come in time."""
 
 
-class Interrupted(DyKnowError, rospy.ServiceException, rospy.ROSInterruptException):  # type: ignore[misc]
+class Interrupted(DyKnowError, rospy.ServiceException, rospy.ROSInterruptException):
     """The nodelet was unloaded while somebody waited for it."""

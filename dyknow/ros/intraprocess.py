@@ -32,7 +32,7 @@ from dyknow.nodelet.scheduler import Executor, Strand
 Callback = Tuple[Callable[..., Any], Any]
 
 
-class IntraProcessTransport(Transport):  # type: ignore[misc]
+class IntraProcessTransport(Transport):
     """What rospy shows for a link inside the process."""
 
     transport_type = "INTRAPROCESS"
@@ -51,7 +51,7 @@ class IntraProcessTransport(Transport):  # type: ignore[misc]
         return "INTRAPROCESS"
 
     def close(self) -> None:
-        """End it; rospy's version calls itself through the clean-up callback without this guard."""
+        """End it; without the guard rospy's version calls itself through the clean-up callback."""
         if not self.done:
             super().close()
             self._closed()
@@ -222,7 +222,7 @@ class IntraProcess:
         return answer
 
 
-class _Departures(rospy.impl.registration.RegistrationListener):  # type: ignore[misc]
+class _Departures(rospy.impl.registration.RegistrationListener):
     """Tells when the last publisher of a topic in this process is gone."""
 
     def __init__(self, gone: Callable[[str], None]) -> None:

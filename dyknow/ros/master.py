@@ -73,7 +73,7 @@ class Master:
         master knows a type.
         """
         known: List[Tuple[str, str]] = self.ask("getTopicTypes")
-        found = dict(map(tuple, known)).get(topic, "")  # type: ignore[arg-type]
+        found = next((datatype for name, datatype in known if name == topic), "")
         if not found:
             return ""
         state = self.ask("getSystemState")

@@ -15,7 +15,8 @@ _LOGGERS = frozenset(
 )
 #: Functions and classes of rospy whose first argument is a name.
 _NAMED = frozenset(
-    "ServiceProxy wait_for_service get_param get_param_cached set_param has_param delete_param".split()
+    """ServiceProxy wait_for_service
+    get_param get_param_cached set_param has_param delete_param""".split()
 )
 #: What has neither names nor a queue in it.
 _PLAIN = frozenset(

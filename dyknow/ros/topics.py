@@ -132,9 +132,7 @@ class RospySubscriber(OutsideSubscriber):
     ) -> None:
         """Register the subscriber; the arguments are those of ``Middleware.subscribe``."""
         self._topic = _unremapped(topic)
-        self._subscriber = rospy.Subscriber(
-            topic, datatype, receive, tcp_nodelay=True, **options
-        )
+        self._subscriber = rospy.Subscriber(topic, datatype, receive, tcp_nodelay=True, **options)
         self._implementation = self._subscriber.impl
 
     def publishers(self) -> int:
