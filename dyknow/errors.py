@@ -68,7 +68,7 @@ class RemappedTopic(DyKnowError):
         self.target = target
         super().__init__(
             f"topic '{topic}' cannot be reached from this process: its command line remaps "
-            f"it to '{target}'; name that topic, or start the nodelet manager without the remapping"
+            f"it to '{target}'; name that topic, or start the process without the remapping"
         )
 
 
@@ -191,9 +191,7 @@ class DuplicatePort(PortError):
 
     def __init__(self, port: str) -> None:
         self.port = port
-        super().__init__(
-            f"port '{port}' is named more than once; expected one topic for each port"
-        )
+        super().__init__(f"port '{port}' is named twice or more; expected one topic for each port")
 
 
 class InvalidConfiguration(PortError):

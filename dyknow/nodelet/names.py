@@ -33,7 +33,7 @@ def join(namespace: str, name: str) -> str:
 
 
 def parent(name: str) -> str:
-    """Namespace that a global name stands in: ``/robot`` for ``/robot/camera``, ``/`` at the root."""
+    """Namespace of a global name: ``/robot`` for ``/robot/camera``, ``/`` at the root."""
     return name.rstrip("/").rpartition("/")[0] or "/"
 
 
