@@ -11,6 +11,15 @@ wrong and says what was expected. Only ``dyknow.ros`` turns them into answers of
     ├── RemappedTopic            the command line of the process sends this topic elsewhere
     ├── PeerTimeout              somebody outside did not answer in time
     ├── HandleClosed             the nodelet of this handle is unloaded, or it was unregistered
+    ├── Denied                   a guard forbids it: deny list, read-only mode
+    ├── TooMuch                  a limit is exceeded
+    ├── UnknownTransformation    the library has no such label
+    ├── NotSpawnable             the transformation is an existing topic
+    ├── Busy                     another operation works on the nodelet
+    ├── Protected                the nodelet is protected from being destroyed
+    ├── SpawnFailed              a nodelet did not come up as specified; nothing of it is left
+    ├── HostError                a nodelet manager refused, or could not be reached
+    ├── StoreError               the durable state cannot be read or written
     ├── NodeletError
     │   ├── NameTaken            a nodelet of that name is there already
     │   ├── UnknownNodelet       no nodelet of that name is there
@@ -92,6 +101,80 @@ class HandleClosed(DyKnowError):
     def __init__(self, what: str) -> None:
         self.what = what
         super().__init__(f"{what} is closed: it was unregistered, or its nodelet is unloaded")
+
+
+class Denied(DyKnowError):
+    """A guard forbids a change."""
+
+    def __init__(self, what: str, why: str) -> None:
+        self.what = what
+        self.why = why
+        super().__init__(f"{what} is denied: {why}")
+
+
+class TooMuch(DyKnowError):
+    """A limit is exceeded."""
+
+    def __init__(self, what: str, count: int, limit: int) -> None:
+        self.count = count
+        self.limit = limit
+        super().__init__(f"too many {what}: {count}, at most {limit} are allowed")
+
+
+class UnknownTransformation(DyKnowError):
+    """The library has no transformation of that label."""
+
+    def __init__(self, label: str, similar: Sequence[str] = ()) -> None:
+        self.label = label
+        hint = f"; did you mean {', '.join(similar)}?" if similar else ""
+        super().__init__(f"no transformation is labelled '{label}'{hint}")
+
+
+class NotSpawnable(DyKnowError):
+    """A transformation of type topic is not a nodelet."""
+
+    def __init__(self, label: str, topic: str) -> None:
+        self.label = label
+        super().__init__(
+            f"transformation '{label}' is the existing topic '{topic}': "
+            "it is used as it is and cannot be spawned"
+        )
+
+
+class Busy(DyKnowError):
+    """Another operation works on the nodelet now."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        super().__init__(f"nodelet '{name}' is being changed by somebody else; try again")
+
+
+class Protected(DyKnowError):
+    """A protected nodelet was to be destroyed."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        super().__init__(f"nodelet '{name}' is protected; release it with set_protection first")
+
+
+class SpawnFailed(DyKnowError):
+    """A nodelet did not come up as its transformation says; nothing of it is left."""
+
+    def __init__(self, name: str, reason: object) -> None:
+        self.name = name
+        super().__init__(f"cannot spawn '{name}': {reason}")
+
+
+class HostError(DyKnowError):
+    """A nodelet manager refused something, or could not be reached."""
+
+
+class StoreError(DyKnowError):
+    """The durable state cannot be read or written."""
+
+    def __init__(self, path: str, reason: object) -> None:
+        self.path = path
+        super().__init__(f"state file '{path}': {reason}")
 
 
 class NodeletError(DyKnowError):

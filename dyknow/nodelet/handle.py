@@ -9,7 +9,7 @@ from __future__ import annotations
 import queue
 from typing import Any, Callable, Optional
 
-from dyknow.nodelet import names
+from dyknow import names
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.middleware import Closable
 from dyknow.nodelet.service import Service

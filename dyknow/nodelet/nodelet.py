@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import List, Optional
 
-from dyknow.nodelet import names
+from dyknow import names
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.handle import NodeHandle
 

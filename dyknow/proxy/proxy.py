@@ -22,7 +22,7 @@ from dyknow.errors import (
     UnknownPort,
     UnloadedMeanwhile,
 )
-from dyknow.nodelet import names
+from dyknow import names
 from dyknow.nodelet.bus import Move
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.handle import NodeHandle

@@ -25,7 +25,7 @@ from nodelet.srv import (
 )
 
 from dyknow.errors import DyKnowError
-from dyknow.nodelet import names
+from dyknow import names
 from dyknow.nodelet.context import Context, Runtime
 from dyknow.nodelet.loader import Loader
 from dyknow.nodelet.middleware import Closable

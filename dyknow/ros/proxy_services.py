@@ -15,7 +15,7 @@ from dyknow_msgs.srv import (
 )
 
 from dyknow.errors import DyKnowError
-from dyknow.nodelet import names
+from dyknow import names
 from dyknow.nodelet.middleware import Closable
 from dyknow.proxy.proxy import NodeletProxy
 from dyknow.ros.messages import config_pairs, port_messages, statistics_message

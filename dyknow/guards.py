@@ -1,0 +1,68 @@
+"""What nobody may change, whoever asks: enforced by the manager and by each proxy.
+
+The manager hands its guards to its nodelet managers, or a call to a proxy would pass them by.
+"""
+
+from __future__ import annotations
+
+import fnmatch
+from dataclasses import dataclass, field
+from typing import Iterable, Tuple
+
+from dyknow.errors import Denied, TooMuch
+
+
+@dataclass(frozen=True)
+class Guards:
+    """Restrictions on changes.
+
+    Attributes:
+        denied_topics: patterns (``/robot/*/cmd_vel``) of topics that no port may be connected to.
+        read_only: refuse every change.
+        string_length: characters in one string of a request.
+        array_length: entries in one array of a request.
+        nodelets: nodelets that may run at the same time.
+    """
+
+    denied_topics: Tuple[str, ...] = field(default=())
+    read_only: bool = False
+    string_length: int = 4096
+    array_length: int = 1024
+    nodelets: int = 2000
+
+    def check_writable(self, what: str) -> None:
+        """Refuse ``what`` in read-only mode.
+
+        Raises:
+            Denied: the mode is read-only.
+        """
+        if self.read_only:
+            raise Denied(what, "DyKnow runs read-only (parameter read_only)")
+
+    def check_topic(self, topic: str) -> None:
+        """Refuse a topic of the deny list.
+
+        Raises:
+            Denied: a pattern matches.
+        """
+        for pattern in self.denied_topics:
+            if fnmatch.fnmatchcase(topic, pattern):
+                raise Denied(
+                    f"topic '{topic}'", f"it matches '{pattern}' of the deny list (denied_topics)"
+                )
+
+    def check_sizes(self, strings: Iterable[str], entries: int = 0) -> None:
+        """Refuse what is longer than any sensible request.
+
+        Raises:
+            TooMuch: a string or an array is too long.
+        """
+        if entries > self.array_length:
+            raise TooMuch("entries in an array", entries, self.array_length)
+        for text in strings:
+            if len(text) > self.string_length:
+                raise TooMuch("characters in a string", len(text), self.string_length)
+
+
+NO_GUARDS = Guards()
+"""Nothing is denied."""

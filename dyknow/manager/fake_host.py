@@ -1,0 +1,173 @@
+"""A host in memory: the public fake beside the real one, for whole scenarios in unit tests."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, field
+from typing import Callable, Dict, List, Mapping, Optional, Sequence, Tuple
+
+from dyknow.errors import HostError
+from dyknow.manager.host import Host, Kind, LoadRequest, ManagerState
+from dyknow.manager.model import PortState
+from dyknow.manager.transformation import Parameter
+
+
+@dataclass
+class FakeNodelet:
+    """A nodelet that runs nowhere."""
+
+    request: LoadRequest
+    ports: Dict[str, PortState] = field(default_factory=dict)
+
+
+@dataclass
+class FakeManager:
+    """A nodelet manager that runs nowhere."""
+
+    state: ManagerState
+    nodelets: Dict[str, FakeNodelet] = field(default_factory=dict)
+
+
+class FakeHost(Host):
+    """Keeps everything in dictionaries; faults are injected by hand.
+
+    Attributes:
+        sources: ports of each nodelet type, as (name, direction, datatype).
+        cpp: types that are plain C++ nodelets.
+        topics: ordinary topics that are published.
+        fail: called before each operation with its name and argument; may raise.
+        calls: every operation, in order.
+    """
+
+    def __init__(self, sources: Mapping[str, Sequence[Tuple[str, str, str]]]) -> None:
+        """Make a host that knows these nodelet types."""
+        self.sources = dict(sources)
+        self.cpp: set[str] = set()
+        self.topics: set[str] = set()
+        self.fail: Callable[[str, str], None] = lambda operation, argument: None
+        self.calls: List[Tuple[str, str]] = []
+        self.processes: Dict[str, FakeManager] = {}
+        self.parameters: Dict[str, object] = {}
+        self._incarnations = itertools.count(1)
+
+    # By hand
+
+    def kill(self, manager: str) -> None:
+        """Kill a nodelet manager with all that it hosts."""
+        process = self.processes[manager]
+        process.nodelets.clear()
+        process.state = ManagerState(manager, process.state.kind, "", process.state.isolated_for)
+
+    def vanish(self, name: str) -> None:
+        """Unload a nodelet behind the manager's back."""
+        self._process_of(name).nodelets.pop(name)
+
+    def nodelet(self, name: str) -> FakeNodelet:
+        """Look at a running nodelet."""
+        return self._process_of(name).nodelets[name]
+
+    @property
+    def running(self) -> List[str]:
+        """Names of all nodelets that run."""
+        return sorted(name for process in self.processes.values() for name in process.nodelets)
+
+    # The host
+
+    def kind_of(self, source: str) -> Kind:
+        """Tell the kind of a declared type."""
+        if source not in self.sources:
+            raise HostError(f"no package declares a nodelet type '{source}'")
+        return Kind.CPP if source in self.cpp else Kind.PYTHON
+
+    def managers(self) -> List[ManagerState]:
+        """List the nodelet managers."""
+        return [self.processes[name].state for name in sorted(self.processes)]
+
+    def ensure(self, kind: Kind, isolated_for: str = "") -> str:
+        """Start a nodelet manager if there is none."""
+        self._step("ensure", isolated_for or kind.value)
+        for state in self.managers():
+            if state.kind is kind and state.isolated_for == isolated_for and state.alive:
+                return state.name
+        for state in self.managers():
+            if state.kind is kind and state.isolated_for == isolated_for:
+                return self._start(state.name, kind, isolated_for)
+        return self._start(f"/fake_{len(self.processes)}", kind, isolated_for)
+
+    def retire(self, manager: str) -> None:
+        """End an isolated nodelet manager."""
+        self._step("retire", manager)
+        self.processes.pop(manager, None)
+
+    def load(self, manager: str, request: LoadRequest, timeout: float) -> None:
+        """Load a nodelet."""
+        self._step("load", request.name)
+        process = self._alive(manager)
+        if request.name in process.nodelets:
+            raise HostError(f"a nodelet named '{request.name}' is already loaded")
+        for parameter in request.parameters:
+            self.parameters[f"{request.name}/{parameter.name}"] = parameter.value
+        nodelet = FakeNodelet(request)
+        for name, direction, datatype in self.sources[request.source]:
+            topic = request.remappings.get(f"/{name}", "")
+            nodelet.ports[name] = PortState(name, direction, datatype, topic)
+        process.nodelets[request.name] = nodelet
+        self._step("loaded", request.name)
+
+    def unload(self, manager: str, name: str) -> None:
+        """Unload a nodelet."""
+        self._step("unload", name)
+        if self._alive(manager).nodelets.pop(name, None) is None:
+            raise HostError(f"no nodelet named '{name}' is loaded")
+
+    def forget(self, name: str, parameters: Sequence[Parameter]) -> None:
+        """Delete parameters."""
+        for parameter in parameters:
+            self.parameters.pop(f"{name}/{parameter.name}", None)
+
+    def list(self, manager: str) -> List[str]:
+        """List nodelets."""
+        return sorted(self._alive(manager).nodelets)
+
+    def ports(self, name: str) -> Tuple[PortState, ...]:
+        """Report the ports."""
+        self._step("ports", name)
+        return tuple(self._process_of(name).nodelets[name].ports.values())
+
+    def connect(self, name: str, config: Mapping[str, str]) -> None:
+        """Connect ports."""
+        self._step("connect", name)
+        ports = self._process_of(name).nodelets[name].ports
+        unknown = [port for port in config if port not in ports]
+        if unknown:
+            raise HostError(
+                f"unknown port '{unknown[0]}'; known ports: {', '.join(sorted(ports))}"
+            )
+        for port, topic in config.items():
+            old = ports[port]
+            ports[port] = PortState(old.name, old.direction, old.datatype, topic)
+
+    def is_published(self, topic: str) -> bool:
+        """Tell whether a topic is published."""
+        return topic in self.topics
+
+    def _start(self, name: str, kind: Kind, isolated_for: str) -> str:
+        state = ManagerState(name, kind, str(next(self._incarnations)), isolated_for)
+        self.processes[name] = FakeManager(state)
+        return name
+
+    def _step(self, operation: str, argument: str) -> None:
+        self.calls.append((operation, argument))
+        self.fail(operation, argument)
+
+    def _alive(self, manager: str) -> FakeManager:
+        process: Optional[FakeManager] = self.processes.get(manager)
+        if process is None or not process.state.alive:
+            raise HostError(f"nodelet manager '{manager}' does not answer")
+        return process
+
+    def _process_of(self, name: str) -> FakeManager:
+        for process in self.processes.values():
+            if name in process.nodelets:
+                return process
+        raise HostError(f"nodelet '{name}' does not answer")

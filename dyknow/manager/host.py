@@ -1,0 +1,128 @@
+"""The seam between the manager and the nodelet managers.
+
+The manager reaches nodelets only through a ``Host``. The real one speaks ROS
+(``dyknow.ros.host``), the public fake beside this file keeps everything in memory.
+"""
+
+from __future__ import annotations
+
+import enum
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+from typing import List, Mapping, Sequence, Tuple
+
+from dyknow.manager.model import PortState
+from dyknow.manager.transformation import Parameter
+
+
+class Kind(enum.Enum):
+    """What a nodelet manager can host."""
+
+    PYTHON = "python"
+    CPP = "c++"
+
+
+@dataclass(frozen=True)
+class ManagerState:
+    """A nodelet manager.
+
+    Attributes:
+        name: global node name.
+        kind: what it can host.
+        incarnation: differs after every restart of the process; empty when it is not there.
+        isolated_for: the nodelet that it was started for alone, empty for shared ones.
+        own: whether the host started it, and starts it again.
+    """
+
+    name: str
+    kind: Kind = Kind.PYTHON
+    incarnation: str = ""
+    isolated_for: str = ""
+    own: bool = True
+
+    @property
+    def alive(self) -> bool:
+        """Whether its process is there."""
+        return bool(self.incarnation)
+
+
+@dataclass(frozen=True)
+class LoadRequest:
+    """What is needed to load a nodelet.
+
+    Attributes:
+        name: global name.
+        source: declared type, ``package/Class``.
+        parameters: set in the nodelet's namespace before the load.
+        remappings: global names, source to target.
+    """
+
+    name: str
+    source: str
+    parameters: Tuple[Parameter, ...] = ()
+    remappings: Mapping[str, str] = field(default_factory=dict)
+
+
+class Host(ABC):
+    """Runs nodelets. Every call has its own time limit and raises ``HostError`` beyond it."""
+
+    @abstractmethod
+    def kind_of(self, source: str) -> Kind:
+        """Tell what kind of nodelet a declared type is.
+
+        Raises:
+            HostError: no package declares it.
+        """
+
+    @abstractmethod
+    def managers(self) -> List[ManagerState]:
+        """List the nodelet managers that nodelets can be given to, dead ones included."""
+
+    @abstractmethod
+    def ensure(self, kind: Kind, isolated_for: str = "") -> str:
+        """Return the name of a nodelet manager of that kind that is up, starting it if need be.
+
+        Args:
+            kind: what it must be able to host.
+            isolated_for: the nodelet that is to have it alone; empty for a shared one.
+        """
+
+    @abstractmethod
+    def retire(self, manager: str) -> None:
+        """End an isolated nodelet manager, whatever it is doing."""
+
+    @abstractmethod
+    def load(self, manager: str, request: LoadRequest, timeout: float) -> None:
+        """Set the parameters and load the nodelet."""
+
+    @abstractmethod
+    def unload(self, manager: str, name: str) -> None:
+        """Unload a nodelet, also one that is still being loaded."""
+
+    @abstractmethod
+    def forget(self, name: str, parameters: Sequence[Parameter]) -> None:
+        """Delete the parameters that ``load`` set; those set by others stay."""
+
+    @abstractmethod
+    def list(self, manager: str) -> List[str]:
+        """Names of the nodelets that a nodelet manager runs."""
+
+    @abstractmethod
+    def ports(self, name: str) -> Tuple[PortState, ...]:
+        """Ports of a nodelet that has a proxy.
+
+        Raises:
+            HostError: the proxy does not answer.
+        """
+
+    @abstractmethod
+    def connect(self, name: str, config: Mapping[str, str]) -> None:
+        """Connect ports of a nodelet that has a proxy, all or none.
+
+        Raises:
+            HostError: the proxy refused or does not answer; its words are in the text.
+        """
+
+    @abstractmethod
+    def is_published(self, topic: str) -> bool:
+        """Whether an ordinary topic has a publisher now."""

@@ -1,0 +1,93 @@
+"""The library: all transformations by label."""
+
+from __future__ import annotations
+
+import difflib
+import threading
+from typing import Dict, List, Optional, Sequence
+
+from dyknow.errors import TooMuch, UnknownTransformation
+from dyknow.manager.limits import DEFAULT_LIMITS, Limits
+from dyknow.manager.ontology import Ontology
+from dyknow.manager.specification import Specifications, parse
+from dyknow.manager.store import Store
+from dyknow.manager.transformation import Transformation
+
+
+class Library:
+    """Transformations by label, in memory and in the store."""
+
+    def __init__(
+        self,
+        store: Store,
+        ontology: Optional[Ontology] = None,
+        limits: Limits = DEFAULT_LIMITS,
+    ) -> None:
+        """Read what the store has.
+
+        Args:
+            store: where the transformations are kept.
+            ontology: where templates look for the individuals of concepts.
+            limits: caps for texts and for the library.
+        """
+        self._store = store
+        self._ontology = ontology
+        self._limits = limits
+        self._lock = threading.Lock()
+        self._by_label: Dict[str, Transformation] = {
+            each.label: each for each in store.transformations()
+        }
+        self.revision = store.number("library_revision")
+
+    def __len__(self) -> int:
+        """Count the transformations."""
+        return len(self._by_label)
+
+    def all(self) -> List[Transformation]:
+        """Return every transformation, by label."""
+        with self._lock:
+            return [self._by_label[label] for label in sorted(self._by_label)]
+
+    def get(self, label: str) -> Transformation:
+        """Return the transformation of that label.
+
+        Raises:
+            UnknownTransformation: there is none; similar labels are named.
+        """
+        with self._lock:
+            found = self._by_label.get(label)
+            if found is not None:
+                return found
+            labels: Sequence[str] = list(self._by_label) if len(self._by_label) < 10_000 else ()
+        raise UnknownTransformation(label, difflib.get_close_matches(label, labels))
+
+    def add(self, text: str) -> Specifications:
+        """Add what a specification says; the label's older transformation is replaced.
+
+        Raises:
+            SpecificationError: something is wrong with the text; nothing was added.
+            TooMuch: the library would grow beyond its limit; nothing was added.
+        """
+        specifications = parse(text, ontology=self._ontology, limits=self._limits)
+        with self._lock:
+            new = {each.label: each for each in specifications.transformations}
+            count = len(self._by_label.keys() | new.keys())
+            if count > self._limits.transformations:
+                raise TooMuch("transformations", count, self._limits.transformations)
+            self._store.put_transformations(new.values(), self.revision + 1)
+            self._by_label.update(new)
+            self.revision += 1
+        return specifications
+
+    def remove(self, label: str) -> Transformation:
+        """Remove a transformation; nodelets that were made from it run on.
+
+        Raises:
+            UnknownTransformation: there is none of that label.
+        """
+        found = self.get(label)
+        with self._lock:
+            self._store.remove_transformation(label, self.revision + 1)
+            self._by_label.pop(label, None)
+            self.revision += 1
+        return found

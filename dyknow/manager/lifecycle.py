@@ -1,0 +1,273 @@
+"""Making and destroying nodelets: each a transaction that leaves nothing behind when it fails."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, field, replace
+from typing import Dict, List, Mapping
+
+from dyknow import names
+from dyknow.errors import (
+    DyKnowError,
+    HostError,
+    InvalidConfiguration,
+    NotSpawnable,
+    Protected,
+    SpawnFailed,
+    TooMuch,
+    UnknownPort,
+)
+from dyknow.guards import Guards
+from dyknow.manager import placement
+from dyknow.manager.graph import Graph
+from dyknow.manager.host import Host, Kind, LoadRequest
+from dyknow.manager.model import Record, State, declared_ports, seen_ports
+from dyknow.manager.transformation import TOPIC, Transformation
+
+_log = logging.getLogger("rosout.dyknow")
+
+
+@dataclass(frozen=True)
+class SpawnRequest:
+    """What a spawn asks for.
+
+    Attributes:
+        label: of the transformation.
+        name: of the new nodelet.
+        is_protected: refuse to destroy it.
+        isolated: give it a process of its own.
+        config: where its ports are to be connected.
+        manager: nodelet manager to use; empty for the manager's choice.
+        claimed: made for a claim, not by hand.
+    """
+
+    label: str
+    name: str
+    is_protected: bool = False
+    isolated: bool = False
+    config: Mapping[str, str] = field(default_factory=dict)
+    manager: str = ""
+    claimed: bool = False
+
+
+class Lifecycle:
+    """Makes, restores, reloads and destroys the nodelets of the graph."""
+
+    def __init__(self, host: Host, graph: Graph, guards: Guards, spawn_timeout: float) -> None:
+        """Work on ``graph`` through ``host``."""
+        self._host = host
+        self._graph = graph
+        self._guards = guards
+        self._timeout = spawn_timeout
+
+    def spawn(self, transformation: Transformation, request: SpawnRequest) -> Record:
+        """Make a nodelet of a transformation; its name is global.
+
+        Raises:
+            DyKnowError: it did not work, and nothing is left of it.
+        """
+        if transformation.type == TOPIC:
+            raise NotSpawnable(transformation.label, transformation.source)
+        count = len(self._graph.all()) + 1
+        if count > self._guards.nodelets:
+            raise TooMuch("nodelets", count, self._guards.nodelets)
+        config = self._resolved(transformation, request.name, request.config)
+        with self._graph.changing(request.name, new=True):
+            kind = self._host.kind_of(transformation.source)
+            manager = placement.choose(
+                self._host,
+                self._graph.all(),
+                kind,
+                config.values(),
+                request.manager,
+                request.name if request.isolated else "",
+            )
+            record = Record(
+                name=request.name,
+                transformation=transformation,
+                manager=manager,
+                is_protected=request.is_protected,
+                isolated=request.isolated,
+                rewired_by_reload=kind is Kind.CPP,
+                topics=config,
+                claimed=request.claimed,
+                ports=(),
+            )
+            self._graph.put(record)
+            try:
+                running = self._bring_up(record)
+            except BaseException as error:
+                self._take_down(record)
+                self._graph.remove(record.name)
+                if isinstance(error, DyKnowError):
+                    raise SpawnFailed(record.name, error) from error
+                raise
+            self._graph.put(running)
+            return running
+
+    def restore(self, record: Record) -> Record:
+        """Bring back a nodelet that died, where it was or, isolated, in a new process.
+
+        The record says FAILED, with the reason, when that does not work.
+        """
+        transformation = record.transformation
+        assert transformation is not None
+        starting = replace(record, state=State.STARTING, detail="")
+        self._graph.put(starting)
+        try:
+            if record.isolated:
+                kind = Kind.CPP if record.rewired_by_reload else Kind.PYTHON
+                starting = replace(starting, manager=self._host.ensure(kind, record.name))
+            running = self._bring_up(starting)
+        except DyKnowError as error:
+            self._take_down(starting)
+            running = replace(record, state=State.FAILED, detail=str(error), ports=())
+        self._graph.put(running)
+        return running
+
+    def destroy(self, name: str) -> None:
+        """Destroy a nodelet.
+
+        Raises:
+            UnknownNodelet: there is none of that name.
+            Protected: it is protected.
+            HostError: its nodelet manager did not do it.
+        """
+        self._graph.get(name)
+        with self._graph.changing(name) as record:
+            if record is None:
+                self._graph.get(name)
+                return
+            if record.is_protected:
+                raise Protected(name)
+            if record.state is State.RUNNING:
+                try:
+                    self._host.unload(record.manager, name)
+                except HostError:
+                    if not record.isolated and name in self._host.list(record.manager):
+                        raise
+            self._dispose(record)
+            self._graph.remove(name)
+
+    def clear(self, record: Record) -> None:
+        """Destroy a nodelet whatever its state, as part of the manager's end."""
+        self._take_down(record)
+        self._graph.remove(record.name)
+
+    def forget(self, record: Record) -> None:
+        """Follow somebody else who unloaded a nodelet on purpose."""
+        self._dispose(record)
+        self._graph.remove(record.name)
+
+    def reload(self, name: str, config: Mapping[str, str]) -> None:
+        """Connect ports of a plain C++ nodelet elsewhere: unload it and load it remapped.
+
+        Raises:
+            DyKnowError: it did not work; the nodelet is wired as before.
+        """
+        self._graph.get(name)
+        with self._graph.changing(name) as record:
+            if record is None or record.transformation is None or not record.rewired_by_reload:
+                raise HostError(f"nodelet '{name}' is not one that is re-wired by a reload")
+            changes = self._resolved(record.transformation, name, config)
+            changed = replace(record, topics={**record.topics, **changes})
+            if changed.topics == record.topics:
+                return
+            self._host.unload(record.manager, name)
+            try:
+                running = self._bring_up(changed)
+            except DyKnowError as error:
+                self._take_down(changed)
+                self._graph.put(self._bring_up(record))
+                raise SpawnFailed(name, error) from error
+            self._graph.put(running)
+
+    # Inside
+
+    def _resolved(
+        self, transformation: Transformation, name: str, config: Mapping[str, str]
+    ) -> Dict[str, str]:
+        known = [port.name for port in transformation.ports]
+        problems: List[DyKnowError] = []
+        resolved: Dict[str, str] = {}
+        for port, text in config.items():
+            if port not in known:
+                problems.append(UnknownPort(port, known))
+                continue
+            try:
+                topic = names.resolve(text, names.parent(name), name, "topic name") if text else ""
+                self._guards.check_topic(topic)
+                resolved[port] = topic
+            except DyKnowError as problem:
+                problems.append(problem)
+        if problems:
+            raise InvalidConfiguration(name, problems)
+        return resolved
+
+    def _bring_up(self, record: Record) -> Record:
+        transformation = record.transformation
+        assert transformation is not None
+        wiring = {port: topic for port, topic in record.topics.items() if topic}
+        remappings = (
+            {
+                names.resolve(port, names.parent(record.name), record.name): topic
+                for port, topic in wiring.items()
+            }
+            if record.rewired_by_reload
+            else {}
+        )
+        request = LoadRequest(
+            record.name, transformation.source, transformation.parameters, remappings
+        )
+        self._host.load(record.manager, request, self._timeout)
+        record = replace(
+            record, state=State.RUNNING, detail="", incarnation=self._incarnation(record.manager)
+        )
+        if record.rewired_by_reload:
+            return replace(record, ports=declared_ports(record))
+        self._check_ports(record)
+        if wiring:
+            self._host.connect(record.name, wiring)
+        return replace(record, ports=seen_ports(record, self._host.ports(record.name)))
+
+    def _check_ports(self, record: Record) -> None:
+        transformation = record.transformation
+        assert transformation is not None
+        found = {port.name: port for port in self._host.ports(record.name)}
+        wrong = []
+        for port in transformation.ports:
+            real = found.get(port.name)
+            if real is None:
+                known = ", ".join(sorted(found)) or "none"
+                wrong.append(f"it has no port '{port.name}'; its ports: {known}")
+            elif real.direction != port.direction:
+                wrong.append(
+                    f"port '{port.name}' is an {real.direction}-port, "
+                    f"the transformation says {port.direction}"
+                )
+            elif port.datatype and port.datatype != real.datatype and real.datatype != "*":
+                wrong.append(
+                    f"port '{port.name}' carries {real.datatype}, "
+                    f"the transformation says {port.datatype}"
+                )
+        if wrong:
+            raise HostError("; ".join(wrong))
+
+    def _take_down(self, record: Record) -> None:
+        try:
+            self._host.unload(record.manager, record.name)
+        except HostError as error:
+            _log.debug("%s: %s", record.name, error)
+        self._dispose(record)
+
+    def _dispose(self, record: Record) -> None:
+        if record.transformation is not None:
+            self._host.forget(record.name, record.transformation.parameters)
+        if record.isolated:
+            self._host.retire(record.manager)
+
+    def _incarnation(self, manager: str) -> str:
+        for state in self._host.managers():
+            if state.name == manager:
+                return state.incarnation
+        return ""

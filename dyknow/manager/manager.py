@@ -1,0 +1,177 @@
+"""The DyKnow manager of the paper's figure 1: the five services of section IV.C, as methods.
+
+Built from: the library (what can run), the graph (what does run), the lifecycle (making and
+destroying), the observer (keeping the picture true and bringing back what died). It reaches
+nodelets through the injected host only.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Callable, Mapping, Optional, Set
+
+from dyknow import names
+from dyknow.errors import HostError
+from dyknow.guards import NO_GUARDS, Guards
+from dyknow.manager.graph import Graph
+from dyknow.manager.host import Host
+from dyknow.manager.library import Library
+from dyknow.manager.lifecycle import Lifecycle, SpawnRequest
+from dyknow.manager.model import Model, Record
+from dyknow.manager.observer import Observer
+from dyknow.manager.specification import Specifications
+from dyknow.manager.store import Store
+from dyknow.manager.transformation import Transformation
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How a manager behaves.
+
+    Attributes:
+        namespace: where relative names of nodelets begin.
+        spawn_timeout: seconds that a nodelet may take to come up.
+    """
+
+    namespace: str = "/"
+    spawn_timeout: float = 10.0
+
+
+class Manager:
+    """Transformations, nodelets and their connections; every method is safe from any thread."""
+
+    def __init__(
+        self,
+        host: Host,
+        store: Store,
+        library: Library,
+        guards: Guards = NO_GUARDS,
+        settings: Settings = Settings(),
+    ) -> None:
+        """Put the parts together; nothing is touched before ``start``."""
+        self.library = library
+        self.guards = guards
+        self._host = host
+        self._store = store
+        self._settings = settings
+        self.graph = Graph(store)
+        self.lifecycle = Lifecycle(host, self.graph, guards, settings.spawn_timeout)
+        self.observer = Observer(host, self.graph, self.lifecycle)
+
+    @property
+    def on_change(self) -> Callable[[], None]:
+        """Called after every change of the graph, on the thread that made it."""
+        return self.graph.on_change
+
+    @on_change.setter
+    def on_change(self, callback: Callable[[], None]) -> None:
+        self.graph.on_change = callback
+
+    def start(self) -> None:
+        """Take over what still runs from an earlier life, and bring back what does not."""
+        self.observer.adopt(self._store.nodelets())
+
+    def look(self, changed: Optional[Set[str]] = None) -> None:
+        """Compare the picture with reality; ``changed`` names nodelets to look at closely."""
+        self.observer.look(changed or set())
+
+    def end(self) -> None:
+        """End on purpose: the nodelets that this manager made are destroyed and forgotten."""
+        for record in self.graph.all():
+            if record.transformation is not None:
+                self.lifecycle.clear(record)
+        self._store.end()
+
+    # Transformations
+
+    def add_transformation(self, text: str) -> Specifications:
+        """Add what a specification says.
+
+        Raises:
+            SpecificationError: something is wrong with it; nothing was added.
+            Denied: the mode is read-only.
+        """
+        self.guards.check_writable("adding transformations")
+        specifications = self.library.add(text)
+        self.graph.on_change()
+        return specifications
+
+    def remove_transformation(self, label: str) -> Transformation:
+        """Remove a transformation; nodelets made from it run on.
+
+        Raises:
+            UnknownTransformation: there is none.
+            Denied: the mode is read-only.
+        """
+        self.guards.check_writable(f"removing transformation '{label}'")
+        removed = self.library.remove(label)
+        self.graph.on_change()
+        return removed
+
+    # Nodelets
+
+    def resolve(self, name: str) -> str:
+        """Make the name of a nodelet global.
+
+        Raises:
+            InvalidName: it is no name.
+        """
+        return names.resolve(
+            names.check(name, "nodelet name"), self._settings.namespace, "/", "nodelet name"
+        )
+
+    def spawn(self, request: SpawnRequest) -> Record:
+        """Make a nodelet; it runs and is connected when this returns.
+
+        Raises:
+            DyKnowError: it did not work, and nothing is left of it.
+        """
+        request = replace(request, name=self.resolve(request.name))
+        self.guards.check_writable(f"spawning '{request.name}'")
+        return self.lifecycle.spawn(self.library.get(request.label), request)
+
+    def destroy(self, name: str) -> None:
+        """Destroy a nodelet, whoever loaded it.
+
+        Raises:
+            UnknownNodelet: there is none of that name.
+            Protected: it is protected.
+            HostError: its nodelet manager did not do it.
+        """
+        name = self.resolve(name)
+        self.guards.check_writable(f"destroying '{name}'")
+        self.lifecycle.destroy(name)
+
+    def set_protection(self, name: str, is_protected: bool) -> None:
+        """Protect a nodelet from being destroyed, or release it.
+
+        Raises:
+            UnknownNodelet: there is none of that name.
+            HostError: it was loaded by others, and the manager keeps no record of it.
+        """
+        name = self.resolve(name)
+        self.guards.check_writable(f"changing the protection of '{name}'")
+        self.graph.get(name)
+        with self.graph.changing(name) as record:
+            if record is None or record.transformation is None:
+                raise HostError(f"nodelet '{name}' was not spawned by this manager")
+            self.graph.put(replace(record, is_protected=is_protected))
+
+    def reconfigure(self, name: str, config: Mapping[str, str]) -> None:
+        """Connect ports of a plain C++ nodelet elsewhere, by loading it anew.
+
+        Raises:
+            DyKnowError: it did not work; the nodelet is wired as before.
+        """
+        self.guards.check_writable(f"connecting '{name}'")
+        self.lifecycle.reload(name, config)
+
+    # The model
+
+    def graph_model(self) -> Model:
+        """Return the nodelets and their connections."""
+        return Model(self.graph.revision, self.library.revision, tuple(self.graph.all()))
+
+    def get_model(self) -> Model:
+        """Return nodelets, connections and transformations."""
+        return replace(self.graph_model(), transformations=tuple(self.library.all()))

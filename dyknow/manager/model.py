@@ -1,0 +1,129 @@
+"""The model of the computation graph, as values: the paper's GetModel."""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass, field
+from typing import Dict, Mapping, Optional, Tuple
+
+from dyknow.manager.transformation import Transformation
+
+
+class State(enum.IntEnum):
+    """State of a nodelet; the numbers are those of ``dyknow_msgs/Nodelet``."""
+
+    STARTING = 0
+    RUNNING = 1
+    LOST = 2
+    FAILED = 3
+
+
+@dataclass(frozen=True)
+class PortState:
+    """A port of a running nodelet.
+
+    Attributes:
+        name: unique in the nodelet.
+        direction: ``in`` or ``out``.
+        datatype: ROS type, empty when not known yet.
+        topic: global name, empty when disconnected.
+        tags: those of the transformation.
+    """
+
+    name: str
+    direction: str
+    datatype: str = ""
+    topic: str = ""
+    tags: Tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Record:
+    """A nodelet as the manager knows it: what it should be, and what was last seen.
+
+    Attributes:
+        name: global name.
+        transformation: the blueprint it was made from, whatever the library says now; None for
+            nodelets that others loaded.
+        manager: nodelet manager that hosts it.
+        is_protected: whether it may not be destroyed.
+        isolated: whether it has a process of its own.
+        rewired_by_reload: a plain C++ nodelet: connecting it elsewhere loads it anew.
+        topics: where its ports should be connected.
+        state: whether it runs.
+        detail: why it does not, in words.
+        ports: what was last seen.
+        claimed: made for a claim, and collected when no claim needs it.
+        incarnation: of the nodelet manager when it was loaded.
+    """
+
+    name: str
+    transformation: Optional[Transformation]
+    manager: str
+    is_protected: bool = False
+    isolated: bool = False
+    rewired_by_reload: bool = False
+    topics: Mapping[str, str] = field(default_factory=dict)
+    state: State = State.STARTING
+    detail: str = ""
+    ports: Tuple[PortState, ...] = ()
+    claimed: bool = False
+    incarnation: str = ""
+
+    @property
+    def label(self) -> str:
+        """Label of the transformation, empty for nodelets that others loaded."""
+        return self.transformation.label if self.transformation is not None else ""
+
+
+def seen_ports(record: Record, ports: Tuple[PortState, ...]) -> Tuple[PortState, ...]:
+    """Give the ports that a proxy reports the tags of the transformation."""
+    declared = (
+        {port.name: port for port in record.transformation.ports}
+        if (record.transformation is not None)
+        else {}
+    )
+    return tuple(
+        PortState(
+            port.name,
+            port.direction,
+            port.datatype,
+            port.topic,
+            declared[port.name].tags if port.name in declared else (),
+        )
+        for port in ports
+    )
+
+
+def declared_ports(record: Record) -> Tuple[PortState, ...]:
+    """Ports of a nodelet that cannot be asked, from its transformation and its wiring."""
+    if record.transformation is None:
+        return ()
+    return tuple(
+        PortState(
+            port.name, port.direction, port.datatype, record.topics.get(port.name, ""), port.tags
+        )
+        for port in record.transformation.ports
+    )
+
+
+@dataclass(frozen=True)
+class Model:
+    """The computation graph at one moment.
+
+    Attributes:
+        revision: grows with every change of the nodelets, over restarts too.
+        library_revision: grows with every change of the transformations.
+        nodelets: by name.
+        transformations: by label; empty where only the graph was asked for.
+    """
+
+    revision: int
+    library_revision: int
+    nodelets: Tuple[Record, ...]
+    transformations: Tuple[Transformation, ...] = ()
+
+
+def topics_of(record: Record) -> Dict[str, str]:
+    """Connected ports and their topics as last seen."""
+    return {port.name: port.topic for port in record.ports if port.topic}

@@ -1,0 +1,190 @@
+"""Keeps the picture true, and brings back what died.
+
+What others unload or connect on purpose is taken as their will: the record follows. Only death is
+repaired: the nodelet manager's process is another one than when the nodelet was loaded.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from dataclasses import replace
+from typing import Callable, Dict, Iterable, List, Set
+
+from dyknow.errors import Busy, DyKnowError, HostError
+from dyknow.manager.graph import Graph
+from dyknow.manager.host import Host, ManagerState
+from dyknow.manager.lifecycle import Lifecycle
+from dyknow.manager.model import Record, State, seen_ports, topics_of
+
+#: Seconds to wait before a nodelet that died again is brought back, doubling each time.
+FIRST_PAUSE = 0.5
+LONGEST_PAUSE = 30.0
+#: Seconds of life after which the past is forgiven.
+FORGIVEN_AFTER = 60.0
+
+_log = logging.getLogger("rosout.dyknow")
+
+
+class _Patience:
+    """How long to wait before the next attempt, for each nodelet."""
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        self._clock = clock
+        self._attempts: Dict[str, "tuple[int, float]"] = {}
+
+    def allows(self, name: str) -> bool:
+        """Whether an attempt may be made now."""
+        count, last = self._attempts.get(name, (0, 0.0))
+        return not count or self._clock() - last >= min(
+            LONGEST_PAUSE, FIRST_PAUSE * 2 ** (count - 1) if count > 1 else 0.0
+        )
+
+    def attempt(self, name: str) -> None:
+        """Count an attempt."""
+        count, last = self._attempts.get(name, (0, 0.0))
+        now = self._clock()
+        self._attempts[name] = (1 if now - last > FORGIVEN_AFTER else count + 1, now)
+
+
+class Observer:
+    """Compares the graph with what the nodelet managers say."""
+
+    def __init__(
+        self,
+        host: Host,
+        graph: Graph,
+        lifecycle: Lifecycle,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """Observe; nothing happens before ``adopt`` or ``look``."""
+        self._host = host
+        self._graph = graph
+        self._lifecycle = lifecycle
+        self._turn = threading.Lock()  # one look at a time; nobody else waits for it
+        self._patience = _Patience(clock)
+
+    def adopt(self, records: Iterable[Record]) -> None:
+        """Take over the records of an earlier life.
+
+        One that was never acknowledged is taken down; what still runs is left as it is; what does
+        not is brought back by the first look.
+        """
+        for record in records:
+            if record.state is State.STARTING and not record.incarnation:
+                self._lifecycle.clear(record)
+            else:
+                self._graph.put(record)
+        self.look({record.name for record in self._graph.all()})
+
+    def look(self, changed: Set[str]) -> None:
+        """Look once at every nodelet manager.
+
+        Args:
+            changed: nodelets whose ports are to be asked for; new ones always are.
+        """
+        with self._turn:
+            states = self._host.managers()
+            listed: Dict[str, List[str]] = {}
+            for state in states:
+                try:
+                    if state.alive:
+                        listed[state.name] = self._host.list(state.name)
+                except HostError as error:
+                    _log.warning("nodelet manager %s: %s", state.name, error)
+            by_name = {state.name: state for state in states}
+            for record in self._graph.all():
+                self._check(record, by_name.get(record.manager), listed, changed)
+            known = {record.name for record in self._graph.all()}
+            for manager in sorted(listed):
+                for name in listed[manager]:
+                    if name not in known and not self._graph.is_busy(name):
+                        self._meet(name, manager)
+
+    def _check(
+        self,
+        record: Record,
+        state: "ManagerState | None",
+        listed: Dict[str, List[str]],
+        changed: Set[str],
+    ) -> None:
+        try:
+            with self._graph.changing(record.name) as current:
+                if current is None or current.manager != record.manager:
+                    return
+                self._compare(current, state, listed, changed)
+        except Busy:
+            return  # somebody works on it; the next look sees the outcome
+
+    def _compare(
+        self,
+        record: Record,
+        state: "ManagerState | None",
+        listed: Dict[str, List[str]],
+        changed: Set[str],
+    ) -> None:
+        alive = state is not None and record.manager in listed
+        if alive and record.name in listed[record.manager]:
+            self._follow(record, state, record.name in changed)
+        elif record.transformation is None:
+            self._graph.remove(record.name)
+        elif alive and state is not None and state.incarnation == record.incarnation:
+            if record.state is State.RUNNING:
+                _log.info("%s was unloaded by others; it is not brought back", record.name)
+                self._lifecycle.forget(record)
+            elif record.state is State.FAILED:
+                self._bring_back(record)
+        elif alive or state is None or (state.own and not state.alive):
+            self._lose(record, "its nodelet manager has died")
+            self._bring_back(record)
+        else:
+            self._lose(record, f"nodelet manager {record.manager} does not answer")
+
+    def _follow(self, record: Record, state: "ManagerState | None", closely: bool) -> None:
+        incarnation = state.incarnation if state is not None else record.incarnation
+        came_back = record.state is not State.RUNNING or record.incarnation != incarnation
+        record = replace(record, state=State.RUNNING, detail="", incarnation=incarnation)
+        if (closely or came_back) and not record.rewired_by_reload:
+            try:
+                ports = seen_ports(record, self._host.ports(record.name))
+            except HostError as error:
+                _log.debug("%s: %s", record.name, error)
+            else:
+                record = replace(record, ports=ports)
+                record = replace(record, topics=topics_of(record))
+        self._graph.put(record, durable=record.transformation is not None)
+
+    def _lose(self, record: Record, why: str) -> None:
+        if record.state is State.RUNNING:
+            _log.warning("%s is lost: %s", record.name, why)
+            self._graph.put(replace(record, state=State.LOST, detail=why))
+
+    def _bring_back(self, record: Record) -> None:
+        if not self._patience.allows(record.name):
+            return
+        self._patience.attempt(record.name)
+        try:
+            if not record.isolated:
+                self._revive(record.manager)
+            restored = self._lifecycle.restore(record)
+        except DyKnowError as error:
+            _log.warning("%s cannot be brought back yet: %s", record.name, error)
+            return
+        if restored.state is State.RUNNING:
+            _log.info("%s is back", record.name)
+        else:
+            _log.warning("%s is not back: %s", record.name, restored.detail)
+
+    def _revive(self, manager: str) -> None:
+        for state in self._host.managers():
+            if state.name == manager and not state.alive and state.own:
+                self._host.ensure(state.kind, state.isolated_for)
+
+    def _meet(self, name: str, manager: str) -> None:
+        try:
+            ports = self._host.ports(name)
+        except HostError:
+            ports = ()  # a plain nodelet has no proxy
+        record = Record(name, None, manager, state=State.RUNNING, ports=ports)
+        self._graph.put(record, durable=False)

@@ -1,0 +1,63 @@
+"""Which nodelet manager a nodelet goes to."""
+
+from __future__ import annotations
+
+import collections
+from typing import Dict, Iterable, List, Optional
+
+from dyknow.errors import HostError
+from dyknow.manager.host import Host, Kind
+from dyknow.manager.model import Record, topics_of
+
+
+def choose(
+    host: Host,
+    records: Iterable[Record],
+    kind: Kind,
+    topics: Iterable[str],
+    asked: str = "",
+    isolated_for: str = "",
+) -> str:
+    """Choose, and start if need be, a nodelet manager for a new nodelet.
+
+    A manager that was asked for; else a new process for an isolated nodelet; else where most of
+    the stream's neighbours run, since messages there go by reference; else where fewest run.
+
+    Raises:
+        HostError: the manager asked for is unknown, down or of the other kind.
+    """
+    states = {state.name: state for state in host.managers()}
+    if asked:
+        state = states.get(asked)
+        if state is None:
+            known = ", ".join(sorted(states)) or "none"
+            raise HostError(f"unknown nodelet manager '{asked}'; known: {known}")
+        if not state.alive:
+            raise HostError(f"nodelet manager '{asked}' is not running")
+        if state.kind is not kind:
+            raise HostError(
+                f"nodelet manager '{asked}' hosts {state.kind.value} nodelets, "
+                f"this one is {kind.value}"
+            )
+        return asked
+    if isolated_for:
+        return host.ensure(kind, isolated_for)
+    shared = [
+        name
+        for name, state in sorted(states.items())
+        if state.alive and state.kind is kind and not state.isolated_for
+    ]
+    best = _nearest(list(records), shared, set(topics))
+    return best if best is not None else host.ensure(kind)
+
+
+def _nearest(records: List[Record], shared: List[str], topics: "set[str]") -> Optional[str]:
+    if not shared:
+        return None
+    load: Dict[str, int] = collections.Counter(record.manager for record in records)
+    near: Dict[str, int] = collections.Counter(
+        record.manager
+        for record in records
+        if topics & (set(topics_of(record).values()) | set(record.topics.values()))
+    )
+    return min(shared, key=lambda name: (-near.get(name, 0), load.get(name, 0), name))
