@@ -1,0 +1,246 @@
+"""Spawn and destroy: all or nothing."""
+
+from __future__ import annotations
+
+import pytest
+from unit.manager.world import World
+
+from dyknow.errors import (
+    Busy,
+    Denied,
+    HostError,
+    InvalidConfiguration,
+    InvalidName,
+    NameTaken,
+    NotSpawnable,
+    Protected,
+    SpawnFailed,
+    TooMuch,
+    UnknownNodelet,
+    UnknownTransformation,
+)
+from dyknow.guards import Guards
+from dyknow.manager.host import Kind
+from dyknow.manager.model import State
+
+
+@pytest.fixture
+def world() -> World:
+    return World()
+
+
+def nothing_left(world: World, name: str) -> bool:
+    return (
+        name not in world.host.running
+        and name not in world.states()
+        and not any(each.startswith(name + "/") for each in world.host.parameters)
+        and name not in [record.name for record in world.store.nodelets()]
+        and not world.manager.graph.is_busy(name)
+        and not any(state.isolated_for == name for state in world.host.managers())
+    )
+
+
+def test_a_spawned_nodelet_runs_connected_with_its_parameters(world: World) -> None:
+    world.spawn("camera", "front", config={"image": "pictures"})
+    record = world.manager.graph.get("/front")
+    assert record.state is State.RUNNING
+    assert [(p.name, p.topic, p.tags) for p in record.ports] == [
+        ("image", "/pictures", ("Raw(camera)",))
+    ]
+    assert world.host.parameters == {"/front/rate": 30.0}
+    assert world.host.nodelet("/front").ports["image"].topic == "/pictures"
+
+
+def test_names_and_topics_are_resolved_as_the_nodelet_would(world: World) -> None:
+    world.spawn("relay", "robot/relay", config={"in": "pictures", "out": "~out"})
+    record = world.manager.graph.get("/robot/relay")
+    assert dict(record.topics) == {"in": "/robot/pictures", "out": "/robot/relay/out"}
+
+
+@pytest.mark.parametrize(
+    ("label", "config", "error", "words"),
+    [
+        ("kamera", {}, UnknownTransformation, ["'kamera'", "camera"]),
+        ("joints", {}, NotSpawnable, ["joints", "/joint_states"]),
+        ("relay", {"inn": "/a"}, InvalidConfiguration, ["'inn'", "in, out"]),
+        ("relay", {"inn": "/a", "out": "a b"}, InvalidConfiguration, ["'inn'", "'a b'"]),
+        ("wrong ports", {}, SpawnFailed, ["'missing'", "in, out", "says out"]),
+        ("wrong type", {}, SpawnFailed, ["sensor_msgs/Image", "std_msgs/Header"]),
+        ("stranger", {}, HostError, ["pkg/Stranger"]),
+    ],
+)
+def test_what_is_wrong_is_named_and_leaves_nothing(
+    world: World, label: str, config: "dict[str, str]", error: type, words: "list[str]"
+) -> None:
+    with pytest.raises(error) as raised:
+        world.spawn(label, "x", config=config)
+    for word in words:
+        assert word in str(raised.value)
+    assert nothing_left(world, "/x")
+
+
+@pytest.mark.parametrize("step", ["ensure", "load", "loaded", "ports", "connect"])
+@pytest.mark.parametrize("isolated", [False, True])
+def test_a_failure_at_any_step_leaves_nothing(world: World, step: str, isolated: bool) -> None:
+    def fail(operation: str, argument: str) -> None:
+        if operation == step:
+            raise HostError(f"{operation} went wrong")
+
+    world.host.fail = fail
+    with pytest.raises((SpawnFailed, HostError), match="went wrong"):
+        world.spawn("camera", "x", config={"image": "/i"}, isolated=isolated)
+    world.host.fail = lambda operation, argument: None
+    assert nothing_left(world, "/x")
+    world.spawn("camera", "x", isolated=isolated)
+    assert world.states() == {"/x": "RUNNING"}
+
+
+def test_the_nodelet_manager_dying_during_the_spawn_leaves_nothing(world: World) -> None:
+    world.spawn("camera", "other")
+
+    def die(operation: str, argument: str) -> None:
+        if (operation, argument) == ("loaded", "/x"):
+            world.host.fail = lambda operation, argument: None
+            world.host.kill("/fake_0")
+
+    world.host.fail = die
+    with pytest.raises(SpawnFailed, match="does not answer"):
+        world.spawn("relay", "x", config={"in": "/i"})
+    assert nothing_left(world, "/x")
+    world.manager.look()
+    assert world.states() == {"/other": "RUNNING"}
+
+
+def test_a_name_is_taken_by_what_runs_and_by_what_is_being_made(world: World) -> None:
+    world.spawn("camera", "a")
+    with pytest.raises(NameTaken, match="/a"):
+        world.spawn("camera", "/a")
+    seen = []
+
+    def again(operation: str, argument: str) -> None:
+        if operation == "load":
+            world.host.fail = lambda operation, argument: None
+            with pytest.raises(NameTaken):
+                world.spawn("camera", "b")
+            with pytest.raises(Busy):
+                world.manager.destroy("b")
+            seen.append(argument)
+
+    world.host.fail = again
+    world.spawn("camera", "b")
+    assert seen == ["/b"]
+
+
+@pytest.mark.parametrize("name", ["", "a b", "1x", "a//b", "~"])
+def test_a_bad_name_is_refused(world: World, name: str) -> None:
+    with pytest.raises(InvalidName):
+        world.spawn("camera", name)
+
+
+def test_destroy_unloads_and_deletes_the_parameters_it_set(world: World) -> None:
+    world.spawn("camera", "a")
+    world.host.parameters["/a/by_somebody_else"] = 1
+    world.manager.destroy("a")
+    assert world.host.running == []
+    assert world.host.parameters == {"/a/by_somebody_else": 1}
+    with pytest.raises(UnknownNodelet):
+        world.manager.destroy("a")
+
+
+def test_a_protected_nodelet_is_destroyed_only_after_its_release(world: World) -> None:
+    world.spawn("camera", "a", is_protected=True)
+    with pytest.raises(Protected, match="set_protection"):
+        world.manager.destroy("a")
+    assert world.host.running == ["/a"]
+    world.manager.set_protection("a", False)
+    world.manager.destroy("a")
+    assert world.host.running == []
+
+
+def test_destroy_that_the_nodelet_manager_refuses_changes_nothing(world: World) -> None:
+    world.spawn("camera", "a")
+
+    def refuse(operation: str, argument: str) -> None:
+        if operation == "unload":
+            raise HostError("not now")
+
+    world.host.fail = refuse
+    with pytest.raises(HostError, match="not now"):
+        world.manager.destroy("a")
+    assert world.states() == {"/a": "RUNNING"}
+
+
+def test_an_isolated_nodelet_has_a_process_that_ends_with_it(world: World) -> None:
+    record = world.spawn("camera", "alone", isolated=True)
+    other = world.spawn("camera", "shared")
+    assert record.manager != other.manager
+    world.manager.destroy("alone")
+    assert record.manager not in world.host.processes
+
+
+def test_a_nodelet_goes_to_its_neighbours_else_to_the_emptiest(world: World) -> None:
+    first = world.host.ensure(Kind.PYTHON)
+    second = world.host._start("/second", Kind.PYTHON, "")
+    assert world.spawn("camera", "a", config={"image": "/i"}, manager=first).manager == first
+    assert world.spawn("relay", "b", config={"in": "/i"}).manager == first
+    assert world.spawn("relay", "c").manager == second
+    with pytest.raises(HostError, match="'/nowhere'.*known"):
+        world.spawn("relay", "d", manager="/nowhere")
+    with pytest.raises(HostError, match=r"hosts python nodelets, this one is c\+\+"):
+        world.spawn("native", "d", manager=first)
+
+
+def test_a_plain_nodelet_is_wired_by_remapping_and_rewired_by_reload(world: World) -> None:
+    record = world.spawn("native", "robot/n", config={"image": "/cam/image", "~out": "/small"})
+    assert record.rewired_by_reload
+    assert world.host.nodelet("/robot/n").request.remappings == {
+        "/robot/image": "/cam/image",
+        "/robot/n/out": "/small",
+    }
+    assert [(p.name, p.topic) for p in record.ports] == [("image", "/cam/image"), ("~out", "/small")]
+    world.manager.reconfigure("/robot/n", {"image": "/other"})
+    assert world.host.nodelet("/robot/n").request.remappings["/robot/image"] == "/other"
+    assert world.host.nodelet("/robot/n").request.remappings["/robot/n/out"] == "/small"
+
+    def fail_once(operation: str, argument: str) -> None:
+        if operation == "loaded":
+            world.host.fail = lambda operation, argument: None
+            raise HostError("no")
+
+    world.host.fail = fail_once
+    with pytest.raises(SpawnFailed):
+        world.manager.reconfigure("/robot/n", {"image": "/third"})
+    assert world.host.nodelet("/robot/n").request.remappings["/robot/image"] == "/other"
+
+
+def test_guards_refuse_topics_numbers_and_every_change_in_read_only_mode() -> None:
+    world = World(guards=Guards(denied_topics=("*/cmd_vel", "/estop"), nodelets=1))
+    with pytest.raises(InvalidConfiguration, match="cmd_vel.*deny list"):
+        world.spawn("relay", "a", config={"out": "/robot/cmd_vel"})
+    world.spawn("relay", "a", config={"out": "/fine"})
+    with pytest.raises(TooMuch, match="2, at most 1"):
+        world.spawn("relay", "b")
+    frozen = World(guards=Guards(read_only=True))
+    for change in (
+        lambda: frozen.spawn("relay", "a"),
+        lambda: frozen.manager.destroy("a"),
+        lambda: frozen.manager.set_protection("a", True),
+        lambda: frozen.manager.add_transformation("<x/>"),
+        lambda: frozen.manager.remove_transformation("a"),
+        lambda: frozen.manager.reconfigure("a", {}),
+    ):
+        with pytest.raises(Denied, match="read_only"):
+            change()
+
+
+def test_replaced_transformations_leave_running_nodelets_as_they_are(world: World) -> None:
+    world.spawn("camera", "a")
+    world.manager.add_transformation(
+        "<transformation><label>camera</label><source>pkg/Relay</source></transformation>"
+    )
+    transformation = world.manager.graph.get("/a").transformation
+    assert transformation is not None and transformation.source == "pkg/Camera"
+    world.manager.remove_transformation("camera")
+    world.host.kill("/fake_0")
+    world.manager.look()
+    assert world.host.nodelet("/a").request.source == "pkg/Camera"

@@ -1,0 +1,172 @@
+"""A true picture: what others do is followed, what dies is brought back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from unit.manager.world import World
+
+from dyknow.errors import HostError
+from dyknow.manager.host import LoadRequest
+from dyknow.manager.model import State
+
+
+@pytest.fixture
+def world(tmp_path: Path) -> World:
+    return World(str(tmp_path / "state.db"))
+
+
+def test_a_dead_nodelet_manager_comes_back_with_everything_it_had(world: World) -> None:
+    world.spawn("camera", "a", config={"image": "/i"}, is_protected=True)
+    world.spawn("relay", "b", config={"in": "/i", "out": "/o"})
+    world.host.kill("/fake_0")
+    world.manager.look()
+    assert world.states() == {"/a": "RUNNING", "/b": "RUNNING"}
+    assert world.manager.graph.get("/a").is_protected
+    assert world.host.nodelet("/b").ports["in"].topic == "/i"
+    assert world.host.nodelet("/b").ports["out"].topic == "/o"
+
+
+def test_connections_that_others_made_come_back_too(world: World) -> None:
+    world.spawn("relay", "b", config={"in": "/i"})
+    world.host.connect("/b", {"in": "/elsewhere"})
+    world.manager.look({"/b"})
+    assert dict(world.manager.graph.get("/b").topics) == {"in": "/elsewhere"}
+    world.host.kill("/fake_0")
+    world.manager.look()
+    assert world.host.nodelet("/b").ports["in"].topic == "/elsewhere"
+
+
+def test_a_deliberate_unload_by_others_is_followed(world: World) -> None:
+    world.spawn("camera", "a")
+    world.spawn("camera", "b")
+    world.host.vanish("/a")
+    world.manager.look()
+    assert world.states() == {"/b": "RUNNING"}
+    world.kill_manager()
+    assert world.states() == {"/b": "RUNNING"}
+    assert world.host.running == ["/b"]
+
+
+def test_a_nodelet_that_others_loaded_appears_without_a_transformation(world: World) -> None:
+    world.spawn("camera", "a")
+    world.host.load("/fake_0", LoadRequest("/guest", "pkg/Relay"), 1.0)
+    world.manager.look()
+    guest = world.manager.graph.get("/guest")
+    assert (guest.label, guest.state, len(guest.ports)) == ("", State.RUNNING, 2)
+    world.host.kill("/fake_0")
+    world.manager.look()
+    assert world.states() == {"/a": "RUNNING"}
+
+
+def test_an_isolated_nodelet_that_crashes_comes_back_alone(world: World) -> None:
+    record = world.spawn("camera", "alone", isolated=True)
+    world.spawn("camera", "shared")
+    before = list(world.host.calls)
+    world.host.kill(record.manager)
+    world.manager.look()
+    assert world.states() == {"/alone": "RUNNING", "/shared": "RUNNING"}
+    assert ("load", "/shared") not in world.host.calls[len(before) :]
+
+
+def test_one_that_cannot_come_back_says_why_and_is_tried_again(world: World) -> None:
+    world.spawn("camera", "a")
+
+    def fail(operation: str, argument: str) -> None:
+        if operation == "load":
+            raise HostError("the camera is unplugged")
+
+    world.host.fail = fail
+    world.host.kill("/fake_0")
+    world.manager.look()
+    record = world.manager.graph.get("/a")
+    assert record.state is State.FAILED
+    assert "unplugged" in record.detail
+    world.host.fail = lambda operation, argument: None
+    world.manager.look()
+    assert world.states() == {"/a": "RUNNING"}
+
+
+def test_the_pause_grows_between_attempts(world: World) -> None:
+    now = [0.0]
+    world.manager.observer._patience._clock = lambda: now[0]
+    world.spawn("camera", "a")
+
+    def fail(operation: str, argument: str) -> None:
+        if operation == "load":
+            raise HostError("no")
+
+    world.host.fail = fail
+    world.host.kill("/fake_0")
+    times = []
+    for _ in range(400):
+        before = world.host.calls.count(("load", "/a"))
+        world.manager.look()
+        if world.host.calls.count(("load", "/a")) > before:
+            times.append(now[0])
+        now[0] += 0.1
+    pauses = [later - earlier for earlier, later in zip(times, times[1:])]
+    assert len(times) < 12
+    assert pauses[-1] > 4 * pauses[1]
+
+
+def test_a_manager_that_was_killed_adopts_what_runs_and_restores_what_does_not(
+    world: World,
+) -> None:
+    world.spawn("camera", "a", config={"image": "/i"})
+    world.spawn("relay", "b", config={"in": "/i"})
+    calls = len(world.host.calls)
+    revision = world.manager.graph.revision
+    world.kill_manager()
+    changing = {"load", "unload", "connect", "retire"}
+    assert not [call for call in world.host.calls[calls:] if call[0] in changing]
+    assert world.states() == {"/a": "RUNNING", "/b": "RUNNING"}
+    assert world.manager.graph.revision > revision
+    world.store.close()
+    world.host.kill("/fake_0")
+    world.open()
+    assert world.states() == {"/a": "RUNNING", "/b": "RUNNING"}
+    assert world.host.nodelet("/b").ports["in"].topic == "/i"
+
+
+def test_a_spawn_that_was_never_acknowledged_is_taken_down(world: World) -> None:
+    class Killed(BaseException):
+        pass
+
+    def die(operation: str, argument: str) -> None:
+        if operation == "loaded":
+            raise Killed
+
+    world.host.fail = die
+    take_down = world.manager.lifecycle._take_down
+    world.manager.lifecycle._take_down = lambda record: None  # type: ignore[method-assign]
+    world.manager.graph.remove = lambda name: None  # type: ignore[method-assign]
+    with pytest.raises(Killed):
+        world.spawn("camera", "a")
+    assert take_down is not None
+    assert world.host.running == ["/a"]
+    world.host.fail = lambda operation, argument: None
+    world.kill_manager()
+    assert world.states() == {}
+    assert world.host.running == []
+
+
+def test_ending_on_purpose_forgets_nodelets_and_keeps_transformations(world: World) -> None:
+    world.spawn("camera", "a", is_protected=True)
+    world.spawn("camera", "alone", isolated=True)
+    world.manager.end()
+    assert world.host.running == []
+    world.kill_manager()
+    assert world.states() == {}
+    assert len(world.manager.library) == 7
+
+
+def test_an_unchanged_picture_is_no_new_revision(world: World) -> None:
+    world.spawn("camera", "a")
+    changes = []
+    world.manager.on_change = lambda: changes.append(1)
+    revision = world.manager.graph.revision
+    for _ in range(5):
+        world.manager.look({"/a"})
+    assert (world.manager.graph.revision, changes) == (revision, [])

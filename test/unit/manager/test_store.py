@@ -1,0 +1,88 @@
+"""The store: exact, and never a reason not to start."""
+
+from __future__ import annotations
+
+import sqlite3
+from pathlib import Path
+
+import pytest
+
+from dyknow.errors import StoreError
+from dyknow.manager.model import Record, State
+from dyknow.manager.store import Store
+from dyknow.manager.transformation import Parameter, Port, Transformation
+
+TRANSFORMATION = Transformation(
+    "a(1)",
+    "pkg/A",
+    "nodelet",
+    7,
+    (Parameter("x", "yaml", "{a: [1, 2]}"),),
+    (Port("in", "in", "std_msgs/Header", ("T(a)", "ü(b)")), Port("out", "out")),
+)
+
+
+def test_everything_reads_back_exactly(tmp_path: Path) -> None:
+    path = str(tmp_path / "deep" / "state.db")
+    store = Store(path)
+    record = Record(
+        "/n", TRANSFORMATION, "/m", True, True, False, {"in": "/t"}, State.RUNNING, claimed=True
+    )
+    store.put_transformations([TRANSFORMATION], 3)
+    store.put_nodelet(record)
+    store.put_claim("c1", {"tag": "T(a)"})
+    store.set_number("revision", 41)
+    store.close()
+    store = Store(path)
+    assert store.complaint == ""
+    assert store.transformations() == [TRANSFORMATION]
+    assert store.nodelets() == [record]
+    assert store.claims() == {"c1": {"tag": "T(a)"}}
+    assert (store.number("revision"), store.number("library_revision")) == (41, 3)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda data: b"not a database at all, but long enough to look like one" * 20,
+        lambda data: data[: len(data) // 2],
+        lambda data: data[:100] + b"\xff" * (len(data) - 100),
+        lambda data: b"SQLite format 3\x00" + b"\x00" * 4096,
+    ],
+)
+def test_a_broken_file_is_set_aside_and_reported(tmp_path: Path, damage) -> None:  # type: ignore[no-untyped-def]
+    path = tmp_path / "state.db"
+    store = Store(str(path))
+    store.put_transformations([TRANSFORMATION._replace(label=f"t{i}") for i in range(200)], 1)
+    store.close()
+    broken = damage(path.read_bytes())
+    path.write_bytes(broken)
+    store = Store(str(path))
+    assert "set aside" in store.complaint
+    assert store.transformations() == []
+    kept = [each for each in tmp_path.iterdir() if ".broken-" in each.name]
+    assert [each.read_bytes() for each in kept if each.name.count("-wal") == 0][:1] == [broken]
+    store.put_nodelet(Record("/n", TRANSFORMATION, "/m"))
+    assert len(store.nodelets()) == 1
+
+
+def test_a_file_of_another_format_is_set_aside(tmp_path: Path) -> None:
+    path = str(tmp_path / "state.db")
+    connection = sqlite3.connect(path)
+    connection.execute("PRAGMA user_version = 99")
+    connection.close()
+    store = Store(path)
+    assert "format 99" in store.complaint
+
+
+def test_a_folder_that_cannot_be_made_is_an_error_that_names_it(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StoreError, match="file"):
+        Store(str(tmp_path / "file" / "state.db"))
+
+
+def test_adding_is_all_or_nothing(tmp_path: Path) -> None:
+    store = Store(str(tmp_path / "state.db"))
+    with pytest.raises(Exception, match="."):
+        store.put_transformations([TRANSFORMATION, None], 1)  # type: ignore[list-item]
+    assert store.transformations() == []

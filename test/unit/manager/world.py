@@ -1,0 +1,93 @@
+"""A manager on the fake host, with a library of small transformations."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from dyknow.guards import NO_GUARDS, Guards
+from dyknow.manager.fake_host import FakeHost
+from dyknow.manager.library import Library
+from dyknow.manager.lifecycle import SpawnRequest
+from dyknow.manager.manager import Manager
+from dyknow.manager.store import Store
+
+SOURCES = {
+    "pkg/Camera": [("image", "out", "sensor_msgs/Image")],
+    "pkg/Relay": [("in", "in", "sensor_msgs/Image"), ("out", "out", "sensor_msgs/Image")],
+    "pkg/Native": [("image", "in", "sensor_msgs/Image"), ("out", "out", "sensor_msgs/Image")],
+}
+
+LIBRARY = """
+<transformations>
+  <transformation>
+    <label>camera</label>
+    <source>pkg/Camera</source>
+    <params><param name="rate" type="double">30</param></params>
+    <ports><port type="out" datatype="sensor_msgs/Image">image</port></ports>
+    <tags><tag port="image">Raw(camera)</tag></tags>
+  </transformation>
+  <transformation>
+    <label>relay</label>
+    <source>pkg/Relay</source>
+    <ports><port type="in">in</port><port type="out">out</port></ports>
+  </transformation>
+  <transformation>
+    <label>native</label>
+    <source>pkg/Native</source>
+    <ports>
+      <port type="in" datatype="sensor_msgs/Image">image</port>
+      <port type="out" datatype="sensor_msgs/Image">~out</port>
+    </ports>
+  </transformation>
+  <transformation type="topic">
+    <label>joints</label>
+    <source>/joint_states</source>
+    <ports><port type="out" datatype="sensor_msgs/JointState">joints</port></ports>
+  </transformation>
+  <transformation>
+    <label>wrong ports</label>
+    <source>pkg/Relay</source>
+    <ports><port type="out">in</port><port type="in">missing</port></ports>
+  </transformation>
+  <transformation>
+    <label>wrong type</label>
+    <source>pkg/Relay</source>
+    <ports><port type="in" datatype="std_msgs/Header">in</port></ports>
+  </transformation>
+  <transformation>
+    <label>stranger</label>
+    <source>pkg/Stranger</source>
+  </transformation>
+</transformations>
+"""
+
+
+class World:
+    """Everything that outlives a manager, and the manager of the day."""
+
+    def __init__(self, path: str = ":memory:", guards: Guards = NO_GUARDS) -> None:
+        self.host = FakeHost(SOURCES)
+        self.host.cpp.add("pkg/Native")
+        self.path = path
+        self.guards = guards
+        self.open()
+        self.manager.add_transformation(LIBRARY) if not guards.read_only else None
+
+    def open(self) -> None:
+        """Start a manager on what the store has."""
+        self.store = Store(self.path)
+        self.manager = Manager(self.host, self.store, Library(self.store), self.guards)
+        self.manager.start()
+
+    def kill_manager(self) -> None:
+        """End the manager as kill -9 does, and start another."""
+        self.store.close()
+        self.open()
+
+    def spawn(self, label: str, name: str, **kwds: Any) -> Any:
+        """Spawn with keywords."""
+        return self.manager.spawn(SpawnRequest(label, name, **kwds))
+
+    def states(self) -> "dict[str, str]":
+        """State of each nodelet in the model."""
+        return {each.name: each.state.name for each in self.manager.graph.all()}
