@@ -11,6 +11,7 @@ from dyknow.errors import (
     DyKnowError,
     HostError,
     InvalidConfiguration,
+    NameTaken,
     NotSpawnable,
     Protected,
     SpawnFailed,
@@ -96,6 +97,9 @@ class Lifecycle:
             self._graph.put(record)
             try:
                 running = self._bring_up(record)
+            except NameTaken:  # by a nodelet of others that nobody has seen yet: it stays
+                self._graph.remove(record.name)
+                raise
             except BaseException as error:
                 self._take_down(record)
                 self._graph.remove(record.name)
