@@ -19,15 +19,20 @@ wrong and says what was expected. Only ``dyknow.ros`` turns them into answers of
     │   ├── BadRemapping         sources and targets do not pair up
     │   ├── LoadFailed           the nodelet's own start raised
     │   └── UnloadedMeanwhile    unloaded by somebody else before the operation was complete
-    └── PortError
-        ├── PortConflict         the port exists with another direction or type
-        └── InvalidConfiguration everything that is wrong with one set_config, at once
-            (its problems are UnknownPort, DuplicatePort, InvalidName, TypeMismatch, …)
+    ├── PortError
+    │   ├── PortConflict         the port exists with another direction or type
+    │   └── InvalidConfiguration everything that is wrong with one set_config, at once
+    │       (its problems are UnknownPort, DuplicatePort, InvalidName, TypeMismatch, …)
+    ├── SpecificationError       everything that is wrong with one specification, at once
+    └── OntologyError
+        ├── OntologyFileError    a file of the ontology cannot be read
+        ├── UnknownConcept       no class of the ontology has this URI
+        └── IndividualsError     individuals of a class have no label of their own
 """
 
 from __future__ import annotations
 
-from typing import Iterable, Sequence, Tuple
+from typing import Iterable, NamedTuple, Sequence, Tuple
 
 
 def _listed(names: Iterable[str]) -> str:
@@ -203,3 +208,61 @@ class InvalidConfiguration(PortError):
         super().__init__(
             f"{nodelet}: nothing was changed: " + "; ".join(str(problem) for problem in problems)
         )
+
+
+class Problem(NamedTuple):
+    """One thing that is wrong, or at least doubtful, in a transformation specification.
+
+    Attributes:
+        file: The file, as it was named to the parser.
+        line: The line in that file, counted from 1; 0 when there is no one line to blame.
+        message: What was found and what was expected.
+    """
+
+    file: str
+    line: int
+    message: str
+
+    def __str__(self) -> str:
+        """Write the problem as compilers do, so that editors find the place."""
+        place = f"{self.file}:{self.line}" if self.line else self.file
+        return f"{place}: {self.message}"
+
+
+class SpecificationError(DyKnowError):
+    """All that is wrong with one specification text; nothing of it was taken over."""
+
+    def __init__(self, problems: Sequence[Problem], warnings: Sequence[Problem] = ()) -> None:
+        self.problems: Tuple[Problem, ...] = tuple(problems)
+        self.warnings: Tuple[Problem, ...] = tuple(warnings)
+        super().__init__("\n".join(str(problem) for problem in problems))
+
+
+class OntologyError(DyKnowError):
+    """The ontology cannot answer."""
+
+
+class OntologyFileError(OntologyError):
+    """A file of the ontology cannot be read."""
+
+    def __init__(self, file: str, reason: str) -> None:
+        self.file = file
+        self.reason = reason
+        super().__init__(f"{file}: {reason}")
+
+
+class UnknownConcept(OntologyError):
+    """A class was named that the ontology does not have."""
+
+    def __init__(self, concept: str) -> None:
+        self.concept = concept
+        super().__init__(f"the ontology has no class <{concept}>")
+
+
+class IndividualsError(OntologyError):
+    """Individuals of a class cannot serve as terms, since their labels do not tell them apart."""
+
+    def __init__(self, concept: str, reasons: Sequence[str]) -> None:
+        self.concept = concept
+        self.reasons: Tuple[str, ...] = tuple(reasons)
+        super().__init__(f"the individuals of <{concept}>: " + "; ".join(reasons))

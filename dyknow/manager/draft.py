@@ -1,0 +1,126 @@
+"""A specification as it was written: texts and lines, before templates and checks."""
+
+from __future__ import annotations
+
+from typing import Callable, Iterator, List, NamedTuple, Optional, Tuple
+
+
+class ArgDraft(NamedTuple):
+    """An `<arg>`: a variable of the template and where its terms come from."""
+
+    label: str
+    terms: str
+    line: int
+
+
+class ParameterDraft(NamedTuple):
+    """A `<param>`; the type is empty when it was left out."""
+
+    name: str
+    type: str
+    text: str
+    line: int
+
+
+class PortDraft(NamedTuple):
+    """A `<port>`; the datatype is empty when it was left out."""
+
+    name: str
+    direction: str
+    datatype: str
+    line: int
+
+
+class TagDraft(NamedTuple):
+    """A `<tag>`."""
+
+    port: str
+    text: str
+    line: int
+
+
+class Draft:
+    """One `<transformation>` as read.
+
+    Attributes:
+        line: The line of the start tag.
+        type: The type, empty when it was left out or is not one (which was reported).
+        cost: The cost as text, empty when it was left out.
+        label: The label; None when it is missing (which was reported).
+        label_line: The line of the label.
+        source: The source; None when it is missing (which was reported).
+        source_line: The line of the source.
+        args: The variables of the template.
+        parameters: The parameters, in the order written.
+        ports: The ports, in the order written.
+        tags: The tags, in the order written.
+        ports_known: Whether `ports` is complete; False when a port could not be read.
+        has_variables: Whether some text contains `${`.
+    """
+
+    __slots__ = (
+        "line",
+        "type",
+        "cost",
+        "label",
+        "label_line",
+        "source",
+        "source_line",
+        "args",
+        "parameters",
+        "ports",
+        "tags",
+        "ports_known",
+        "has_variables",
+    )
+
+    def __init__(self, line: int) -> None:
+        self.line = line
+        self.type = ""
+        self.cost = ""
+        self.label: Optional[str] = None
+        self.label_line = line
+        self.source: Optional[str] = None
+        self.source_line = line
+        self.args: List[ArgDraft] = []
+        self.parameters: List[ParameterDraft] = []
+        self.ports: List[PortDraft] = []
+        self.tags: List[TagDraft] = []
+        self.ports_known = True
+        self.has_variables = False
+
+    def texts(self) -> Iterator[Tuple[str, int]]:
+        """Every text in which variables are substituted, with its line."""
+        yield self.cost, self.line
+        yield self.label or "", self.label_line
+        yield self.source or "", self.source_line
+        for parameter in self.parameters:
+            yield parameter.name, parameter.line
+            yield parameter.text, parameter.line
+        for port in self.ports:
+            yield port.name, port.line
+            yield port.datatype, port.line
+        for tag in self.tags:
+            yield tag.port, tag.line
+            yield tag.text, tag.line
+
+    def map(self, render: Callable[[str], str]) -> Draft:
+        """Make the draft in which each of `texts` is replaced by what `render` makes of it."""
+        made = Draft(self.line)
+        made.type = self.type
+        made.cost = render(self.cost)
+        made.label = None if self.label is None else render(self.label)
+        made.label_line = self.label_line
+        made.source = None if self.source is None else render(self.source)
+        made.source_line = self.source_line
+        made.parameters = [
+            ParameterDraft(render(name), type_, render(text), line)
+            for name, type_, text, line in self.parameters
+        ]
+        made.ports = [
+            PortDraft(render(name), direction, render(datatype), line)
+            for name, direction, datatype, line in self.ports
+        ]
+        made.tags = [TagDraft(render(port), render(text), line) for port, text, line in self.tags]
+        made.ports_known = self.ports_known
+        return made

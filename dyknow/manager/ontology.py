@@ -1,0 +1,201 @@
+"""Ontologies: the individuals of a class, and what is a kind of what.
+
+The files are read once, with rdflib, into plain dictionaries, and never consulted again. Only
+local files are read: `owl:imports` is not followed, and what is imported has to be named too.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Dict, FrozenSet, Iterable, List, Set, Tuple
+
+import rdflib
+from rdflib.namespace import OWL, RDF, RDFS
+
+from dyknow.errors import IndividualsError, OntologyFileError, UnknownConcept
+
+FORMATS = {".ttl": "turtle", ".owl": "xml", ".rdf": "xml", ".nt": "nt"}
+"""The formats that are read, by the file's extension."""
+
+MAX_FILE_SIZE = 256 * 2**20
+"""The size in bytes of the largest file that is read."""
+
+_BUILT_IN = tuple(str(namespace) for namespace in (OWL, RDF, RDFS))
+_Edges = Dict[str, Set[str]]
+
+
+class Ontology:
+    """What a set of files says about classes and individuals.
+
+    Classes and individuals are named by their URI or by their `rdfs:label`; a class without a
+    label also by the last part of its URI. Thus the functor and the arguments of a tag such as
+    `BallObject(nao1)` are names.
+    """
+
+    def __init__(self, graph: rdflib.Graph) -> None:
+        self._labels: Dict[str, Set[str]] = {}
+        self._superclasses: _Edges = {}
+        self._subclasses: _Edges = {}
+        self._types: _Edges = {}
+        self._instances: _Edges = {}
+        self._read(graph)
+        self._by_name: _Edges = {}
+        self._name_all()
+        self._above: Dict[str, FrozenSet[str]] = {}
+
+    def individuals(self, concept: str) -> Tuple[str, ...]:
+        """Give the labels of the individuals of a class and of its subclasses.
+
+        Args:
+            concept: The URI of the class.
+
+        Returns:
+            The labels, sorted; empty if there is no individual.
+
+        Raises:
+            UnknownConcept: No class has this URI.
+            IndividualsError: An individual has no label or several, or shares its label with
+                another one. It names all such individuals.
+        """
+        if concept not in self._superclasses:
+            raise UnknownConcept(concept)
+        found: Set[str] = set()
+        for kind in _reachable([concept], self._subclasses):
+            found |= self._instances.get(kind, set())
+        reasons: List[str] = []
+        owners: Dict[str, str] = {}
+        for individual in sorted(found):
+            labels = sorted(self._labels.get(individual, ()))
+            if len(labels) != 1 or not labels[0]:
+                listed = ", ".join(f"'{label}'" for label in labels) or "none"
+                reasons.append(f"<{individual}> has the labels {listed}; expected exactly one")
+            elif labels[0] in owners:
+                other = owners[labels[0]]
+                reasons.append(f"<{other}> and <{individual}> share the label '{labels[0]}'")
+            else:
+                owners[labels[0]] = individual
+        if reasons:
+            raise IndividualsError(concept, reasons)
+        return tuple(sorted(owners))
+
+    def is_subsumed(self, supplied: str, demanded: str) -> bool:
+        """Tell whether a supplied functor or argument will do where another is demanded.
+
+        Args:
+            supplied: A label or URI, or a word that the ontology does not know.
+            demanded: The same.
+
+        Returns:
+            True if both are the same word, or `supplied` names a subclass or an instance of
+            what `demanded` names.
+        """
+        return supplied == demanded or demanded in self.names_above(supplied)
+
+    def names_above(self, name: str) -> FrozenSet[str]:
+        """Give every name that subsumes a name: what an index of supplied tags is made of.
+
+        Args:
+            name: A label or URI, or a word that the ontology does not know.
+
+        Returns:
+            The name itself, and all names of what it names and of the classes above that.
+        """
+        known = self._above.get(name)
+        if known is None:
+            starts = self._by_name.get(name, set())
+            classes = set(starts)
+            for start in starts:
+                classes |= self._types.get(start, set())
+            names = {name}
+            for uri in _reachable(classes, self._superclasses):
+                names |= self._names(uri)
+            known = self._above[name] = frozenset(names)
+        return known
+
+    def _read(self, graph: rdflib.Graph) -> None:
+        for kind in (OWL.Class, RDFS.Class):
+            for node in graph.subjects(RDF.type, kind):
+                if isinstance(node, rdflib.URIRef):
+                    self._add_class(str(node))
+        for lower, upper in graph.subject_objects(RDFS.subClassOf):
+            self._add_subclass(lower, upper)
+        for one, other in graph.subject_objects(OWL.equivalentClass):
+            self._add_subclass(one, other)
+            self._add_subclass(other, one)
+        for node, kind in graph.subject_objects(RDF.type):
+            if isinstance(kind, rdflib.URIRef) and not kind.startswith(_BUILT_IN):
+                self._add_class(str(kind))
+                self._types.setdefault(str(node), set()).add(str(kind))
+                self._instances.setdefault(str(kind), set()).add(str(node))
+        for node, label in graph.subject_objects(RDFS.label):
+            self._labels.setdefault(str(node), set()).add(str(label).strip())
+
+    def _add_class(self, uri: str) -> None:
+        self._superclasses.setdefault(uri, set())
+        self._subclasses.setdefault(uri, set())
+
+    def _add_subclass(self, lower: rdflib.term.Node, upper: rdflib.term.Node) -> None:
+        # Restrictions and other class expressions are blank nodes; they have no name to match.
+        if isinstance(lower, rdflib.URIRef) and isinstance(upper, rdflib.URIRef):
+            self._add_class(str(lower))
+            self._add_class(str(upper))
+            self._superclasses[str(lower)].add(str(upper))
+            self._subclasses[str(upper)].add(str(lower))
+
+    def _names(self, uri: str) -> Set[str]:
+        names = {uri} | self._labels.get(uri, set())
+        if uri in self._superclasses and len(names) == 1:
+            names.add(uri.rsplit("#", 1)[-1].rsplit("/", 1)[-1] or uri)
+        return names
+
+    def _name_all(self) -> None:
+        for uri in sorted({*self._superclasses, *self._types, *self._labels}):
+            for name in self._names(uri):
+                self._by_name.setdefault(name, set()).add(uri)
+
+
+def load_ontology(paths: Iterable[str]) -> Ontology:
+    """Read an ontology from local files.
+
+    Args:
+        paths: The files; the extension tells the format: .ttl, .owl, .rdf or .nt.
+
+    Raises:
+        OntologyFileError: A file cannot be read, or is not what its extension says.
+    """
+    graph = rdflib.Graph()
+    for path in paths:
+        _load(graph, os.fspath(path))
+    return Ontology(graph)
+
+
+def _load(graph: rdflib.Graph, path: str) -> None:
+    kind = FORMATS.get(Path(path).suffix.lower())
+    if kind is None:
+        raise OntologyFileError(path, f"expected a file ending in {', '.join(sorted(FORMATS))}")
+    try:
+        with open(path, "rb") as file:
+            data = file.read(MAX_FILE_SIZE + 1)
+    except OSError as error:
+        raise OntologyFileError(path, f"cannot be read: {error.strerror or error}") from error
+    if len(data) > MAX_FILE_SIZE:
+        raise OntologyFileError(path, f"is too large; expected at most {MAX_FILE_SIZE} bytes")
+    try:
+        # Handing over bytes, not a location, leaves rdflib nothing to fetch.
+        graph.parse(data=data, format=kind, publicID=Path(path).absolute().as_uri())
+    except Exception as error:  # each of rdflib's parsers raises its own, without a common base
+        reason = " ".join(str(error).split())
+        raise OntologyFileError(path, f"is not valid {kind}: {reason[:300]}") from error
+
+
+def _reachable(starts: Iterable[str], edges: _Edges) -> Set[str]:
+    """Give the starts and all that is reached from them; cycles do no harm."""
+    reached = set(starts)
+    waiting = list(reached)
+    while waiting:
+        for other in edges.get(waiting.pop(), ()):
+            if other not in reached:
+                reached.add(other)
+                waiting.append(other)
+    return reached

@@ -1,0 +1,79 @@
+"""Says in plain words why a text is no XML that can be read."""
+
+from __future__ import annotations
+
+from typing import List, Tuple, Union
+from xml.parsers import expat
+from xml.parsers.expat import errors
+
+from dyknow.manager.limits import Limits
+
+_CODES = errors.codes
+
+
+class Unreadable(Exception):
+    """The text cannot be read beyond this line."""
+
+    def __init__(self, line: int, message: str) -> None:
+        super().__init__(line, message)
+        self.line = line
+        self.message = message
+
+
+def to_utf8(text: Union[str, bytes], limits: Limits) -> bytes:
+    """Encode a text, or make sure that it is UTF-8 already.
+
+    Args:
+        text: The characters, or the bytes of a file.
+        limits: The cap on its size.
+
+    Raises:
+        Unreadable: It is too large, or not UTF-8.
+    """
+    if len(text) > limits.text_size:
+        raise Unreadable(0, f"the text has {len(text)} bytes; expected at most {limits.text_size}")
+    if isinstance(text, str):
+        try:
+            data = text.encode("utf-8")
+        except UnicodeEncodeError as error:
+            line = text.count("\n", 0, error.start) + 1
+            raise Unreadable(line, "half of a surrogate pair; expected UTF-8") from None
+        if len(data) > limits.text_size:
+            raise Unreadable(0, f"the text has {len(data)} bytes; at most {limits.text_size}")
+        return data
+    try:
+        text.decode("utf-8")
+    except UnicodeDecodeError as error:
+        line = text.count(b"\n", 0, error.start) + 1
+        found = text[error.start]
+        raise Unreadable(line, f"the byte 0x{found:02x} is not UTF-8; expected UTF-8") from None
+    return text
+
+
+def explain(
+    error: expat.ExpatError, data: bytes, position: int, open_elements: List[Tuple[str, int]]
+) -> Unreadable:
+    """Turn expat's error into one that says what was expected.
+
+    Args:
+        error: What expat raised.
+        data: The whole text.
+        position: Where in `data` expat stopped.
+        open_elements: Names and lines of the elements that were open, outermost first.
+    """
+    reason = errors.messages[error.code]
+    if error.code == _CODES[errors.XML_ERROR_UNDEFINED_ENTITY]:
+        reason = "an entity other than &lt; &gt; &amp; &quot; &apos; is refused"
+    elif error.code == _CODES[errors.XML_ERROR_INVALID_TOKEN]:
+        character = data[position : position + 4].decode("utf-8", "ignore")[:1]
+        reason = f"not well-formed at {character!r}"
+        if character and (character < " " or character in "\ufffe\uffff"):
+            reason = f"the character U+{ord(character):04X} is not allowed in XML"
+    elif open_elements:
+        name, line = open_elements[-1]
+        reason += f"; expected the end </{name}> of the element in line {line}"
+    elif error.code == _CODES[errors.XML_ERROR_NO_ELEMENTS]:
+        reason = "no element; expected <transformation> or <transformations>"
+    elif error.code == _CODES[errors.XML_ERROR_JUNK_AFTER_DOC_ELEMENT]:
+        reason = "text after the root element; expected the end, or <transformations> around all"
+    return Unreadable(error.lineno, reason)
