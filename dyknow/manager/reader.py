@@ -93,6 +93,9 @@ class _Reader:
                 if start - self._parser.CurrentByteIndex > 2 * longest:
                     raise Unreadable(self._line, "a tag or comment here is too long")
             self._parser.Parse(b"", True)
+        except Unreadable:
+            yield from self._ready
+            raise
         except expat.ExpatError as error:
             yield from self._ready
             open_ = [(rule.name, line) for rule, _, line, _ in self._stack[1:]] + self._unknown
@@ -110,7 +113,7 @@ class _Reader:
             self._unknown.append((name, line))
             return
         parent, _, _, seen = self._stack[-1]
-        if not parent.text:
+        if self._texts and not parent.text:
             self._refuse_text(parent)
         rule = parent.children.get(name)
         if rule is None:
@@ -158,7 +161,8 @@ class _Reader:
                     "<transformation>",
                 )
             return
-        self._refuse_text(rule)
+        if self._texts:
+            self._refuse_text(rule)
         for child in rule.required:
             if child not in seen:
                 self._findings.problem(line, f"<{name}> has no <{child}>; expected one")
@@ -166,19 +170,19 @@ class _Reader:
             self._ready.append(self._draft)
 
     def _refuse_text(self, rule: ElementRule) -> None:
-        if self._texts:
-            text = "".join(self._texts).lstrip(BLANK)
-            self._texts.clear()
-            if text:
-                self._findings.problem(
-                    self._line - text.count("\n"),
-                    f"text '{shorten(text.rstrip(BLANK))}' directly in <{rule.name}>; expected "
-                    f"{children_of(rule)}",
-                )
+        text = "".join(self._texts).lstrip(BLANK)
+        self._texts.clear()
+        if text:
+            self._findings.problem(
+                self._line - text.count("\n"),
+                f"text '{shorten(text.rstrip(BLANK))}' directly in <{rule.name}>; expected "
+                f"{children_of(rule)}",
+            )
 
     def _check_attributes(self, rule: ElementRule, attributes: _Attributes, line: int) -> None:
+        rules = rule.attributes
         for name, value in attributes.items():
-            known = rule.attributes.get(name)
+            known = rules.get(name)
             if known is None:
                 self._findings.problem(line, unexpected_attribute(name, rule))
                 continue
@@ -195,11 +199,12 @@ class _Reader:
             elif len(text) > self._limits.string_length:
                 self._too_long(line, f"attribute {name}", len(text))
                 attributes[name] = None
-        for name, known in rule.attributes.items():
-            if known.required and name not in attributes:
-                values = f", {one_of(known.values)}" if known.values else ""
+        for name in rule.required_attributes:
+            if name not in attributes:
+                values = rules[name].values
+                which = f", {one_of(values)}" if values else ""
                 self._findings.problem(
-                    line, f"<{rule.name}> has no attribute {name}; expected one{values}"
+                    line, f"<{rule.name}> has no attribute {name}; expected one{which}"
                 )
                 attributes[name] = None
 

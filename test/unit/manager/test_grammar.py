@@ -88,7 +88,7 @@ def test_the_rules_are_those_of_the_schema():
     assert rule.required == ("label", "source")
     assert rule.attributes["type"].values == ("nodelet", "topic")
     assert roots()["transformations"].repeated == ("transformation",)
-    assert rule.children["ports"].children["port"].attributes["type"].required
+    assert rule.children["ports"].children["port"].required_attributes == ("type",)
 
 
 def test_a_pattern_that_is_not_understood_is_not_passed_over(tmp_path):
