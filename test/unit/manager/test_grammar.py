@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from lxml import etree
-from strategies import transformations
+from specification_strategies import transformations
 
 from dyknow.manager.findings import Findings
 from dyknow.manager.grammar import SCHEMA, UnsupportedSchema, roots

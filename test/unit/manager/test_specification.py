@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from strategies import transformations
+from specification_strategies import transformations
 
 from dyknow.errors import Problem, SpecificationError
 from dyknow.manager.specification import check, parse, parse_file

@@ -5,7 +5,7 @@ import pickle
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from strategies import transformations
+from specification_strategies import transformations
 
 from dyknow.manager.specification import parse
 from dyknow.manager.transformation import Parameter, Port, Transformation

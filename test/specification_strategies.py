@@ -1,4 +1,4 @@
-"""What the property tests of this folder draw their examples from."""
+"""What the property tests of specifications draw their examples from."""
 
 from hypothesis import strategies as st
 
