@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass, field, replace
-from typing import Dict, List, Mapping
+from typing import Dict, List, Mapping, Tuple
 
 from dyknow import names
 from dyknow.errors import (
@@ -22,7 +22,7 @@ from dyknow.guards import Guards
 from dyknow.manager import placement
 from dyknow.manager.graph import Graph
 from dyknow.manager.host import Host, Kind, LoadRequest
-from dyknow.manager.model import Record, State, declared_ports, seen_ports
+from dyknow.manager.model import PortState, Record, State, declared_ports, seen_ports
 from dyknow.manager.transformation import TOPIC, Transformation
 
 _log = logging.getLogger("rosout.dyknow")
@@ -123,6 +123,8 @@ class Lifecycle:
                 kind = Kind.CPP if record.rewired_by_reload else Kind.PYTHON
                 starting = replace(starting, manager=self._host.ensure(kind, record.name))
             running = self._bring_up(starting)
+        except NameTaken:
+            return record  # it is there: the next look takes it up
         except DyKnowError as error:
             self._take_down(starting)
             running = replace(record, state=State.FAILED, detail=str(error), ports=())
@@ -177,16 +179,27 @@ class Lifecycle:
             changed = replace(record, topics={**record.topics, **changes})
             if changed.topics == record.topics:
                 return
-            self._host.unload(record.manager, name)
+            # Whoever finds it unloaded after the manager was killed here has to bring it back.
+            self._graph.put(replace(record, state=State.STARTING))
+            try:
+                self._host.unload(record.manager, name)
+            except HostError:
+                self._graph.put(record)
+                raise
             try:
                 running = self._bring_up(changed)
             except DyKnowError as error:
-                self._take_down(changed)
-                self._graph.put(self._bring_up(record))
+                self._load_as_before(record)
                 raise SpawnFailed(name, error) from error
             self._graph.put(running)
 
     # Inside
+
+    def _load_as_before(self, record: Record) -> None:
+        try:
+            self._graph.put(self._bring_up(record))
+        except DyKnowError as error:  # a look will try again
+            self._graph.put(replace(record, state=State.FAILED, detail=str(error)))
 
     def _resolved(
         self, transformation: Transformation, name: str, config: Mapping[str, str]
@@ -224,15 +237,19 @@ class Lifecycle:
         )
         if record.rewired_by_reload:
             return replace(record, ports=declared_ports(record))
-        self._check_ports(record)
+        ports = self._checked_ports(record)
         if wiring:
             self._host.connect(record.name, wiring)
-        return replace(record, ports=seen_ports(record, self._host.ports(record.name)))
+            ports = tuple(
+                replace(port, topic=wiring.get(port.name, port.topic)) for port in ports
+            )
+        return replace(record, ports=seen_ports(record, ports))
 
-    def _check_ports(self, record: Record) -> None:
+    def _checked_ports(self, record: Record) -> Tuple[PortState, ...]:
         transformation = record.transformation
         assert transformation is not None
-        found = {port.name: port for port in self._host.ports(record.name)}
+        ports = self._host.ports(record.name)
+        found = {port.name: port for port in ports}
         wrong = []
         for port in transformation.ports:
             real = found.get(port.name)
@@ -251,6 +268,7 @@ class Lifecycle:
                 )
         if wrong:
             raise HostError("; ".join(wrong))
+        return ports
 
     def _take_down(self, record: Record) -> None:
         try:
