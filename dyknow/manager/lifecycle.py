@@ -25,6 +25,9 @@ from dyknow.manager.host import Host, Kind, LoadRequest
 from dyknow.manager.model import PortState, Record, State, declared_ports, seen_ports
 from dyknow.manager.transformation import TOPIC, Transformation
 
+#: Seconds to wait for a look, or for somebody else, to be done with a nodelet.
+PATIENCE = 5.0
+
 _log = logging.getLogger("rosout.dyknow")
 
 
@@ -140,18 +143,14 @@ class Lifecycle:
             HostError: its nodelet manager did not do it.
         """
         self._graph.get(name)
-        with self._graph.changing(name) as record:
+        with self._graph.changing(name, patience=PATIENCE) as record:
             if record is None:
                 self._graph.get(name)
                 return
             if record.is_protected:
                 raise Protected(name)
-            if record.state is State.RUNNING:
-                try:
-                    self._host.unload(record.manager, name)
-                except HostError:
-                    if not record.isolated and name in self._host.list(record.manager):
-                        raise
+            if record.state in (State.RUNNING, State.LOST):
+                self._unload(record)
             self._dispose(record)
             self._graph.remove(name)
 
@@ -172,7 +171,7 @@ class Lifecycle:
             DyKnowError: it did not work; the nodelet is wired as before.
         """
         self._graph.get(name)
-        with self._graph.changing(name) as record:
+        with self._graph.changing(name, patience=PATIENCE) as record:
             if record is None or record.transformation is None or not record.rewired_by_reload:
                 raise HostError(f"nodelet '{name}' is not one that is re-wired by a reload")
             changes = self._resolved(record.transformation, name, config)
@@ -189,11 +188,21 @@ class Lifecycle:
             try:
                 running = self._bring_up(changed)
             except DyKnowError as error:
+                self._drop(changed)
                 self._load_as_before(record)
                 raise SpawnFailed(name, error) from error
             self._graph.put(running)
 
     # Inside
+
+    def _unload(self, record: Record) -> None:
+        try:
+            self._host.unload(record.manager, record.name)
+        except HostError:
+            incarnation = self._incarnation(record.manager)
+            died = not incarnation or record.incarnation not in ("", incarnation)
+            if not record.isolated and not died and record.name in self._host.list(record.manager):
+                raise
 
     def _load_as_before(self, record: Record) -> None:
         try:
@@ -271,11 +280,14 @@ class Lifecycle:
         return ports
 
     def _take_down(self, record: Record) -> None:
+        self._drop(record)
+        self._dispose(record)
+
+    def _drop(self, record: Record) -> None:
         try:
             self._host.unload(record.manager, record.name)
         except HostError as error:
             _log.debug("%s: %s", record.name, error)
-        self._dispose(record)
 
     def _dispose(self, record: Record) -> None:
         if record.transformation is not None:

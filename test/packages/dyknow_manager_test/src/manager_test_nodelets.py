@@ -7,6 +7,7 @@ import time
 
 import dyknow
 from dyknow_msgs.srv import Destroy
+from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
 
@@ -32,6 +33,15 @@ class Relay(dyknow.Nodelet):
         self.nh = dyknow.NodeHandle(self.node_handle)
         self.out = self.nh.Publisher("out", Header, queue_size=1000)
         self.input = self.nh.Subscriber("in", Header, self.out.publish, queue_size=1000)
+
+
+class ImageRelay(dyknow.Nodelet):
+    """Publishes the images that it receives."""
+
+    def on_init(self):
+        self.nh = dyknow.NodeHandle(self.node_handle)
+        self.out = self.nh.Publisher("out", Image, queue_size=2)
+        self.input = self.nh.Subscriber("in", Image, self.out.publish, queue_size=2)
 
 
 class FailsInInit(Relay):
