@@ -229,6 +229,7 @@ def _cause(error: rospy.ServiceException) -> str:
     if said is None:
         return f": {error}"
     text = ast.literal_eval(said.group(1)).decode("utf-8", "replace")
+    text = re.sub("^(service cannot process|error processing) request: ", "", text)
     return f": {text}" if text else ""
 
 

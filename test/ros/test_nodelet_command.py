@@ -52,18 +52,20 @@ class Started(unittest.TestCase):
         return process
 
 
-class StockManagerTest(Started):
+class WithManager:
+    """What holds for the manager in C++ and for ours alike."""
+
     def setUp(self):
         self.manager = self.start(
-            *STOCK_NODELET, "manager", "__name:=manager", "__ns:=/command_test"
+            *self.nodelet, "manager", "__name:=manager", "__ns:=/command_test"
         )
         rospy.wait_for_service(f"{MANAGER}/list", 10.0)
 
-    def load(self, *arguments, name="resize"):
+    def load(self, *arguments, name="nodelet"):
         process = self.start(
             *NODELET,
             "load",
-            "image_proc/resize",
+            self.type,
             *arguments,
             f"__name:={name}",
             "__ns:=/command_test",
@@ -81,20 +83,6 @@ class StockManagerTest(Started):
         self.assertEqual(process.exit_code(10.0), code, process.output)
         self.assertLess(time.monotonic() - start, within, process.output)
 
-    def test_remappings_parameters_and_names(self):
-        process = self.load("manager", "image:=cam/image", "~image:=small", "_scale_width:=0.25")
-        published = {topic for topic, _ in rospy.get_published_topics()}
-        self.assertIn("/command_test/small", published)
-        self.assertEqual(rospy.get_param("/command_test/resize/scale_width"), 0.25)
-        self.assertIn(
-            "Loading nodelet /command_test/resize of type image_proc/resize to manager manager "
-            "with the following remappings:",
-            process.output,
-        )
-        self.assertIn("/command_test/image -> /command_test/cam/image\n", process.output)
-        self.assertIn("/command_test/resize/image -> /command_test/small\n", process.output)
-        self.assertNotIn("__name", process.output)
-
     def test_signals_unload(self):
         for number in (signal.SIGINT, signal.SIGTERM):
             for arguments in ((), ("--no-bond",)):
@@ -103,18 +91,18 @@ class StockManagerTest(Started):
                 self.assert_ends(process)
                 self.assertEqual(nodelets(), [])
                 self.assertIn(
-                    f"Unloading nodelet /command_test/resize from manager {MANAGER}\n",
+                    f"Unloading nodelet /command_test/nodelet from manager {MANAGER}\n",
                     process.output,
                 )
-                self.assertNotIn("/command_test/resize", registered_nodes())
+                self.assertNotIn("/command_test/nodelet", registered_nodes())
 
     def test_rosnode_kill_unloads(self):
         process = self.load(MANAGER)
-        code, output = finished(["rosnode", "kill", "/command_test/resize"])
+        code, output = finished(["rosnode", "kill", "/command_test/nodelet"])
         self.assertEqual(code, 0, output)
         self.assert_ends(process)
         self.assertEqual(nodelets(), [])
-        self.assertNotIn("/command_test/resize", registered_nodes())
+        self.assertNotIn("/command_test/nodelet", registered_nodes())
 
     def test_the_manager_misses_a_killed_client(self):
         process = self.load(MANAGER)
@@ -126,7 +114,7 @@ class StockManagerTest(Started):
         process = self.load(MANAGER, "--no-bond")
         process.stop(signal.SIGKILL)
         process.exit_code(5.0)
-        code, output = finished([*NODELET, "unload", "/command_test/resize", MANAGER])
+        code, output = finished([*NODELET, "unload", "/command_test/nodelet", MANAGER])
         self.assertEqual(code, 0, output)
         self.assertEqual(nodelets(), [])
 
@@ -142,7 +130,7 @@ class StockManagerTest(Started):
 
     def test_the_client_ends_when_others_unload(self):
         process = self.load(MANAGER)
-        code, output = finished([*NODELET, "unload", "/command_test/resize", MANAGER])
+        code, output = finished([*NODELET, "unload", "/command_test/nodelet", MANAGER])
         self.assertEqual(code, 0, output)
         self.assert_ends(process, within=2.0)
         self.assertIn("Bond broken, exiting\n", process.output)
@@ -171,12 +159,12 @@ class StockManagerTest(Started):
         self.assertEqual(code, 255)
         self.assertIn(
             "Failed to load nodelet '/image_proc_nothing` of type `image_proc/nothing` "
-            f"to manager `{MANAGER}'\n",
+            f"to manager `{MANAGER}'",
             output,
         )
         code, output = finished([*NODELET, "unload", "/nobody", MANAGER])
         self.assertEqual(code, 255)
-        self.assertIn(f"Failed to unload nodelet '/nobody` from manager `{MANAGER}'\n", output)
+        self.assertIn(f"Failed to unload nodelet '/nobody` from manager `{MANAGER}'", output)
 
     def test_a_name_that_is_taken_stays_with_the_first(self):
         self.load(MANAGER, "--no-bond").stop(signal.SIGKILL)
@@ -184,14 +172,44 @@ class StockManagerTest(Started):
             [
                 *NODELET,
                 "load",
-                "image_proc/resize",
+                self.type,
                 MANAGER,
-                "__name:=resize",
+                "__name:=nodelet",
                 "__ns:=/command_test",
             ]
         )
         self.assertEqual(code, 255, output)
-        self.assertEqual(nodelets(), ["/command_test/resize"])
+        self.assertEqual(nodelets(), ["/command_test/nodelet"])
+
+
+class StockManagerTest(WithManager, Started):
+    nodelet = STOCK_NODELET
+    type = "image_proc/resize"
+
+    def test_remappings_parameters_and_names(self):
+        process = self.load("manager", "image:=cam/image", "~image:=small", "_scale_width:=0.25")
+        published = {topic for topic, _ in rospy.get_published_topics()}
+        self.assertIn("/command_test/small", published)
+        self.assertEqual(rospy.get_param("/command_test/nodelet/scale_width"), 0.25)
+        self.assertIn(
+            "Loading nodelet /command_test/nodelet of type image_proc/resize to manager manager "
+            "with the following remappings:",
+            process.output,
+        )
+        self.assertIn("/command_test/image -> /command_test/cam/image\n", process.output)
+        self.assertIn("/command_test/nodelet/image -> /command_test/small\n", process.output)
+        self.assertNotIn("__name", process.output)
+
+
+class OurManagerTest(WithManager, Started):
+    nodelet = NODELET
+    type = "dyknow/Relay"
+
+    def test_remappings_parameters_and_names(self):
+        process = self.load("manager", "out:=cam/out", "_datatype:=std_msgs/Time")
+        published = dict(rospy.get_published_topics())
+        self.assertEqual(published.get("/command_test/cam/out"), "std_msgs/Time")
+        self.assertIn("/command_test/out -> /command_test/cam/out\n", process.output)
 
 
 class WaitingTest(Started):
@@ -269,7 +287,7 @@ class OddManagerTest(Started):
     def test_the_cause_of_a_refusal_is_shown(self):
         code, output = finished([*NODELET, "load", "a/Refused", rospy.get_name()])
         self.assertEqual(code, 255)
-        self.assertIn('it\'s "so", because…', output)
+        self.assertIn("': it's \"so\", because…", output)
         self.assertNotIn("b'", output)
         self.assertEqual(finished([*NODELET, "load", "a/Unlucky", rospy.get_name()])[0], 255)
 
