@@ -10,6 +10,8 @@ wrong and says what was expected. Only ``dyknow.ros`` turns them into answers of
     ├── TypeMismatch             a topic carries another type
     ├── RemappedTopic            the command line of the process sends this topic elsewhere
     ├── PeerTimeout              somebody outside did not answer in time
+    ├── DuplicateBond            a bond with that id is there (dyknow.ros.bond_table)
+    ├── BondsClosed              no more bonds: this end is closed (dyknow.ros.bonds)
     ├── HandleClosed             the nodelet of this handle is unloaded, or it was unregistered
     ├── NodeletError
     │   ├── NameTaken            a nodelet of that name is there already

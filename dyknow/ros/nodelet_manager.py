@@ -33,6 +33,7 @@ from dyknow.nodelet.plugins import Plugins
 from dyknow.nodelet.scheduler import WorkerPool
 from dyknow.proxy.proxy import NodeletProxy
 from dyknow.ros.bonds import Bonds
+from dyknow.ros.exit_codes import DONE, FAILED
 from dyknow.ros.middleware import RospyMiddleware
 from dyknow.ros.packages import plugin_files
 from dyknow.ros.proxy_services import ProxyServices
@@ -142,12 +143,13 @@ class NodeletManager:
     # Bonds
 
     def _bond(self, name: str, bond_id: str) -> None:
+        self._bonded[name] = bond_id  # first: the bond may break at once
         try:
             self._bonds.add(bond_id, lambda: self._unload_bonded(name, bond_id))
         except BaseException:
+            del self._bonded[name]
             self.loader.unload(name)
             raise
-        self._bonded[name] = bond_id
         if name not in self.loader.list():  # unloaded in between
             self._unloaded(name)
 
@@ -212,7 +214,7 @@ def _serve(manager: NodeletManager) -> int:
 
     rospy.on_shutdown(end)
     ended.wait()  # rospy.spin() would wake up twice a second for nothing
-    return 0
+    return DONE
 
 
 def _start(node: str, argv: Sequence[str]) -> Optional[NodeletManager]:
@@ -228,7 +230,7 @@ def run_manager(argv: Sequence[str], node: str = "manager") -> int:
     """Run a nodelet manager until it is told to end; returns the exit code."""
     manager = _start(node, argv)
     if manager is None:
-        return 1
+        return FAILED
     manager.offer()
     return _serve(manager)
 
@@ -237,7 +239,7 @@ def run_standalone(type_name: str, my_argv: Sequence[str], argv: Sequence[str]) 
     """Run one nodelet in a process of its own, under the name of the node."""
     manager = _start(type_name.replace("/", "_"), argv)
     if manager is None:
-        return 1
+        return FAILED
     remappings = {
         source: target
         for source, target in rospy.names.get_resolved_mappings().items()
@@ -250,5 +252,5 @@ def run_standalone(type_name: str, my_argv: Sequence[str], argv: Sequence[str]) 
     except DyKnowError as error:
         rospy.logfatal("Failed to load nodelet [%s]: %s", rospy.get_name(), error)
         manager.close()
-        return 1
+        return FAILED
     return _serve(manager)
