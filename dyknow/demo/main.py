@@ -87,7 +87,7 @@ def _positive(text: str) -> float:
 
 def _run(options: Any) -> bool:
     # Imported here, so that --help and a wrong usage answer at once.
-    from dyknow.demo.graph import Graph
+    from dyknow.demo.graph import CallFailed, Graph
     from dyknow.demo.processes import (
         Processes,
         master_answers,
@@ -121,6 +121,9 @@ def _run(options: Any) -> bool:
             return Story(
                 graph, table, processes.check, sources, options.rate, options.seconds
             ).run()
+        except CallFailed:
+            processes.check(patience=0.5)  # a process that ended is the better explanation
+            raise
         finally:
             graph.forget()
 

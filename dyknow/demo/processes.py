@@ -94,16 +94,21 @@ class Processes:
             time.sleep(_LOOK)
         return child.pid
 
-    def check(self) -> None:
+    def check(self, patience: float = 0.0) -> None:
         """Make sure that all still run.
+
+        Args:
+            patience: seconds for each to end, where there is reason to think that one does.
 
         Raises:
             ProcessFailed: one has ended.
         """
         for what, child, log in self._children:
-            code = child.poll()
-            if code is not None:
-                raise ProcessFailed(what, f"ended with exit code {code}", _tail(log))
+            try:
+                code = child.wait(patience)
+            except subprocess.TimeoutExpired:
+                continue
+            raise ProcessFailed(what, f"ended with exit code {code}", _tail(log))
 
 
 def system_master() -> str:
