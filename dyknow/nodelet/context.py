@@ -195,12 +195,18 @@ class Context:
         if opened is not None:
             self.own(opened)
 
+    @property
+    def running(self) -> bool:
+        """Whether a callback runs at this moment."""
+        with self._lock:
+            return any(strand.running for strand in self._strands)
+
     def stop(self) -> None:
         """Drop what is queued and run no further callback; publishing is still possible."""
         with self._lock:
             strands = list(self._strands)
         for strand in strands:
-            strand.kill()
+            strand.kill(noted=True)
 
     def close(self) -> None:
         """Give everything back; late publishes are refused from now on."""

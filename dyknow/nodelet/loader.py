@@ -172,7 +172,7 @@ class Loader:
         context.stop()
         if was_running:
             self._shut_down(entry)
-            if context.strand.busy:
+            if context.running:
                 _log.info("%s: unloaded while a callback runs; it is not waited for", name)
         context.close()
         self._free(name, entry)

@@ -68,6 +68,17 @@ def test_a_held_strand_collects_until_it_is_resumed():
     assert not strand.busy
 
 
+def test_resuming_twice_is_resuming_once():
+    executor, ran = ManualExecutor(), []
+    strand = Strand(executor, "s", held=True)
+    strand.post(lambda: ran.append(1))
+    strand.resume()
+    strand.resume()
+    assert executor.step() is True
+    assert executor.step() is False
+    assert ran == [1]
+
+
 def test_a_resumed_strand_without_tasks_takes_later_ones():
     executor, ran = ManualExecutor(), []
     strand = Strand(executor, "s", held=True)
@@ -130,7 +141,7 @@ def test_the_end_of_a_callback_that_outlived_its_strand_is_noted_once(caplog):
     executor = ManualExecutor()
     strand = Strand(executor, "/late")
     caplog.set_level(logging.INFO)
-    strand.post(strand.kill)
+    strand.post(lambda: (strand.kill(noted=True), strand.kill(noted=True)))
     strand.post(lambda: None)
     executor.drain()
     assert [r.getMessage() for r in caplog.records] == [
@@ -143,9 +154,9 @@ def test_nothing_is_noted_of_a_strand_that_ran_nothing_when_it_was_killed(caplog
     caplog.set_level(logging.INFO)
     queued = Strand(executor, "/queued")
     queued.post(lambda: None)
-    queued.kill()
+    queued.kill(noted=True)
     held = Strand(executor, "/held", held=True)
-    held.kill()
+    held.kill(noted=True)
     held.resume()
     executor.drain()
     assert caplog.records == []
