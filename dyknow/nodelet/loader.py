@@ -124,14 +124,13 @@ class Loader:
             LoadFailed: the nodelet raised; nothing of it is left.
             UnloadedMeanwhile: somebody unloaded it before it was up.
         """
-        context = Context(self.runtime, name, remappings, my_argv)
-        context.on_attach = self._on_attach
-        entry = _Entry(context)
-        context.unload = lambda: self._unload_self(name, entry)
         with self._lock:
             if name in self._entries:
                 raise NameTaken(name)
-            self._entries[name] = entry
+            context = Context(self.runtime, name, remappings, my_argv)
+            entry = self._entries[name] = _Entry(context)
+        context.on_attach = self._on_attach
+        context.unload = lambda: self._unload_self(name, entry)
         try:
             nodelet_class = self._find_class(type_name)
             if context.closed:
