@@ -113,9 +113,14 @@ class NodeHandle:
     # Names
 
     def resolve_name(self, name: str, caller_id: Optional[str] = None) -> str:
-        """Make a name global and remap it: the load request's table first, then the process's."""
+        """Make a name global and remap it: the load request's table first, then the process's.
+
+        As in rospy, ``~`` alone is the nodelet's own namespace.
+        """
         private = caller_id or self.context.name
         namespace = self.namespace if caller_id is None else names.parent(caller_id)
+        if name in ("~", "/"):  # all parameters below, in get_param("~")
+            return private if name == "~" else name
         resolved = names.resolve(name, namespace, private)
         if resolved in self.context.remappings:
             return self.context.remappings[resolved]
@@ -142,7 +147,7 @@ class NodeHandle:
         queue_size: Optional[int] = None,
     ) -> Publisher:
         """Publish on a topic; the arguments are those of ``rospy.Publisher``."""
-        topic = self.resolve_name(name)
+        topic = self.resolve_name(names.check(name, "topic name"))
         options = _given(
             subscriber_listener=subscriber_listener, tcp_nodelay=tcp_nodelay, headers=headers
         )
@@ -161,7 +166,7 @@ class NodeHandle:
         tcp_nodelay: bool = False,
     ) -> Subscriber:
         """Subscribe to a topic; the arguments are those of ``rospy.Subscriber``."""
-        topic = self.resolve_name(name)
+        topic = self.resolve_name(names.check(name, "topic name"))
         state = SubscriberState(
             self.context,
             name,
@@ -215,8 +220,9 @@ class NodeHandle:
             buff_size=buff_size if buff_size != DEFAULT_BUFF_SIZE else None,
             error_handler=error_handler,
         )
+        service = self.resolve_name(names.check(name, "service name"))
         return Service(
-            self.context, self.resolve_name(name), service_class, handler, self.concurrent, options
+            self.context, service, service_class, handler, self.concurrent, options
         )
 
     def Timer(  # noqa: N802

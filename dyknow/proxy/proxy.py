@@ -200,7 +200,7 @@ class NodeletProxy:
     # Inside
 
     def _declare(self, kind: Any, handle: NodeHandle, name: str, datatype: Any) -> Any:
-        names.check(name, "port name")
+        name = names.check(name, "port name")
         port = self._ports.get(name)
         if port is None:
             resolved = names.resolve(name, handle.namespace, self._context.name)

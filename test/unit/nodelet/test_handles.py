@@ -137,6 +137,7 @@ class TestNames:
         [
             ("~", "/ns/nodelet"),
             ("~/rate", "/ns/nodelet/rate"),
+            ("", "/ns"),
             ("/", "/"),
             ("rate/", "/ns/rate"),
         ],

@@ -22,6 +22,7 @@ GLOBAL = RELATIVE.map(lambda name: "/" + name)
         ("/image", "/image"),
         ("~image", "/robot/nodelet/image"),
         ("~cam/image", "/robot/nodelet/cam/image"),
+        ("~/image", "/robot/nodelet/image"),
         ("image/", "/robot/image"),
         ("", "/robot"),
     ],
@@ -44,7 +45,7 @@ def test_what_is_no_graph_name_is_refused_and_named(name):
     assert "topic name" in str(caught.value)
 
 
-@pytest.mark.parametrize("name", ["", "~", "/", "//"])
+@pytest.mark.parametrize("name", ["", "~", "/", "//", "~/", "~//x"])
 def test_names_without_a_name_in_them_are_refused_by_check(name):
     with pytest.raises(InvalidName):
         names.check(name)
