@@ -10,6 +10,7 @@ import queue
 from typing import Any, Callable, Optional
 
 from dyknow.nodelet import names
+from dyknow.nodelet.bus import Endpoint
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.middleware import Closable
 from dyknow.nodelet.service import Service
@@ -152,8 +153,9 @@ class NodeHandle:
             subscriber_listener=subscriber_listener, tcp_nodelay=tcp_nodelay, headers=headers
         )
         publication = self.context.publication(name, data_class, latch, queue_size, **options)
-        self._connect(publication, topic)
-        return Publisher(PublisherState(self.context, name, publication))
+        state = PublisherState(self.context, name, publication)
+        self._connect(state, publication, topic)
+        return Publisher(state)
 
     def Subscriber(  # noqa: N802
         self,
@@ -174,10 +176,10 @@ class NodeHandle:
             callback,
             callback_args,
             queue_size,
-            self.concurrent,
+            self.context.new_strand(name) if self.concurrent else self.context.strand,
             **_given(buff_size=buff_size if buff_size != DEFAULT_BUFF_SIZE else None),
         )
-        self._connect(state.subscription, topic)
+        self._connect(state, state.subscription, topic)
         return Subscriber(state)
 
     def wait_for_message(
@@ -189,20 +191,21 @@ class NodeHandle:
             ROSException: nothing came within ``timeout`` seconds.
             ROSInterruptException: the nodelet was unloaded meanwhile.
         """
+        resolved = self.resolve_name(names.check(topic, "topic name"))
         inbox = Inbox(self.context)
-        subscriber = self.__class__(self.context, self.namespace, concurrent=True).Subscriber(
-            topic, topic_type, inbox.put, queue_size=1
-        )
+        strand = self.context.new_strand(topic, at_once=True)
+        state = SubscriberState(self.context, topic, topic_type, inbox.put, None, 1, strand)
+        self._connect(state, state.subscription, resolved)
         try:
             return inbox.get(f"a message on '{topic}'", timeout)
         finally:
-            subscriber.unregister()
+            state.unregister(self)
 
-    def _connect(self, endpoint: Any, topic: str) -> None:
+    def _connect(self, state: Any, endpoint: Endpoint, topic: str) -> None:
         try:
             self.context.runtime.bus.rewire([(endpoint, topic)])
         except BaseException:
-            self.context.release(endpoint)
+            state.unregister(self)
             raise
 
     # Services, parameters, time
