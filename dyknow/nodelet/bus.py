@@ -40,6 +40,10 @@ class _Topic:
     connections: List[Connection] = field(default_factory=list)
 
     @property
+    def ends(self) -> List[Union[Publication, Connection]]:
+        return [*self.publications, *self.connections]
+
+    @property
     def route(self) -> Tuple[Receive, ...]:
         return tuple(connection.push for connection in self.connections)
 
@@ -235,9 +239,15 @@ class Bus:
         return topic
 
     def _forget(self, name: str) -> None:
+        # Somebody left: the topic may be gone, or only ends of any type be left on it.
         topic = self._topics.get(name)
-        if topic is not None and not topic.publications and not topic.connections:
+        if topic is None:
+            return
+        ends = topic.ends
+        if not ends:
             del self._topics[name]
+        elif all(end.datatype._md5sum == "*" for end in ends):
+            topic.datatype = ends[0].datatype
 
     def _link(self, topic: _Topic, connection: Connection) -> None:
         topic.connections.append(connection)

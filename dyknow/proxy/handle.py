@@ -88,7 +88,7 @@ class NodeHandle:
         """
         inbox = Inbox(self._plain.context)
         state = self._proxy.subscriber(
-            self._plain, port, topic_type, inbox.put, None, 1, concurrent=True
+            self._plain, port, topic_type, inbox.put, None, 1, concurrent=True, at_once=True
         )
         try:
             return inbox.get(f"a message at port '{port}'", timeout)
