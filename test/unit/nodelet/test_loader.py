@@ -2,9 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 
 import pytest
+from unit.nodelet.fakes import (
+    Idle,
+    Message,
+    in_thread,
+    join,
+    make_pool_world,
+    numbers,
+    wait_for,
+    wait_until,
+)
 
 from dyknow.errors import (
     BrokenPlugin,
@@ -17,16 +28,6 @@ from dyknow.errors import (
 )
 from dyknow.nodelet.loader import Loader
 from dyknow.nodelet.nodelet import Nodelet
-from unit.nodelet.fakes import (
-    Idle,
-    Message,
-    in_thread,
-    join,
-    make_pool_world,
-    numbers,
-    wait_for,
-    wait_until,
-)
 
 
 @pytest.fixture(name="world")
@@ -64,7 +65,7 @@ def load_in_thread(loader, *args):
     def load():
         try:
             outcome.append(loader.load(*args))
-        except Exception as error:  # noqa: BLE001
+        except Exception as error:
             outcome.append(error)
 
     return in_thread(load), outcome
@@ -268,7 +269,9 @@ class TestSlowStart:
         gate.opened.set()
         join(again)
         assert loader.list() == ["/slow"]
-        wait_until(lambda: world.registrations == [("publisher", "/early"), ("publisher", "/late")])
+        wait_until(
+            lambda: world.registrations == [("publisher", "/early"), ("publisher", "/late")]
+        )
 
     def test_unloaded_while_its_class_is_imported_is_never_started(self, world):
         entered, opened, started = threading.Event(), threading.Event(), []
@@ -317,15 +320,11 @@ def test_loads_and_unloads_of_one_name_from_many_threads_end_clean(world):
 
     def run():
         for _ in range(60):
-            try:
+            with contextlib.suppress(NameTaken, UnloadedMeanwhile):
                 loaded.append(loader.load("/n", "busy"))
-            except (NameTaken, UnloadedMeanwhile):
-                pass
-            try:
+            with contextlib.suppress(UnknownNodelet):
                 loader.unload("/n")
                 unloaded.append(1)
-            except UnknownNodelet:
-                pass
 
     join(*[in_thread(run) for _ in range(4)])
     loader.close()
