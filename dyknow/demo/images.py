@@ -6,14 +6,18 @@ into its array; a published message must not be changed any more.
 
 from __future__ import annotations
 
-from typing import Any, Tuple
+from typing import TYPE_CHECKING, Any, Tuple
 
 import numpy as np
-import numpy.typing as npt
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
-Pixels = npt.NDArray[np.uint8]
+if TYPE_CHECKING:
+    import numpy.typing
+
+    Pixels = numpy.typing.NDArray[np.uint8]
+else:
+    Pixels = np.ndarray  # the numpy of Ubuntu 20.04 has no numpy.typing
 
 #: Channels of the encodings with 8 bits a channel that the demonstration uses.
 CHANNELS = {"bgr8": 3, "rgb8": 3, "mono8": 1, "8UC1": 1, "8UC3": 3}
