@@ -24,7 +24,7 @@ from nodelet.srv import (
     NodeletUnloadResponse,
 )
 
-from dyknow.errors import DyKnowError
+from dyknow.errors import BadParameter, DyKnowError
 from dyknow.nodelet import names
 from dyknow.nodelet.context import Context, Runtime
 from dyknow.nodelet.loader import Loader
@@ -59,16 +59,16 @@ class Settings:
         """Read the node's private parameters.
 
         Raises:
-            DyKnowError: a parameter has no sensible value.
+            BadParameter: a parameter has no sensible value.
         """
         workers = rospy.get_param("~num_worker_threads", cls.num_worker_threads)
         if isinstance(workers, bool) or not isinstance(workers, int) or workers < 0:
-            raise DyKnowError(f"~num_worker_threads: expected an integer from 0, not {workers!r}")
+            raise BadParameter("~num_worker_threads", workers, "an integer from 0")
         seconds = {}
         for name in ("switch_interval", "stuck_after"):
             value = rospy.get_param("~" + name, getattr(cls, name))
             if isinstance(value, bool) or not isinstance(value, (int, float)) or not value > 0:
-                raise DyKnowError(f"~{name}: expected seconds above 0, not {value!r}")
+                raise BadParameter(f"~{name}", value, "seconds above 0")
             seconds[name] = float(value)
         return cls(workers, **seconds)
 

@@ -6,16 +6,7 @@ from typing import Any
 
 import roslib.message
 
-from dyknow.errors import DyKnowError
-
-
-class BadParameter(DyKnowError):
-    """A parameter has a value that the nodelet cannot work with."""
-
-    def __init__(self, name: str, value: Any, expected: str) -> None:
-        self.name = name
-        self.value = value
-        super().__init__(f"parameter '{name}' is {value!r}: expected {expected}")
+from dyknow.errors import BadParameter
 
 
 def get_datatype(nh: Any) -> Any:
