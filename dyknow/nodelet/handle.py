@@ -224,9 +224,7 @@ class NodeHandle:
             error_handler=error_handler,
         )
         service = self.resolve_name(names.check(name, "service name"))
-        return Service(
-            self.context, service, service_class, handler, self.concurrent, options
-        )
+        return Service(self.context, service, service_class, handler, self.concurrent, options)
 
     def Timer(  # noqa: N802
         self,

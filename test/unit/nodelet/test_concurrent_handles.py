@@ -6,7 +6,6 @@ import logging
 import threading
 
 import pytest
-
 from unit.nodelet.fakes import (
     PATIENCE,
     Message,

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import pytest
+from unit.nodelet.fakes import AnyMessage, FakeClock, Message, OtherMessage, World, numbers
 
 from dyknow.errors import HandleClosed, TypeMismatch
 from dyknow.nodelet.traffic import Traffic
-from unit.nodelet.fakes import AnyMessage, FakeClock, Message, OtherMessage, World, numbers
 
 
 @pytest.fixture(name="world")

@@ -6,10 +6,6 @@ import inspect
 import threading
 
 import pytest
-
-from dyknow.errors import DyKnowError, HandleClosed, InvalidName
-from dyknow.nodelet.context import Context
-from dyknow.nodelet.handle import NodeHandle
 from unit.nodelet.fakes import (
     Idle,
     Message,
@@ -21,6 +17,10 @@ from unit.nodelet.fakes import (
     wait_for,
     wait_until,
 )
+
+from dyknow.errors import DyKnowError, HandleClosed, InvalidName
+from dyknow.nodelet.context import Context
+from dyknow.nodelet.handle import NodeHandle
 
 
 @pytest.fixture(name="world")

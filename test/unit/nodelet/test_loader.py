@@ -5,6 +5,16 @@ from __future__ import annotations
 import threading
 
 import pytest
+from unit.nodelet.fakes import (
+    Idle,
+    Message,
+    in_thread,
+    join,
+    make_pool_world,
+    numbers,
+    wait_for,
+    wait_until,
+)
 
 from dyknow.errors import (
     BrokenPlugin,
@@ -17,16 +27,6 @@ from dyknow.errors import (
 )
 from dyknow.nodelet.loader import Loader
 from dyknow.nodelet.nodelet import Nodelet
-from unit.nodelet.fakes import (
-    Idle,
-    Message,
-    in_thread,
-    join,
-    make_pool_world,
-    numbers,
-    wait_for,
-    wait_until,
-)
 
 
 @pytest.fixture(name="world")
@@ -64,7 +64,7 @@ def load_in_thread(loader, *args):
     def load():
         try:
             outcome.append(loader.load(*args))
-        except Exception as error:  # noqa: BLE001
+        except Exception as error:
             outcome.append(error)
 
     return in_thread(load), outcome
@@ -268,7 +268,9 @@ class TestSlowStart:
         gate.opened.set()
         join(again)
         assert loader.list() == ["/slow"]
-        wait_until(lambda: world.registrations == [("publisher", "/early"), ("publisher", "/late")])
+        wait_until(
+            lambda: world.registrations == [("publisher", "/early"), ("publisher", "/late")]
+        )
 
     def test_unloaded_while_its_class_is_imported_is_never_started(self, world):
         entered, opened, started = threading.Event(), threading.Event(), []

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import pytest
+from unit.nodelet.fakes import Message, World, in_thread, join, numbers
 
 from dyknow.errors import HandleClosed
-from unit.nodelet.fakes import Message, World, in_thread, join, numbers
 
 
 @pytest.fixture(name="world")

@@ -6,10 +6,6 @@ import logging
 import threading
 
 import pytest
-
-from dyknow.errors import DyKnowError
-from dyknow.nodelet.context import Context
-from dyknow.nodelet.handle import NodeHandle
 from unit.nodelet.fakes import (
     PATIENCE,
     Message,
@@ -19,6 +15,10 @@ from unit.nodelet.fakes import (
     wait_for,
     wait_until,
 )
+
+from dyknow.errors import DyKnowError
+from dyknow.nodelet.context import Context
+from dyknow.nodelet.handle import NodeHandle
 
 
 @pytest.fixture(name="world")
@@ -39,7 +39,7 @@ class Caller:
     def _run(self):
         try:
             self.response = self._call()
-        except BaseException as error:  # noqa: BLE001
+        except BaseException as error:
             self.error = error
 
 

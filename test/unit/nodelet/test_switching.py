@@ -11,7 +11,6 @@ from itertools import groupby
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
 from unit.nodelet.fakes import Message, World
 
 PUBLISHERS, SUBSCRIBERS = 3, 4
@@ -44,9 +43,7 @@ class Bench:
         self.owner = self.world.context("/publishers")
         self.logs = [[] for _ in self.contexts]
         self.expected = [[] for _ in self.contexts]
-        self.ends = [
-            self.owner.publication(str(n), Message, False, 1) for n in range(PUBLISHERS)
-        ]
+        self.ends = [self.owner.publication(str(n), Message, False, 1) for n in range(PUBLISHERS)]
         for n in range(SUBSCRIBERS):
             context, log = self.contexts[n // 2], self.logs[n // 2]
             receive = lambda message, n=n, log=log: log.append((n, message.number))  # noqa: E731

@@ -6,7 +6,6 @@ import sys
 import threading
 
 import pytest
-
 from unit.nodelet.fakes import Message, in_thread, join, make_pool_world, wait_until
 
 SWITCHES = 1000

@@ -6,10 +6,10 @@ import gc
 import threading
 
 import pytest
+from unit.nodelet.fakes import PATIENCE, World, make_pool_world, wait_for, wait_until
 
 from dyknow.nodelet.local import ManualTicker
 from dyknow.nodelet.timers import TimerQueue
-from unit.nodelet.fakes import PATIENCE, World, make_pool_world, wait_for, wait_until
 
 
 class StillQueue(TimerQueue):

@@ -7,11 +7,6 @@ import threading
 import time
 
 import pytest
-
-from dyknow.errors import HandleClosed, UnknownNodelet
-from dyknow.nodelet import loader as loader_module
-from dyknow.nodelet.loader import Loader
-from dyknow.nodelet.nodelet import Nodelet
 from unit.nodelet.fakes import (
     Idle,
     Message,
@@ -22,6 +17,11 @@ from unit.nodelet.fakes import (
     wait_for,
     wait_until,
 )
+
+from dyknow.errors import HandleClosed, UnknownNodelet
+from dyknow.nodelet import loader as loader_module
+from dyknow.nodelet.loader import Loader
+from dyknow.nodelet.nodelet import Nodelet
 
 
 @pytest.fixture(name="world")

@@ -8,9 +8,9 @@ import threading
 from unittest import mock
 
 import pytest
+from unit.nodelet.fakes import PATIENCE, in_thread, join, wait_for, wait_until
 
 from dyknow.nodelet.scheduler import Strand, WorkerPool
-from unit.nodelet.fakes import PATIENCE, in_thread, join, wait_for, wait_until
 
 
 @pytest.fixture(name="make_pool")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from unit.nodelet.fakes import AnyMessage, Message, OtherMessage, World, in_thread, join, numbers
 
 import dyknow
 from dyknow.errors import (
@@ -17,7 +18,6 @@ from dyknow.errors import (
 )
 from dyknow.nodelet.handle import NodeHandle
 from dyknow.proxy.proxy import NodeletProxy
-from unit.nodelet.fakes import AnyMessage, Message, OtherMessage, World, in_thread, join, numbers
 
 
 class Bench:

@@ -7,12 +7,6 @@ import inspect
 import threading
 
 import pytest
-
-import dyknow
-from dyknow.errors import HandleClosed, InvalidName, PortConflict, TypeMismatch
-from dyknow.nodelet.context import Context
-from dyknow.nodelet.handle import NodeHandle
-from dyknow.proxy.proxy import NodeletProxy
 from unit.nodelet.fakes import (
     Idle,
     Message,
@@ -24,6 +18,12 @@ from unit.nodelet.fakes import (
     numbers,
     wait_until,
 )
+
+import dyknow
+from dyknow.errors import HandleClosed, InvalidName, PortConflict, TypeMismatch
+from dyknow.nodelet.context import Context
+from dyknow.nodelet.handle import NodeHandle
+from dyknow.proxy.proxy import NodeletProxy
 
 
 class Bench:

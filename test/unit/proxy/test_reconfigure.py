@@ -5,12 +5,12 @@ from __future__ import annotations
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from unit.nodelet.fakes import Message, World
 
 import dyknow
 from dyknow.nodelet.handle import NodeHandle
 from dyknow.nodelet.middleware import Closable
 from dyknow.proxy.proxy import NodeletProxy
-from unit.nodelet.fakes import Message, World
 
 IN_PORTS, OUT_PORTS = ("in1", "in2"), ("out1", "out2")
 TOPICS = ("", "/a", "/b", "/c")
@@ -48,9 +48,7 @@ def _nodelet(world):
 def test_it_gets_the_whole_new_maps(world, nodelet):
     nodelet.proxy.set_config([("in1", "/a"), ("out2", "/b")])
     world.drain()
-    assert nodelet.log == [
-        ("reconfigured", {"in1": "/a", "in2": ""}, {"out1": "", "out2": "/b"})
-    ]
+    assert nodelet.log == [("reconfigured", {"in1": "/a", "in2": ""}, {"out1": "", "out2": "/b"})]
     nodelet.proxy.set_config([("in1", ""), ("out1", "/c")])
     world.drain()
     assert nodelet.log[1:] == [

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import pytest
+from unit.nodelet.fakes import FakeClock, Message, World
 
 import dyknow
 from dyknow.nodelet.handle import NodeHandle
 from dyknow.proxy.proxy import NodeletProxy
-from unit.nodelet.fakes import FakeClock, Message, World
 
 
 class Bench:
