@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from contextlib import suppress
 
 import pytest
 from unit.nodelet.fakes import (
@@ -315,19 +316,14 @@ def test_loads_and_unloads_of_one_name_from_many_threads_end_clean(world):
             self.pub.publish()
 
     loader = world.loader(busy=Busy)
-    loaded, unloaded = [], []
+    loaded = []
 
     def run():
         for _ in range(60):
-            try:
+            with suppress(NameTaken, UnloadedMeanwhile):
                 loaded.append(loader.load("/n", "busy"))
-            except (NameTaken, UnloadedMeanwhile):
-                pass
-            try:
+            with suppress(UnknownNodelet):
                 loader.unload("/n")
-                unloaded.append(1)
-            except UnknownNodelet:
-                pass
 
     join(*[in_thread(run) for _ in range(4)])
     loader.close()
