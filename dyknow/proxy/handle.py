@@ -66,7 +66,9 @@ class NodeHandle:
 
         It starts disconnected unless the load request remaps its name.
         """
-        given: Dict[str, Any] = {"buff_size": buff_size} if buff_size != DEFAULT_BUFF_SIZE else {}
+        given: Dict[str, Any] = {}
+        if buff_size != DEFAULT_BUFF_SIZE:
+            given["buff_size"] = buff_size
         state = self._proxy.subscriber(
             self._plain,
             port,

@@ -104,17 +104,17 @@ class NodeletProxy:
             InvalidConfiguration: something is wrong with an entry; nothing was changed.
             UnloadedMeanwhile: the nodelet was unloaded; nothing is connected any more.
         """
-        with self._turn:
-            changes = self._checked(config)
-            changed = [port for port, topic in changes if port.topic != topic]
-            if not changed:
-                return
-            while not self._switched(changes):
-                pass  # a handle was unregistered meanwhile; its port goes on without it
-            for port, topic in changes:
-                port.topic = topic
-            self._reconfigurations += 1
-        self.on_change()
+        before = self._reconfigurations
+        try:
+            with self._turn:
+                changes = self._checked(config)
+                if all(port.topic == topic for port, topic in changes):
+                    return
+                while not self._switched(changes):
+                    pass  # a handle was unregistered meanwhile; its port goes on without it
+        finally:
+            if self._reconfigurations != before:
+                self.on_change()
 
     def get_statistics(self) -> ProxyStatistics:
         """Return the counts of this moment."""
@@ -293,6 +293,9 @@ class NodeletProxy:
                 context.failed("a reconfiguration", error)
 
         def between() -> None:
+            for port, topic in changes:
+                port.topic = topic
+            self._reconfigurations += 1
             if callback is not None:
                 context.strand.post(tell)
 

@@ -13,7 +13,8 @@ import dyknow
 from dyknow.demo import images
 from dyknow.demo.field import render
 from dyknow.demo.frame_names import FrameName
-from dyknow.ros.parameters import BadParameter, get_positive
+from dyknow.errors import BadParameter
+from dyknow.ros.parameters import get_positive
 
 _SUFFIXES = (".jpg", ".jpeg", ".png")
 _RENDERED = 60

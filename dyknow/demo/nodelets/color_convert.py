@@ -9,7 +9,7 @@ from sensor_msgs.msg import Image
 
 import dyknow
 from dyknow.demo import images
-from dyknow.ros.parameters import BadParameter
+from dyknow.errors import BadParameter
 
 #: OpenCV's conversion from BGR and the encoding of the result; ROS has no names for YUV and HSV
 #: with full resolution.

@@ -9,7 +9,7 @@ from sensor_msgs.msg import Image
 
 import dyknow
 from dyknow.demo import images
-from dyknow.ros.parameters import BadParameter
+from dyknow.errors import BadParameter
 
 
 class Subsample(dyknow.Nodelet):

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import threading
+from contextlib import suppress
 
 import pytest
 from unit.nodelet.fakes import (
@@ -316,15 +316,14 @@ def test_loads_and_unloads_of_one_name_from_many_threads_end_clean(world):
             self.pub.publish()
 
     loader = world.loader(busy=Busy)
-    loaded, unloaded = [], []
+    loaded = []
 
     def run():
         for _ in range(60):
-            with contextlib.suppress(NameTaken, UnloadedMeanwhile):
+            with suppress(NameTaken, UnloadedMeanwhile):
                 loaded.append(loader.load("/n", "busy"))
-            with contextlib.suppress(UnknownNodelet):
+            with suppress(UnknownNodelet):
                 loader.unload("/n")
-                unloaded.append(1)
 
     join(*[in_thread(run) for _ in range(4)])
     loader.close()

@@ -6,6 +6,7 @@ import pytest
 from unit.nodelet.fakes import Message, World, in_thread, join, numbers
 
 from dyknow.errors import HandleClosed
+from dyknow.nodelet.local import LocalPublisher
 
 
 @pytest.fixture(name="world")
@@ -162,22 +163,25 @@ def test_a_latched_message_is_handed_to_the_half_that_comes_later(world):
     assert numbers(got) == [1]
 
 
-def test_what_is_published_during_a_latched_switch_is_the_last_word_outside(world):
+@pytest.mark.parametrize("alive", [False, True])
+def test_what_is_published_during_a_latched_switch_is_the_last_word_outside(world, alive):
     nh = world.handle()
+    if alive:
+        nh.Subscriber("new", Message, print)
     publisher = nh.Publisher("old", Message, latch=True, queue_size=1)
     publisher.publish(1)
     got = []
-    world.middleware.listeners.setdefault("/new", []).append(got.append)
-    switched = []
 
-    def publish_at_once():
-        switched.append(publisher.name)
-        publisher.publish(2)
+    def listen(message):
+        got.append(message)
+        if len(got) == 1:  # another thread publishes while the latched message is handed over
+            publisher.publish(2)
+            got.append(message)
 
-    world.bus.rewire([(publication_of(publisher), "/new")], between=lambda: None)
-    publish_at_once()
+    world.middleware.listeners.setdefault("/new", []).append(listen)
+    world.bus.rewire([(publication_of(publisher), "/new")])
+    assert numbers(got)[0] == 1
     assert numbers(got)[-1] == 2
-    assert switched == ["/new"]
 
 
 def test_a_refused_registration_leaves_nothing_of_a_handle(world):
@@ -225,6 +229,57 @@ def test_a_refused_registration_undoes_the_whole_switch(world):
     world.drain()
     assert numbers(got) == [1]
     assert world.bus.datatype_of("/b") == world.bus.datatype_of("/c") == ""
+
+
+def test_a_refused_registration_of_a_live_topic_leaves_no_old_ones(world):
+    # Inside, the switch is done by then: what is left is to be true, and to let go of the old.
+    got = []
+    nh, other = world.handle(), world.handle("/other")
+    other.Subscriber("/b", Message, got.append)
+    other.Subscriber("/d", Message, got.append)
+    first, second = (nh.Publisher(topic, Message, queue_size=1) for topic in ("a", "c"))
+    world.middleware.refused["/b"] = RuntimeError("no")
+    with pytest.raises(RuntimeError, match="no"):
+        world.bus.rewire([(publication_of(first), "/b"), (publication_of(second), "/d")])
+    assert (first.name, second.name) == ("/b", "/d")
+    first.publish(1)
+    second.publish(2)
+    world.drain()
+    assert numbers(got) == [1, 2]
+    assert world.registrations == [
+        ("publisher", "/d"),
+        ("subscriber", "/b"),
+        ("subscriber", "/d"),
+    ]
+
+
+def test_nothing_is_registered_after_an_unload_while_peers_are_waited_for(world):
+    nh = world.handle()
+    publisher = nh.Publisher("a", Message, queue_size=1)
+    subscriber = nh.Subscriber("a", Message, print)
+    seen = []
+
+    class Slow(LocalPublisher):
+        def wait(self, seconds):
+            seen.append(world.registrations)
+            join(in_thread(nh.context.close))
+            seen.append(world.registrations)
+
+    advertise = world.middleware.advertise
+
+    def slow_advertise(*args):
+        half = advertise(*args)
+        half.__class__ = Slow
+        return half
+
+    world.middleware.advertise = slow_advertise
+    moves = [(publication_of(publisher), "/b"), (subscription_of(subscriber), "/c")]
+    with pytest.raises(HandleClosed):
+        world.bus.rewire(moves, patience=1.0)
+    before, after = seen
+    assert len(before) == 4
+    assert after == []
+    assert world.registrations == []
 
 
 def test_a_nodelet_unloaded_while_its_topic_is_registered_leaves_nothing(world):

@@ -8,6 +8,8 @@ import threading
 import pytest
 from unit.nodelet.fakes import PATIENCE, World, make_pool_world, wait_for, wait_until
 
+from dyknow.nodelet.context import Context
+from dyknow.nodelet.handle import NodeHandle
 from dyknow.nodelet.local import ManualTicker
 from dyknow.nodelet.timers import TimerQueue
 
@@ -143,9 +145,6 @@ def test_a_call_that_waits_is_dropped_by_shutdown(world):
 def test_a_timer_ends_with_its_nodelet_and_leaves_others_alone(world):
     fired = []
     context = world.context("/going")
-    mine = world.runtime.timers
-    from dyknow.nodelet.handle import NodeHandle
-
     timer = NodeHandle(context, "/").Timer(1.0, lambda event: fired.append("going"))
     world.handle("/staying").Timer(1.0, lambda event: fired.append("staying"))
     advance(world, 1.0)
@@ -153,7 +152,7 @@ def test_a_timer_ends_with_its_nodelet_and_leaves_others_alone(world):
     advance(world, 1.0)
     assert fired == ["going", "staying", "staying"]
     assert not timer.is_alive()
-    assert len(mine._heap) == 1
+    assert len(world.runtime.timers._heap) == 1
 
 
 def test_a_timer_made_by_a_closed_nodelet_never_fires(world):
@@ -186,9 +185,6 @@ def test_a_period_must_be_positive(world, period):
 
 
 def test_timers_wait_for_the_end_of_on_init(world):
-    from dyknow.nodelet.context import Context
-    from dyknow.nodelet.handle import NodeHandle
-
     context, fired = Context(world.runtime, "/starting"), []
     NodeHandle(context, "/").Timer(1.0, fired.append)
     for _ in range(3):

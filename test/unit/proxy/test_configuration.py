@@ -227,6 +227,20 @@ class TestRefusals:
         assert bench.world.registrations == [("publisher", "/b"), ("subscriber", "/a")]
         assert bench.proxy.get_statistics().reconfigurations == 1
 
+    def test_a_registration_that_fails_after_the_switch_is_told_and_the_config_true(self, bench):
+        # A topic that is alive here is switched to at once, and registered afterwards.
+        bench.probe.Subscriber("/bad", Message, print)
+        bench.probe.Publisher("/good", Message)
+        bench.proxy.set_config([("in", "/a"), ("out", "/b")])
+        bench.world.middleware.refused["/bad"] = ValueError("headers")
+        changes = []
+        bench.proxy.on_change = lambda: changes.append(bench.topics()["out"])
+        with pytest.raises(ValueError, match="headers"):
+            bench.proxy.set_config([("out", "/bad"), ("in", "/good")])
+        assert bench.topics()["in"] == bench.sub.name == "/good"
+        assert bench.topics()["out"] == bench.out.name == "/bad"
+        assert changes == ["/bad"]
+
 
 class TestTypes:
     def test_any_fits_every_topic(self, bench):
