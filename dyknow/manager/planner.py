@@ -1,8 +1,9 @@
 """Finds the cheapest way to a stream.
 
 First Knuth's generalisation of Dijkstra's algorithm (``knuth``) gives for each demand the cheapest
-*tree*, in which a part that is used twice is paid twice. Then the plan is improved by counting shared
-parts once (``improvement``): exactly while the problem is small, within a number of steps beyond.
+*tree*, in which a part that is used twice is paid twice. Then the plan is improved by counting
+shared parts once (``improvement``): exactly while the problem is small, within a number of steps
+beyond.
 Costs are Python's integers: stacked diamonds make trees of 2**1000 without overflow. Nothing is
 recursive. Equal costs are decided by labels and ports, so equal problems have equal plans.
 """
@@ -26,7 +27,7 @@ from dyknow.manager.planning import (
     assemble,
 )
 from dyknow.manager.supply import Demand, Supply
-from dyknow.manager.tags import NoOntology, Subsumption, Term, parse_tag
+from dyknow.manager.tags import NO_ONTOLOGY, Subsumption, Term, parse_tag
 from dyknow.manager.transformation import IN, OUT, TOPIC, Transformation
 
 #: Steps that the improvement may take: about a tenth of a second.
@@ -36,7 +37,7 @@ STEPS = 100_000
 class Planner:
     """Plans over a library that changes a little at a time."""
 
-    def __init__(self, ontology: Subsumption = NoOntology()) -> None:
+    def __init__(self, ontology: Subsumption = NO_ONTOLOGY) -> None:
         """Start with an empty library."""
         self._ontology = ontology
         self._supply: Supply[New] = Supply(ontology)

@@ -1,7 +1,7 @@
 """The planning problem and its answer, as values.
 
-An AND/OR graph: a transformation needs *all* its tagged in-ports supplied (AND); a demand is met by
-*any* matching out-port or live stream (OR). A plan chooses for each demand that it meets one
+An AND/OR graph: a transformation needs *all* its tagged in-ports supplied (AND); a demand is met
+by *any* matching out-port or live stream (OR). A plan chooses for each demand that it meets one
 supplier, without a cycle; each transformation stands in it at most once and costs once.
 """
 

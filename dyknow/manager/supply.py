@@ -3,9 +3,20 @@
 from __future__ import annotations
 
 import itertools
-from typing import Dict, FrozenSet, Generic, Hashable, Iterable, List, NamedTuple, Set, Tuple, TypeVar
+from typing import (
+    Dict,
+    FrozenSet,
+    Generic,
+    Hashable,
+    Iterable,
+    List,
+    NamedTuple,
+    Set,
+    Tuple,
+    TypeVar,
+)
 
-from dyknow.manager.tags import NoOntology, Subsumption, Term, matches
+from dyknow.manager.tags import NO_ONTOLOGY, Subsumption, Term, matches
 
 _Key = Tuple[str, Tuple[str, ...]]
 Supplier = TypeVar("Supplier", bound=Hashable)
@@ -29,9 +40,18 @@ class Demand(NamedTuple):
 class Supply(Generic[Supplier]):
     """An index that grows and shrinks; ground demands are one look-up."""
 
-    def __init__(self, ontology: Subsumption = NoOntology()) -> None:
-        """Start empty."""
+    def __init__(
+        self, ontology: Subsumption = NO_ONTOLOGY, spelled_out: int = _SPELLED_OUT
+    ) -> None:
+        """Start empty.
+
+        Args:
+            ontology: what is a kind of what.
+            spelled_out: combinations of superordinate names to spell out for one tag; tags with
+                more are compared one by one.
+        """
         self._ontology = ontology
+        self._spelled_out = spelled_out
         self._by_term: Dict[_Key, Dict[Supplier, Term]] = {}
         self._by_functor: Dict[Tuple[str, int], Dict[Supplier, Set[Term]]] = {}
         self._wide: Dict[Supplier, Set[Term]] = {}
@@ -67,7 +87,7 @@ class Supply(Generic[Supplier]):
 
     def suppliers(self, demand: Demand) -> List[Supplier]:
         """Who satisfies every tag of the demand with the demanded type, in no special order."""
-        found: "Set[Supplier] | None" = None
+        found: Set[Supplier] | None = None
         for term in demand.tags:
             one = self._of_term(term)
             found = one if found is None else found & one
@@ -93,15 +113,13 @@ class Supply(Generic[Supplier]):
                 found.add(supplier)
         return found
 
-    def _keys(self, term: Term) -> "List[_Key] | None":
+    def _keys(self, term: Term) -> List[_Key] | None:
         above = self._ontology.names_above
         functors = above(term.functor)
         choices = [above(arg) for arg in term.args]
         count = len(functors)
         for names in choices:
             count *= len(names)
-        if count > _SPELLED_OUT:
+        if count > self._spelled_out:
             return None
-        return [
-            (functor, args) for functor in functors for args in itertools.product(*choices)
-        ]
+        return [(functor, args) for functor in functors for args in itertools.product(*choices)]

@@ -39,16 +39,20 @@ class Term(NamedTuple):
 class Subsumption(Protocol):
     """What an ontology knows about names."""
 
-    def names_above(self, name: str) -> "frozenset[str]":
+    def names_above(self, name: str) -> frozenset[str]:
         """Every name that subsumes ``name``, itself included."""
 
 
 class NoOntology:
     """Every name is only itself."""
 
-    def names_above(self, name: str) -> "frozenset[str]":
+    def names_above(self, name: str) -> frozenset[str]:
         """The name alone."""
         return frozenset((name,))
+
+
+NO_ONTOLOGY = NoOntology()
+"""What is there without an ontology."""
 
 
 def parse_tag(text: str) -> Term:
