@@ -188,9 +188,9 @@ def _search(
             enter()
             continue
         steps -= len(chosen)
-        found = drafted(network, part, dict(chosen), free)
-        if found is not None and found.cost < best.cost:
-            best = found
+        way = drafted(network, part, dict(chosen), free)
+        if way is not None and way.cost < best.cost:
+            best = way
             if best.cost <= floor:
                 return best, True
     return best, True

@@ -139,7 +139,7 @@ class Network:
         return found
 
     def reach(self, goal: Demand, streams: Supply[Live], exclude: AbstractSet[str]) -> Reach:
-        """Collect what the goal can reach; a demand that a live stream meets needs nothing more."""
+        """Collect what the goal can reach; where a live stream is, nothing more is needed."""
         reach = Reach(self.number(goal))
         served = reach.served
         needs = self.needs
