@@ -55,9 +55,14 @@ class RospyPublisher(OutsidePublisher):
         self._intraprocess = intraprocess
         self._local = intraprocess.publishing(topic)
         self._local.halves.add(self)
-        self._publisher = rospy.Publisher(
-            topic, datatype, latch=latch, queue_size=queue_size, **options
-        )
+        try:
+            self._publisher = rospy.Publisher(
+                topic, datatype, latch=latch, queue_size=queue_size, **options
+            )
+        except BaseException:
+            self._local.halves.discard(self)
+            intraprocess.retire(topic)
+            raise
         self._implementation = self._publisher.impl
         self.peers = self._implementation
         self._local.adopt(self._implementation)
