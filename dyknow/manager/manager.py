@@ -55,8 +55,8 @@ class Manager:
         """Put the parts together; nothing is touched before ``start``."""
         self.library = library
         self.guards = guards
-        self._host = host
-        self._store = store
+        self.host = host
+        self.store = store
         self._settings = settings
         self.graph = Graph(store)
         self.lifecycle = Lifecycle(host, self.graph, guards, settings.spawn_timeout)
@@ -73,7 +73,7 @@ class Manager:
 
     def start(self) -> None:
         """Take over what still runs from an earlier life, and bring back what does not."""
-        self.observer.adopt(self._store.nodelets())
+        self.observer.adopt(self.store.nodelets())
 
     def look(self, changed: Optional[Set[str]] = None) -> None:
         """Compare the picture with reality; ``changed`` names nodelets to look at closely."""
@@ -84,7 +84,7 @@ class Manager:
         for record in self.graph.all():
             if record.transformation is not None:
                 self.lifecycle.clear(record)
-        self._store.end()
+        self.store.end()
 
     # Transformations
 

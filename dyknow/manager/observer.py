@@ -181,6 +181,9 @@ class Observer:
             self._graph.put(replace(record, state=State.LOST, detail=why))
 
     def _bring_back(self, record: Record) -> None:
+        if record.claimed:  # whoever claims a stream decides what takes its place
+            self._lifecycle.forget(record)
+            return
         if not self._patience.allows(record.name):
             return
         self._patience.attempt(record.name)
@@ -223,9 +226,7 @@ class Observer:
             return []
 
 
-def _as_it_was(
-    record: Record, state: "ManagerState | None", listed: Dict[str, Set[str]]
-) -> bool:
+def _as_it_was(record: Record, state: ManagerState | None, listed: Dict[str, Set[str]]) -> bool:
     """Whether a nodelet runs on in the process that was seen last: the look is done with it."""
     return (
         state is not None

@@ -206,7 +206,9 @@ class Children:
             if present is not None:
                 return present
             self._children[name] = child
-        threading.Thread(target=self._keep, args=(child,), name=f"child {name}", daemon=True).start()
+        threading.Thread(
+            target=self._keep, args=(child,), name=f"child {name}", daemon=True
+        ).start()
         return child
 
     def _free_name(self, kind: Kind) -> str:

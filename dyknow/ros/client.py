@@ -139,9 +139,7 @@ class ManagerClient:
 
     def add_transformation(self, specification: str) -> Added:
         """Add what a specification (XML text) says."""
-        answer = self._change(
-            "add_transformation", AddTransformation, specification=specification
-        )
+        answer = self._change("add_transformation", AddTransformation, specification=specification)
         return Added(tuple(answer.labels), answer.message)
 
     def remove_transformation(self, label: str) -> None:
@@ -292,6 +290,6 @@ def _direction(message: Any) -> str:
     return OUT if message.direction == PortMessage.OUT else IN
 
 
-def _pairs(config: Mapping[str, str]) -> "list[PortConfig]":
+def _pairs(config: Mapping[str, str]) -> list[PortConfig]:
     ordered: Dict[str, str] = dict(sorted(config.items()))
     return [PortConfig(port, topic) for port, topic in ordered.items()]

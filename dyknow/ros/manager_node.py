@@ -145,7 +145,7 @@ class ManagerNode:
         self._children.echo()
 
 
-def _ontology(paths: Sequence[str]) -> "Ontology | None":
+def _ontology(paths: Sequence[str]) -> Ontology | None:
     if not paths:
         return None
     from dyknow.manager.ontology import load_ontology  # rdflib takes its time to import
@@ -156,7 +156,7 @@ def _ontology(paths: Sequence[str]) -> "Ontology | None":
 def main(argv: Sequence[str] = ()) -> int:
     """Run the node until it is told to end; returns the exit code."""
     rospy.init_node("dyknow_manager", argv=list(argv or sys.argv), disable_signals=True)
-    told: "queue.SimpleQueue[str]" = queue.SimpleQueue()  # a signal handler may put into it
+    told: queue.SimpleQueue[str] = queue.SimpleQueue()  # a signal handler may put into it
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda number, frame: told.put(signal.Signals(number).name))
     ended, shut_down = threading.Event(), threading.Event()

@@ -126,9 +126,7 @@ class ManagerServices:
     def _check_sizes(self, *texts: str, entries: int = 0) -> None:
         self._manager.guards.check_sizes(texts, entries)
 
-    def _try(
-        self, request: Any, what: str, action: Callable[[], "str | None"]
-    ) -> Tuple[bool, str]:
+    def _try(self, request: Any, what: str, action: Callable[[], str | None]) -> Tuple[bool, str]:
         """Do what a request asks for; the answer says whether it worked, and why not."""
         caller = caller_of(request)
         try:
