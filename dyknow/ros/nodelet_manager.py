@@ -114,8 +114,8 @@ class NodeletManager:
         Raises:
             DyKnowError: it could not be loaded, and nothing of it is left.
         """
+        name = _resolved(name)
         namespace = names.parent(rospy.get_name())
-        name = names.resolve(name, namespace, rospy.get_name(), "nodelet name")
         remappings = names.pair_remappings(name, sources, targets, namespace)
         self.loader.load(name, type_name, remappings, my_argv)
         if bond_id:
@@ -128,7 +128,7 @@ class NodeletManager:
         Raises:
             UnknownNodelet: there is none of that name.
         """
-        name = names.resolve(name, names.parent(rospy.get_name()), rospy.get_name())
+        name = _resolved(name)
         self.loader.unload(name)
         rospy.loginfo("unloaded nodelet %s", name)
 
@@ -192,6 +192,11 @@ class NodeletManager:
 
     def _list(self, request: Any) -> NodeletListResponse:
         return NodeletListResponse(self.loader.list())
+
+
+def _resolved(name: str) -> str:
+    name = names.check(name, "nodelet name")  # resolved, an empty one would be the namespace
+    return names.resolve(name, names.parent(rospy.get_name()), rospy.get_name())
 
 
 def _failed(what: str, name: str, error: DyKnowError) -> rospy.ServiceException:
