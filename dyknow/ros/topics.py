@@ -7,11 +7,13 @@ import time
 import warnings
 from typing import Any, Callable, Dict, Optional
 
+import genpy
 import rospy
 
 from dyknow.errors import PeerTimeout, RemappedTopic
 from dyknow.nodelet.endpoints import NOTHING
 from dyknow.nodelet.middleware import OutsidePublisher, OutsideSubscriber, Receive
+from dyknow.ros.anymsg import TypedReceiver
 from dyknow.ros.intraprocess import IntraProcess
 from dyknow.ros.master import Master
 
@@ -123,9 +125,16 @@ class RospyPublisher(OutsidePublisher):
         implementation.acquire()
         try:
             self._local.outwards(message)
-        except rospy.ROSException:
-            if not self._closed:
-                raise
+        except Exception as error:
+            if self._closed:
+                return
+            if implementation.buff is not None:
+                # rospy leaves what it wrote so far in front of the next message.
+                implementation.buff.seek(0)
+                implementation.buff.truncate(0)
+            if isinstance(error, genpy.SerializationError):
+                raise rospy.ROSSerializationException(str(error)) from error
+            raise
         finally:
             implementation.release()
 
