@@ -147,6 +147,8 @@ class RospySubscriber(OutsideSubscriber):
     ) -> None:
         """Register the subscriber; the arguments are those of ``Middleware.subscribe``."""
         self._topic = _unremapped(topic)
+        if datatype._md5sum != "*":
+            receive = TypedReceiver(topic, datatype, receive).push
         self._subscriber = rospy.Subscriber(topic, datatype, receive, tcp_nodelay=True, **options)
         self._implementation = self._subscriber.impl
 
