@@ -75,13 +75,13 @@ class StartTest(Started):
         for value in (-1, "many", 1.5, True):
             rospy.set_param("/confused/num_worker_threads", value)
             process = self.start_manager("/confused", wait=False)
-            self.assertEqual(process.exit_code(10.0), 1, process.output)
+            self.assertEqual(process.exit_code(10.0), 255, process.output)
             self.assertIn("num_worker_threads", process.output)
             self.assertIn("expected an integer", process.output)
             self.assertNotIn("Traceback", process.output)
 
     def test_sigint_at_any_moment_of_the_start(self):
-        for tenth in range(2, 8):
+        for tenth in range(1, 8):
             process = self.start_manager("/hasty", wait=False)
             process._process.poll()
             try:
@@ -347,7 +347,7 @@ class StandaloneTest(Started):
 
     def test_a_nodelet_that_cannot_be_loaded_ends_it(self):
         code, output = finished([*NODELET, "standalone", "dyknow_test/FailsInInit"])
-        self.assertEqual(code, 1, output)
+        self.assertEqual(code, 255, output)
         self.assertIn("the camera is not plugged in", output)
 
 

@@ -8,8 +8,6 @@ import message_filters
 import rospy
 import tf2_ros
 from dyknow_test.puppet import Puppet
-from dynamic_reconfigure.encoding import extract_params
-from dynamic_reconfigure.parameter_generator_catkin import ParameterGenerator, double_t, int_t
 from dynamic_reconfigure.server import Server
 from geometry_msgs.msg import TransformStamped
 from sensor_msgs.msg import Image
@@ -87,21 +85,37 @@ class Diagnosed(Puppet):
         return status
 
 
-def config_type():
-    """What dynamic_reconfigure would generate from a .cfg file."""
-    generator = ParameterGenerator()
-    generator.add("gain", double_t, 1, "amplification", 1.0, 0.0, 10.0)
-    generator.add("size", int_t, 2, "edge length", 3, 1, 9)
+def _described(name, kind, default, level):
+    return {
+        "name": name,
+        "type": kind,
+        "default": default,
+        "level": level,
+        "description": "",
+        "edit_method": "",
+    }
 
-    class ConfigType:
-        config_description = generator.group.to_dict()
-        defaults = {each["name"]: each["default"] for each in extract_params(config_description)}
-        min = {each["name"]: each["min"] for each in extract_params(config_description)}
-        max = {each["name"]: each["max"] for each in extract_params(config_description)}
-        level = {each["name"]: each["level"] for each in extract_params(config_description)}
-        all_level = 3
 
-    return ConfigType
+class ConfigType:
+    """What dynamic_reconfigure would generate from a .cfg file with these two parameters."""
+
+    defaults = {"gain": 1.0, "size": 3}
+    min = {"gain": 0.0, "size": 1}
+    max = {"gain": 10.0, "size": 9}
+    level = {"gain": 1, "size": 2}
+    all_level = 3
+    config_description = {
+        "name": "Default",
+        "type": "",
+        "id": 0,
+        "parent": 0,
+        "state": True,
+        "groups": [],
+        "parameters": [
+            _described("gain", "double", 1.0, 1),
+            _described("size", "int", 3, 2),
+        ],
+    }
 
 
 class Reconfigurable(Puppet):
@@ -109,7 +123,7 @@ class Reconfigurable(Puppet):
 
     def set_up(self):
         self.configs = []
-        self.server = Server(config_type(), self.configure, namespace=self.name)
+        self.server = Server(ConfigType, self.configure, namespace=self.name)
 
     def on_shutdown(self):
         self.server.set_service.shutdown()
