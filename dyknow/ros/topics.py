@@ -98,7 +98,9 @@ class RospyPublisher(OutsidePublisher):
     def drain(self, seconds: float) -> None:
         """Wait until rospy's sending threads have written everything."""
         deadline = time.monotonic() + seconds
-        while not all(map(_idle, list(self._implementation.connections or ()))):
+        while self.in_flight or not all(
+            map(_idle, list(self._implementation.connections or ()))
+        ):
             if time.monotonic() >= deadline:
                 return
             time.sleep(_STEP)
