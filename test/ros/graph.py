@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import signal
 import sys
 import xmlrpc.client
 from pathlib import Path
@@ -34,6 +35,7 @@ class Ended(Running):
 
     def __exit__(self, *unused: object) -> None:
         if not self.has_ended:
+            self.stop(signal.SIGCONT)
             self.stop()
             with contextlib.suppress(AssertionError):
                 self.exit_code(10.0)

@@ -361,7 +361,7 @@ LAUNCH = """
     </node>
     <node pkg="nodelet" type="nodelet" name="relay"
           args="load dyknow_test/Relay manager --no-bond first second" output="screen">
-      <remap from="in" to="image"/>
+      <remap from="in" to="source"/>
       <remap from="~out" to="unused"/>
       <remap from="out" to="/result"/>
       <param name="rate" value="$(arg rate)"/>
@@ -382,11 +382,10 @@ class LaunchTest(Started):
             file.write(LAUNCH.replace('pkg="nodelet"', 'pkg="dyknow"'))
             file.flush()
             launch = self.start("roslaunch", file.name, "rate:=7")
-            self.addCleanup(lambda: print(launch.output))
             for nodelet in ("relay", "alone", "introspector"):
                 rospy.wait_for_service(f"/robot/{nodelet}/call", 20.0)
             self.assertEqual(
-                graph.topics_of_ports("/robot/relay"), {"in": "/robot/image", "out": "/result"}
+                graph.topics_of_ports("/robot/relay"), {"in": "/robot/source", "out": "/result"}
             )
             self.assertEqual(rospy.get_param("/robot/relay/rate"), 7)
             self.assertEqual(rospy.get_param("/robot/relay/gains"), [1, 2])
@@ -394,7 +393,7 @@ class LaunchTest(Started):
             self.assertEqual(call("/robot/introspector", "describe")["argv"], [])
             self.assertEqual(call("/robot/introspector", "resolve", "image"), "/robot/camera/image")
             heard = rospy.Subscriber("/result", Header, self.note)
-            speaker = rospy.Publisher("/robot/image", Header, queue_size=1)
+            speaker = rospy.Publisher("/robot/source", Header, queue_size=1)
             self.heard = []
             eventually(
                 lambda: heard.get_num_connections() and speaker.get_num_connections(),
