@@ -253,11 +253,17 @@ class Publication:
             for push in self._route:
                 push(message)
             outside = self._outside
-        if outside is not None:
+            if outside is None or not (self.latch or outside.peers.connections):
+                return
+            outside.in_flight += 1
+        try:
             if self.latch:
                 outside.latch(message)
-            elif outside.peers.connections:
+            else:
                 outside.publish(message)
+        finally:
+            with self._lock:
+                outside.in_flight -= 1
 
     def _unrouted(self, message: Any) -> None:
         if self._closed:

@@ -28,6 +28,8 @@ class OutsidePublisher(ABC):
     """The outside half of one publication on one topic: an ordinary registration in ROS."""
 
     peers: Peers
+    #: Messages that its publication is just handing over; a switch waits for them too.
+    in_flight = 0
 
     @abstractmethod
     def publish(self, message: Any) -> None:

@@ -28,6 +28,7 @@ from rospy.impl.transport import INBOUND, Transport
 
 from dyknow.nodelet.endpoints import NOTHING, Connection
 from dyknow.nodelet.scheduler import Executor, Strand
+from dyknow.ros.anymsg import TypedReceiver
 
 Callback = Tuple[Callable[..., Any], Any]
 
@@ -115,8 +116,12 @@ class LocalTopic:
             subscriber.add_connection(
                 IntraProcessTransport(self.name, self._uri, lambda: self._unlinked(subscriber))
             )
-        if self._listening is subscriber:
-            return
+        if self._listening is not subscriber:
+            self._follow(subscriber)
+            if self.latched is not NOTHING:
+                self._hand_over(self.latched, self.foreign)
+
+    def _follow(self, subscriber: Any) -> None:
         self._listening = subscriber
         add, remove = subscriber.add_callback, subscriber.remove_callback
 
@@ -147,6 +152,8 @@ class LocalTopic:
         """Take the link off rospy's subscriber: nobody publishes here any more."""
         subscriber = self._listening
         if subscriber is not None:
+            vars(subscriber).pop("add_callback", None)
+            vars(subscriber).pop("remove_callback", None)
             for connection in list(subscriber.connections or ()):
                 if isinstance(connection, IntraProcessTransport):
                     subscriber.remove_connection(connection)
@@ -235,4 +242,4 @@ class _Departures(rospy.impl.registration.RegistrationListener):
 
 
 def _ours(callback: Any) -> bool:
-    return isinstance(getattr(callback, "__self__", None), Connection)
+    return isinstance(getattr(callback, "__self__", None), (Connection, TypedReceiver))

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import os
 import sys
-import threading
 import traceback
 from dataclasses import dataclass
 from typing import Any, Dict, List, Optional, Sequence
@@ -33,9 +32,9 @@ from dyknow.nodelet.plugins import Plugins
 from dyknow.nodelet.scheduler import WorkerPool
 from dyknow.proxy.proxy import NodeletProxy
 from dyknow.ros.bonds import Bonds
-from dyknow.ros.exit_codes import DONE, FAILED
 from dyknow.ros.middleware import RospyMiddleware
 from dyknow.ros.packages import plugin_files
+from dyknow.ros.process import NodeProcess
 from dyknow.ros.proxy_services import ProxyServices
 
 
@@ -78,7 +77,7 @@ class Settings:
         return self.num_worker_threads or max(4, os.cpu_count() or 1)
 
 
-class NodeletManager:
+class NodeletManager(Closable):
     """Hosts nodelets in this process; the node must be initialised."""
 
     def __init__(self, settings: Settings) -> None:
@@ -114,8 +113,8 @@ class NodeletManager:
         Raises:
             DyKnowError: it could not be loaded, and nothing of it is left.
         """
+        name = _resolved(name)
         namespace = names.parent(rospy.get_name())
-        name = names.resolve(name, namespace, rospy.get_name(), "nodelet name")
         remappings = names.pair_remappings(name, sources, targets, namespace)
         self.loader.load(name, type_name, remappings, my_argv)
         if bond_id:
@@ -128,7 +127,7 @@ class NodeletManager:
         Raises:
             UnknownNodelet: there is none of that name.
         """
-        name = names.resolve(name, names.parent(rospy.get_name()), rospy.get_name())
+        name = _resolved(name)
         self.loader.unload(name)
         rospy.loginfo("unloaded nodelet %s", name)
 
@@ -194,6 +193,11 @@ class NodeletManager:
         return NodeletListResponse(self.loader.list())
 
 
+def _resolved(name: str) -> str:
+    name = names.check(name, "nodelet name")  # resolved, an empty one would be the namespace
+    return names.resolve(name, names.parent(rospy.get_name()), rospy.get_name())
+
+
 def _failed(what: str, name: str, error: DyKnowError) -> rospy.ServiceException:
     cause = error.__cause__
     lines = traceback.format_exception(type(cause), cause, cause.__traceback__) if cause else []
@@ -205,20 +209,7 @@ def _attach(context: Context, thing: Any) -> Optional[Closable]:
     return ProxyServices(thing) if isinstance(thing, NodeletProxy) else None
 
 
-def _serve(manager: NodeletManager) -> int:
-    ended = threading.Event()
-
-    def end() -> None:
-        manager.close()
-        ended.set()
-
-    rospy.on_shutdown(end)
-    ended.wait()  # rospy.spin() would wake up twice a second for nothing
-    return DONE
-
-
-def _start(node: str, argv: Sequence[str]) -> Optional[NodeletManager]:
-    rospy.init_node(node, argv=list(argv))
+def _make() -> Optional[NodeletManager]:
     try:
         return NodeletManager(Settings.read())
     except DyKnowError as error:
@@ -228,29 +219,35 @@ def _start(node: str, argv: Sequence[str]) -> Optional[NodeletManager]:
 
 def run_manager(argv: Sequence[str], node: str = "manager") -> int:
     """Run a nodelet manager until it is told to end; returns the exit code."""
-    manager = _start(node, argv)
-    if manager is None:
-        return FAILED
-    manager.offer()
-    return _serve(manager)
+
+    def start() -> Optional[NodeletManager]:
+        manager = _make()
+        if manager is not None:
+            manager.offer()
+        return manager
+
+    return NodeProcess(node, argv, start).run()
 
 
 def run_standalone(type_name: str, my_argv: Sequence[str], argv: Sequence[str]) -> int:
     """Run one nodelet in a process of its own, under the name of the node."""
-    manager = _start(type_name.replace("/", "_"), argv)
-    if manager is None:
-        return FAILED
-    remappings = {
-        source: target
-        for source, target in rospy.names.get_resolved_mappings().items()
-        if source.startswith("/") and not source.startswith("/__")
-    }
-    try:
-        manager.load(
-            rospy.get_name(), type_name, list(remappings), list(remappings.values()), my_argv
-        )
-    except DyKnowError as error:
-        rospy.logfatal("Failed to load nodelet [%s]: %s", rospy.get_name(), error)
-        manager.close()
-        return FAILED
-    return _serve(manager)
+
+    def start() -> Optional[NodeletManager]:
+        manager = _make()
+        if manager is None:
+            return None
+        remappings = {
+            source: target
+            for source, target in rospy.names.get_resolved_mappings().items()
+            if source.startswith("/") and not source.startswith("/__")
+        }
+        sources, targets = list(remappings), list(remappings.values())
+        try:
+            manager.load(rospy.get_name(), type_name, sources, targets, my_argv)
+        except DyKnowError as error:
+            rospy.logfatal("Failed to load nodelet [%s]: %s", rospy.get_name(), error)
+            manager.close()
+            return None
+        return manager
+
+    return NodeProcess(type_name.replace("/", "_"), argv, start).run()

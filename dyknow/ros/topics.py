@@ -7,11 +7,13 @@ import time
 import warnings
 from typing import Any, Callable, Dict, Optional
 
+import genpy
 import rospy
 
 from dyknow.errors import PeerTimeout, RemappedTopic
 from dyknow.nodelet.endpoints import NOTHING
 from dyknow.nodelet.middleware import OutsidePublisher, OutsideSubscriber, Receive
+from dyknow.ros.anymsg import TypedReceiver
 from dyknow.ros.intraprocess import IntraProcess
 from dyknow.ros.master import Master
 
@@ -96,7 +98,9 @@ class RospyPublisher(OutsidePublisher):
     def drain(self, seconds: float) -> None:
         """Wait until rospy's sending threads have written everything."""
         deadline = time.monotonic() + seconds
-        while not all(map(_idle, list(self._implementation.connections or ()))):
+        while self.in_flight or not all(
+            map(_idle, list(self._implementation.connections or ()))
+        ):
             if time.monotonic() >= deadline:
                 return
             time.sleep(_STEP)
@@ -123,9 +127,16 @@ class RospyPublisher(OutsidePublisher):
         implementation.acquire()
         try:
             self._local.outwards(message)
-        except rospy.ROSException:
-            if not self._closed:
-                raise
+        except Exception as error:
+            if self._closed:
+                return
+            if implementation.buff is not None:
+                # rospy leaves what it wrote so far in front of the next message.
+                implementation.buff.seek(0)
+                implementation.buff.truncate(0)
+            if isinstance(error, genpy.SerializationError):
+                raise rospy.ROSSerializationException(str(error)) from error
+            raise
         finally:
             implementation.release()
 
@@ -138,6 +149,8 @@ class RospySubscriber(OutsideSubscriber):
     ) -> None:
         """Register the subscriber; the arguments are those of ``Middleware.subscribe``."""
         self._topic = _unremapped(topic)
+        if datatype._md5sum != "*":
+            receive = TypedReceiver(topic, datatype, receive).push
         self._subscriber = rospy.Subscriber(topic, datatype, receive, tcp_nodelay=True, **options)
         self._implementation = self._subscriber.impl
 

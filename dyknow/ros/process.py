@@ -1,0 +1,91 @@
+"""The life of a node's process: started, told to end, closed, gone.
+
+rospy's own signal handler runs its whole shutdown in the main thread, in the middle of whatever
+that is doing: when it is calling the master, the shutdown waits for ever for the lock that the
+call holds. So here the main thread only waits, and everything else has another one.
+"""
+
+from __future__ import annotations
+
+import queue
+import signal
+import threading
+from typing import Callable, Optional, Sequence
+
+import rospy
+
+from dyknow.nodelet.middleware import Closable
+from dyknow.ros.exit_codes import DONE, FAILED, INTERRUPTED
+
+#: Seconds that what is just being started may take to be complete, so that it can be closed.
+_START_PATIENCE = 2.0
+#: Seconds for closing, when it is rosnode kill that ends the process.
+_CLOSE_PATIENCE = 10.0
+#: Seconds for rospy to take back its registrations.
+_SHUTDOWN_PATIENCE = 2.0
+
+
+class NodeProcess:
+    """Runs one thing in a node of its own until SIGINT, SIGTERM or rosnode kill.
+
+    Args:
+        node: default name of the node.
+        argv: the command line with ROS's own arguments, program name first.
+        start: called once the node is initialised; returns what is to be closed at the end, or
+            None if it failed and has said so.
+    """
+
+    def __init__(
+        self, node: str, argv: Sequence[str], start: Callable[[], Optional[Closable]]
+    ) -> None:
+        self._node = node
+        self._argv = list(argv)
+        self._start = start
+        self._running: Optional[Closable] = None
+        # A SimpleQueue, since a signal handler may put into it while this very thread waits on it.
+        self._told: queue.SimpleQueue[bool] = queue.SimpleQueue()
+        self._closed = threading.Event()
+        self._shut_down = threading.Event()
+        self._shut_down.set()
+
+    def run(self) -> int:
+        """Run, and return the exit code."""
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, lambda *_: self._told.put(True))
+        starting = threading.Thread(target=self._begin, name="start", daemon=True)
+        starting.start()
+        to_end = self._told.get()
+        if not rospy.core.is_initialized():
+            rospy.signal_shutdown("told to end")  # ends the wait for a master, too
+        starting.join(_START_PATIENCE)
+        if self._running is not None:
+            self._running.close()
+        self._closed.set()
+        rospy.signal_shutdown("told to end")
+        # It returns at once if another thread (rosnode kill) is at it; that one has to finish.
+        self._shut_down.wait(_SHUTDOWN_PATIENCE)
+        if not to_end:
+            return FAILED
+        return DONE if self._running is not None else INTERRUPTED
+
+    def _begin(self) -> None:
+        try:
+            rospy.init_node(self._node, argv=self._argv, disable_signals=True)
+            self._shut_down.clear()
+            rospy.core.add_shutdown_hook(lambda reason: self._shut_down.set())
+            rospy.on_shutdown(self._on_shutdown)
+            self._running = self._start()
+        except rospy.ROSInitException:
+            if not rospy.is_shutdown():
+                self._told.put(False)
+                raise
+        except BaseException:
+            self._told.put(False)
+            raise
+        if self._running is None:
+            self._told.put(False)
+
+    def _on_shutdown(self) -> None:
+        """Hold up a shutdown by rosnode kill until everything is closed in order."""
+        self._told.put(True)
+        self._closed.wait(_CLOSE_PATIENCE)
