@@ -256,7 +256,7 @@ class Publication:
         if outside is not None:
             if self.latch:
                 outside.latch(message)
-            elif outside.peers.connections:
+            elif outside.heard:
                 outside.publish(message)
 
     def _unrouted(self, message: Any) -> None:
@@ -301,4 +301,4 @@ class Publication:
     def get_num_connections(self) -> int:
         """Listeners: one for each outside, and one for all of this process, as in roscpp."""
         route, outside = self._route, self._outside
-        return (1 if route else 0) + (len(outside.peers.connections) if outside else 0)
+        return (1 if route else 0) + (outside.listeners() if outside else 0)

@@ -32,6 +32,18 @@ def _unremapped(topic: str) -> str:
 class RospyPublisher(OutsidePublisher):
     """A rospy.Publisher that only speaks when somebody outside listens."""
 
+    __slots__ = (
+        "_closed",
+        "_implementation",
+        "_intraprocess",
+        "_local",
+        "_publisher",
+        "_topic",
+        "heard",
+    )
+
+    heard: bool
+
     def __init__(
         self,
         intraprocess: IntraProcess,
@@ -51,6 +63,7 @@ class RospyPublisher(OutsidePublisher):
             )
             queue_size = DEFAULT_QUEUE_SIZE
         self._topic = _unremapped(topic)
+        self.heard = False
         self._closed = False
         self._intraprocess = intraprocess
         self._local = intraprocess.publishing(topic)
@@ -59,9 +72,12 @@ class RospyPublisher(OutsidePublisher):
             topic, datatype, latch=latch, queue_size=queue_size, **options
         )
         self._implementation = self._publisher.impl
-        self.peers = self._implementation
         self._local.adopt(self._implementation)
         self._local.refresh()
+
+    def listeners(self) -> int:
+        """Connections, and one for all ordinary subscribers of this process."""
+        return len(self._implementation.connections or ()) + bool(self._local.foreign)
 
     def publish(self, message: Any) -> None:
         """Serialise once for everyone outside; ordinary subscribers in here get the object."""
