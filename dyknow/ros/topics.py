@@ -34,6 +34,18 @@ def _unremapped(topic: str) -> str:
 class RospyPublisher(OutsidePublisher):
     """A rospy.Publisher that only speaks when somebody outside listens."""
 
+    __slots__ = (
+        "_closed",
+        "_implementation",
+        "_intraprocess",
+        "_local",
+        "_publisher",
+        "_topic",
+        "heard",
+    )
+
+    heard: bool
+
     def __init__(
         self,
         intraprocess: IntraProcess,
@@ -53,6 +65,8 @@ class RospyPublisher(OutsidePublisher):
             )
             queue_size = DEFAULT_QUEUE_SIZE
         self._topic = _unremapped(topic)
+        self.heard = False
+        self.in_flight = 0
         self._closed = False
         self._intraprocess = intraprocess
         self._local = intraprocess.publishing(topic)
@@ -66,9 +80,12 @@ class RospyPublisher(OutsidePublisher):
             intraprocess.retire(topic)
             raise
         self._implementation = self._publisher.impl
-        self.peers = self._implementation
         self._local.adopt(self._implementation)
         self._local.refresh()
+
+    def listeners(self) -> int:
+        """Connections, and one for all ordinary subscribers of this process."""
+        return len(self._implementation.connections or ()) + bool(self._local.foreign)
 
     def publish(self, message: Any) -> None:
         """Serialise once for everyone outside; ordinary subscribers in here get the object."""
@@ -98,9 +115,7 @@ class RospyPublisher(OutsidePublisher):
     def drain(self, seconds: float) -> None:
         """Wait until rospy's sending threads have written everything."""
         deadline = time.monotonic() + seconds
-        while self.in_flight or not all(
-            map(_idle, list(self._implementation.connections or ()))
-        ):
+        while self.in_flight or not all(map(_idle, list(self._implementation.connections or ()))):
             if time.monotonic() >= deadline:
                 return
             time.sleep(_STEP)

@@ -274,7 +274,8 @@ class OrdinaryHandleTest(BusTest):
 
     def wait_for(self, label, numbers):
         eventually(
-            lambda: len(call("/n", "received", label)) >= len(numbers), 5.0,
+            lambda: len(call("/n", "received", label)) >= len(numbers),
+            5.0,
             f"{label} receives {numbers}",
         )
         self.assertEqual(sorted(call("/n", "received", label)), numbers, label)

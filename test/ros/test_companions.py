@@ -13,7 +13,7 @@ import tf2_ros
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import TransformStamped
 from graph import Manager, call
-from processes import eventually, finished
+from processes import eventually
 from sensor_msgs.msg import Image
 
 
@@ -64,7 +64,8 @@ class TransformTest(CompanionTest):
             call("/one", "send", "map", "robot", float(number))
             eventually(
                 lambda number=number: call("/two", "look_up", "map", "robot", 1.0) == number,
-                5.0, "the transform",
+                5.0,
+                "the transform",
             )
 
     def test_static_transforms(self):
@@ -79,7 +80,9 @@ class TransformTest(CompanionTest):
         self.addCleanup(listener.unregister)
         eventually(
             lambda: "/manager" in graph.nodes_on("/tf")[0]
-            and listener.tf_sub.get_num_connections() > 0, 5.0, "connected",
+            and listener.tf_sub.get_num_connections() > 0,
+            5.0,
+            "connected",
         )
 
         def heard():
@@ -119,11 +122,10 @@ class DiagnosticsTest(CompanionTest):
         self.manager.load("Diagnosed", "/n")
         eventually(
             lambda: any(s.message == "a little warm" for array in heard for s in array.status),
-            5.0, "a report",
+            5.0,
+            "a report",
         )
-        status = next(
-            s for array in heard for s in array.status if s.message == "a little warm"
-        )
+        status = next(s for array in heard for s in array.status if s.message == "a little warm")
         self.assertEqual(status.hardware_id, "/n")
         self.assertEqual(status.values[0].value, "71")
 

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import re
 import threading
 import unittest
 
@@ -149,7 +148,8 @@ class StrandTest(HandleTest):
             lambda: {**call("/n", "counts"), "timer": 0}
             == {"a": 200, "b": 200, "service": 75, "timer": 0}
             and call("/n", "counts")["timer"] > 20,
-            10.0, "everything was called",
+            10.0,
+            "everything was called",
         )
         call("/n", "stop_timer")
         self.assertEqual(call("/n", "numbers", "a"), list(range(200)))
@@ -231,8 +231,14 @@ class LogTest(HandleTest):
         logged = [line.msg for line in lines if line.level >= Log.WARN]
         self.assertEqual(
             logged,
-            ["once here 0", "once there 0", "seldom here 0", "seldom there 0", "the same",
-             "plainly logged"],
+            [
+                "once here 0",
+                "once there 0",
+                "seldom here 0",
+                "seldom there 0",
+                "the same",
+                "plainly logged",
+            ],
         )
         # Where it was logged is the nodelet's code, not ours.
         plainly = next(line for line in lines if "plainly" in line.msg)

@@ -185,8 +185,11 @@ class ServiceTest(Started):
         slow = self.start(
             *NODELET, "load", "dyknow_test/WaitsInInit", "/robot/manager", "__name:=slow"
         )
-        eventually(lambda: "/slow/get_config" in registrations("/robot/manager")["services"], 10.0,
-                   "on_init has begun")
+        eventually(
+            lambda: "/slow/get_config" in registrations("/robot/manager")["services"],
+            10.0,
+            "on_init has begun",
+        )
         begin = time.monotonic()
         self.manager.load("Introspector", "/quick")
         self.assertEqual(self.manager.list(), ["/quick"])
@@ -302,9 +305,7 @@ class ClientTest(Started):
         process.exit_code(5.0)
         for client in ("own", "stock"):
             self.assertEqual(self.manager.list(), ["/robot/relay"])
-            code, output = finished(
-                [*CLIENTS[client], "unload", "/robot/relay", "/robot/manager"]
-            )
+            code, output = finished([*CLIENTS[client], "unload", "/robot/relay", "/robot/manager"])
             self.assertEqual(code, 0, output)
             self.assertEqual(self.manager.list(), [])
             self.manager.load("Relay", "/robot/relay")
@@ -323,8 +324,16 @@ class ClientTest(Started):
 class StandaloneTest(Started):
     def test_one_nodelet_under_the_name_of_its_node(self):
         process = self.start(
-            *NODELET, "standalone", "dyknow_test/Introspector", "one", "two", "topic:=/by_node",
-            "~topic:=mine", "__name:=alone", "__ns:=/robot", "_answer:=42",
+            *NODELET,
+            "standalone",
+            "dyknow_test/Introspector",
+            "one",
+            "two",
+            "topic:=/by_node",
+            "~topic:=mine",
+            "__name:=alone",
+            "__ns:=/robot",
+            "_answer:=42",
         )
         rospy.wait_for_service("/robot/alone/call", 10.0)
         description = call("/robot/alone", "describe")
@@ -391,7 +400,9 @@ class LaunchTest(Started):
             self.assertEqual(rospy.get_param("/robot/relay/gains"), [1, 2])
             self.assertEqual(call("/robot/alone", "describe")["argv"], ["third"])
             self.assertEqual(call("/robot/introspector", "describe")["argv"], [])
-            self.assertEqual(call("/robot/introspector", "resolve", "image"), "/robot/camera/image")
+            self.assertEqual(
+                call("/robot/introspector", "resolve", "image"), "/robot/camera/image"
+            )
             heard = rospy.Subscriber("/result", Header, self.note)
             speaker = rospy.Publisher("/robot/source", Header, queue_size=1)
             self.heard = []

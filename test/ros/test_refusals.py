@@ -50,8 +50,11 @@ class LoadTest(Refusals):
     def test_unknown_types(self):
         for type_name in ("dyknow_test/Nothing", "nowhere/Talker", "Talker", "", "os.path"):
             self.assert_refused(
-                f"'{type_name}'", "declared types", "dyknow_test/Talker",
-                name="/n", type=type_name,
+                f"'{type_name}'",
+                "declared types",
+                "dyknow_test/Talker",
+                name="/n",
+                type=type_name,
             )
 
     def test_a_description_that_is_no_xml(self):
@@ -68,8 +71,11 @@ class LoadTest(Refusals):
             "NoNodelet": "does not derive from dyknow.Nodelet",
         }.items():
             self.assert_refused(
-                f"dyknow_test/{type_name}", text, "nodelets.xml",
-                name="/n", type=f"dyknow_test/{type_name}",
+                f"dyknow_test/{type_name}",
+                text,
+                "nodelets.xml",
+                name="/n",
+                type=f"dyknow_test/{type_name}",
             )
 
     def test_a_name_that_is_taken(self):
@@ -84,26 +90,38 @@ class LoadTest(Refusals):
         for name in ("", "1st", "a b", "/a//b", "/", "~", "/a-b"):
             with self.subTest(name):
                 self.assert_refused(
-                    f"'{name}'", "not a valid nodelet name",
-                    name=name, type="dyknow_test/Talker",
+                    f"'{name}'",
+                    "not a valid nodelet name",
+                    name=name,
+                    type="dyknow_test/Talker",
                 )
 
     def test_remappings_that_do_not_pair_up(self):
         self.assert_refused(
-            "/n", "2 remap_source_args but 1 remap_target_args", "one target for each source",
-            name="/n", type="dyknow_test/Talker",
-            remap_source_args=["out", "in"], remap_target_args=["/a"],
+            "/n",
+            "2 remap_source_args but 1 remap_target_args",
+            "one target for each source",
+            name="/n",
+            type="dyknow_test/Talker",
+            remap_source_args=["out", "in"],
+            remap_target_args=["/a"],
         )
 
     def test_remappings_that_are_no_names(self):
         for source, target, wrong in (
-            ("out", "no name", "no name"), ("1st", "/a", "1st"), ("", "/a", ""), ("out", "", ""),
+            ("out", "no name", "no name"),
+            ("1st", "/a", "1st"),
+            ("", "/a", ""),
+            ("out", "", ""),
         ):
             with self.subTest((source, target)):
                 self.assert_refused(
-                    f"'{wrong}'", "not a valid remap",
-                    name="/n", type="dyknow_test/Talker",
-                    remap_source_args=[source], remap_target_args=[target],
+                    f"'{wrong}'",
+                    "not a valid remap",
+                    name="/n",
+                    type="dyknow_test/Talker",
+                    remap_source_args=[source],
+                    remap_target_args=[target],
                 )
 
     def test_on_init_that_raises(self):
@@ -112,12 +130,17 @@ class LoadTest(Refusals):
             "ExitsInInit": "SystemExit: enough",
         }.items():
             self.assert_refused(
-                "/n", text, name="/n", type=f"dyknow_test/{type_name}",
-                remap_source_args=["in", "out"], remap_target_args=["/a", "/b"],
+                "/n",
+                text,
+                name="/n",
+                type=f"dyknow_test/{type_name}",
+                remap_source_args=["in", "out"],
+                remap_target_args=["/a", "/b"],
             )
             self.assertIn("Traceback", self.manager.output)
-            self.assertIn("in register_much" if "exit" in text else "in on_init",
-                          self.manager.output)
+            self.assertIn(
+                "in register_much" if "exit" in text else "in on_init", self.manager.output
+            )
             self.assertEqual(self.manager.list(), [])
         self.manager.load("Talker", "/n")
 
@@ -131,7 +154,9 @@ class LoadTest(Refusals):
     def test_unloaded_in_the_middle_of_on_init(self):
         rospy.set_param("/go_on", False)
         self.before = registrations("/manager"), graph.parameters()
-        with Running(*NODELET, "load", "dyknow_test/WaitsInInit", "manager", "--no-bond", "__name:=n") as client:
+        with Running(
+            *NODELET, "load", "dyknow_test/WaitsInInit", "manager", "--no-bond", "__name:=n"
+        ) as client:
             eventually(
                 lambda: "/n/get_config" in graph.services_of("/manager"), 10.0, "on_init has begun"
             )
@@ -149,7 +174,9 @@ class LoadTest(Refusals):
 
     def test_two_loads_of_one_name_at_once(self):
         rospy.set_param("/go_on", False)
-        with Running(*NODELET, "load", "dyknow_test/WaitsInInit", "manager", "--no-bond", "__name:=n") as client:
+        with Running(
+            *NODELET, "load", "dyknow_test/WaitsInInit", "manager", "--no-bond", "__name:=n"
+        ) as client:
             eventually(
                 lambda: "/n/get_config" in graph.services_of("/manager"), 10.0, "on_init has begun"
             )
@@ -202,13 +229,16 @@ class SetConfigTest(Refusals):
             with self.subTest(name):
                 self.assert_config_refused(
                     set_config_pairs("/n", ("in", "/x"), ("out", name)),
-                    f"'{name}' is not a valid topic name", "expected",
+                    f"'{name}' is not a valid topic name",
+                    "expected",
                 )
 
     def test_all_problems_at_once(self):
         self.assert_config_refused(
             set_config_pairs("/n", ("lens", "/x"), ("in", "a b"), ("in", "/y")),
-            "unknown port 'lens'", "'a b' is not a valid", "named twice or more",
+            "unknown port 'lens'",
+            "'a b' is not a valid",
+            "named twice or more",
         )
 
     def test_a_topic_that_is_live_outside_with_another_type(self):
@@ -216,7 +246,8 @@ class SetConfigTest(Refusals):
         eventually(lambda: graph.nodes_on("/outside")[0], 2.0, "it is registered")
         self.assert_config_refused(
             set_config("/n", **{"in": "/outside"}),
-            "'/outside' carries std_msgs/String", "std_msgs/Header (port 'in')",
+            "'/outside' carries std_msgs/String",
+            "std_msgs/Header (port 'in')",
         )
         publisher.unregister()
         subscriber = rospy.Subscriber("/outside", String)
@@ -272,7 +303,7 @@ class CallbackTest(unittest.TestCase):
     def load_fragile(self, *names):
         """Fragile nodelets that listen to /orders; neighbours hear what is not an order to them."""
         for name in names:
-            self.manager.load("Fragile", name, {f"/in": "/orders"})
+            self.manager.load("Fragile", name, {"/in": "/orders"})
         eventually(lambda: self.speaker.get_num_connections() == 1, 5.0, "they listen")
 
     def order(self, number, order=""):
@@ -297,11 +328,15 @@ class CallbackTest(unittest.TestCase):
             lambda: all(
                 text in self.manager.output
                 for text in (
-                    "/n: the callback of 'in' raised", "RuntimeError: fragile at 0",
-                    "RuntimeError: fragile at 3", "SystemExit: 3", "in obey",
+                    "/n: the callback of 'in' raised",
+                    "RuntimeError: fragile at 0",
+                    "RuntimeError: fragile at 3",
+                    "SystemExit: 3",
+                    "in obey",
                 )
             ),
-            2.0, "the tracebacks are in the log",
+            2.0,
+            "the tracebacks are in the log",
         )
 
     def test_a_service_handler_that_raises_or_exits(self):
@@ -341,11 +376,14 @@ class CallbackTest(unittest.TestCase):
             lambda: all(
                 f"{name}: a callback has not returned" in self.manager.output for name in held
             ),
-            5.0, "it is reported",
+            5.0,
+            "it is reported",
         )
         self.assertIn("in pass_through", self.manager.output)
         # Re-wired and unloaded they can be all the same.
-        self.assertTrue(set_config("/third", **{"in": "/elsewhere", "out": "/elsewhere_too"}).success)
+        self.assertTrue(
+            set_config("/third", **{"in": "/elsewhere", "out": "/elsewhere_too"}).success
+        )
         call("/third", "wake")
         within(2.0, lambda: self.manager.unload("/n"))
         self.assertFalse([name for name in graph.services_of("/manager") if "/n/" in name])
@@ -373,7 +411,8 @@ class CallbackTest(unittest.TestCase):
         eventually(
             lambda: "/n: woken" in self.manager.output
             and "the callback that ran at the unload has ended" in self.manager.output,
-            5.0, "its end is noted",
+            5.0,
+            "its end is noted",
         )
         self.assertIn("publisher 'out' of /n is closed", self.manager.output)
         self.assertEqual(heard, [])
@@ -387,7 +426,8 @@ class CallbackTest(unittest.TestCase):
             lambda: not [
                 name for name in graph.services_of("/manager") if not name.startswith("/manager/")
             ],
-            5.0, "they are gone",
+            5.0,
+            "they are gone",
         )
         self.assertEqual(self.manager.list(), [])
         after = [self.manager.output.count(f"{name}: shut down for the") for name in names]

@@ -17,7 +17,6 @@ from dyknow_msgs.msg import PortConfig
 from dyknow_msgs.srv import SetConfig
 from graph import PEER, Ended, Manager, call, get_statistics, port_statistics, set_config
 from processes import eventually
-from std_msgs.msg import Header
 
 
 class RewiringTest(unittest.TestCase):

@@ -28,7 +28,8 @@ class SimTimeTest(unittest.TestCase):
         self.manager.load("Features", "/features")
         eventually(
             lambda: self.set(100.0) or call("/features", "clock") == [100.0] * 3,
-            5.0, "the manager knows the time",
+            5.0,
+            "the manager knows the time",
         )
 
     @staticmethod

@@ -87,8 +87,14 @@ class EndTest(unittest.TestCase):
 
     def test_in_the_middle_of_on_init(self):
         rospy.set_param("/go_on", False)
-        client = Ended(*graph.NODELET, "load", "dyknow_test/WaitsInInit", "manager", "--no-bond",
-                       "__name:=slow")
+        client = Ended(
+            *graph.NODELET,
+            "load",
+            "dyknow_test/WaitsInInit",
+            "manager",
+            "--no-bond",
+            "__name:=slow",
+        )
         self.addCleanup(client.__exit__)
         eventually(lambda: "/slow/get_config" in graph.services_of("/manager"), 10.0, "it waits")
         self.manager.stop()

@@ -7,10 +7,11 @@ import diagnostic_updater
 import message_filters
 import rospy
 import tf2_ros
-from dyknow_test.puppet import Puppet
 from dynamic_reconfigure.server import Server
 from geometry_msgs.msg import TransformStamped
 from sensor_msgs.msg import Image
+
+from dyknow_test.puppet import Puppet
 
 
 class Synchroniser(Puppet):
@@ -76,7 +77,9 @@ class Diagnosed(Puppet):
         self.updater = diagnostic_updater.Updater()
         self.updater.setHardwareID(self.name)
         self.updater.add("state", self.diagnose)
-        self.timer = self.nh.Timer(self.nh.Duration(0.05), lambda event: self.updater.force_update())
+        self.timer = self.nh.Timer(
+            self.nh.Duration(0.05), lambda event: self.updater.force_update()
+        )
 
     @staticmethod
     def diagnose(status):

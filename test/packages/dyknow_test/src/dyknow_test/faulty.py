@@ -6,10 +6,10 @@ import sys
 import threading
 
 import rospy
-from dyknow_test.puppet import Echo, Gate, Puppet
 from std_msgs.msg import Header
 
 import dyknow
+from dyknow_test.puppet import Echo, Gate, Puppet
 
 
 class Fragile(Puppet):

@@ -6,8 +6,9 @@ import threading
 import time
 
 import rospy
-from dyknow_test.puppet import Echo, Gate, Puppet
 from std_msgs.msg import Header
+
+from dyknow_test.puppet import Echo, Gate, Puppet
 
 
 class Introspector(Puppet):
@@ -143,9 +144,7 @@ class Strand(Puppet):
         self.nh.set_reconfigure_callback(lambda inputs, outputs: self.work("timer", 0))
 
     def start_timer(self, period):
-        self.timer = self.handle.Timer(
-            rospy.Duration(period), lambda event: self.work("timer", 0)
-        )
+        self.timer = self.handle.Timer(rospy.Duration(period), lambda event: self.work("timer", 0))
 
     def stop_timer(self):
         self.timer.shutdown()

@@ -5,8 +5,9 @@ from __future__ import annotations
 import functools
 
 import rospy
-from dyknow_test.puppet import Puppet
 from std_msgs.msg import Header
+
+from dyknow_test.puppet import Puppet
 
 
 class Ordinary(Puppet):

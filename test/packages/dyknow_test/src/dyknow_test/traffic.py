@@ -7,9 +7,10 @@ import threading
 import time
 
 import rospy
-from dyknow_test.puppet import Gate, Puppet
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
+
+from dyknow_test.puppet import Gate, Puppet
 
 
 class CountedHeader(Header):
