@@ -31,7 +31,7 @@ PEER = [sys.executable, str(Path(__file__).resolve().parent / "peer.py")]
 
 
 class Ended(Running):
-    """A process that is asked to end before it is killed: it unregisters, and ends its children."""
+    """A process that is asked to end before it is killed, so it unregisters and ends children."""
 
     def __exit__(self, *unused: object) -> None:
         if not self.has_ended:

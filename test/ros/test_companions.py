@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Libraries that were made for rospy's nodes, in nodelets: filters, tf2, diagnostics, parameters."""
+"""Libraries made for rospy's nodes, in nodelets: filters, tf2, diagnostics, parameters."""
 
 from __future__ import annotations
 

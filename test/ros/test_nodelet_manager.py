@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The nodelet manager and its clients, each a real process: names, bonds, launch files, the end."""
+"""The nodelet manager and its clients, each a real process: names, bonds, launch files."""
 
 from __future__ import annotations
 

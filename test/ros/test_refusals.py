@@ -301,13 +301,16 @@ class CallbackTest(unittest.TestCase):
         self.speaker.unregister()
 
     def load_fragile(self, *names):
-        """Fragile nodelets that listen to /orders; neighbours hear what is not an order to them."""
+        """Load Fragile nodelets that listen to /orders."""
         for name in names:
             self.manager.load("Fragile", name, {"/in": "/orders"})
         eventually(lambda: self.speaker.get_num_connections() == 1, 5.0, "they listen")
 
     def order(self, number, order=""):
         self.speaker.publish(Header(seq=number, frame_id=order))
+
+    def wait_for_numbers(self, numbers, name):
+        eventually(lambda: call(name, "received") == numbers, 5.0, f"{name} hears {numbers}")
 
     def assert_lives(self, name, number):
         set_config(name, **{"in": "/orders"})
@@ -319,7 +322,7 @@ class CallbackTest(unittest.TestCase):
         for number, order in enumerate(("raise", "exit", "", "raise", "")):
             self.order(number, order)
         for name in ("/n", "/neighbour", "/bystander"):
-            eventually(lambda: call(name, "received") == [0, 1, 2, 3, 4], 5.0, f"{name} hears all")
+            self.wait_for_numbers([0, 1, 2, 3, 4], name)
         self.manager.unload("/bystander")
         for name in ("/n", "/neighbour"):
             self.assertEqual(graph.get_statistics(name).callback_errors, 3)
@@ -342,8 +345,9 @@ class CallbackTest(unittest.TestCase):
     def test_a_service_handler_that_raises_or_exits(self):
         service = rospy.ServiceProxy("/n/obey", Echo)
         for number, order in enumerate(("raise", "exit")):
+            request = Header(seq=number, frame_id=order)
             with self.assertRaises(rospy.ServiceException) as caught:
-                within(5.0, lambda order=order: service(Header(seq=number, frame_id=order)))
+                within(5.0, lambda request=request: service(request))
             self.assertIn(("fragile at 0", "SystemExit")[number], str(caught.exception))
         self.assertEqual(service(Header(seq=7)).seq, 7)
         self.assertEqual(graph.get_statistics("/n").callback_errors, 2)
@@ -361,7 +365,7 @@ class CallbackTest(unittest.TestCase):
         self.order(1, "hang")
         held = ("/n", "/neighbour", "/other", "/third", "/fourth", "/fifth")
         for name in held:
-            eventually(lambda: call(name, "received") == [1], 5.0, f"{name} hangs")
+            self.wait_for_numbers([1], name)
         self.manager.load("Relay", "/relay", {"/in": "/source", "/out": "/sink"})
         heard = []
         listener = rospy.Subscriber("/sink", Header, lambda message: heard.append(message.seq))
