@@ -87,8 +87,9 @@ class LocalPublisher(OutsidePublisher):
     def wait(self, seconds: float) -> None:
         """Return at once: listeners are there or not."""
 
-    def drain(self, seconds: float) -> None:
+    def drain(self, seconds: float) -> bool:
         """Return at once: there is no network."""
+        return True
 
     def close(self) -> None:
         """Withdraw the registration."""

@@ -46,8 +46,8 @@ class OutsidePublisher(ABC):
         """Return when the outside subscribers of the topic are connected, or time is up."""
 
     @abstractmethod
-    def drain(self, seconds: float) -> None:
-        """Return when everything published is handed to the network, or time is up."""
+    def drain(self, seconds: float) -> bool:
+        """Wait until everything published is handed to the network; False when time is up."""
 
     @abstractmethod
     def close(self) -> None:

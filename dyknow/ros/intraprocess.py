@@ -99,7 +99,19 @@ class LocalTopic:
             return outwards(message, connection_override)
 
         implementation.publish = publish
-        self._follow(implementation, "add_connection", "remove_connection")
+        self._follow(implementation, "remove_connection")
+        add = implementation.add_connection
+
+        def add_connection(connection: Any) -> Any:
+            with self._refreshing:
+                for half in list(self.halves):
+                    half.heard = True  # first: whoever sees the connection is heard already
+            try:
+                return add(connection)
+            finally:
+                self.refresh()
+
+        implementation.add_connection = add_connection
         self.outwards: Callable[[Any], Any] = outwards
         subscriber = rospy.impl.registration.get_topic_manager().get_subscriber_impl(self.name)
         if subscriber is not None and subscriber.has_connection(self._uri):
@@ -107,15 +119,16 @@ class LocalTopic:
 
     def link(self, subscriber: Any) -> None:
         """Show the link on rospy's subscriber and follow its ordinary callbacks."""
+        new = self._listening is not subscriber
+        if new:
+            self._listen_with(subscriber)  # first: whoever sees the connection is heard already
         present = [c for c in subscriber.connections if isinstance(c, IntraProcessTransport)]
         if not present:
             subscriber.add_connection(
                 IntraProcessTransport(self.name, self._uri, lambda: self._unlinked(subscriber))
             )
-        if self._listening is not subscriber:
-            self._listen_with(subscriber)
-            if self.latched is not NOTHING:
-                self._hand_over(self.latched, self.foreign)
+        if new and self.latched is not NOTHING:
+            self._hand_over(self.latched, self.foreign)
 
     def _listen_with(self, subscriber: Any) -> None:
         self._listening = subscriber

@@ -112,13 +112,14 @@ class RospyPublisher(OutsidePublisher):
         while len(implementation.connections or ()) < len(others) and time.monotonic() < deadline:
             time.sleep(_STEP)
 
-    def drain(self, seconds: float) -> None:
+    def drain(self, seconds: float) -> bool:
         """Wait until rospy's sending threads have written everything."""
         deadline = time.monotonic() + seconds
         while self.in_flight or not all(map(_idle, list(self._implementation.connections or ()))):
             if time.monotonic() >= deadline:
-                return
+                return False
             time.sleep(_STEP)
+        return True
 
     def close(self) -> None:
         """Unregister."""

@@ -78,7 +78,7 @@ class WithManager:
         self.assertIn(f"/command_test/{name}", nodelets(), process.output)
         return process
 
-    def assert_ends(self, process, code=0, within=1.5):
+    def assert_ends(self, process, code=0, within=4.0):
         start = time.monotonic()
         self.assertEqual(process.exit_code(10.0), code, process.output)
         self.assertLess(time.monotonic() - start, within, process.output)
