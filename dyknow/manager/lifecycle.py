@@ -249,9 +249,7 @@ class Lifecycle:
         ports = self._checked_ports(record)
         if wiring:
             self._host.connect(record.name, wiring)
-            ports = tuple(
-                replace(port, topic=wiring.get(port.name, port.topic)) for port in ports
-            )
+            ports = tuple(replace(port, topic=wiring.get(port.name, port.topic)) for port in ports)
         return replace(record, ports=seen_ports(record, ports))
 
     def _checked_ports(self, record: Record) -> Tuple[PortState, ...]:

@@ -95,9 +95,9 @@ class Observer:
                     _log.warning("nodelet manager %s: %s", state.name, error)
             by_name = {state.name: state for state in states}
             for record in self._graph.all():
-                state = by_name.get(record.manager)
-                if record.name in changed or not _as_it_was(record, state, listed):
-                    self._check(record, state, listed, changed)
+                host = by_name.get(record.manager)
+                if record.name in changed or not _as_it_was(record, host, listed):
+                    self._check(record, host, listed, changed)
             known = {record.name for record in self._graph.all()}
             for manager in sorted(listed):
                 for name in sorted(listed[manager] - known):
@@ -223,9 +223,7 @@ class Observer:
             return []
 
 
-def _as_it_was(
-    record: Record, state: "ManagerState | None", listed: Dict[str, Set[str]]
-) -> bool:
+def _as_it_was(record: Record, state: ManagerState | None, listed: Dict[str, Set[str]]) -> bool:
     """Whether a nodelet runs on in the process that was seen last: the look is done with it."""
     return (
         state is not None

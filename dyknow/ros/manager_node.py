@@ -27,6 +27,7 @@ from dyknow.ros.children import Children
 from dyknow.ros.cpp_nodelets import CppNodelets
 from dyknow.ros.guard_parameters import GUARDS, to_parameter
 from dyknow.ros.host import RosHost
+from dyknow.ros.launcher import Launcher
 from dyknow.ros.manager_services import ManagerServices
 from dyknow.ros.manager_settings import ManagerSettings
 from dyknow.ros.master import Master
@@ -60,11 +61,14 @@ class ManagerNode:
             rospy.logerr("%s", self._store.complaint)
         master = Master(node)
         self._children = Children(
-            master,
+            Launcher(
+                master,
+                self._owner,
+                settings.orphan_timeout,
+                {GUARDS: to_parameter(settings.guards, node)},
+            ),
+            names.parent(node),
             settings.state_path("children.json"),
-            self._owner,
-            settings.orphan_timeout,
-            {GUARDS: to_parameter(settings.guards, node)},
             self._on_child,
         )
         self._host = RosHost(master, self._children, settings.nodelet_managers, settings.guards)
@@ -91,9 +95,8 @@ class ManagerNode:
         self.manager.on_change = self._publisher.note_change
         self.manager.start()
         self._retire_empty()
-        self._cpp.follow()
-        self._listener.follow(self._python_managers())
-        self._services = ManagerServices(self.manager, self._messages, self._cpp.follow)
+        self._after_change()
+        self._services = ManagerServices(self.manager, self._messages, self._after_change)
         self._publisher.note_change()
         self._watch.start()
 
@@ -140,12 +143,16 @@ class ManagerNode:
     def _on_child(self) -> None:
         self._watch.hurry()
 
-    def _after_look(self) -> None:
+    def _after_change(self) -> None:
+        self._cpp.follow()
         self._listener.follow(self._python_managers())
+
+    def _after_look(self) -> None:
+        self._after_change()
         self._children.echo()
 
 
-def _ontology(paths: Sequence[str]) -> "Ontology | None":
+def _ontology(paths: Sequence[str]) -> Ontology | None:
     if not paths:
         return None
     from dyknow.manager.ontology import load_ontology  # rdflib takes its time to import
@@ -156,7 +163,7 @@ def _ontology(paths: Sequence[str]) -> "Ontology | None":
 def main(argv: Sequence[str] = ()) -> int:
     """Run the node until it is told to end; returns the exit code."""
     rospy.init_node("dyknow_manager", argv=list(argv or sys.argv), disable_signals=True)
-    told: "queue.SimpleQueue[str]" = queue.SimpleQueue()  # a signal handler may put into it
+    told: queue.SimpleQueue[str] = queue.SimpleQueue()  # a signal handler may put into it
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda number, frame: told.put(signal.Signals(number).name))
     ended, shut_down = threading.Event(), threading.Event()

@@ -75,7 +75,9 @@ class ServicesTest(ManagerCase):
         self.assertEqual(added.labels, ("extra",))
         found = {each.label: each for each in self.client.get_model().transformations}["extra"]
         self.assertEqual([p.value for p in found.parameters], [3, 0.5, True, "me"])
-        self.assertEqual([(p.name, p.direction) for p in found.ports], [("in", "in"), ("out", "out")])
+        self.assertEqual(
+            [(p.name, p.direction) for p in found.ports], [("in", "in"), ("out", "out")]
+        )
         revision = self.client.get_model().library_revision
         self.client.remove_transformation("extra")
         self.assertGreater(self.client.get_model().library_revision, revision)
@@ -173,10 +175,13 @@ class ServicesTest(ManagerCase):
         )
         for name in ("/ours", "/theirs"):
             rospy.ServiceProxy(f"{CHILD}/unload_nodelet", NodeletUnload)(name)
-            eventually(lambda: self.manager.nodelet(name) is None, 1.0, f"{name} is gone")
+            self.wait_until_gone(name)
         time.sleep(1.0)  # it is not brought back
         self.assertIsNone(self.manager.nodelet("/ours"))
         self.assertEqual(parameters("/ours"), [])
+
+    def wait_until_gone(self, name):
+        eventually(lambda: self.manager.nodelet(name) is None, 1.0, f"{name} is gone")
 
     def told_topics(self):
         return [(n.name, port.topic) for n in self.models[-1].nodelets for port in n.ports]
@@ -368,8 +373,8 @@ class StartTest(ManagerCase):
     def test_transformations_of_files(self):
         manager = self.make()
         good, bad = f"{manager.state}/good.xml", f"{manager.state}/bad.xml"
-        open(good, "w").write(LIBRARY)
-        open(bad, "w").write("<transformations>")
+        Path(good).write_text(LIBRARY)
+        Path(bad).write_text("<transformations>")
         manager.parameters["transformations"] = [good, bad]
         manager.start()
         labels = [each.label for each in manager.client.get_model().transformations]
