@@ -14,10 +14,11 @@ import sys
 import threading
 from typing import TYPE_CHECKING, Sequence
 
+import rosgraph.names
 import rospy
 
 from dyknow import names
-from dyknow.errors import DyKnowError
+from dyknow.errors import DyKnowError, PeerTimeout
 from dyknow.manager.host import Kind
 from dyknow.manager.library import Library
 from dyknow.manager.manager import Manager, Settings
@@ -42,6 +43,8 @@ if TYPE_CHECKING:
 #: Seconds that rosnode kill is held up for an orderly end.
 _LONGEST_END = 15.0
 _SHUTDOWN_TIMEOUT = 2.0
+_ANSWER_TIMEOUT = 1.0
+_NAME = "dyknow_manager"
 
 
 class ManagerNode:
@@ -152,6 +155,25 @@ class ManagerNode:
         self._children.echo()
 
 
+def _is_running(argv: Sequence[str]) -> bool:
+    """Whether a manager of that name runs already.
+
+    The master would tell it to end, and with it all its nodelets would end.
+    """
+    mappings = rosgraph.names.load_mappings(argv)
+    namespace = mappings.get("__ns", rosgraph.names.get_ros_namespace(argv=[]))
+    name = names.join(str(namespace), str(mappings.get("__name", _NAME)))
+    master = Master(name)
+    try:
+        uri = master.node(name)
+        pid = master.pid(name, uri, _ANSWER_TIMEOUT) if uri else 0
+    except (PeerTimeout, LookupError):
+        return False  # rospy waits for the master; what does not answer is dead or about to be
+    if pid:
+        print(f"{name} runs already (process {pid}); end it first: rosnode kill {name}")
+    return bool(pid)
+
+
 def _ontology(paths: Sequence[str]) -> Ontology | None:
     if not paths:
         return None
@@ -162,7 +184,10 @@ def _ontology(paths: Sequence[str]) -> Ontology | None:
 
 def main(argv: Sequence[str] = ()) -> int:
     """Run the node until it is told to end; returns the exit code."""
-    rospy.init_node("dyknow_manager", argv=list(argv or sys.argv), disable_signals=True)
+    argv = list(argv or sys.argv)
+    if _is_running(argv):
+        return 1
+    rospy.init_node(_NAME, argv=argv, disable_signals=True)
     told: queue.SimpleQueue[str] = queue.SimpleQueue()  # a signal handler may put into it
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda number, frame: told.put(signal.Signals(number).name))

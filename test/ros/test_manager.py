@@ -153,7 +153,9 @@ class ServicesTest(ManagerCase):
     def test_a_nodelet_destroys_itself(self):
         self.client.spawn("counter", "/counter", {"out": "/numbers"})
         self.client.spawn("suicidal", "/suicidal", {"in": "/numbers"})
+        self.client.spawn("suicidal", "/suicidal_too", {"in": "/numbers"}, isolated=True)
         eventually(lambda: self.manager.nodelet("/suicidal") is None, 5.0, "it is gone")
+        eventually(lambda: self.manager.nodelet("/suicidal_too") is None, 5.0, "it is gone")
         self.assertEqual(registrations("/suicidal"), [])
 
     def test_what_others_do_shows_within_a_second(self):
@@ -380,6 +382,24 @@ class StartTest(ManagerCase):
         labels = [each.label for each in manager.client.get_model().transformations]
         self.assertIn("counter", labels)
         self.assertIn(bad, manager.output)
+
+    def test_a_second_manager_of_that_name_does_not_end_the_first(self):
+        manager = self.started()
+        manager.client.spawn("relay", "/relay")
+        second = ManagerProcess(manager.state)
+        second.start(wait=False)
+        self.assertEqual(second.process.wait(20.0), 1)
+        self.assertIn("runs already", second.output)
+        self.assertIs(manager.nodelet("/relay").state, State.RUNNING)
+        # Under another name it has a state and nodelet managers of its own.
+        other = subprocess.Popen(
+            [*second.process.args, "__name:=other_manager", f"_state_dir:={manager.state}"]
+        )
+        self.addCleanup(other.wait)
+        self.addCleanup(other.send_signal, signal.SIGINT)
+        self.addCleanup(rospy.delete_param, "/other_manager")
+        eventually(lambda: registrations(f"{CHILD}_2/list"), 20.0, "it has a child of its own")
+        self.assertIs(manager.nodelet("/relay").state, State.RUNNING)
 
     def test_nobody_there(self):
         manager = self.make()
