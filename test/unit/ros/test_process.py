@@ -126,6 +126,31 @@ def test_an_owner_that_returns_in_time_is_an_owner(tmp_path: Path) -> None:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # nobody holds it
 
 
+def test_one_that_waits_and_is_stopped_does_not_keep_a_new_owner_away(tmp_path: Path) -> None:
+    path = str(tmp_path / "lock")
+    OwnerLock(path).release()
+    with open(path) as waiting:
+        fcntl.flock(waiting, fcntl.LOCK_SH)  # as it is between the owner's end and its noticing
+        owner = OwnerLock(path)
+        with pytest.raises(StoreError):
+            OwnerLock(path)
+    with open(path) as other:  # it gave way: now the owner has the lock
+        for _ in range(500):
+            try:
+                fcntl.flock(other, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            except BlockingIOError:
+                break
+            fcntl.flock(other, fcntl.LOCK_UN)
+            time.sleep(0.01)
+        else:
+            raise AssertionError("the owner did not take the lock")
+    owner.release()
+
+
+def test_a_file_that_is_gone_has_no_owner(tmp_path: Path) -> None:
+    wait_until_orphaned(str(tmp_path / "nothing"), 0.01)
+
+
 def test_output_is_followed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "output"
     path.write_text("old\n")
