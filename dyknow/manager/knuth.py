@@ -1,7 +1,7 @@
-"""Knuth's generalisation of Dijkstra's algorithm, on the part of the graph a demand can reach.
+"""Knuth's generalisation of Dijkstra's algorithm.
 
 D. E. Knuth, "A generalization of Dijkstra's algorithm", Information Processing Letters 6(1), 1977.
-The value of an action is its cost plus the sum (or the maximum) of the values of its demands; both
+The value of an action is its cost plus the sum (or the maximum) of the values of its demands. Both
 are superior functions, so actions are final in the order of their values.
 """
 
@@ -9,97 +9,90 @@ from __future__ import annotations
 
 import heapq
 from dataclasses import dataclass, field
-from typing import AbstractSet, Dict, List, Set, Tuple
+from typing import AbstractSet, Dict, List, Optional, Tuple
 
-from dyknow.manager.planning import NO_LABELS, Action, Choice, Live, New, Source
-from dyknow.manager.supply import Demand
+from dyknow.manager.network import Chosen, Network, Reach
 
-
-@dataclass
-class Problem:
-    """The part of the AND/OR graph that a demand can reach.
-
-    Attributes:
-        demand: what is asked for.
-        sources: who supplies each demand, live streams first, sorted.
-        actions: the transformations among them, by label.
-    """
-
-    demand: Demand
-    sources: Dict[Demand, List[Source]] = field(default_factory=dict)
-    actions: Dict[str, Action] = field(default_factory=dict)
+LIVE = -1
+"""Stands for a live stream where an action could be."""
 
 
 @dataclass
-class Solution:
-    """The cheapest source for each demand that can be met, and what it costs."""
+class Values:
+    """What the cheapest way to each demand costs, and how it begins."""
 
-    value: Dict[Demand, int] = field(default_factory=dict)
-    best: Choice = field(default_factory=dict)
+    value: Dict[int, int] = field(default_factory=dict)
+    chosen: Chosen = field(default_factory=dict)
 
 
 def cheapest(
-    problem: Problem,
-    banned: AbstractSet[str] = NO_LABELS,
-    sunk: AbstractSet[str] = NO_LABELS,
+    network: Network,
+    reach: Reach,
+    free: AbstractSet[int] = frozenset(),
+    banned: AbstractSet[int] = frozenset(),
     use_sum: bool = True,
-) -> Solution:
-    """Value every demand.
+    until: Optional[int] = None,
+    below: Optional[int] = None,
+) -> Values:
+    """Value the demands that can be met.
 
     Args:
-        problem: what can be reached.
-        banned: labels that must not be used.
-        sunk: labels that cost nothing.
+        network: the numbers.
+        reach: the part to look at.
+        free: actions that cost nothing.
+        banned: actions that must not be used.
         use_sum: price of a tree, in which shared parts are paid again; else the maximum over the
             inputs, which no plan can undercut.
+        until: stop once this demand is valued.
+        below: stop at this value: what costs as much is not valued.
     """
-    solution = Solution()
-    consumers: Dict[Demand, List[str]] = {}
-    served: Dict[str, List[Tuple[Demand, New]]] = {}
-    missing: Dict[str, int] = {}
-    cost: Dict[str, int] = {}
-    inputs: Dict[str, int] = {}
-    heap: List[Tuple[int, str]] = []
-    for label, action in problem.actions.items():
-        if label in banned:
+    values = Values()
+    value, chosen = values.value, values.chosen
+    costs, needs, labels = network.costs, network.needs, network.labels
+    consumers: Dict[int, List[int]] = {}
+    missing: Dict[int, int] = {}
+    inputs: Dict[int, int] = {}
+    heap: List[Tuple[int, str, int]] = []
+    for action in reach.served:
+        if action in banned:
             continue
-        demands = {need.demand for need in action.needs}
-        missing[label] = len(demands)
-        cost[label] = 0 if label in sunk else action.cost
-        inputs[label] = 0
-        for demand in demands:
-            consumers.setdefault(demand, []).append(label)
-        if not demands:
-            heap.append((cost[label], label))
-    ready: List[Demand] = []
-    for demand, sources in problem.sources.items():
-        if sources and isinstance(sources[0], Live):
-            solution.value[demand] = 0
-            solution.best[demand] = sources[0]
-            ready.append(demand)
+        wanted = needs[action]
+        if not wanted:
+            heap.append((0 if action in free else costs[action], labels[action], action))
             continue
-        for source in sources:
-            if isinstance(source, New) and source.label in missing:
-                served.setdefault(source.label, []).append((demand, source))
+        missing[action] = len(wanted)
+        inputs[action] = 0
+        for demand in wanted:
+            if demand in consumers:
+                consumers[demand].append(action)
+            else:
+                consumers[demand] = [action]
+    ready: List[int] = []
+    for demand in reach.live:
+        value[demand] = 0
+        chosen[demand] = (LIVE, "")
+        ready.append(demand)
     heapq.heapify(heap)
-    done: Set[str] = set()
     while True:
         while ready:
             demand = ready.pop()
-            value = solution.value[demand]
-            for label in consumers.get(demand, ()):
-                inputs[label] = inputs[label] + value if use_sum else max(inputs[label], value)
-                missing[label] -= 1
-                if not missing[label]:
-                    heapq.heappush(heap, (cost[label] + inputs[label], label))
-        if not heap:
-            return solution
-        value, label = heapq.heappop(heap)
-        if label in done:
-            continue
-        done.add(label)
-        for demand, source in served.get(label, ()):
-            if demand not in solution.value:
-                solution.value[demand] = value
-                solution.best[demand] = source
+            price = value[demand]
+            for action in consumers.get(demand, ()):
+                if use_sum:
+                    inputs[action] += price
+                elif price > inputs[action]:
+                    inputs[action] = price
+                missing[action] -= 1
+                if not missing[action]:
+                    own = 0 if action in free else costs[action]
+                    heapq.heappush(heap, (own + inputs[action], labels[action], action))
+        if not heap or until in value:
+            return values
+        price, _, action = heapq.heappop(heap)
+        if below is not None and price >= below:
+            return values
+        for demand, port in reach.served[action]:
+            if demand not in value:
+                value[demand] = price
+                chosen[demand] = (action, port)
                 ready.append(demand)

@@ -7,7 +7,7 @@ supplier, without a cycle; each transformation stands in it at most once and cos
 
 from __future__ import annotations
 
-from typing import Dict, FrozenSet, List, NamedTuple, Optional, Tuple, Union
+from typing import FrozenSet, NamedTuple, Tuple, Union
 
 from dyknow.manager.supply import Demand
 
@@ -113,39 +113,5 @@ class NoPlan(NamedTuple):
 
 
 Answer = Union[Plan, NoPlan]
-Choice = Dict[Demand, Source]
-
-
-def assemble(demand: Demand, chosen: Choice, actions: Dict[str, Action]) -> Optional[Plan]:
-    """Put a plan together from a supplier for each demand; None if the choice has a cycle."""
-    steps: List[Step] = []
-    state: Dict[str, int] = {}  # 1: its inputs are being followed, 2: done
-    stack: List[Tuple[str, int]] = []
-    goal = chosen[demand]
-    if isinstance(goal, New):
-        stack.append((goal.label, 0))
-    while stack:
-        label, position = stack.pop()
-        action = actions[label]
-        state[label] = 1
-        advanced = False
-        while position < len(action.needs):
-            source = chosen[action.needs[position].demand]
-            position += 1
-            if isinstance(source, New):
-                if state.get(source.label) == 1:
-                    return None
-                if state.get(source.label) is None:
-                    stack.append((label, position))
-                    stack.append((source.label, 0))
-                    advanced = True
-                    break
-        if not advanced:
-            state[label] = 2
-            inputs = tuple((need.port, chosen[need.demand]) for need in action.needs)
-            steps.append(Step(action, inputs))
-    return Plan(demand, goal, tuple(steps), sum(step.action.cost for step in steps))
-
-
 NO_LABELS: FrozenSet[str] = frozenset()
 """Nothing is excluded."""

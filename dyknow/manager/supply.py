@@ -57,6 +57,10 @@ class Supply(Generic[Supplier]):
         self._wide: Dict[Supplier, Set[Term]] = {}
         self._datatypes: Dict[Supplier, str] = {}
 
+    def __len__(self) -> int:
+        """Count the suppliers."""
+        return len(self._datatypes)
+
     def add(self, supplier: Supplier, tags: Iterable[Term], datatype: str) -> None:
         """Add an out-port or stream; tags with variables supply nothing and are passed over."""
         self._datatypes[supplier] = datatype

@@ -24,7 +24,7 @@ from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple, Union
 
 from dyknow.errors import HandleClosed, TypeMismatch
 from dyknow.nodelet.endpoints import NOTHING, Connection, Publication, Subscription
-from dyknow.nodelet.middleware import Middleware, OutsidePublisher, OutsideSubscriber, Receive
+from dyknow.nodelet.middleware import Middleware, OutsidePublisher, OutsideSubscriber
 from dyknow.nodelet.scheduler import Clock
 
 Endpoint = Union[Publication, Subscription]
@@ -44,8 +44,8 @@ class _Topic:
         return [*self.publications, *self.connections]
 
     @property
-    def route(self) -> Tuple[Receive, ...]:
-        return tuple(connection.push for connection in self.connections)
+    def route(self) -> Tuple[Connection, ...]:
+        return tuple(self.connections)
 
 
 @dataclass(eq=False)
@@ -277,7 +277,7 @@ class Bus:
     def _link(self, topic: _Topic, connection: Connection) -> None:
         topic.connections.append(connection)
         for publication in topic.publications:
-            publication.reroute(topic.route, newcomers=(connection.push,))
+            publication.reroute(topic.route, newcomers=(connection,))
 
     def _unlink(self, connection: Connection, discard: bool) -> None:
         topic = self._topics.get(connection.topic)

@@ -62,9 +62,18 @@ class LocalPublisher(OutsidePublisher):
         self.middleware = middleware
         self.topic = topic
         self.datatype = datatype
-        self.peers = self
         self.connections: List[Callable[[Any], None]] = middleware.listeners.setdefault(topic, [])
         self.open = True
+        self.in_flight = 0
+
+    @property
+    def heard(self) -> bool:
+        """Whether somebody listens."""
+        return bool(self.connections)
+
+    def listeners(self) -> int:
+        """Count who listens."""
+        return len(self.connections)
 
     def publish(self, message: Any) -> None:
         """Hand the message to every listener."""

@@ -20,8 +20,8 @@ from dyknow.manager.host import Kind
 from dyknow.ros import child_records
 from dyknow.ros.child_records import ChildRecord
 from dyknow.ros.launcher import Launcher
+from dyknow.ros.os_process import ProcessId
 from dyknow.ros.output import Follower
-from dyknow.ros.process import ProcessId
 
 #: Seconds that a child may take to offer its services.
 START_TIMEOUT = 20.0
@@ -215,7 +215,7 @@ class Children:
 
     def _keep(self, child: Child) -> None:
         """Run one child, life after life; an isolated one has only one."""
-        pause = 0.0
+        deaths = 0  # in quick succession
         while child.wanted:
             begin = time.monotonic()
             try:
@@ -225,8 +225,8 @@ class Children:
                 _log.error("nodelet manager %s: %s", child.record.name, error)
             if not child.wanted or child.record.isolated_for:
                 break
-            long_life = time.monotonic() - begin > _SHORT_LIFE
-            pause = 0.0 if long_life else min(_LONGEST_PAUSE, max(0.25, 2 * pause))
+            deaths = 1 if time.monotonic() - begin > _SHORT_LIFE else deaths + 1
+            pause = min(_LONGEST_PAUSE, 0.25 * 2 ** (deaths - 2)) if deaths > 1 else 0.0
             with self._lock:
                 self._lock.wait_for(lambda: not child.wanted, pause)
         with self._lock:

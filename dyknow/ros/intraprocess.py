@@ -28,6 +28,7 @@ from rospy.impl.transport import INBOUND, Transport
 
 from dyknow.nodelet.endpoints import NOTHING, Connection
 from dyknow.nodelet.scheduler import Executor, Strand
+from dyknow.ros.anymsg import TypedReceiver
 
 Callback = Tuple[Callable[..., Any], Any]
 
@@ -57,12 +58,6 @@ class IntraProcessTransport(Transport):
             self._closed()
 
 
-class Always:
-    """Listeners that the bus has to reach through ``publish`` although no connection shows it."""
-
-    connections = (None,)
-
-
 def twin(message: Any) -> Any:
     """Copy a message the way the network does."""
     buffer = BytesIO()
@@ -80,6 +75,7 @@ class LocalTopic:
         self._uri = uri
         self._strand = Strand(executor, f"rospy subscribers of {name}")
         self._adopted: Any = None
+        self._refreshing = threading.Lock()
         self._listening: Any = None
 
     @property
@@ -103,6 +99,7 @@ class LocalTopic:
             return outwards(message, connection_override)
 
         implementation.publish = publish
+        self._follow(implementation, "add_connection", "remove_connection")
         self.outwards: Callable[[Any], Any] = outwards
         subscriber = rospy.impl.registration.get_topic_manager().get_subscriber_impl(self.name)
         if subscriber is not None and subscriber.has_connection(self._uri):
@@ -115,29 +112,30 @@ class LocalTopic:
             subscriber.add_connection(
                 IntraProcessTransport(self.name, self._uri, lambda: self._unlinked(subscriber))
             )
-        if self._listening is subscriber:
-            return
+        if self._listening is not subscriber:
+            self._listen_with(subscriber)
+            if self.latched is not NOTHING:
+                self._hand_over(self.latched, self.foreign)
+
+    def _listen_with(self, subscriber: Any) -> None:
         self._listening = subscriber
-        add, remove = subscriber.add_callback, subscriber.remove_callback
+        self._follow(subscriber, "add_callback", "remove_callback")
+        add = subscriber.add_callback
 
         def add_callback(callback: Any, args: Any) -> None:
             add(callback, args)
-            self.refresh()
             if not _ours(callback) and self.latched is not NOTHING:
                 self._hand_over(self.latched, [(callback, args)])
 
-        def remove_callback(callback: Any, args: Any) -> None:
-            remove(callback, args)
-            self.refresh()
-
-        subscriber.add_callback, subscriber.remove_callback = add_callback, remove_callback
+        subscriber.add_callback = add_callback
         self.refresh()
 
     def refresh(self) -> None:
-        """Let the publications of the bus know whether ordinary subscribers are there."""
-        listeners = Always if self.foreign else self._adopted
-        for half in list(self.halves):
-            half.peers = listeners
+        """Let the publications of the bus know whether somebody outside of it listens."""
+        with self._refreshing:  # whoever comes last has seen all changes
+            heard = bool(self.foreign) or bool(self._adopted and self._adopted.connections)
+            for half in list(self.halves):
+                half.heard = heard
 
     def deliver(self, message: Any) -> None:
         """Hand a message of the bus to the ordinary subscribers."""
@@ -147,9 +145,25 @@ class LocalTopic:
         """Take the link off rospy's subscriber: nobody publishes here any more."""
         subscriber = self._listening
         if subscriber is not None:
+            vars(subscriber).pop("add_callback", None)
+            vars(subscriber).pop("remove_callback", None)
             for connection in list(subscriber.connections or ()):
                 if isinstance(connection, IntraProcessTransport):
                     subscriber.remove_connection(connection)
+
+    def _follow(self, implementation: Any, *changes: str) -> None:
+        """Refresh after every call of these methods of rospy's object."""
+        for name in changes:
+            setattr(implementation, name, self._refreshing_after(getattr(implementation, name)))
+
+    def _refreshing_after(self, change: Callable[..., Any]) -> Callable[..., Any]:
+        def changed(*args: Any) -> Any:
+            try:
+                return change(*args)
+            finally:
+                self.refresh()
+
+        return changed
 
     def _unlinked(self, subscriber: Any) -> None:
         if self._listening is subscriber and subscriber.closed:
@@ -235,4 +249,4 @@ class _Departures(rospy.impl.registration.RegistrationListener):
 
 
 def _ours(callback: Any) -> bool:
-    return isinstance(getattr(callback, "__self__", None), Connection)
+    return isinstance(getattr(callback, "__self__", None), (Connection, TypedReceiver))

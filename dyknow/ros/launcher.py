@@ -15,11 +15,11 @@ from roslib.packages import find_node
 from dyknow import names
 from dyknow.errors import HostError, PeerTimeout
 from dyknow.manager.host import Kind
-from dyknow.ros import process
+from dyknow.ros import os_process
 from dyknow.ros.master import Master
+from dyknow.ros.os_process import ProcessId
 from dyknow.ros.output import Follower
 from dyknow.ros.owner import OwnerLock
-from dyknow.ros.process import ProcessId
 
 _ANSWER_TIMEOUT = 1.0
 
@@ -67,7 +67,7 @@ class Launcher:
         for key, value in self._parameters.items():
             self._master.ask("setParam", names.join(name, key), value)
         output = self._output(name)
-        found = process.start(_command(kind, name), output, rospkg.get_ros_home())
+        found = os_process.start(_command(kind, name), output, rospkg.get_ros_home())
         if kind is Kind.CPP and self._orphan_timeout > 0:
             self._watch(found, output + ".owner")
         return found, Follower(output)
@@ -125,7 +125,7 @@ class Launcher:
         """Let another process end it without us, since the stock program would not."""
         lock, timeout = self._owner.path, str(self._orphan_timeout)
         command = (sys.executable, "-m", "dyknow.ros.owner", lock, timeout, str(found.pid))
-        process.start(command, output, rospkg.get_ros_home())
+        os_process.start(command, output, rospkg.get_ros_home())
 
     def _output(self, name: str) -> str:
         return os.path.join(self._log_folder, re.sub(r"\W+", "-", name).strip("-") + "-output.log")

@@ -7,11 +7,13 @@ import time
 import warnings
 from typing import Any, Callable, Dict, Optional
 
+import genpy
 import rospy
 
 from dyknow.errors import PeerTimeout, RemappedTopic
 from dyknow.nodelet.endpoints import NOTHING
 from dyknow.nodelet.middleware import OutsidePublisher, OutsideSubscriber, Receive
+from dyknow.ros.anymsg import TypedReceiver
 from dyknow.ros.intraprocess import IntraProcess
 from dyknow.ros.master import Master
 
@@ -32,6 +34,18 @@ def _unremapped(topic: str) -> str:
 class RospyPublisher(OutsidePublisher):
     """A rospy.Publisher that only speaks when somebody outside listens."""
 
+    __slots__ = (
+        "_closed",
+        "_implementation",
+        "_intraprocess",
+        "_local",
+        "_publisher",
+        "_topic",
+        "heard",
+    )
+
+    heard: bool
+
     def __init__(
         self,
         intraprocess: IntraProcess,
@@ -51,17 +65,27 @@ class RospyPublisher(OutsidePublisher):
             )
             queue_size = DEFAULT_QUEUE_SIZE
         self._topic = _unremapped(topic)
+        self.heard = False
+        self.in_flight = 0
         self._closed = False
         self._intraprocess = intraprocess
         self._local = intraprocess.publishing(topic)
         self._local.halves.add(self)
-        self._publisher = rospy.Publisher(
-            topic, datatype, latch=latch, queue_size=queue_size, **options
-        )
+        try:
+            self._publisher = rospy.Publisher(
+                topic, datatype, latch=latch, queue_size=queue_size, **options
+            )
+        except BaseException:
+            self._local.halves.discard(self)
+            intraprocess.retire(topic)
+            raise
         self._implementation = self._publisher.impl
-        self.peers = self._implementation
         self._local.adopt(self._implementation)
         self._local.refresh()
+
+    def listeners(self) -> int:
+        """Connections, and one for all ordinary subscribers of this process."""
+        return len(self._implementation.connections or ()) + bool(self._local.foreign)
 
     def publish(self, message: Any) -> None:
         """Serialise once for everyone outside; ordinary subscribers in here get the object."""
@@ -99,7 +123,7 @@ class RospyPublisher(OutsidePublisher):
     def drain(self, seconds: float) -> None:
         """Wait until rospy's sending threads have written everything."""
         deadline = time.monotonic() + seconds
-        while not all(map(_idle, list(self._implementation.connections or ()))):
+        while self.in_flight or not all(map(_idle, list(self._implementation.connections or ()))):
             if time.monotonic() >= deadline:
                 return
             time.sleep(_STEP)
@@ -126,9 +150,16 @@ class RospyPublisher(OutsidePublisher):
         implementation.acquire()
         try:
             self._local.outwards(message)
-        except rospy.ROSException:
-            if not self._closed:
-                raise
+        except Exception as error:
+            if self._closed:
+                return
+            if implementation.buff is not None:
+                # rospy leaves what it wrote so far in front of the next message.
+                implementation.buff.seek(0)
+                implementation.buff.truncate(0)
+            if isinstance(error, genpy.SerializationError):
+                raise rospy.ROSSerializationException(str(error)) from error
+            raise
         finally:
             implementation.release()
 
@@ -141,6 +172,8 @@ class RospySubscriber(OutsideSubscriber):
     ) -> None:
         """Register the subscriber; the arguments are those of ``Middleware.subscribe``."""
         self._topic = _unremapped(topic)
+        if datatype._md5sum != "*":
+            receive = TypedReceiver(topic, datatype, receive).push
         self._subscriber = rospy.Subscriber(topic, datatype, receive, tcp_nodelay=True, **options)
         self._implementation = self._subscriber.impl
 

@@ -15,11 +15,11 @@ import pytest
 
 from dyknow.errors import StoreError
 from dyknow.manager.host import Kind
-from dyknow.ros import child_records, process
+from dyknow.ros import child_records, os_process
 from dyknow.ros.child_records import ChildRecord
+from dyknow.ros.os_process import ProcessId
 from dyknow.ros.output import Follower
 from dyknow.ros.owner import OwnerLock, wait_until_orphaned
-from dyknow.ros.process import ProcessId
 
 SLEEP = (sys.executable, "-c", "import time; print('up', flush=True); time.sleep(1000)")
 STUBBORN = (
@@ -33,7 +33,7 @@ STUBBORN = (
 def start(tmp_path: Path, command: tuple[str, ...] = SLEEP) -> ProcessId:
     """Start a process and wait until it is up."""
     output = tmp_path / "output"
-    found = process.start(command, str(output), str(tmp_path))
+    found = os_process.start(command, str(output), str(tmp_path))
     while "up" not in output.read_text():
         assert found.alive
         time.sleep(0.01)
