@@ -12,7 +12,7 @@ import time
 from dataclasses import replace
 from typing import Callable, Dict, Iterable, List, Set
 
-from dyknow.errors import Busy, DyKnowError, HostError
+from dyknow.errors import Busy, DyKnowError, HostError, NameTaken
 from dyknow.manager.graph import Graph
 from dyknow.manager.host import Host, ManagerState
 from dyknow.manager.lifecycle import Lifecycle
@@ -25,6 +25,11 @@ LONGEST_PAUSE = 30.0
 FORGIVEN_AFTER = 60.0
 
 _log = logging.getLogger("rosout.dyknow")
+
+
+def at_once(work: Callable[[], None]) -> None:
+    """Do it now, in the thread of the caller."""
+    work()
 
 
 class _Patience:
@@ -57,13 +62,26 @@ class Observer:
         graph: Graph,
         lifecycle: Lifecycle,
         clock: Callable[[], float] = time.monotonic,
+        run: Callable[[Callable[[], None]], None] = at_once,
     ) -> None:
-        """Observe; nothing happens before ``adopt`` or ``look``."""
+        """Observe; nothing happens before ``adopt`` or ``look``.
+
+        Args:
+            host: who is asked.
+            graph: the picture.
+            lifecycle: brings nodelets back.
+            clock: seconds, steady.
+            run: does the work of bringing nodelets back; a look does not wait for it.
+        """
         self._host = host
         self._graph = graph
         self._lifecycle = lifecycle
         self._turn = threading.Lock()  # one look at a time; nobody else waits for it
         self._patience = _Patience(clock)
+        self._run = run
+        self._lock = threading.Lock()
+        self._dead: Set[str] = set()  # found by this look
+        self._returning: Set[str] = set()  # being brought back
 
     def adopt(self, records: Iterable[Record]) -> None:
         """Take over the records of an earlier life.
@@ -86,27 +104,32 @@ class Observer:
         """
         with self._turn:
             states = self._host.managers()
-            listed: Dict[str, List[str]] = {}
+            listed: Dict[str, Set[str]] = {}
             for state in states:
                 try:
                     if state.alive:
-                        listed[state.name] = self._host.list(state.name)
+                        listed[state.name] = set(self._host.list(state.name))
                 except HostError as error:
                     _log.warning("nodelet manager %s: %s", state.name, error)
             by_name = {state.name: state for state in states}
             for record in self._graph.all():
-                self._check(record, by_name.get(record.manager), listed, changed)
+                host = by_name.get(record.manager)
+                if record.name in changed or not _as_it_was(record, host, listed):
+                    self._check(record, host, listed, changed)
             known = {record.name for record in self._graph.all()}
             for manager in sorted(listed):
-                for name in listed[manager]:
-                    if name not in known and not self._graph.is_busy(name):
+                for name in sorted(listed[manager] - known):
+                    if not self._graph.is_busy(name):
                         self._meet(name, manager)
+            dead, self._dead = sorted(self._dead), set()
+        for name in dead:
+            self._bring_back_soon(name)
 
     def _check(
         self,
         record: Record,
         state: ManagerState | None,
-        listed: Dict[str, List[str]],
+        listed: Dict[str, Set[str]],
         changed: Set[str],
     ) -> None:
         try:
@@ -121,7 +144,7 @@ class Observer:
         self,
         record: Record,
         state: ManagerState | None,
-        listed: Dict[str, List[str]],
+        listed: Dict[str, Set[str]],
         changed: Set[str],
     ) -> None:
         alive = state is not None and record.manager in listed
@@ -130,20 +153,24 @@ class Observer:
         elif record.transformation is None:
             self._graph.remove(record.name)
         elif alive and state is not None and state.incarnation == record.incarnation:
+            if record.name in self._listed_now(record.manager):
+                return  # it came up since the look began
             if record.state is State.RUNNING:
                 _log.info("%s was unloaded by others; it is not brought back", record.name)
                 self._lifecycle.forget(record)
-            elif record.state is State.FAILED:
-                self._bring_back(record)
+            else:  # it failed, or the manager was killed while it brought it back
+                self._dead.add(record.name)
         elif alive or state is None or (state.own and not state.alive):
             self._lose(record, "its nodelet manager has died")
-            self._bring_back(record)
+            self._dead.add(record.name)
         else:
             self._lose(record, f"nodelet manager {record.manager} does not answer")
 
     def _follow(self, record: Record, state: ManagerState | None, closely: bool) -> None:
         incarnation = state.incarnation if state is not None else record.incarnation
         came_back = record.state is not State.RUNNING or record.incarnation != incarnation
+        if record.state is State.STARTING and not self._complete(record):
+            return
         record = replace(record, state=State.RUNNING, detail="", incarnation=incarnation)
         if (closely or came_back) and not record.rewired_by_reload:
             try:
@@ -155,15 +182,46 @@ class Observer:
                 record = replace(record, topics=topics_of(record))
         self._graph.put(record, durable=record.transformation is not None)
 
+    def _complete(self, record: Record) -> bool:
+        """Finish what an earlier life began: it was killed while it brought the nodelet back."""
+        wiring = {port: topic for port, topic in record.topics.items() if topic}
+        try:
+            if record.rewired_by_reload:  # with which wiring it runs nobody knows
+                self._host.unload(record.manager, record.name)
+                return False
+            if wiring:
+                self._host.connect(record.name, wiring)
+        except HostError as error:
+            _log.warning("%s: %s", record.name, error)
+            return False
+        return True
+
     def _lose(self, record: Record, why: str) -> None:
         if record.state is State.RUNNING:
             _log.warning("%s is lost: %s", record.name, why)
             self._graph.put(replace(record, state=State.LOST, detail=why))
 
-    def _bring_back(self, record: Record) -> None:
-        if not self._patience.allows(record.name):
-            return
-        self._patience.attempt(record.name)
+    def _bring_back_soon(self, name: str) -> None:
+        with self._lock:
+            if name in self._returning or not self._patience.allows(name):
+                return
+            self._returning.add(name)
+        self._run(lambda: self._bring_back(name))
+
+    def _bring_back(self, name: str) -> None:
+        try:
+            with self._graph.changing(name) as record:
+                if record is not None and record.state is not State.RUNNING:
+                    with self._lock:
+                        self._patience.attempt(name)
+                    self._restore(record)
+        except Busy:
+            return  # somebody works on it; the next look sees the outcome
+        finally:
+            with self._lock:
+                self._returning.discard(name)
+
+    def _restore(self, record: Record) -> None:
         try:
             if not record.isolated:
                 self._revive(record.manager)
@@ -183,8 +241,31 @@ class Observer:
 
     def _meet(self, name: str, manager: str) -> None:
         try:
+            with self._graph.changing(name, new=True):
+                if name in self._listed_now(manager):  # and not gone since the look began
+                    self._graph.put(self._foreign(name, manager), durable=False)
+        except (Busy, NameTaken):
+            return
+
+    def _foreign(self, name: str, manager: str) -> Record:
+        try:
             ports = self._host.ports(name)
         except HostError:
             ports = ()  # a plain nodelet has no proxy
-        record = Record(name, None, manager, state=State.RUNNING, ports=ports)
-        self._graph.put(record, durable=False)
+        return Record(name, None, manager, state=State.RUNNING, ports=ports)
+
+    def _listed_now(self, manager: str) -> List[str]:
+        try:
+            return self._host.list(manager)
+        except HostError:
+            return []
+
+
+def _as_it_was(record: Record, state: ManagerState | None, listed: Dict[str, Set[str]]) -> bool:
+    """Whether a nodelet runs on in the process that was seen last: the look is done with it."""
+    return (
+        state is not None
+        and record.state is State.RUNNING
+        and record.incarnation == state.incarnation
+        and record.name in listed.get(record.manager, ())
+    )

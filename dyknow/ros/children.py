@@ -1,0 +1,324 @@
+"""Nodelet managers as child processes: started, adopted, restarted when they die, and ended.
+
+Who owns what: ``Children`` owns a table of names and one thread for each child, which alone
+starts the process and waits for its end. A child has a session of its own and outlives a manager
+that is killed; the next life finds it in a file (``child_records``) or, failing that, by its name.
+"""
+
+from __future__ import annotations
+
+import logging
+import sys
+import threading
+import time
+from dataclasses import dataclass, field, replace
+from typing import Callable, Dict, List, Optional
+
+from dyknow import names
+from dyknow.errors import HostError, PeerTimeout
+from dyknow.manager.host import Kind
+from dyknow.ros import child_records
+from dyknow.ros.child_records import ChildRecord
+from dyknow.ros.launcher import Launcher
+from dyknow.ros.os_process import ProcessId
+from dyknow.ros.output import Follower
+
+#: Seconds that a child may take to offer its services.
+START_TIMEOUT = 20.0
+#: Seconds that a child has to end when it is asked to.
+PATIENCE = 3.0
+_STEP = 0.02
+#: A child that lived for less is started again after a pause, doubling each time.
+_SHORT_LIFE = 10.0
+_LONGEST_PAUSE = 30.0
+#: Seconds that a child of an earlier life may take to show itself: it may have just been started.
+_ADOPTION_TIMEOUT = 5.0
+_BASES = {Kind.PYTHON: "dyknow_nodelet_manager", Kind.CPP: "dyknow_cpp_nodelet_manager"}
+
+_log = logging.getLogger("rosout.dyknow")
+
+
+@dataclass
+class Child:
+    """One nodelet manager; its thread writes, others read."""
+
+    record: ChildRecord
+    adopted: bool = False
+    up: bool = False
+    wanted: bool = True
+    gone: threading.Event = field(default_factory=threading.Event)
+    trouble: str = ""
+    uri: str = ""
+    follower: Optional[Follower] = None
+
+    @property
+    def incarnation(self) -> str:
+        """Differs for each process; empty while none is up."""
+        found = self.record.process
+        return f"{found.pid}@{found.started}" if found is not None and self.up else ""
+
+
+class Children:
+    """The nodelet managers of one DyKnow manager."""
+
+    def __init__(
+        self,
+        launcher: Launcher,
+        namespace: str,
+        path: str,
+        on_change: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Start without children.
+
+        Args:
+            launcher: starts them.
+            namespace: that of the DyKnow manager, and of its shared children.
+            path: file of the records.
+            on_change: called when a child is up or has ended.
+        """
+        self._launcher = launcher
+        self._namespace = namespace
+        self._path = path
+        self._on_change = on_change
+        self._lock = threading.Condition()
+        self._children: Dict[str, Child] = {}
+        self._ending = False
+
+    def adopt(self) -> List[str]:
+        """Take over the children of an earlier life that still run, and return their names."""
+        try:
+            records = child_records.read(self._path)
+        except (OSError, ValueError) as error:
+            _log.warning("'%s': %s; looking for nodelet managers by name", self._path, error)
+            records = []
+        known = {record.name for record in records}
+        for kind in Kind:
+            name = names.join(self._namespace, _BASES[kind])
+            found = None if name in known else self._launcher.living(name)
+            if found is not None and self._launcher.is_ours(name):
+                records.append(ChildRecord(name, kind, process=found))
+        children = [self._add(Child(record, adopted=True)) for record in records]
+        deadline = time.monotonic() + _ADOPTION_TIMEOUT
+        for child in children:
+            try:
+                self._wait_up(child, deadline)
+            except HostError as error:
+                _log.warning("%s", error)
+        return [record.name for record in records]
+
+    def all(self) -> List[Child]:
+        """Return every child, by name."""
+        with self._lock:
+            return [self._children[name] for name in sorted(self._children)]
+
+    def want(self, kind: Kind, count: int) -> None:
+        """See to it that there are so many shared children; they come up in the background."""
+        have = [c for c in self.all() if c.record.kind is kind and not c.record.isolated_for]
+        for _ in range(count - len(have)):
+            self._add(Child(ChildRecord(self._free_name(kind), kind)))
+
+    def ensure(self, kind: Kind, isolated_for: str) -> str:
+        """Return the name of a child that is up, starting one if there is none.
+
+        Raises:
+            HostError: it does not come up.
+        """
+        deadline = time.monotonic() + START_TIMEOUT
+        with self._lock:
+            fitting = [
+                child
+                for child in self._children.values()
+                if child.record.kind is kind
+                and child.record.isolated_for == isolated_for
+                and child.wanted
+            ]
+        up = [child for child in fitting if child.up]
+        if up:
+            return min(child.record.name for child in up)
+        if not fitting:
+            name = f"{isolated_for}_nodelet_manager" if isolated_for else self._free_name(kind)
+            fitting = [self._add(Child(ChildRecord(name, kind, isolated_for)))]
+        return self._wait_up(fitting[0], deadline)
+
+    def await_up(self, name: str, timeout: float) -> None:
+        """Wait for a child that is being started; for others there is nothing to wait for."""
+        with self._lock:
+            child = self._children.get(name)
+        if child is not None and not child.up:
+            self._wait_up(child, time.monotonic() + timeout)
+
+    def end(self, name: str) -> None:
+        """End a child for good, by force if need be."""
+        with self._lock:
+            child = self._children.get(name)
+            if child is not None:
+                child.wanted, child.up = False, False
+                self._lock.notify_all()
+        if child is not None:
+            self._end([child])
+
+    def end_all(self) -> None:
+        """End all children for good, by force if need be."""
+        with self._lock:
+            self._ending = True
+            children = list(self._children.values())
+            for child in children:
+                child.wanted, child.up = False, False
+            self._lock.notify_all()
+        self._end(children)
+
+    def echo(self) -> None:
+        """Show what the children printed since the last call."""
+        for child in self.all():
+            if child.follower is not None:
+                child.follower.copy(sys.stdout)
+
+    # Starting
+
+    def _add(self, child: Child) -> Child:
+        name = child.record.name
+        with self._lock:
+            if self._ending:
+                raise HostError("the manager is being ended")
+            present = self._children.get(name)
+            if present is not None:
+                return present
+            self._children[name] = child
+        threading.Thread(
+            target=self._keep, args=(child,), name=f"child {name}", daemon=True
+        ).start()
+        return child
+
+    def _free_name(self, kind: Kind) -> str:
+        """First name, counted from 2, that no child and no living node of others has."""
+        base = names.join(self._namespace, _BASES[kind])
+        number, name = 1, base
+        while True:
+            with self._lock:
+                taken = name in self._children
+            if not taken and self._launcher.living(name) is None:
+                return name
+            number += 1
+            name = f"{base}_{number}"
+
+    def _wait_up(self, child: Child, deadline: float) -> str:
+        with self._lock:
+            while not child.up and child.wanted and not child.gone.is_set():
+                if not self._lock.wait(deadline - time.monotonic()):
+                    break
+            if child.up:
+                return child.record.name
+        reason = child.trouble or "it does not come up"
+        raise HostError(f"nodelet manager '{child.record.name}': {reason}")
+
+    # One thread for each child
+
+    def _keep(self, child: Child) -> None:
+        """Run one child, life after life; an isolated one has only one."""
+        deaths = 0  # in quick succession
+        while child.wanted:
+            begin = time.monotonic()
+            try:
+                self._live(child)
+            except (OSError, HostError, PeerTimeout) as error:
+                child.trouble = str(error)
+                _log.error("nodelet manager %s: %s", child.record.name, error)
+            if not child.wanted or child.record.isolated_for:
+                break
+            deaths = 1 if time.monotonic() - begin > _SHORT_LIFE else deaths + 1
+            pause = min(_LONGEST_PAUSE, 0.25 * 2 ** (deaths - 2)) if deaths > 1 else 0.0
+            with self._lock:
+                self._lock.wait_for(lambda: not child.wanted, pause)
+        with self._lock:
+            self._children.pop(child.record.name, None)
+            child.gone.set()
+            self._lock.notify_all()
+        self._write()
+        self._on_change()
+
+    def _live(self, child: Child) -> None:
+        name = child.record.name
+        if child.record.process is None:
+            self._launch(child)
+        found = child.record.process
+        assert found is not None
+        try:
+            self._follow_until_up(child, found)
+            if not child.wanted:
+                found.end(PATIENCE)
+            found.wait()
+        finally:
+            with self._lock:
+                child.up, child.adopted = False, False
+                child.record = replace(child.record, process=None)
+        if child.wanted:
+            _log.warning("nodelet manager %s (process %d) has died", name, found.pid)
+        self.echo()
+        self._launcher.tidy(name, child.uri)
+        self._on_change()
+
+    def _launch(self, child: Child) -> None:
+        name = child.record.name
+        living = self._launcher.living(name)
+        if living is not None:
+            self._take_over(child, living)
+            return
+        found, child.follower = self._launcher.launch(child.record.kind, name)
+        with self._lock:
+            child.record = replace(child.record, process=found)
+        self._write()
+
+    def _take_over(self, child: Child, living: ProcessId) -> None:
+        """Adopt a process that an earlier life started, but could not write down any more."""
+        if living.pid < 0 or not self._launcher.is_ours(child.record.name):
+            raise HostError("another node has that name")
+        with self._lock:
+            child.adopted = True
+            child.record = replace(child.record, process=living)
+        self._write()
+
+    def _follow_until_up(self, child: Child, found: ProcessId) -> None:
+        """Wait until the services are there; a late one that we started is given up."""
+        name = child.record.name
+        if child.adopted:
+            child.follower = self._launcher.follow(name)
+        deadline = time.monotonic() + START_TIMEOUT
+        uri = self._launcher.address(name)
+        while not uri:
+            if not found.alive or not child.wanted:
+                child.trouble = "it ended at its start"
+                return
+            if time.monotonic() > deadline and not child.adopted:
+                found.end(PATIENCE)
+                raise HostError(f"it has not come up within {START_TIMEOUT:g} s")
+            time.sleep(_STEP)
+            uri = self._launcher.address(name)
+        child.uri = uri
+        with self._lock:
+            child.up = child.wanted
+            self._lock.notify_all()
+        self._on_change()
+
+    # Ending
+
+    def _end(self, children: List[Child]) -> None:
+        enders = []
+        for child in children:
+            found = child.record.process
+            if found is not None:
+                ender = threading.Thread(target=found.end, args=(PATIENCE,), daemon=True)
+                ender.start()
+                enders.append(ender)
+        for ender in enders:
+            ender.join(2 * PATIENCE)
+        for child in children:
+            child.gone.wait(PATIENCE)
+            self._launcher.forget(child.record.name)
+
+    def _write(self) -> None:
+        with self._lock:
+            records = [self._children[name].record for name in sorted(self._children)]
+            try:
+                child_records.write(self._path, records)
+            except OSError as error:
+                _log.error("'%s' cannot be written: %s", self._path, error)

@@ -1,0 +1,204 @@
+"""The node dyknow_manager: the paper's manager, with all that it needs from ROS.
+
+Who owns what: ``ManagerNode`` owns the store, the children, the host, the manager and what speaks
+for it: services, the topic of the model, the watch, the workers that bring back what died. Being
+told to end (SIGINT, SIGTERM, rosnode kill) is an end on purpose: nodelets and nodelet managers end
+too. A manager that is killed leaves them running, and its next life takes them over.
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING, Optional, Sequence
+
+import rosgraph.names
+import rospy
+
+from dyknow import names
+from dyknow.errors import DyKnowError, PeerTimeout
+from dyknow.manager.host import Kind
+from dyknow.manager.library import Library
+from dyknow.manager.manager import Manager, Settings
+from dyknow.manager.store import Store
+from dyknow.nodelet.middleware import Closable
+from dyknow.ros.announcements import Listener
+from dyknow.ros.children import Children
+from dyknow.ros.cpp_nodelets import CppNodelets
+from dyknow.ros.exit_codes import FAILED
+from dyknow.ros.guard_parameters import GUARDS, to_parameter
+from dyknow.ros.host import RosHost
+from dyknow.ros.launcher import Launcher
+from dyknow.ros.manager_services import ManagerServices
+from dyknow.ros.manager_settings import ManagerSettings
+from dyknow.ros.master import Master
+from dyknow.ros.model_messages import ModelMessages
+from dyknow.ros.model_publisher import ModelPublisher
+from dyknow.ros.owner import OwnerLock
+from dyknow.ros.process import NodeProcess
+from dyknow.ros.watch import Watch
+from dyknow.ros.workers import Workers
+
+if TYPE_CHECKING:
+    from dyknow.manager.ontology import Ontology
+
+#: Nodelets that are brought back at the same time.
+_WORKERS = 4
+#: Seconds to wait, at the end, for those that are being brought back.
+_WORKERS_PATIENCE = 3.0
+_ANSWER_TIMEOUT = 1.0
+_NAME = "dyknow_manager"
+
+
+class ManagerNode(Closable):
+    """The manager and its surroundings; the node must be initialised."""
+
+    def __init__(self, settings: ManagerSettings) -> None:
+        """Open the state and put the parts together.
+
+        Raises:
+            DyKnowError: the state or an ontology cannot be used.
+        """
+        node = rospy.get_name()
+        self._settings = settings
+        self._owner = OwnerLock(settings.state_path("lock"))
+        self._store = Store(settings.state_path("sqlite3"))
+        if self._store.complaint:
+            rospy.logerr("%s", self._store.complaint)
+        master = Master(node)
+        self._children = Children(
+            Launcher(
+                master,
+                self._owner,
+                settings.orphan_timeout,
+                {GUARDS: to_parameter(settings.guards, node)},
+            ),
+            names.parent(node),
+            settings.state_path("children.json"),
+            self._on_child,
+        )
+        self._workers = Workers(_WORKERS)
+        self._host = RosHost(master, self._children, settings.nodelet_managers, settings.guards)
+        self.manager = Manager(
+            self._host,
+            self._store,
+            Library(self._store, _ontology(settings.ontologies), settings.limits),
+            settings.guards,
+            Settings(names.parent(node), settings.spawn_timeout),
+            self._workers.run,
+        )
+        self._messages = ModelMessages()
+        self._cpp = CppNodelets(self.manager)
+        self._watch = Watch(self.manager, self._after_look)
+        self._listener = Listener(self._watch.hear)
+
+    def start(self) -> None:
+        """Take over what runs, bring back what does not, and offer the services."""
+        self._children.adopt()
+        self._children.want(Kind.PYTHON, self._settings.num_nodelet_managers)
+        self._load_transformations()
+        self._publisher = ModelPublisher(
+            "~model", self.manager.graph_model, self._messages, self._cpp.follow
+        )
+        self.manager.on_change = self._publisher.note_change
+        self.manager.start()
+        self._retire_empty()
+        self._after_change()
+        self._services = ManagerServices(self.manager, self._messages, self._after_change)
+        self._publisher.note_change()
+        self._watch.start()
+
+    def close(self) -> None:
+        """End on purpose, with all nodelets and nodelet managers."""
+        rospy.loginfo("the manager %s ends, and its nodelets with it", rospy.get_name())
+        self._services.close()
+        self._listener.close()
+        self._watch.close(1.0)
+        self._publisher.close()
+        self._cpp.close()
+        self._children.end_all()
+        self._workers.close(_WORKERS_PATIENCE)
+        self.manager.end()
+        self._host.release()
+        self._host.close()
+        self._store.close()
+        self._owner.release()
+
+    # Inside
+
+    def _load_transformations(self) -> None:
+        for path in self._settings.transformations:
+            try:
+                with open(path, encoding="utf-8") as file:
+                    found = self.manager.library.add(file.read(), path)
+            except (OSError, ValueError, DyKnowError) as error:
+                rospy.logerr("transformations of '%s' are not added: %s", path, error)
+                continue
+            for warning in found.warnings:
+                rospy.logwarn("%s", warning)
+
+    def _retire_empty(self) -> None:
+        """End processes for nodelets that nobody was told of."""
+        for state in self._host.managers():
+            if state.isolated_for and self.manager.graph.find(state.isolated_for) is None:
+                self._host.retire(state.name)
+
+    def _python_managers(self) -> Sequence[str]:
+        return [
+            state.name
+            for state in self._host.managers()
+            if state.kind is Kind.PYTHON and (state.own or state.alive)
+        ]
+
+    def _on_child(self) -> None:
+        self._watch.hurry()
+
+    def _after_change(self) -> None:
+        self._cpp.follow()
+        self._listener.follow(self._python_managers())
+
+    def _after_look(self) -> None:
+        self._after_change()
+        self._children.echo()
+
+
+def _is_running(argv: Sequence[str]) -> bool:
+    """Whether a manager of that name runs already.
+
+    The master would tell it to end, and with it all its nodelets would end.
+    """
+    mappings = rosgraph.names.load_mappings(argv)
+    namespace = mappings.get("__ns", rosgraph.names.get_ros_namespace(argv=[]))
+    name = names.join(str(namespace), str(mappings.get("__name", _NAME)))
+    master = Master(name)
+    try:
+        uri = master.node(name)
+        pid = master.pid(name, uri, _ANSWER_TIMEOUT) if uri else 0
+    except (PeerTimeout, LookupError):
+        return False  # rospy waits for the master; what does not answer is dead or about to be
+    if pid:
+        print(f"{name} runs already (process {pid}); end it first: rosnode kill {name}")
+    return bool(pid)
+
+
+def _ontology(paths: Sequence[str]) -> Ontology | None:
+    if not paths:
+        return None
+    from dyknow.manager.ontology import load_ontology  # rdflib takes its time to import
+
+    return load_ontology(paths)
+
+
+def main(argv: Sequence[str] = ()) -> int:
+    """Run the node until it is told to end; returns the exit code."""
+    argv = list(argv or sys.argv)
+    return FAILED if _is_running(argv) else NodeProcess(_NAME, argv, _start).run()
+
+
+def _start() -> Optional[ManagerNode]:
+    try:
+        node = ManagerNode(ManagerSettings.read())
+    except DyKnowError as error:
+        rospy.logfatal("%s", error)
+        return None
+    node.start()
+    return node
