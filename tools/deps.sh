@@ -42,7 +42,7 @@ for package in "${missing[@]}"; do
 done
 if [ ${#unknown[@]} -gt 0 ]; then
   echo "deps: the package sources of this machine do not have: ${unknown[*]}" >&2
-  echo "deps: on Ubuntu, set up the package source of ROS Noetic first." >&2
+  [ "$ID" != ubuntu ] || echo "deps: set up the package source of ROS Noetic first." >&2
   exit 1
 fi
 "${apt[@]}" install -q -y --no-install-recommends "${missing[@]}"

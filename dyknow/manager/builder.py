@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import re
 from functools import lru_cache
-from typing import Dict, List, Optional, Tuple
+from typing import Dict, List, Optional, Set, Tuple
 
 from dyknow.manager.draft import Draft
-from dyknow.manager.findings import Findings
+from dyknow.manager.findings import EnoughProblems, Findings
 from dyknow.manager.limits import Limits
 from dyknow.manager.transformation import NODELET, OUT, TOPIC, Parameter, Port, Transformation
-from dyknow.manager.values import BadValue, infer_type, parse_value, shorten
+from dyknow.manager.values import BadValue, infer_type, parse_value
+from dyknow.manager.wording import listed, shorten
 
 MAX_COST = 2**32 - 1
 
@@ -26,6 +27,8 @@ class Builder:
         self._findings = findings
         self._limits = limits
         self._labels: Dict[str, int] = {}
+        self._good_yaml: Set[str] = set()
+        self._yaml_size = 0
 
     def build(self, draft: Draft) -> Optional[Transformation]:
         """Check a draft and make the transformation.
@@ -38,7 +41,7 @@ class Builder:
         self._check_source(draft)
         cost = self._cost(draft)
         parameters = self._parameters(draft)
-        ports = self.check_ports(draft)
+        ports = self._ports(draft)
         if draft.label is None or draft.source is None:
             return None
         return Transformation(
@@ -53,10 +56,9 @@ class Builder:
             self._findings.problem(line, "<label> is empty; expected the transformation's name")
         elif label in self._labels:
             first = self._labels[label]
+            place = "results twice" if first == line else f"is there already, in line {first}"
             self._findings.problem(
-                line,
-                f"the label '{shorten(label)}' is there already, in line {first}; expected "
-                "labels that differ",
+                line, f"the label '{shorten(label)}' {place}; expected labels that differ"
             )
         else:
             self._labels[label] = line
@@ -74,8 +76,6 @@ class Builder:
                 )
 
     def _cost(self, draft: Draft) -> int:
-        if not draft.cost:
-            return 1
         if not _COST.match(draft.cost) or len(draft.cost) > 20 or int(draft.cost) > MAX_COST:
             self._findings.problem(
                 draft.line,
@@ -97,14 +97,12 @@ class Builder:
                 )
             if name in lines:
                 self._findings.problem(
-                    line, f"the parameter '{name}' is there already, in line {lines[name]}"
+                    line,
+                    f"the parameter '{shorten(name)}' is there already, in line {lines[name]}",
                 )
             lines[name] = line
             type_ = type_ or infer_type(text)
-            try:
-                parse_value(type_, text, self._limits)
-            except BadValue as error:
-                self._findings.problem(line, f"the parameter '{shorten(name)}': {error}")
+            self._check_value(name, type_, text, line)
             made.append(Parameter(name, type_, text))
         if made and draft.type == TOPIC:
             self._findings.warning(
@@ -112,19 +110,39 @@ class Builder:
             )
         return tuple(made)
 
-    def check_ports(self, draft: Draft) -> Tuple[Port, ...]:
-        """Check the ports and tags, which is possible with variables in them too."""
+    def _check_value(self, name: str, type_: str, text: str, line: int) -> None:
+        if type_ == "yaml":
+            if text in self._good_yaml:
+                return
+            self._yaml_size += len(text)
+            if self._yaml_size > self._limits.yaml_size:
+                limit = self._limits.yaml_size
+                self._findings.problem(line, f"more than {limit} characters of YAML in this text")
+                raise EnoughProblems
+        try:
+            parse_value(type_, text, self._limits)
+        except BadValue as error:
+            self._findings.problem(line, f"the parameter '{shorten(name)}': {error}")
+            return
+        if type_ == "yaml":
+            self._good_yaml.add(text)
+
+    def check_template(self, draft: Draft) -> None:
+        """Check what can be checked of a template that cannot be expanded: ports and tags."""
+        self._ports(draft, is_template=True)
+
+    def _ports(self, draft: Draft, is_template: bool = False) -> Tuple[Port, ...]:
         lines: Dict[str, int] = {}
         tags: Dict[str, List[str]] = {}
         for name, _, datatype, line in draft.ports:
-            self._check_name("port", name, line)
-            if datatype and not _DATATYPE.match(datatype):
+            if not is_template:
+                self._check_name("port", name, line)
                 self._check_datatype(datatype, line)
             if name in lines:
                 self._findings.problem(
                     line,
-                    f"the port '{name}' is there already, in line {lines[name]}; expected names "
-                    "that differ, also between in and out",
+                    f"the port '{shorten(name)}' is there already, in line {lines[name]}; "
+                    "expected names that differ, also between in and out",
                 )
             else:
                 lines[name] = line
@@ -148,19 +166,20 @@ class Builder:
             of_port = tags.get(port)
             if of_port is not None:
                 if text in of_port:
-                    self._findings.warning(line, f"the port '{port}' has this tag already")
+                    self._findings.warning(
+                        line, f"the port '{shorten(port)}' has this tag already"
+                    )
                 else:
                     of_port.append(text)
             elif draft.ports_known:
-                known = ", ".join(sorted(tags)) or "none"
                 self._findings.problem(
                     line,
                     f"the tag is for the port '{shorten(port)}', which is not declared; known "
-                    f"ports: {known}",
+                    f"ports: {listed(tags)}",
                 )
 
     def _check_datatype(self, datatype: str, line: int) -> None:
-        if "${" not in datatype:
+        if datatype and not _DATATYPE.match(datatype):
             self._findings.problem(
                 line,
                 f'datatype="{shorten(datatype)}": expected a ROS type such as sensor_msgs/Image',

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import Callable, Iterator, List, NamedTuple, Optional, Tuple
 
+BLANK = " \t\r\n"
+"""XML's white space, which is stripped from both ends of every value and term."""
+
 
 class ArgDraft(NamedTuple):
     """An `<arg>`: a variable of the template and where its terms come from."""
@@ -45,7 +48,7 @@ class Draft:
     Attributes:
         line: The line of the start tag.
         type: The type, empty when it was left out or is not one (which was reported).
-        cost: The cost as text, empty when it was left out.
+        cost: The cost as text, 1 when it was left out.
         label: The label; None when it is missing (which was reported).
         label_line: The line of the label.
         source: The source; None when it is missing (which was reported).
@@ -59,25 +62,25 @@ class Draft:
     """
 
     __slots__ = (
-        "line",
-        "type",
+        "args",
         "cost",
+        "has_variables",
         "label",
         "label_line",
-        "source",
-        "source_line",
-        "args",
+        "line",
         "parameters",
         "ports",
-        "tags",
         "ports_known",
-        "has_variables",
+        "source",
+        "source_line",
+        "tags",
+        "type",
     )
 
     def __init__(self, line: int) -> None:
         self.line = line
         self.type = ""
-        self.cost = ""
+        self.cost = "1"
         self.label: Optional[str] = None
         self.label_line = line
         self.source: Optional[str] = None

@@ -6,6 +6,9 @@ from typing import Dict, Tuple
 
 from dyknow.errors import Problem, SpecificationError
 
+_MAX_REPETITIONS = 200_000
+"""A problem in a template may come once for each of its expansions, at most this often."""
+
 
 class EnoughProblems(Exception):
     """So many problems are known that looking for more helps nobody."""
@@ -20,15 +23,20 @@ class Findings:
         self._problems: Dict[Problem, None] = {}
         self._warnings: Dict[Problem, None] = {}
         self._rest: Tuple[Problem, ...] = ()
+        self._repetitions = 0
 
     def problem(self, line: int, message: str) -> None:
         """Note an error.
 
         Raises:
-            EnoughProblems: As many as may be listed were known before this one.
+            EnoughProblems: As many as may be listed were known before this one, or the same
+                ones come again and again.
         """
         problem = Problem(self._file, line, message)
         if problem in self._problems:
+            self._repetitions += 1
+            if self._repetitions > _MAX_REPETITIONS:
+                raise EnoughProblems
             return
         if len(self._problems) >= self._max:
             rest = f"there are more than {self._max} problems; the rest is not listed"

@@ -20,14 +20,12 @@ _RNG = "{http://relaxng.org/ns/structure/1.0}"
 
 @dataclass
 class AttributeRule:
-    """What the grammar says of one attribute.
+    """What the grammar says of the value of one attribute.
 
     Attributes:
-        required: Whether the attribute has to be there.
         values: The values it may have; None when the grammar leaves them open.
     """
 
-    required: bool
     values: Optional[Tuple[str, ...]]
 
 
@@ -40,6 +38,7 @@ class ElementRule:
         text: Whether it holds text; if not, it holds only elements.
         attributes: The rules of its attributes, by name.
         children: The rules of its child elements, by name.
+        required_attributes: The names of the attributes that have to be there.
         required: The names of the children that have to be there.
         repeated: The names of the children that may stand more than once.
     """
@@ -48,6 +47,7 @@ class ElementRule:
     text: bool = False
     attributes: Dict[str, AttributeRule] = field(default_factory=dict)
     children: Dict[str, ElementRule] = field(default_factory=dict)
+    required_attributes: Tuple[str, ...] = ()
     required: Tuple[str, ...] = ()
     repeated: Tuple[str, ...] = ()
 
@@ -106,13 +106,19 @@ class _SchemaReader:
             elif kind == "text":
                 rule.text = True
             elif kind == "attribute":
-                rule.attributes[pattern.get("name", "")] = AttributeRule(
-                    required, _values(pattern)
-                )
+                self._add_attribute(pattern, rule, required)
             elif kind == "element":
                 self._add_child(pattern, rule, required, repeated)
             else:
                 raise UnsupportedSchema(f"<{kind}> in the rules of <{rule.name}>")
+
+    def _add_attribute(
+        self, pattern: ElementTree.Element, rule: ElementRule, required: bool
+    ) -> None:
+        name = pattern.get("name", "")
+        rule.attributes[name] = AttributeRule(_values(pattern))
+        if required:
+            rule.required_attributes += (name,)
 
     def _add_child(
         self, pattern: ElementTree.Element, rule: ElementRule, required: bool, repeated: bool

@@ -11,6 +11,7 @@ from dyknow.errors import (
     DyKnowError,
     HostError,
     InvalidConfiguration,
+    NameTaken,
     NotSpawnable,
     Protected,
     SpawnFailed,
@@ -96,6 +97,9 @@ class Lifecycle:
             self._graph.put(record)
             try:
                 running = self._bring_up(record)
+            except NameTaken:  # by a nodelet of others that nobody has seen yet: it stays
+                self._graph.remove(record.name)
+                raise
             except BaseException as error:
                 self._take_down(record)
                 self._graph.remove(record.name)
@@ -208,16 +212,11 @@ class Lifecycle:
         transformation = record.transformation
         assert transformation is not None
         wiring = {port: topic for port, topic in record.topics.items() if topic}
-        remappings = (
-            {
-                names.resolve(port, names.parent(record.name), record.name): topic
-                for port, topic in wiring.items()
-            }
-            if record.rewired_by_reload
-            else {}
-        )
         request = LoadRequest(
-            record.name, transformation.source, transformation.parameters, remappings
+            record.name,
+            transformation.source,
+            transformation.parameters,
+            _remappings(record, transformation) if record.rewired_by_reload else {},
         )
         self._host.load(record.manager, request, self._timeout)
         record = replace(
@@ -271,3 +270,18 @@ class Lifecycle:
             if state.name == manager:
                 return state.incarnation
         return ""
+
+
+def _remappings(record: Record, transformation: Transformation) -> Dict[str, str]:
+    """Wire a plain C++ nodelet.
+
+    It would use the plain name of a port that is connected to nothing, so that is remapped too,
+    to a topic that nobody else uses.
+    """
+    return {
+        names.resolve(port.name, names.parent(record.name), record.name): record.topics.get(
+            port.name, ""
+        )
+        or names.join(record.name, "disconnected/" + port.name.lstrip("~/"))
+        for port in transformation.ports
+    }

@@ -12,19 +12,25 @@ class Limits:
     Attributes:
         text_size: Size of the XML text in bytes.
         transformations: Number of transformations, templates expanded.
+        expanded_items: Parameters, ports and tags in all expanded transformations of one text.
         expanded_size: Characters in all expanded transformations of one text together.
+        items: Args, parameters, ports and tags of one transformation together.
         string_length: Characters in one value: a label, a parameter, a tag.
         nesting: Depth to which elements, or the lists and mappings of a YAML value, may nest.
         yaml_nodes: Scalars, lists and mappings in one YAML value.
+        yaml_size: Characters in all YAML values of one text together, equal ones counted once.
         problems: Problems that are listed; reading ends when there are more.
     """
 
     text_size: int = 64 * 2**20
     transformations: int = 200_000
+    expanded_items: int = 4_000_000
     expanded_size: int = 256 * 2**20
+    items: int = 10_000
     string_length: int = 2**20
     nesting: int = 32
     yaml_nodes: int = 100_000
+    yaml_size: int = 16 * 2**20
     problems: int = 1000
 
 

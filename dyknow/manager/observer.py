@@ -12,7 +12,7 @@ import time
 from dataclasses import replace
 from typing import Callable, Dict, Iterable, List, Set
 
-from dyknow.errors import Busy, DyKnowError, HostError
+from dyknow.errors import Busy, DyKnowError, HostError, NameTaken
 from dyknow.manager.graph import Graph
 from dyknow.manager.host import Host, ManagerState
 from dyknow.manager.lifecycle import Lifecycle
@@ -130,6 +130,8 @@ class Observer:
         elif record.transformation is None:
             self._graph.remove(record.name)
         elif alive and state is not None and state.incarnation == record.incarnation:
+            if record.name in self._listed_now(record.manager):
+                return  # it came up since the look began
             if record.state is State.RUNNING:
                 _log.info("%s was unloaded by others; it is not brought back", record.name)
                 self._lifecycle.forget(record)
@@ -183,8 +185,21 @@ class Observer:
 
     def _meet(self, name: str, manager: str) -> None:
         try:
+            with self._graph.changing(name, new=True):
+                if name in self._listed_now(manager):  # and not gone since the look began
+                    self._graph.put(self._foreign(name, manager), durable=False)
+        except (Busy, NameTaken):
+            return
+
+    def _foreign(self, name: str, manager: str) -> Record:
+        try:
             ports = self._host.ports(name)
         except HostError:
             ports = ()  # a plain nodelet has no proxy
-        record = Record(name, None, manager, state=State.RUNNING, ports=ports)
-        self._graph.put(record, durable=False)
+        return Record(name, None, manager, state=State.RUNNING, ports=ports)
+
+    def _listed_now(self, manager: str) -> List[str]:
+        try:
+            return self._host.list(manager)
+        except HostError:
+            return []

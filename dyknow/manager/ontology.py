@@ -21,7 +21,11 @@ FORMATS = {".ttl": "turtle", ".owl": "xml", ".rdf": "xml", ".nt": "nt"}
 MAX_FILE_SIZE = 256 * 2**20
 """The size in bytes of the largest file that is read."""
 
-_BUILT_IN = tuple(str(namespace) for namespace in (OWL, RDF, RDFS))
+_BUILT_IN = (
+    "http://www.w3.org/2002/07/owl#",
+    "http://www.w3.org/1999/02/22-rdf-syntax-ns#",
+    "http://www.w3.org/2000/01/rdf-schema#",
+)
 _Edges = Dict[str, Set[str]]
 
 
@@ -124,7 +128,7 @@ class Ontology:
             self._add_subclass(one, other)
             self._add_subclass(other, one)
         for node, kind in graph.subject_objects(RDF.type):
-            if isinstance(kind, rdflib.URIRef) and not kind.startswith(_BUILT_IN):
+            if isinstance(kind, rdflib.URIRef) and not str(kind).startswith(_BUILT_IN):
                 self._add_class(str(kind))
                 self._types.setdefault(str(node), set()).add(str(kind))
                 self._instances.setdefault(str(kind), set()).add(str(node))

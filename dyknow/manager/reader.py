@@ -12,15 +12,18 @@ from textwrap import dedent
 from typing import Callable, Dict, Iterator, List, Optional, Tuple, Union
 from xml.parsers import expat
 
-from dyknow.manager.draft import ArgDraft, Draft, ParameterDraft, PortDraft, TagDraft
+from dyknow.manager.draft import BLANK, ArgDraft, Draft, ParameterDraft, PortDraft, TagDraft
+from dyknow.manager.expectations import (
+    children_of,
+    one_of,
+    unexpected_attribute,
+    unexpected_element,
+)
 from dyknow.manager.findings import Findings
 from dyknow.manager.grammar import ElementRule, roots
 from dyknow.manager.limits import Limits
-from dyknow.manager.values import shorten
 from dyknow.manager.wellformed import Unreadable, explain, to_utf8
-
-BLANK = " \t\r\n"
-"""XML's white space, which is stripped from both ends of every value."""
+from dyknow.manager.wording import shorten
 
 _CHUNK = 2**18
 
@@ -60,6 +63,7 @@ class _Reader:
         self._draft = Draft(0)
         self._ready: List[Draft] = []
         self._count = 0
+        self._items = 0
         self._parser = expat.ParserCreate("utf-8")
         self._parser.buffer_text = True
         self._parser.StartElementHandler = self._start  # type: ignore[assignment]
@@ -89,6 +93,9 @@ class _Reader:
                 if start - self._parser.CurrentByteIndex > 2 * longest:
                     raise Unreadable(self._line, "a tag or comment here is too long")
             self._parser.Parse(b"", True)
+        except Unreadable:
+            yield from self._ready
+            raise
         except expat.ExpatError as error:
             yield from self._ready
             open_ = [(rule.name, line) for rule, _, line, _ in self._stack[1:]] + self._unknown
@@ -106,11 +113,11 @@ class _Reader:
             self._unknown.append((name, line))
             return
         parent, _, _, seen = self._stack[-1]
-        if not parent.text:
+        if self._texts and not parent.text:
             self._refuse_text(parent)
         rule = parent.children.get(name)
         if rule is None:
-            self._findings.problem(line, _unexpected_element(name, parent))
+            self._findings.problem(line, unexpected_element(name, parent))
             self._spoiled = True
             self._unknown.append((name, line))
             return
@@ -146,8 +153,16 @@ class _Reader:
             if "${" in text:
                 self._draft.has_variables = True
             self._take[name](text, attributes, line)
+            self._items += 1
+            if self._items > self._limits.items + 2:
+                raise Unreadable(
+                    line,
+                    f"more than {self._limits.items} args, params, ports and tags in one "
+                    "<transformation>",
+                )
             return
-        self._refuse_text(rule)
+        if self._texts:
+            self._refuse_text(rule)
         for child in rule.required:
             if child not in seen:
                 self._findings.problem(line, f"<{name}> has no <{child}>; expected one")
@@ -155,21 +170,21 @@ class _Reader:
             self._ready.append(self._draft)
 
     def _refuse_text(self, rule: ElementRule) -> None:
-        if self._texts:
-            text = "".join(self._texts).strip(BLANK)
-            self._texts.clear()
-            if text:
-                self._findings.problem(
-                    self._line,
-                    f"text '{shorten(text)}' directly in <{rule.name}>; expected "
-                    f"{_children(rule)}",
-                )
+        text = "".join(self._texts).lstrip(BLANK)
+        self._texts.clear()
+        if text:
+            self._findings.problem(
+                self._line - text.count("\n"),
+                f"text '{shorten(text.rstrip(BLANK))}' directly in <{rule.name}>; expected "
+                f"{children_of(rule)}",
+            )
 
     def _check_attributes(self, rule: ElementRule, attributes: _Attributes, line: int) -> None:
+        rules = rule.attributes
         for name, value in attributes.items():
-            known = rule.attributes.get(name)
+            known = rules.get(name)
             if known is None:
-                self._findings.problem(line, _unexpected_attribute(name, rule))
+                self._findings.problem(line, unexpected_attribute(name, rule))
                 continue
             text = (value or "").strip(BLANK)
             attributes[name] = text
@@ -178,17 +193,18 @@ class _Reader:
             if known.values is not None and text not in known.values:
                 self._findings.problem(
                     line,
-                    f'<{rule.name} {name}="{shorten(text)}">: expected {_one_of(known.values)}',
+                    f'<{rule.name} {name}="{shorten(text)}">: expected {one_of(known.values)}',
                 )
                 attributes[name] = None
             elif len(text) > self._limits.string_length:
                 self._too_long(line, f"attribute {name}", len(text))
                 attributes[name] = None
-        for name, known in rule.attributes.items():
-            if known.required and name not in attributes:
-                values = f", {_one_of(known.values)}" if known.values else ""
+        for name in rule.required_attributes:
+            if name not in attributes:
+                values = rules[name].values
+                which = f", {one_of(values)}" if values else ""
                 self._findings.problem(
-                    line, f"<{rule.name}> has no attribute {name}; expected one{values}"
+                    line, f"<{rule.name}> has no attribute {name}; expected one{which}"
                 )
                 attributes[name] = None
 
@@ -200,13 +216,14 @@ class _Reader:
 
     def _begin_transformation(self, attributes: _Attributes, line: int) -> None:
         self._count += 1
+        self._items = 0
         if self._count > self._limits.transformations:
             raise Unreadable(
                 line, f"more than {self._limits.transformations} transformations in one text"
             )
         self._draft = Draft(line)
         self._draft.type = attributes.get("type") or ""
-        self._draft.cost = attributes.get("cost") or ""
+        self._draft.cost = attributes.get("cost", "1") or ""
         self._draft.has_variables = "${" in self._draft.cost
 
     def _label(self, text: str, _: _Attributes, line: int) -> None:
@@ -244,32 +261,12 @@ class _Reader:
 
     def _instruction(self, target: str, _: str) -> None:
         self._findings.problem(
-            self._line, f"the processing instruction <?{target}?> is refused; expected none"
+            self._line,
+            f"the processing instruction <?{shorten(target)}?> is refused; expected none",
         )
 
     def _declaration(self, _: str, encoding: Optional[str], __: int) -> None:
         if encoding is not None and encoding.lower() not in ("utf-8", "utf8", "us-ascii"):
             self._findings.problem(
-                self._line, f"the encoding {encoding} is declared; expected UTF-8"
+                self._line, f"the encoding {shorten(encoding)} is declared; expected UTF-8"
             )
-
-
-def _children(rule: ElementRule) -> str:
-    names = " or ".join(f"<{name}>" for name in sorted(rule.children))
-    return names or "text alone"
-
-
-def _one_of(values: Tuple[str, ...]) -> str:
-    return " or ".join(f"'{value}'" for value in values)
-
-
-def _unexpected_element(name: str, parent: ElementRule) -> str:
-    where = f"in <{parent.name}>" if parent.name else "as the root"
-    hint = "; elements of other namespaces are refused" if ":" in name else ""
-    return f"unexpected <{name}> {where}; expected {_children(parent)}{hint}"
-
-
-def _unexpected_attribute(name: str, rule: ElementRule) -> str:
-    expected = " or ".join(sorted(rule.attributes)) or "none"
-    hint = "; namespaces are refused" if name.split(":")[0] == "xmlns" else ""
-    return f"unexpected attribute {name} of <{rule.name}>; expected {expected}{hint}"

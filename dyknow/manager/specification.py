@@ -131,6 +131,6 @@ def _expanded(
             continue
         drafts = expander.expand(draft)
         if drafts is None:
-            builder.check_ports(draft)
+            builder.check_template(draft)
         else:
             yield from drafts

@@ -9,14 +9,16 @@ for `${` itself.
 from __future__ import annotations
 
 import re
+from collections import Counter
 from itertools import product
 from math import prod
 from typing import Dict, Iterator, List, Optional, Protocol, Sequence, Tuple, Union
 
 from dyknow.errors import OntologyError
-from dyknow.manager.draft import ArgDraft, Draft
+from dyknow.manager.draft import BLANK, ArgDraft, Draft
 from dyknow.manager.findings import Findings
 from dyknow.manager.limits import Limits
+from dyknow.manager.wording import listed, shorten
 
 _VARIABLE = re.compile(r"\$\$\{|\$\{([^{}]*)\}|\$\{")
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_.-]*\Z")
@@ -43,6 +45,7 @@ class Expander:
         self._limits = limits
         self._ontology = ontology
         self._transformations = 0
+        self._items = 0
         self._characters = 0
 
     def expand(self, draft: Draft) -> Optional[Iterator[Draft]]:
@@ -67,24 +70,17 @@ class Expander:
 
     def _all_terms(self, args: List[ArgDraft]) -> Optional[_Terms]:
         lines: Dict[str, int] = {}
-        sets: List[Optional[Tuple[str, ...]]] = []
+        sets: List[Tuple[str, ...]] = []
         for arg in args:
             if not _NAME.match(arg.label):
-                self._findings.problem(
-                    arg.line,
-                    f"the arg label '{arg.label}' is no name; expected a letter, then letters, "
-                    "digits, '_', '-' and '.'",
+                self._problem(
+                    arg, "has no name for a label; expected letters, digits, '_', '-' and '.'"
                 )
             if arg.label in lines:
-                self._findings.problem(
-                    arg.line, f"the arg {arg.label} is there already, in line {lines[arg.label]}"
-                )
-                sets.append(None)
-                continue
-            lines[arg.label] = arg.line
+                self._problem(arg, f"is there already, in line {lines[arg.label]}")
+            lines.setdefault(arg.label, arg.line)
             sets.append(self._terms(arg))
-        complete = [terms for terms in sets if terms]
-        return complete if len(complete) == len(args) else None
+        return sets if all(sets) and len(lines) == len(args) else None
 
     def _terms(self, arg: ArgDraft) -> Tuple[str, ...]:
         """Give the terms of one arg; none if there is a problem with them."""
@@ -92,58 +88,50 @@ class Expander:
         if text.startswith("{") and text.endswith("}") and len(text) > 1:
             return self._explicit_terms(arg)
         if not _URI.match(text):
-            self._findings.problem(
-                arg.line,
-                f"the arg {arg.label} has no terms; expected a set such as {{cam1; cam2}} or the "
-                "URI of a class",
+            self._problem(
+                arg,
+                "has no terms; expected a set such as {cam1; cam2} or the URI of a class",
             )
             return ()
         if self._ontology is None:
-            self._findings.problem(
-                arg.line,
-                f"the arg {arg.label} names the class <{text}>, but no ontology is loaded",
-            )
+            self._problem(arg, f"names the class <{shorten(text)}>, but no ontology is loaded")
             return ()
         try:
             terms = self._ontology.individuals(text)
         except OntologyError as error:
-            self._findings.problem(arg.line, f"the arg {arg.label}: {error}")
+            self._problem(arg, f"has no terms: {error}")
             return ()
         if not terms:
-            self._findings.problem(
-                arg.line, f"the arg {arg.label}: the class <{text}> has no individuals"
-            )
+            self._problem(arg, f"has no terms: the class <{shorten(text)}> has no individuals")
         return terms
 
     def _explicit_terms(self, arg: ArgDraft) -> Tuple[str, ...]:
-        terms = tuple(term.strip() for term in arg.terms[1:-1].split(";"))
+        terms = tuple(term.strip(BLANK) for term in arg.terms[1:-1].split(";"))
         if "" in terms:
-            self._findings.problem(
-                arg.line,
-                f"the arg {arg.label} has an empty term; expected terms between the ';' of "
-                f"{{cam1; cam2}}",
-            )
+            self._problem(arg, "has an empty term; expected terms around each ';' in {...}")
             return ()
         if len(set(terms)) < len(terms):
-            doubled = sorted({term for term in terms if terms.count(term) > 1})
-            self._findings.problem(
-                arg.line, f"the arg {arg.label} has a term twice: {', '.join(doubled)}"
-            )
+            doubled = [term for term, count in Counter(terms).items() if count > 1]
+            self._problem(arg, f"has a term twice: {listed(doubled)}")
             return ()
         return terms
 
+    def _problem(self, arg: ArgDraft, message: str) -> None:
+        self._findings.problem(arg.line, f"the arg '{shorten(arg.label)}' {message}")
+
     def _variables_are_known(self, draft: Draft, positions: Dict[str, int]) -> bool:
-        known = ", ".join(sorted(positions)) or "none"
+        known = listed(positions)
         good = True
         for text, line in draft.texts():
             for match in _VARIABLE.finditer(text):
                 if match.group() == "$${" or match.group(1) in positions:
                     continue
                 good = False
+                found = "'${' without '}'" if match.group() == "${" else shorten(match.group())
                 self._findings.problem(
                     line,
-                    f"unknown variable {match.group()}; known variables: {known} (write $${{ "
-                    "for ${ itself)",
+                    f"unknown variable {found}; known variables: {known} (write $${{ for ${{ "
+                    "itself)",
                 )
         return good
 
@@ -156,7 +144,7 @@ class Expander:
                 self._findings.problem(
                     draft.label_line,
                     f"{len(terms[position])} transformations would have the same label; expected "
-                    f"${{{name}}} in the label '{draft.label}'",
+                    f"${{{name}}} in the label '{shorten(draft.label or '')}'",
                 )
         return good
 
@@ -168,6 +156,14 @@ class Expander:
                 draft.line,
                 f"{self._transformations + count} transformations in this text; expected at most "
                 f"{self._limits.transformations}",
+            )
+            return False
+        each_items = len(draft.parameters) + len(draft.ports) + len(draft.tags)
+        if self._items + count * each_items > self._limits.expanded_items:
+            self._findings.problem(
+                draft.line,
+                f"{self._items + count * each_items} params, ports and tags would result in all; "
+                f"expected at most {self._limits.expanded_items}",
             )
             return False
         totals = [sum(map(len, each)) * (count // len(each)) for each in terms]
@@ -193,6 +189,7 @@ class Expander:
             )
             return False
         self._transformations += count
+        self._items += count * each_items
         self._characters += characters
         return True
 

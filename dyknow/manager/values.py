@@ -13,6 +13,7 @@ from typing import Any, Dict, List, Union
 import yaml
 
 from dyknow.manager.limits import DEFAULT_LIMITS, Limits
+from dyknow.manager.wording import shorten
 
 Value = Union[str, int, float, bool, List[Any], Dict[str, Any]]
 
@@ -61,18 +62,12 @@ def parse_value(type_: str, text: str, limits: Limits = DEFAULT_LIMITS) -> Value
             raise BadValue(f"expected a double, such as 0.5 or 1e-3, found '{shorten(text)}'")
         return float(text)
     if type_ == "bool":
-        if text.lower() not in _LONG_NUMBER = re.compile(r"[-+0-9a-fA-Fxo_.:]+\Z")
-_BOOLS:
+        if text.lower() not in _BOOLS:
             raise BadValue(f"expected a bool, true or false, found '{shorten(text)}'")
         return _BOOLS[text.lower()]
     if type_ == "yaml":
         return _parse_yaml(text, limits)
     raise BadValue(f"expected the type string, int, double, bool or yaml, found '{type_}'")
-
-
-def shorten(text: str) -> str:
-    """Cut a text to what a message can carry."""
-    return text if len(text) <= 60 else text[:60] + "…"
 
 
 def _parse_int(text: str) -> int:
@@ -95,14 +90,16 @@ def _parse_yaml(text: str, limits: Limits) -> Value:
     try:
         _check_yaml_events(text, limits)
         value = yaml.load(text, Loader=_LOADER)
+    except BadValue:
+        raise
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         place = f" (line {mark.line + 1} of the value)" if mark is not None else ""
         reason = getattr(error, "problem", None) or str(error).split("\n")[0]
-        raise BadValue(f"expected YAML, but {reason}{place}") from None
+        raise BadValue(f"expected YAML; {reason}{place}") from None
     except (ValueError, TypeError, OverflowError, AttributeError, LookupError) as error:
         # PyYAML's constructors let these out for scalars such as `!!int x` or 2001-99-99.
-        raise BadValue(f"expected YAML, but a value cannot be read: {error}") from None
+        raise BadValue(f"expected YAML; a value cannot be read: {error}") from None
     _check_plain(value)
     return value  # type: ignore[no-any-return]
 
@@ -120,7 +117,7 @@ def _check_yaml_events(text: str, limits: Limits) -> None:
         elif isinstance(event, yaml.CollectionEndEvent):
             depth -= 1
         elif isinstance(event, yaml.ScalarEvent):
-            number = event.style is None or event.tag is not None
+            number = not event.style or event.tag is not None
             if number and len(event.value) > 400 and _LONG_NUMBER.match(event.value):
                 raise BadValue(
                     f"expected numbers of at most 400 digits in YAML, found "

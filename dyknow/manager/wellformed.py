@@ -8,7 +8,25 @@ from xml.parsers.expat import errors
 
 from dyknow.manager.limits import Limits
 
-_CODES = errors.codes
+_ROOT = "expected <transformation> or <transformations>"
+_UNFINISHED = (
+    errors.XML_ERROR_TAG_MISMATCH,
+    errors.XML_ERROR_NO_ELEMENTS,
+    errors.XML_ERROR_UNCLOSED_TOKEN,
+    errors.XML_ERROR_UNCLOSED_CDATA_SECTION,
+)
+_REASONS = {
+    errors.XML_ERROR_NO_ELEMENTS: f"no element; {_ROOT}",
+    errors.XML_ERROR_SYNTAX: f"no XML; {_ROOT}",
+    errors.XML_ERROR_JUNK_AFTER_DOC_ELEMENT: (
+        "text after the root element; expected the end, or <transformations> around all"
+    ),
+    errors.XML_ERROR_UNDEFINED_ENTITY: (
+        "an entity is refused; expected none but &lt; &gt; &amp; &quot; and &apos;"
+    ),
+    errors.XML_ERROR_BAD_CHAR_REF: "a character reference is refused; expected text",
+    errors.XML_ERROR_DUPLICATE_ATTRIBUTE: "an attribute is there twice; expected it once",
+}
 
 
 class Unreadable(Exception):
@@ -30,16 +48,14 @@ def to_utf8(text: Union[str, bytes], limits: Limits) -> bytes:
     Raises:
         Unreadable: It is too large, or not UTF-8.
     """
-    if len(text) > limits.text_size:
-        raise Unreadable(0, f"the text has {len(text)} bytes; expected at most {limits.text_size}")
+    _check_size(len(text), limits)
     if isinstance(text, str):
         try:
             data = text.encode("utf-8")
         except UnicodeEncodeError as error:
             line = text.count("\n", 0, error.start) + 1
             raise Unreadable(line, "half of a surrogate pair; expected UTF-8") from None
-        if len(data) > limits.text_size:
-            raise Unreadable(0, f"the text has {len(data)} bytes; at most {limits.text_size}")
+        _check_size(len(data), limits)
         return data
     try:
         text.decode("utf-8")
@@ -48,6 +64,11 @@ def to_utf8(text: Union[str, bytes], limits: Limits) -> bytes:
         found = text[error.start]
         raise Unreadable(line, f"the byte 0x{found:02x} is not UTF-8; expected UTF-8") from None
     return text
+
+
+def _check_size(size: int, limits: Limits) -> None:
+    if size > limits.text_size:
+        raise Unreadable(0, f"the text has {size} bytes; expected at most {limits.text_size}")
 
 
 def explain(
@@ -62,18 +83,20 @@ def explain(
         open_elements: Names and lines of the elements that were open, outermost first.
     """
     reason = errors.messages[error.code]
-    if error.code == _CODES[errors.XML_ERROR_UNDEFINED_ENTITY]:
-        reason = "an entity other than &lt; &gt; &amp; &quot; &apos; is refused"
-    elif error.code == _CODES[errors.XML_ERROR_INVALID_TOKEN]:
-        character = data[position : position + 4].decode("utf-8", "ignore")[:1]
-        reason = f"not well-formed at {character!r}"
-        if character and (character < " " or character in "\ufffe\uffff"):
-            reason = f"the character U+{ord(character):04X} is not allowed in XML"
-    elif open_elements:
+    if reason == errors.XML_ERROR_INVALID_TOKEN:
+        reason = _explain_character(data[position : position + 4].decode("utf-8", "ignore")[:1])
+    elif reason in _UNFINISHED and open_elements:
         name, line = open_elements[-1]
         reason += f"; expected the end </{name}> of the element in line {line}"
-    elif error.code == _CODES[errors.XML_ERROR_NO_ELEMENTS]:
-        reason = "no element; expected <transformation> or <transformations>"
-    elif error.code == _CODES[errors.XML_ERROR_JUNK_AFTER_DOC_ELEMENT]:
-        reason = "text after the root element; expected the end, or <transformations> around all"
+    else:
+        reason = _REASONS.get(reason, reason)
     return Unreadable(error.lineno, reason)
+
+
+def _explain_character(character: str) -> str:
+    if character and (character < " " or character in "\ufffe\uffff"):
+        return f"the character U+{ord(character):04X} is not allowed in XML; expected text"
+    return (
+        f"not well-formed at {character!r}; expected XML, with attributes in quotes and &lt; and "
+        "&amp; for < and &"
+    )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import http.client
 import os
-import socket
 import xmlrpc.client
 from typing import Any, List, Set, Tuple
 
@@ -23,6 +22,28 @@ class _Transport(xmlrpc.client.Transport):
         connection = super().make_connection(host)
         connection.timeout = self._seconds
         return connection
+
+
+def ask(uri: str, peer: str, timeout: float, question: str, *args: Any) -> Any:
+    """Call a function of the master's or a node's XML-RPC API and return its value.
+
+    Raises:
+        PeerTimeout: no answer in time, or nobody there.
+        LookupError: the answer is an error.
+    """
+    transport = _Transport(timeout)
+    server = xmlrpc.client.ServerProxy(uri, transport=transport)
+    try:
+        code, message, value = getattr(server, question)(*args)
+    except (OSError, http.client.HTTPException) as error:
+        raise PeerTimeout(peer, timeout) from error
+    except (xmlrpc.client.Error, ValueError, TypeError) as error:
+        raise LookupError(f"{peer}: {error}") from error
+    finally:
+        transport.close()
+    if code != 1:
+        raise LookupError(message)
+    return value
 
 
 class Master:
@@ -45,18 +66,10 @@ class Master:
 
         Raises:
             PeerTimeout: no answer in time, or no master.
+            LookupError: the master knows nothing of it.
         """
-        transport = _Transport(self.timeout)
-        server = xmlrpc.client.ServerProxy(self.uri, transport=transport)
-        try:
-            code, message, value = getattr(server, question)(self.caller, *args)
-        except (socket.timeout, OSError, http.client.HTTPException) as error:
-            raise PeerTimeout(f"the ROS master at {self.uri}", self.timeout) from error
-        finally:
-            transport.close()
-        if code != 1:
-            raise LookupError(message)
-        return value
+        peer = f"the ROS master at {self.uri}"
+        return ask(self.uri, peer, self.timeout, question, self.caller, *args)
 
     def publishers(self, topic: str) -> Set[str]:
         """Names of the nodes that publish on a topic."""
@@ -79,6 +92,41 @@ class Master:
         state = self.ask("getSystemState")
         alive = any(name == topic and nodes for side in state[:2] for name, nodes in side)
         return found if alive else ""
+
+    def node(self, name: str) -> str:
+        """Address of a node that is registered, whether it lives or not; else empty."""
+        try:
+            return str(self.ask("lookupNode", name))
+        except LookupError:
+            return ""
+
+    def pid(self, name: str, uri: str, timeout: float) -> int:
+        """Ask a node for its process id.
+
+        Raises:
+            PeerTimeout: it does not answer in time.
+        """
+        return int(ask(uri, f"node {name}", timeout, "getPid", self.caller))
+
+    def purge(self, node: str, uri: str) -> None:
+        """Unregister all that a dead node left, in its name, as ``rosnode cleanup`` does.
+
+        Args:
+            node: its name.
+            uri: its address; registrations of a successor of that name stay.
+        """
+        publishers, subscribers, services = self.ask("getSystemState")
+        dead = Master(node, self.uri, self.timeout)
+        for question, topics in (
+            ("unregisterPublisher", publishers),
+            ("unregisterSubscriber", subscribers),
+        ):
+            for topic, nodes in topics:
+                if node in nodes:
+                    dead.ask(question, topic, uri)
+        for service, nodes in services:
+            if node in nodes:
+                dead.ask("unregisterService", service, self.ask("lookupService", service))
 
     def _nodes(self, topic: str, side: int) -> Set[str]:
         state = self.ask("getSystemState")

@@ -1,0 +1,74 @@
+"""What the property tests of specifications draw their examples from."""
+
+from hypothesis import strategies as st
+
+from dyknow.manager.transformation import Parameter, Port, Transformation
+
+BLANK = " \t\r\n"
+CHARACTERS = st.characters(
+    blacklist_categories=("Cs",),
+    blacklist_characters=[chr(c) for c in range(32) if chr(c) not in "\t\n\r"]
+    + ["\ufffe", "\uffff"],
+)
+
+
+def _stripped(text):
+    return text.strip(BLANK)
+
+
+texts = st.one_of(
+    st.text(CHARACTERS, max_size=20),
+    st.sampled_from(["${X}", "$${X}", "$$", "a ${", "<&>\"'", "]]>", "a\r\nb", "cam1", "é…"]),
+).map(_stripped)
+labels = texts.filter(bool)
+names = st.one_of(
+    st.from_regex(r"[a-z][a-z0-9_]{0,8}(/[a-z]{1,4})?", fullmatch=True),
+    st.sampled_from(["config-path", "a&b", "x<y", "${P}", "über"]),
+)
+datatypes = st.sampled_from(["", "std_msgs/Header", "sensor_msgs/Image"])
+parameters = st.one_of(
+    st.builds(Parameter, names, st.just("string"), texts),
+    st.builds(Parameter, names, st.just("int"), st.integers(-(2**31), 2**31 - 1).map(str)),
+    st.builds(Parameter, names, st.just("double"), st.floats().map(repr)),
+    st.builds(Parameter, names, st.just("bool"), st.sampled_from(["true", "False", "0", "1"])),
+    st.builds(
+        Parameter,
+        names,
+        st.just("yaml"),
+        st.sampled_from(["[1, 2.5, x]", "a:\n  b: [1]\nc: d", "- x\n- y: true", "'#'"]),
+    ),
+)
+ports = st.builds(
+    Port,
+    st.one_of(names, st.sampled_from(["~image", "/camera/image_raw"])),
+    st.sampled_from(["in", "out"]),
+    datatypes,
+    st.lists(labels, max_size=3, unique=True).map(tuple),
+)
+
+
+def _unique(items):
+    return st.lists(items, max_size=4, unique_by=lambda item: item.name).map(tuple)
+
+
+costs = st.integers(0, 2**32 - 1)
+transformations = st.one_of(
+    st.builds(
+        Transformation,
+        labels,
+        names,
+        st.just("nodelet"),
+        costs,
+        _unique(parameters),
+        _unique(ports),
+    ),
+    st.builds(
+        Transformation,
+        labels,
+        names,
+        st.just("topic"),
+        costs,
+        st.just(()),
+        ports.map(lambda port: (port._replace(direction="out"),)),
+    ),
+)

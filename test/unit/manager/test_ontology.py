@@ -1,0 +1,228 @@
+"""Ontologies: individuals, labels, subsumption, and files that are not what they seem."""
+
+import socket
+from pathlib import Path
+
+import pytest
+
+from dyknow.errors import IndividualsError, OntologyFileError, UnknownConcept
+from dyknow.manager.ontology import load_ontology
+from dyknow.manager.specification import check
+
+EXAMPLES = Path(__file__).parents[3] / "examples"
+SOCCER = "http://dyknow.example.org/soccer#"
+PREFIXES = """
+@prefix : <http://example.org/#> .
+@prefix owl: <http://www.w3.org/2002/07/owl#> .
+@prefix rdfs: <http://www.w3.org/2000/01/rdf-schema#> .
+"""
+
+
+@pytest.fixture
+def soccer():
+    return load_ontology([str(EXAMPLES / "ontologies" / "soccer.ttl")])
+
+
+@pytest.fixture
+def ontology(tmp_path):
+    def load(text):
+        path = tmp_path / "o.ttl"
+        path.write_text(PREFIXES + text, encoding="utf-8")
+        return load_ontology([str(path)])
+
+    return load
+
+
+def test_individuals_are_sorted_and_those_of_subclasses_included(soccer):
+    assert soccer.individuals(SOCCER + "Camera") == ("bottom", "ceiling", "top")
+    assert soccer.individuals(SOCCER + "Robot") == ("nao1", "nao2")
+    assert soccer.individuals(SOCCER + "GoalObject") == ()
+
+
+def test_the_soccer_example_is_clean(soccer):
+    report = check(str(EXAMPLES / "transformations" / "soccer.xml"), soccer)
+
+    assert (report.problems, report.warnings) == ((), ())
+    assert len(report.labels) == 17
+    assert "ball_detector(nao2, top)" in report.labels
+
+
+def test_a_concept_that_is_not_there(soccer):
+    with pytest.raises(UnknownConcept, match=r"no class <.*#Goalie>"):
+        soccer.individuals(SOCCER + "Goalie")
+
+
+def test_an_individual_is_no_concept(soccer):
+    with pytest.raises(UnknownConcept):
+        soccer.individuals(SOCCER + "nao1")
+
+
+@pytest.mark.parametrize(
+    ("supplied", "demanded", "answer"),
+    [
+        ("BallObject", "WorldObject", True),
+        ("WorldObject", "BallObject", False),
+        ("BallObject", "BallObject", True),
+        ("nao1", "Robot", True),
+        ("Robot", "nao1", False),
+        ("nao1", "nao2", False),
+        ("nao1", SOCCER + "SoccerRobot", True),
+        (SOCCER + "nao1", "Nao", True),
+        ("BallObject", "Camera", False),
+        ("unheard_of", "unheard_of", True),
+        ("unheard_of", "Robot", False),
+    ],
+)
+def test_subsumption_by_label_and_by_uri(soccer, supplied, demanded, answer):
+    assert soccer.is_subsumed(supplied, demanded) is answer
+
+
+def test_the_names_above_a_name_are_what_it_can_stand_for(soccer):
+    names = {name for name in soccer.names_above("BallObject") if "#" not in name}
+
+    assert names == {"BallObject", "WorldObject"}
+    assert soccer.names_above("unheard_of") == {"unheard_of"}
+
+
+def test_a_missing_and_a_doubled_label_name_their_individuals(ontology):
+    found = ontology(
+        ':C a owl:Class . :a a :C . :b a :C ; rdfs:label "b", "bee" . :c a :C ; rdfs:label "c" .'
+        ':d a :C ; rdfs:label "c" . :e a :C ; rdfs:label " " .'
+    )
+
+    with pytest.raises(IndividualsError) as caught:
+        found.individuals("http://example.org/#C")
+    assert caught.value.reasons == (
+        "<http://example.org/#a> has the labels none; expected exactly one",
+        "<http://example.org/#b> has the labels 'b', 'bee'; expected exactly one",
+        "<http://example.org/#c> and <http://example.org/#d> share the label 'c'",
+        "<http://example.org/#e> has the labels ''; expected exactly one",
+    )
+
+
+def test_the_same_label_in_two_languages_is_one(ontology):
+    found = ontology(':C a owl:Class . :a a :C ; rdfs:label "cam"@en, "cam"@sv, "cam" .')
+
+    assert found.individuals("http://example.org/#C") == ("cam",)
+
+
+def test_cycles_and_equivalences_do_no_harm(ontology):
+    found = ontology(
+        ":A rdfs:subClassOf :B . :B rdfs:subClassOf :C . :C rdfs:subClassOf :A ."
+        ':C owl:equivalentClass :D . :x a :B ; rdfs:label "x" .'
+    )
+
+    for name in "ABCD":
+        assert found.individuals(f"http://example.org/#{name}") == ("x",)
+        assert found.is_subsumed("x", name)
+        assert found.is_subsumed("A", name)
+
+
+def test_a_deep_hierarchy_does_not_exhaust_the_stack(ontology):
+    found = ontology(
+        "\n".join(f":c{n} rdfs:subClassOf :c{n + 1} ." for n in range(3000))
+        + ':x a :c0 ; rdfs:label "x" .'
+    )
+
+    assert found.individuals("http://example.org/#c3000") == ("x",)
+    assert found.is_subsumed("x", "c3000")
+
+
+def test_class_expressions_are_passed_over(ontology):
+    found = ontology(
+        ":A a owl:Class ; rdfs:subClassOf [ a owl:Restriction ; owl:onProperty :p ] ."
+        ':x a :A, owl:NamedIndividual, [ a owl:Class ] ; rdfs:label "x" .'
+    )
+
+    assert found.individuals("http://example.org/#A") == ("x",)
+    assert found.names_above("A") == {"A", "http://example.org/#A"}
+
+
+def test_a_class_without_label_goes_by_the_end_of_its_uri(ontology):
+    found = ontology(
+        '<http://example.org/o/Ball> rdfs:subClassOf :Thing . :Thing rdfs:label "WorldObject" .'
+    )
+
+    assert found.is_subsumed("Ball", "WorldObject")
+    assert not found.is_subsumed("Ball", "Thing")
+
+
+def test_several_files_make_one_ontology(tmp_path):
+    classes = tmp_path / "classes.ttl"
+    classes.write_text(PREFIXES + ":Cam rdfs:subClassOf :Device .")
+    things = tmp_path / "things.nt"
+    things.write_text(
+        "<http://example.org/#a> <http://www.w3.org/1999/02/22-rdf-syntax-ns#type> "
+        "<http://example.org/#Cam> .\n"
+        '<http://example.org/#a> <http://www.w3.org/2000/01/rdf-schema#label> "a" .\n'
+    )
+
+    found = load_ontology([str(classes), str(things)])
+
+    assert found.individuals("http://example.org/#Device") == ("a",)
+
+
+OWL = """<?xml version="1.0"?>
+<!DOCTYPE rdf:RDF [
+  <!ENTITY xsd "http://www.w3.org/2001/XMLSchema#">
+  <!ENTITY secret SYSTEM "{secret}">
+  <!ENTITY remote SYSTEM "http://localhost:1/remote">
+]>
+<rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#"
+         xmlns:rdfs="http://www.w3.org/2000/01/rdf-schema#"
+         xmlns:owl="http://www.w3.org/2002/07/owl#">
+  <owl:Ontology rdf:about="http://example.org/">
+    <owl:imports rdf:resource="http://localhost:1/imported.owl"/>
+  </owl:Ontology>
+  <rdf:Description rdf:about="http://example.org/a">
+    <rdf:type rdf:resource="http://example.org/C"/>
+    <rdfs:label>cam&secret;&remote;1</rdfs:label>
+  </rdf:Description>
+</rdf:RDF>
+"""
+
+
+@pytest.mark.parametrize("extension", [".owl", ".rdf"])
+def test_nothing_is_fetched_and_no_other_file_is_read(tmp_path, monkeypatch, extension):
+    secret = tmp_path / "secret.txt"
+    secret.write_text("SECRET")
+    path = tmp_path / f"o{extension}"
+    path.write_text(OWL.format(secret=secret.as_uri()))
+
+    def refuse(*args, **kwargs):
+        raise AssertionError("a socket was opened")
+
+    monkeypatch.setattr(socket, "socket", refuse)
+    monkeypatch.setattr(socket, "create_connection", refuse)
+    monkeypatch.setattr(socket, "getaddrinfo", refuse)
+
+    assert load_ontology([str(path)]).individuals("http://example.org/C") == ("cam1",)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "reason"),
+    [
+        ("o.ttl", "@prefix : <http://x> .\n:a nonsense", "is not valid turtle: .*line 2"),
+        ("o.owl", "<rdf:RDF", "is not valid xml"),
+        ("o.nt", "what is this", "is not valid nt"),
+        ("o.ttl", "\0", "is not valid turtle"),
+        ("o.json", "{}", "expected a file ending in .nt, .owl, .rdf, .ttl"),
+    ],
+)
+def test_a_bad_file_is_named(tmp_path, name, content, reason):
+    path = tmp_path / name
+    path.write_text(content)
+
+    with pytest.raises(OntologyFileError, match=reason) as caught:
+        load_ontology([str(path)])
+    assert caught.value.file == str(path)
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(OntologyFileError, match=r"missing\.ttl: cannot be read: No such file"):
+        load_ontology([str(tmp_path / "missing.ttl")])
+
+
+def test_an_url_is_no_file():
+    with pytest.raises(OntologyFileError, match="cannot be read"):
+        load_ontology(["http://localhost:1/o.ttl"])

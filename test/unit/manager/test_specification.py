@@ -1,0 +1,214 @@
+"""Parsing specifications: what is accepted, what is refused, and what is said about it."""
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from specification_strategies import transformations
+
+from dyknow.errors import Problem, SpecificationError
+from dyknow.manager.specification import check, parse, parse_file
+from dyknow.manager.transformation import Parameter, Port, Transformation
+
+HERE = Path(__file__).parent
+EXAMPLES = HERE.parents[2] / "examples" / "transformations"
+BAD = sorted((HERE / "bad").glob("*.xml"))
+
+
+def problems_of(text, **kwargs):
+    with pytest.raises(SpecificationError) as caught:
+        parse(text, "x.xml", **kwargs)
+    return caught.value.problems
+
+
+@pytest.mark.parametrize("path", BAD, ids=lambda path: path.stem)
+def test_each_bad_file_is_refused_with_every_problem_and_its_line(path):
+    report = check(str(path))
+
+    found = "".join(f"{problem.line}: {problem.message}\n" for problem in report.problems)
+    assert found == path.with_suffix(".expected").read_text(encoding="utf-8")
+    assert report.labels == ()
+    assert {problem.file for problem in report.problems} == {str(path)}
+
+
+def test_the_corpus_is_complete():
+    assert len(BAD) > 70
+    assert all(path.with_suffix(".expected").read_text(encoding="utf-8") for path in BAD)
+
+
+@pytest.mark.parametrize("name", ["undistort.xml", "relay.xml"])
+def test_the_examples_are_clean(name):
+    report = check(str(EXAMPLES / name))
+
+    assert report.labels
+    assert (report.problems, report.warnings) == ((), ())
+
+
+def test_only_label_and_source_are_required_and_white_space_does_not_count():
+    text = """
+      <transformation>
+        <source>
+          package/Undistort
+        </source>
+        <label>\tundistort\n</label>
+      </transformation>"""
+
+    assert parse(text).transformations == (Transformation("undistort", "package/Undistort"),)
+
+
+def test_children_may_stand_in_any_order():
+    text = """<?xml version="1.0" encoding="utf-8"?>
+    <!-- a comment -->
+    <transformation cost="7">
+      <tags><tag port=" in ">A(b)</tag></tags>
+      <ports><port type="in" datatype="p/T">in</port></ports>
+      <params><param name="x">1.5</param><param name="y" type="string"/></params>
+      <source>p/<!-- in the middle -->A</source>
+      <label><![CDATA[<a>]]></label>
+    </transformation>"""
+
+    assert parse(text).transformations == (
+        Transformation(
+            "<a>",
+            "p/A",
+            cost=7,
+            parameters=(Parameter("x", "double", "1.5"), Parameter("y", "string", "")),
+            ports=(Port("in", "in", "p/T", ("A(b)",)),),
+        ),
+    )
+
+
+def test_a_topic_is_a_transformation_with_one_out_port():
+    text = """<transformation type="topic" cost="0"><label>joints</label>
+      <source>/joint_states</source><ports><port type="out">joint_states</port></ports>
+      <params><param name="x">1</param></params></transformation>"""
+
+    found = parse(text, "x.xml")
+
+    assert found.transformations[0].type == "topic"
+    assert found.warnings == (
+        Problem("x.xml", 1, "a topic has no parameters; these will never be set"),
+    )
+
+
+def test_no_transformation_at_all_is_no_error():
+    assert parse("<transformations/>").transformations == ()
+
+
+def test_names_that_are_no_ros_names_are_accepted_with_a_warning():
+    text = """<transformation><label>a</label><source>p/A</source>
+      <params><param name="config-path" type="string">x</param></params>
+      <ports><port type="in">raw-camera</port></ports></transformation>"""
+
+    found = parse(text)
+
+    assert [(w.line, w.message.split(" is ")[0]) for w in found.warnings] == [
+        (2, "the parameter 'config-path'"),
+        (3, "the port 'raw-camera'"),
+    ]
+    assert found.transformations[0].parameters[0].name == "config-path"
+
+
+def test_warnings_come_along_with_problems():
+    with pytest.raises(SpecificationError) as caught:
+        parse("""<transformation><label/><source>p/A</source>
+          <ports><port type="in">raw-camera</port></ports></transformation>""")
+    assert len(caught.value.problems) == len(caught.value.warnings) == 1
+
+
+def test_a_tag_that_stands_twice_counts_once():
+    text = """<transformation><label>a</label><source>p/A</source>
+      <ports><port type="in">in</port></ports>
+      <tags><tag port="in">A(b)</tag>
+        <tag port="in">A(b)</tag></tags></transformation>"""
+
+    found = parse(text)
+
+    assert found.transformations[0].ports[0].tags == ("A(b)",)
+    assert [warning.line for warning in found.warnings] == [4]
+
+
+def test_yaml_may_be_indented_like_the_xml_around_it():
+    text = """<transformation><label>a</label><source>p/A</source><params>
+      <param name="lens" type="yaml">
+        k: [1, 2]
+        model:
+          name: fisheye
+      </param></params></transformation>"""
+
+    parameter = parse(text).transformations[0].parameters[0]
+
+    assert parameter.text == "k: [1, 2]\nmodel:\n  name: fisheye"
+    assert parameter.value == {"k": [1, 2], "model": {"name": "fisheye"}}
+
+
+def test_lines_are_exact_beyond_the_65535_that_libxml2_can_count():
+    one = "<transformation>\n<label>{}</label>\n<source>p/A</source>\n</transformation>\n"
+    text = "".join(one.format(number) for number in range(20_000))
+    text = f"<transformations>\n{text}<transformation>\n\n</transformation></transformations>"
+
+    assert {problem.line for problem in problems_of(text)} == {80_002}
+
+
+def test_a_message_reads_like_a_compilers():
+    problem = problems_of("<transformation>\n<label/><source>p/A</source></transformation>")[0]
+
+    assert str(problem) == "x.xml:2: <label> is empty; expected the transformation's name"
+
+
+def test_a_text_full_of_problems_is_cut_short():
+    problems = problems_of("<transformations>" + "<x/>\n" * 5000 + "</transformations>")
+
+    assert len(problems) == 1001
+    assert problems[-1].message == "there are more than 1000 problems; the rest is not listed"
+
+
+def test_a_file_that_cannot_be_read_is_a_problem_too(tmp_path):
+    missing = str(tmp_path / "missing.xml")
+
+    assert check(missing).problems == (
+        Problem(missing, 0, "cannot be read: No such file or directory"),
+    )
+    assert check(str(tmp_path)).problems[0].message == "cannot be read: Is a directory"
+
+
+def test_a_byte_order_mark_and_the_mac_and_windows_line_ends_are_fine(tmp_path):
+    path = tmp_path / "windows.xml"
+    path.write_bytes(
+        b"\xef\xbb\xbf<transformation>\r\n<label>\xc3\xa9</label>\r\n<source>p/A</source>"
+        b"</transformation>"
+    )
+
+    assert parse_file(str(path)).transformations[0].label == "é"
+
+
+@given(st.one_of(st.text(), st.binary()))
+def test_any_text_is_parsed_or_refused(text):
+    _parse_or_refuse(text)
+
+
+@given(transformations, st.data())
+def test_any_damaged_specification_is_parsed_or_refused(transformation, data):
+    text = transformation.to_xml()
+    start = data.draw(st.integers(0, len(text)))
+    end = data.draw(st.integers(start, min(len(text), start + 20)))
+    damage = data.draw(
+        st.one_of(
+            st.text(max_size=5),
+            st.sampled_from(["<", "&", "${", "]]>", "\0", "\ud800", "<!--", "<a>", text]),
+        )
+    )
+
+    _parse_or_refuse(text[:start] + damage + text[end:])
+
+
+def _parse_or_refuse(text):
+    try:
+        found = parse(text, "x.xml")
+    except SpecificationError as error:
+        assert error.problems
+        assert all(0 <= problem.line <= len(text) + 1 for problem in error.problems)
+    else:
+        for transformation in found.transformations:
+            assert parse(transformation.to_xml()).transformations == (transformation,)

@@ -1,0 +1,243 @@
+"""Templates: sets of terms, products, one-pass substitution, and the caps before expansion."""
+
+from itertools import product
+from math import prod
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dyknow.errors import SpecificationError, UnknownConcept
+from dyknow.manager.limits import Limits
+from dyknow.manager.specification import parse
+from dyknow.manager.transformation import Parameter, Port
+
+TERMS = st.text(st.sampled_from("ab1 ${}X<&"), min_size=1, max_size=6).map(str.strip)
+SETS = st.lists(TERMS.filter(bool), min_size=1, max_size=4, unique=True)
+
+
+class Concepts:
+    """An ontology of one class."""
+
+    def individuals(self, concept):
+        if concept != "http://example.org/#Camera":
+            raise UnknownConcept(concept)
+        return ("back", "front")
+
+
+def template(label, args, extra=""):
+    def escape(text):
+        return text.replace("&", "&amp;").replace("<", "&lt;")
+
+    written = "".join(f'<arg label="{n}">{escape(terms)}</arg>' for n, terms in args.items())
+    return (
+        f"<transformation><label>{label}</label><source>p/A</source>"
+        f"<args>{written}</args>{extra}</transformation>"
+    )
+
+
+def labels_of(text, **kwargs):
+    return [t.label for t in parse(text, **kwargs).transformations]
+
+
+def problems_of(text, **kwargs):
+    with pytest.raises(SpecificationError) as caught:
+        parse(text, **kwargs)
+    return [problem.message for problem in caught.value.problems]
+
+
+def test_the_listing_of_the_paper_with_its_tag_corrected():
+    found = parse(
+        """<transformation type="nodelet">
+         <label>undistort(${Cam})</label>
+         <source>package/Undistort</source>
+         <args>
+           <arg label="Cam">{cam1; cam2; cam3}</arg>
+         </args>
+         <params>
+           <param name="config-path" type="string">
+             /path/to/configuration/${Cam}/
+           </param>
+         </params>
+         <ports>
+           <port type="out">undist</port>
+           <port type="in">rawcamera</port>
+         </ports>
+         <tags>
+           <tag port="undist">Undistorted(${Cam})</tag>
+           <tag port="rawcamera">RawRGB(${Cam})</tag>
+         </tags>
+        </transformation>"""
+    )
+
+    assert [t.label for t in found.transformations] == [
+        "undistort(cam1)",
+        "undistort(cam2)",
+        "undistort(cam3)",
+    ]
+    second = found.transformations[1]
+    assert second.parameters == (
+        Parameter("config-path", "string", "/path/to/configuration/cam2/"),
+    )
+    assert second.ports == (
+        Port("undist", "out", "", ("Undistorted(cam2)",)),
+        Port("rawcamera", "in", "", ("RawRGB(cam2)",)),
+    )
+    assert len(found.warnings) == 1
+
+
+def test_variables_are_replaced_in_every_text():
+    found = parse(
+        """<transformation cost="${N}"><label>${N}</label><source>p/${T}</source>
+          <args><arg label="N">{1; 2}</arg><arg label="T">{Image}</arg></args>
+          <params><param name="p${N}" type="int">${N}</param>
+            <param name="q">${N}.5</param></params>
+          <ports><port type="in" datatype="sensor_msgs/${T}">in${N}</port></ports>
+          <tags><tag port="in${N}">${T}(${N})</tag></tags></transformation>"""
+    )
+
+    second = found.transformations[1]
+    assert (second.label, second.source, second.cost) == ("2", "p/Image", 2)
+    assert second.parameters == (Parameter("p2", "int", "2"), Parameter("q", "double", "2.5"))
+    assert second.ports == (Port("in2", "in", "sensor_msgs/Image", ("Image(2)",)),)
+
+
+def test_the_last_variable_varies_fastest():
+    text = template("${A}-${B}", {"A": "{x; y}", "B": "{1; 2}"})
+
+    assert labels_of(text) == ["x-1", "x-2", "y-1", "y-2"]
+
+
+def test_what_a_term_brings_in_is_not_substituted_again():
+    text = template("${A},${B}", {"A": "{${B}; ${A}; $${B}}", "B": "{b}"})
+
+    assert labels_of(text) == ["${B},b", "${A},b", "$${B},b"]
+
+
+def test_a_doubled_dollar_stands_for_itself():
+    found = parse(
+        "<transformation><label>a</label><source>p/A</source><params>"
+        '<param name="home" type="string">$${HOME} costs 5$ or $$</param></params>'
+        "</transformation>"
+    )
+
+    assert found.transformations[0].parameters[0].text == "${HOME} costs 5$ or $$"
+
+
+@given(st.lists(SETS, min_size=1, max_size=3))
+def test_several_args_give_their_product(sets):
+    sets = [[term for term in terms if ";" not in term] for terms in sets]
+    names = [f"X{number}" for number in range(len(sets))]
+    label = "|".join(f"${{{name}}}" for name in names)
+    written = {name: "{" + "; ".join(terms) + "}" for name, terms in zip(names, sets)}
+    expected = ["|".join(values) for values in product(*sets)]
+
+    text = template(label, written)
+
+    assert labels_of(text) == expected
+    assert len(expected) == prod(map(len, sets))
+    assert problems_of(text, limits=Limits(transformations=len(expected) - 1))
+
+
+@given(SETS)
+def test_an_expanded_transformation_survives_the_way_through_xml(terms):
+    for made in parse(template("l(${X})", {"X": "{" + ";".join(terms) + "}"})).transformations:
+        assert parse(made.to_xml()).transformations == (made,)
+
+
+def test_the_terms_may_be_the_individuals_of_a_class():
+    text = template("l(${Cam})", {"Cam": "http://example.org/#Camera"})
+
+    assert labels_of(text, ontology=Concepts()) == ["l(back)", "l(front)"]
+
+
+def test_a_class_that_the_ontology_does_not_have_is_a_problem_of_the_arg():
+    text = template("l(${Cam})", {"Cam": "http://example.org/#Robot"})
+
+    assert problems_of(text, ontology=Concepts()) == [
+        "the arg 'Cam' has no terms: the ontology has no class <http://example.org/#Robot>"
+    ]
+
+
+def test_a_class_without_individuals_is_a_problem():
+    class Empty:
+        def individuals(self, concept):
+            return ()
+
+    text = template("l(${Cam})", {"Cam": "urn:x"})
+
+    assert problems_of(text, ontology=Empty()) == [
+        "the arg 'Cam' has no terms: the class <urn:x> has no individuals"
+    ]
+
+
+def test_a_template_that_cannot_be_expanded_has_its_ports_checked_all_the_same():
+    extra = (
+        '<ports><port type="in" datatype="sensor_msgs/${T}">in_${X}</port></ports>'
+        '<tags><tag port="out_${X}">A(b)</tag></tags>'
+    )
+
+    with pytest.raises(SpecificationError) as caught:
+        parse(template("${X}", {"X": "{a}"}, extra))
+    assert [problem.message for problem in caught.value.problems] == [
+        "unknown variable ${T}; known variables: X (write $${ for ${ itself)",
+        "the tag is for the port 'out_${X}', which is not declared; known ports: in_${X}",
+    ]
+    assert caught.value.warnings == ()
+
+
+def test_a_datatype_is_checked_as_it_results():
+    extra = '<ports><port type="in" datatype="$${x}">in</port></ports>'
+
+    assert problems_of(template("${X}", {"X": "{a}"}, extra)) == [
+        'datatype="${x}": expected a ROS type such as sensor_msgs/Image'
+    ]
+
+
+def test_a_single_term_need_not_be_in_the_label():
+    assert labels_of(template("l", {"X": "{x}"})) == ["l"]
+
+
+def test_a_problem_of_every_expansion_is_told_once():
+    extra = '<tags><tag port="raw-camera">Raw(${X})</tag></tags>'
+
+    assert problems_of(template("${X}", {"X": "{a; b; c}"}, extra)) == [
+        "the tag is for the port 'raw-camera', which is not declared; known ports: none"
+    ]
+
+
+def test_the_transformations_of_all_templates_count_together():
+    one = template("a${X}", {"X": "{1; 2}"})
+    two = template("b${X}", {"X": "{1; 2}"})
+    text = f"<transformations>{one}{two}</transformations>"
+
+    assert len(labels_of(text, limits=Limits(transformations=4))) == 4
+    assert problems_of(text, limits=Limits(transformations=3)) == [
+        "4 transformations in this text; expected at most 3"
+    ]
+
+
+def test_a_small_text_that_would_become_a_huge_one_is_refused_before():
+    terms = "{" + "; ".join(str(number) for number in range(1000)) + "}"
+    extra = '<params><param name="p" type="string">' + "x" * 500_000 + "</param></params>"
+
+    (message,) = problems_of(template("${X}", {"X": terms}, extra))
+
+    assert message.endswith("characters would result in all; expected at most 268435456")
+
+
+def test_few_ports_that_would_become_millions_are_refused_before():
+    terms = "{" + "; ".join(str(number) for number in range(50_000)) + "}"
+    ports = "".join(f'<port type="in">p{number}</port>' for number in range(100))
+
+    assert problems_of(template("${X}", {"X": terms}, f"<ports>{ports}</ports>")) == [
+        "5000000 params, ports and tags would result in all; expected at most 4000000"
+    ]
+
+
+def test_a_value_that_would_become_too_long_is_refused_before():
+    extra = '<params><param name="p" type="string">' + "${X}" * 1000 + "</param></params>"
+
+    assert problems_of(
+        template("${X}", {"X": "{" + "x" * 100 + "}"}, extra), limits=Limits(string_length=50_000)
+    ) == ["a value of 100000 characters would result; expected at most 50000"]

@@ -1,0 +1,72 @@
+"""The values of parameters."""
+
+import pytest
+
+from dyknow.manager.limits import Limits
+from dyknow.manager.values import BadValue, infer_type, parse_value
+
+
+@pytest.mark.parametrize(
+    ("type_", "text", "value"),
+    [
+        ("string", "", ""),
+        ("string", "a  b", "a  b"),
+        ("int", "-2147483648", -(2**31)),
+        ("int", "+7", 7),
+        ("int", "007", 7),
+        ("double", "1", 1.0),
+        ("double", "-1.5e-3", -0.0015),
+        ("double", ".5", 0.5),
+        ("double", "2.", 2.0),
+        ("double", "inf", float("inf")),
+        ("bool", "True", True),
+        ("bool", "0", False),
+        ("yaml", "{a: [1, 2.5, yes, x]}", {"a": [1, 2.5, True, "x"]}),
+        ("yaml", "3", 3),
+    ],
+)
+def test_values_are_what_the_parameter_server_is_to_hold(type_, text, value):
+    found = parse_value(type_, text)
+
+    assert found == value
+    assert type(found) is type(value)
+
+
+@pytest.mark.parametrize(
+    ("text", "type_"),
+    [
+        ("1", "int"),
+        ("-0.5", "double"),
+        ("1e3", "double"),
+        ("nan", "double"),
+        ("TRUE", "bool"),
+        ("yes", "string"),
+        ("", "string"),
+        ("1.2.3", "string"),
+    ],
+)
+def test_a_parameter_without_type_gets_the_one_roslaunch_would_give(text, type_):
+    assert infer_type(text) == type_
+
+
+def test_an_unknown_type_names_the_known_ones():
+    with pytest.raises(BadValue, match="string, int, double, bool or yaml, found 'float'"):
+        parse_value("float", "1")
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("[" * 40, "nested at most 8 deep"),
+        ("[1, 2, 3, 4, 5, 6, 7, 8, 9, 10]", "at most 10 values"),
+        ("{a: &x [1], b: *x}", "without aliases"),
+        ("{<<: {a: 1}, b: !!int x}", "a value cannot be read"),
+        ("!!int '" + "1" * 10**6 + "'", "at most 400 digits"),
+        ("1:" * 1000 + "1", "at most 400 digits"),
+        ("!!set {a, b}", "found a set"),
+        ("2001-99-99", "a value cannot be read"),
+    ],
+)
+def test_yaml_that_grows_or_does_not_fit_is_refused(text, expected):
+    with pytest.raises(BadValue, match=expected):
+        parse_value("yaml", text, Limits(yaml_nodes=10, nesting=8))
