@@ -5,7 +5,17 @@ from __future__ import annotations
 import argparse
 import os
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Callable, Dict, Iterable, List, Optional, Sequence, Tuple
+from typing import (
+    TYPE_CHECKING,
+    Callable,
+    Dict,
+    Iterable,
+    List,
+    Mapping,
+    Optional,
+    Sequence,
+    Tuple,
+)
 
 from dyknow import names
 from dyknow.cli.arguments import Kind, kind_of
@@ -15,8 +25,8 @@ from dyknow.cli.topics import topics_of
 from dyknow.manager.transformation import IN, NODELET, OUT
 
 if TYPE_CHECKING:
+    from dyknow.ros.client import NodeletView
     from dyknow.ros.shell_client import ShellClient
-    from dyknow.ros.snapshot import Nodelet
 
 
 @dataclass
@@ -58,7 +68,7 @@ def complete(words: Sequence[str], last: str, client: Callable[[str], ShellClien
 
 def find_place(
     program: argparse.ArgumentParser,
-    parsers: dict[str, argparse.ArgumentParser],
+    parsers: Mapping[str, argparse.ArgumentParser],
     words: Sequence[str],
 ) -> Place:
     """Find out which argument follows some words."""
@@ -170,7 +180,7 @@ class _Names:
             return self._ports_of_label()
         return self._ports({Kind.OUT_PORT: OUT, Kind.IN_PORT: IN}.get(kind, ""))
 
-    def _nodelets(self) -> tuple[Nodelet, ...]:
+    def _nodelets(self) -> tuple[NodeletView, ...]:
         return self._client.nodelets().nodelets
 
     def _words(self, argument: str) -> List[str]:
@@ -199,8 +209,12 @@ class _Names:
         if colon:
             return [f"{port}:{topic}" for topic in self._topics()]
         label = "".join(self._words("label"))
-        transformation = self._client.model().transformation(label)
-        return [f"{each.name}:" for each in transformation.ports] if transformation else []
+        return [
+            f"{port.name}:"
+            for each in self._client.model().transformations
+            if each.label == label
+            for port in each.ports
+        ]
 
     def _ports(self, direction: str) -> List[str]:
         """Nodelets with such ports, or such ports of the nodelet that is there already."""

@@ -7,12 +7,15 @@ small change a small one.
 from __future__ import annotations
 
 import subprocess
-from typing import Dict, Iterator, List, Sequence, Set
+from typing import TYPE_CHECKING, Dict, Iterator, List, Sequence, Set
 
 from dyknow import names
 from dyknow.cli.topics import topics_of
+from dyknow.cli.views import state_of
 from dyknow.errors import DyKnowError
-from dyknow.ros.snapshot import Nodelet, Snapshot
+
+if TYPE_CHECKING:
+    from dyknow.ros.client import ModelView, NodeletView
 
 #: Seconds that graphviz may take; some 200 nodelets need 15 of them.
 LAYOUT_TIMEOUT = 120.0
@@ -24,7 +27,7 @@ class CannotDraw(DyKnowError):
     """Graphviz is not installed, or gave up."""
 
 
-def to_dot(snapshot: Snapshot) -> str:
+def to_dot(snapshot: ModelView) -> str:
     """Write the graph: ovals for nodelets, rectangles for topics, boxes for namespaces.
 
     The names of nodes are `n` or `t` followed by the name of the nodelet or topic.
@@ -100,12 +103,13 @@ def _with_parents(spaces: Iterator[str]) -> Set[str]:
     return found
 
 
-def _oval(nodelet: Nodelet) -> str:
-    label = [nodelet.name, *([nodelet.label] if nodelet.label else [])]
+def _oval(nodelet: NodeletView) -> str:
+    label = [nodelet.name, *([nodelet.transformation] if nodelet.transformation else [])]
     more = ""
-    if nodelet.state in _TROUBLED:
-        label.append(nodelet.state)
-        more = f", style=dashed, color={_TROUBLED[nodelet.state]}"
+    state = state_of(nodelet)
+    if state in _TROUBLED:
+        label.append(state)
+        more = f", style=dashed, color={_TROUBLED[state]}"
     elif nodelet.is_protected:
         more = ", style=bold"
     return f"{_id('n', nodelet.name)} [shape=ellipse, label={_quoted(*label)}{more}];"

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any, Dict
+from typing import TYPE_CHECKING, Any, Dict
 
+from dyknow.cli.views import state_of
 from dyknow.manager.model import PortState
 from dyknow.manager.transformation import Transformation
-from dyknow.ros.snapshot import Nodelet, Statistics
+
+if TYPE_CHECKING:
+    from dyknow.ros.client import NodeletView, Statistics
 
 Shape = Dict[str, Any]
 
@@ -22,16 +25,16 @@ def port_shape(port: PortState) -> Shape:
     }
 
 
-def nodelet_shape(nodelet: Nodelet) -> Shape:
+def nodelet_shape(nodelet: NodeletView) -> Shape:
     """A running nodelet."""
     return {
         "name": nodelet.name,
-        "transformation": nodelet.label,
+        "transformation": nodelet.transformation,
         "manager": nodelet.manager,
         "protected": nodelet.is_protected,
         "isolated": nodelet.isolated,
         "rewired_by_reload": nodelet.rewired_by_reload,
-        "state": nodelet.state,
+        "state": state_of(nodelet),
         "detail": nodelet.detail,
         "ports": [port_shape(port) for port in nodelet.ports],
     }

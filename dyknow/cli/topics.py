@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Dict, Iterator, List, Sequence, Tuple
+from typing import TYPE_CHECKING, Dict, Iterator, List, Sequence, Tuple
 
 from dyknow.cli.arguments import PortReference
+from dyknow.cli.views import state_of
 from dyknow.manager.transformation import OUT
-from dyknow.ros.snapshot import Snapshot
+
+if TYPE_CHECKING:
+    from dyknow.ros.client import ModelView, NodeletView
 
 
 @dataclass(frozen=True)
@@ -27,7 +30,7 @@ class Topic:
     targets: Tuple[PortReference, ...]
 
 
-def topics_of(snapshot: Snapshot) -> List[Topic]:
+def topics_of(snapshot: ModelView) -> List[Topic]:
     """List the topics that nodelets are connected to, by name."""
     sources: Dict[str, List[PortReference]] = {}
     targets: Dict[str, List[PortReference]] = {}
@@ -50,7 +53,7 @@ def topics_of(snapshot: Snapshot) -> List[Topic]:
     ]
 
 
-def list_topics(snapshot: Snapshot, topics: Sequence[Topic]) -> Iterator[str]:
+def list_topics(snapshot: ModelView, topics: Sequence[Topic]) -> Iterator[str]:
     """Write the graph as lines: each topic with its ends, then what is not connected."""
     for topic in topics:
         yield f"{topic.name} [{topic.datatype or 'unknown type'}]"
@@ -65,10 +68,15 @@ def list_topics(snapshot: Snapshot, topics: Sequence[Topic]) -> Iterator[str]:
         if not port.topic
     ]
     loose.extend(
-        f"    {nodelet.name} ({'no ports' if nodelet.state == 'running' else nodelet.state})"
+        f"    {nodelet.name} ({_why_without_ports(nodelet)})"
         for nodelet in snapshot.nodelets
         if not nodelet.ports
     )
     if loose:
         yield "(disconnected)"
         yield from loose
+
+
+def _why_without_ports(nodelet: NodeletView) -> str:
+    state = state_of(nodelet)
+    return "no ports" if state == "running" else state

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import List, Tuple
+from typing import TYPE_CHECKING, List, Tuple
 from xml.sax.saxutils import quoteattr
 
+from dyknow.cli.views import connections_of
 from dyknow.errors import DyKnowError
 from dyknow.manager.transformation import Transformation
-from dyknow.ros.snapshot import Nodelet, Snapshot
+
+if TYPE_CHECKING:
+    from dyknow.ros.client import ModelView, NodeletView
 
 VERSION = "1"
 
@@ -59,7 +62,7 @@ class Wiring:
         return "\n".join(lines)
 
 
-def wiring_of(snapshot: Snapshot) -> Tuple[Wiring, List[Nodelet]]:
+def wiring_of(snapshot: ModelView) -> Tuple[Wiring, List[NodeletView]]:
     """Take the wiring out of a model.
 
     Returns:
@@ -70,29 +73,33 @@ def wiring_of(snapshot: Snapshot) -> Tuple[Wiring, List[Nodelet]]:
         CannotSave: a transformation is gone that a nodelet was made from.
     """
     known = {each.label: each for each in snapshot.transformations}
-    own = [nodelet for nodelet in snapshot.nodelets if nodelet.label]
-    gone = [f"'{each.label}' of '{each.name}'" for each in own if each.label not in known]
+    own = [nodelet for nodelet in snapshot.nodelets if nodelet.transformation]
+    gone = [
+        f"'{each.transformation}' of '{each.name}'"
+        for each in own
+        if each.transformation not in known
+    ]
     if gone:
         raise CannotSave(
             f"the library has no more {', '.join(gone)}; expected the transformation of every "
             "nodelet (import it again, or destroy the nodelet)"
         )
-    used = {nodelet.label for nodelet in own}
+    used = {nodelet.transformation for nodelet in own}
     wiring = Wiring(
         tuple(known[label] for label in sorted(used)),
         tuple(
             WiredNodelet(
                 nodelet.name,
-                nodelet.label,
+                nodelet.transformation,
                 nodelet.is_protected,
                 nodelet.isolated,
                 "" if nodelet.isolated else nodelet.manager,
-                tuple(sorted(nodelet.connections.items())),
+                tuple(sorted(connections_of(nodelet).items())),
             )
             for nodelet in sorted(own, key=lambda each: each.name)
         ),
     )
-    return wiring, [nodelet for nodelet in snapshot.nodelets if not nodelet.label]
+    return wiring, [nodelet for nodelet in snapshot.nodelets if not nodelet.transformation]
 
 
 def _nodelet_xml(nodelet: WiredNodelet) -> List[str]:

@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Callable, Dict, List, Tuple
 
+from dyknow.cli.views import connections_of
 from dyknow.cli.wiring import WiredNodelet
 from dyknow.cli.wiring_plan import Kept, Plan
-from dyknow.errors import DyKnowError
-from dyknow.manager.lifecycle import SpawnRequest
+from dyknow.errors import DyKnowError, Refused
 from dyknow.manager.transformation import Transformation
-from dyknow.ros.client_errors import Refused
 
 if TYPE_CHECKING:
     from dyknow.ros.shell_client import ShellClient
@@ -121,23 +120,19 @@ def _make(nodelet: WiredNodelet, plan: Plan, client: ShellClient) -> List[Step]:
     declared = {port.name for port in plan.blueprints[nodelet.label].ports}
     config = {port: topic for port, topic in nodelet.connections if port in declared}
     later = {port: topic for port, topic in nodelet.connections if port not in declared}
-    request = SpawnRequest(
-        nodelet.label,
-        nodelet.name,
-        nodelet.is_protected,
-        nodelet.isolated,
-        config,
-        "" if nodelet.name in plan.any_manager else nodelet.manager,
-    )
+    manager = "" if nodelet.name in plan.any_manager else nodelet.manager
+
+    def spawn() -> None:
+        client.spawn(
+            nodelet.label, nodelet.name, config, nodelet.is_protected, nodelet.isolated, manager
+        )
 
     def destroy() -> None:
         if nodelet.is_protected:
             client.set_protection(nodelet.name, False)
         client.destroy(nodelet.name)
 
-    steps = [
-        Step(f"spawning '{nodelet.name}'", nodelet.name, lambda: client.spawn(request), destroy)
-    ]
+    steps = [Step(f"spawning '{nodelet.name}'", nodelet.name, spawn, destroy)]
     if later:
         steps.append(
             Step(
@@ -155,7 +150,7 @@ def _change(kept: Kept, client: ShellClient) -> List[Step]:
     steps = []
     moves = kept.moves
     if moves:
-        before: Dict[str, str] = {port: present.connections.get(port, "") for port in moves}
+        before: Dict[str, str] = {port: connections_of(present).get(port, "") for port in moves}
         steps.append(
             Step(
                 f"connecting '{name}'",

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Callable, Collection, Dict, List, Mapping, Set, Tuple
+from typing import TYPE_CHECKING, Callable, Collection, Dict, List, Mapping, Set, Tuple
 
 from dyknow.cli.connecting import types_fit
+from dyknow.cli.views import connections_of
 from dyknow.cli.wiring import WiredNodelet, Wiring
 from dyknow.manager.transformation import TOPIC, Transformation
-from dyknow.ros.snapshot import Nodelet, Snapshot
+
+if TYPE_CHECKING:
+    from dyknow.ros.client import ModelView, NodeletView
 
 
 @dataclass(frozen=True)
@@ -16,14 +19,14 @@ class Kept:
     """A nodelet that runs already, as it is wanted and as it is."""
 
     wanted: WiredNodelet
-    present: Nodelet
+    present: NodeletView
 
     @property
     def moves(self) -> Dict[str, str]:
         """New topics of those ports that are to be moved; empty to disconnect."""
         wanted = dict(self.wanted.connections)
-        ports = {**dict.fromkeys(self.present.connections, ""), **wanted}
-        present = self.present.connections
+        present = connections_of(self.present)
+        ports = {**dict.fromkeys(present, ""), **wanted}
         return {
             port: topic for port, topic in sorted(ports.items()) if present.get(port, "") != topic
         }
@@ -62,7 +65,7 @@ class Plan:
 
 def plan_load(
     wiring: Wiring,
-    snapshot: Snapshot,
+    snapshot: ModelView,
     managers: Collection[str],
     is_own_manager: Callable[[str], bool] = lambda name: False,
     replace: bool = False,
@@ -149,7 +152,7 @@ def _topics(
     ]
 
 
-def _plan_transformations(plan: Plan, wiring: Wiring, snapshot: Snapshot, replace: bool) -> None:
+def _plan_transformations(plan: Plan, wiring: Wiring, snapshot: ModelView, replace: bool) -> None:
     library = {each.label: each for each in snapshot.transformations}
     for transformation in wiring.transformations:
         present = library.get(transformation.label)
@@ -167,9 +170,13 @@ def _plan_transformations(plan: Plan, wiring: Wiring, snapshot: Snapshot, replac
                 )
 
 
-def _plan_kept(plan: Plan, nodelet: WiredNodelet, present: Nodelet) -> None:
-    if present.label != nodelet.label:
-        made_from = f"made from '{present.label}'" if present.label else "loaded by others"
+def _plan_kept(plan: Plan, nodelet: WiredNodelet, present: NodeletView) -> None:
+    if present.transformation != nodelet.label:
+        made_from = (
+            f"made from '{present.transformation}'"
+            if present.transformation
+            else "loaded by others"
+        )
         plan.problems.append(
             f"nodelet '{nodelet.name}' runs already, {made_from}; expected '{nodelet.label}'"
         )

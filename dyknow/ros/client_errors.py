@@ -1,11 +1,10 @@
-"""Why the manager or a nodelet did not do what a program asked for.
+"""Who did not answer a command of the shell.
 
 ::
 
     DyKnowError
     ├── Unreachable   no master, no manager, or it hangs
-    ├── Silent        a nodelet is not there or does not answer; what was asked may be done
-    └── Refused       the answer was no, and nothing was done; the text is the server's
+    └── Silent        a nodelet is not there or does not answer; what was asked may be done
 """
 
 from __future__ import annotations
@@ -15,10 +14,6 @@ from dyknow.errors import DyKnowError
 
 class Unreachable(DyKnowError):
     """There is no ROS master, or no manager that answers; the text says which."""
-
-
-class Refused(DyKnowError):
-    """A service answered that it did not do what was asked for, and why."""
 
 
 class Silent(DyKnowError):

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from dyknow.cli.arguments import Kind, namespace, takes
 from dyknow.cli.command import Command
@@ -11,7 +13,9 @@ from dyknow.cli.files import write_file
 from dyknow.cli.shapes import nodelet_shape
 from dyknow.cli.shell import Shell
 from dyknow.cli.topics import Topic, list_topics, topics_of
-from dyknow.ros.snapshot import Snapshot
+
+if TYPE_CHECKING:
+    from dyknow.ros.client import ModelView
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
@@ -60,10 +64,10 @@ def _graph(arguments: argparse.Namespace, shell: Shell) -> None:
         )
 
 
-def _inside(snapshot: Snapshot, wanted: str) -> Snapshot:
+def _inside(snapshot: ModelView, wanted: str) -> ModelView:
     inside = wanted.rstrip("/") + "/"
     nodelets = tuple(each for each in snapshot.nodelets if each.name.startswith(inside))
-    return Snapshot(snapshot.revision, snapshot.library_revision, nodelets)
+    return replace(snapshot, nodelets=nodelets)
 
 
 def _topic_shape(topic: Topic) -> dict[str, object]:

@@ -14,9 +14,9 @@ from dyknow.cli.files import write_file
 from dyknow.cli.shapes import transformation_shape
 from dyknow.cli.shell import FAILED, Shell
 from dyknow.cli.tables import columns, count
-from dyknow.errors import DyKnowError, Problem, UnknownTransformation
+from dyknow.errors import DyKnowError, Problem, Refused, UnknownTransformation
 from dyknow.manager.transformation import IN, OUT, Transformation
-from dyknow.ros.client_errors import Refused, Unreachable
+from dyknow.ros.client_errors import Unreachable
 
 STDIN = "-"
 
@@ -76,7 +76,7 @@ def _import(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
     failed: List[Dict[str, Any]] = []
     for file in arguments.files:
         try:
-            labels, warnings = shell.client.add_transformation(_read(file))
+            added = shell.client.add_transformation(_read(file))
         except Unreachable:
             raise
         except (OSError, UnicodeDecodeError, Refused) as error:
@@ -85,8 +85,8 @@ def _import(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
             for line in message.splitlines():
                 shell.error(line)
         else:
-            warnings = [_named(file, warning) for warning in warnings]
-            imported.append({"file": file, "labels": labels, "warnings": warnings})
+            warnings = _named(file, added.warnings).splitlines()
+            imported.append({"file": file, "labels": list(added.labels), "warnings": warnings})
             for warning in warnings:
                 shell.warn(warning)
     shell.show(

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import argparse
 import difflib
-from typing import Dict, Iterator, List, Optional, Sequence, Tuple
+from typing import TYPE_CHECKING, Dict, Iterator, List, Optional, Sequence, Tuple
 
 from dyknow.cli.arguments import Kind, graph_name, namespace, takes
 from dyknow.cli.command import Command
 from dyknow.cli.shapes import nodelet_shape
 from dyknow.cli.shell import FAILED, Shell
 from dyknow.cli.tables import columns
+from dyknow.cli.views import state_of
 from dyknow.manager.transformation import IN, OUT
-from dyknow.ros.snapshot import Nodelet, Snapshot
+
+if TYPE_CHECKING:
+    from dyknow.ros.client import ModelView, NodeletView
 
 _Ends = Dict[str, List[Tuple[str, str, str]]]
 
@@ -40,17 +43,17 @@ def _list(arguments: argparse.Namespace, shell: Shell) -> None:
     )
 
 
-def _long_list(nodelets: Sequence[Nodelet]) -> List[str]:
+def _long_list(nodelets: Sequence[NodeletView]) -> List[str]:
     rows = [("NODELET", "TRANSFORMATION", "STATE", "IN", "OUT", "MANAGER")]
     for each in nodelets:
         directions = [port.direction for port in each.ports]
-        marks = [each.state]
+        marks = [state_of(each)]
         marks.extend(["protected"] if each.is_protected else [])
         marks.extend(["isolated"] if each.isolated else [])
         rows.append(
             (
                 each.name,
-                each.label or "-",
+                each.transformation or "-",
                 ",".join(marks),
                 str(directions.count(IN)),
                 str(directions.count(OUT)),
@@ -81,7 +84,7 @@ def _info(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
     return None if len(present) == len(wanted) else FAILED
 
 
-def unknown_nodelet(name: str, snapshot: Snapshot) -> str:
+def unknown_nodelet(name: str, snapshot: ModelView) -> str:
     """Say that there is no such nodelet, and which similar ones there are."""
     known = [nodelet.name for nodelet in snapshot.nodelets]
     similar = difflib.get_close_matches(name, known, 3)
@@ -89,12 +92,12 @@ def unknown_nodelet(name: str, snapshot: Snapshot) -> str:
     return f"no nodelet named '{name}' runs{hint}"
 
 
-def _describe(nodelet: Nodelet, snapshot: Snapshot) -> Iterator[str]:
+def _describe(nodelet: NodeletView, snapshot: ModelView) -> Iterator[str]:
     yield "-" * 80
     yield f"Nodelet [{nodelet.name}]"
-    yield f"Transformation: {nodelet.label or '(none: loaded by others)'}"
+    yield f"Transformation: {nodelet.transformation or '(none: loaded by others)'}"
     yield f"Nodelet manager: {nodelet.manager}{' (its own process)' * nodelet.isolated}"
-    yield f"State: {nodelet.state}" + (f" ({nodelet.detail})" if nodelet.detail else "")
+    yield f"State: {state_of(nodelet)}" + (f" ({nodelet.detail})" if nodelet.detail else "")
     yield f"Protected: {'yes' if nodelet.is_protected else 'no'}"
     if nodelet.rewired_by_reload:
         yield "Re-wiring: loads it anew (a plain C++ nodelet)"
@@ -114,7 +117,7 @@ def _describe(nodelet: Nodelet, snapshot: Snapshot) -> Iterator[str]:
     yield ""
 
 
-def _ends(snapshot: Snapshot) -> _Ends:
+def _ends(snapshot: ModelView) -> _Ends:
     """Who is connected to each topic: direction, nodelet and port."""
     ends: _Ends = {}
     for nodelet in snapshot.nodelets:

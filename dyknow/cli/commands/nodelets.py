@@ -9,8 +9,8 @@ from dyknow.cli.arguments import Kind, graph_name, port_topic, takes
 from dyknow.cli.command import Command
 from dyknow.cli.shapes import nodelet_shape
 from dyknow.cli.shell import FAILED, Shell
+from dyknow.cli.views import connections_of
 from dyknow.errors import DuplicatePort, DyKnowError
-from dyknow.manager.lifecycle import SpawnRequest
 from dyknow.ros.client_errors import Unreachable
 
 
@@ -56,24 +56,22 @@ def _spawn(arguments: argparse.Namespace, shell: Shell) -> None:
         config[port] = topic
     name = shell.resolve(arguments.name)
     shell.client.spawn(
-        SpawnRequest(
-            arguments.label,
-            name,
-            is_protected=arguments.protected,
-            isolated=arguments.isolated,
-            config=config,
-            manager=shell.resolve(arguments.manager) if arguments.manager else "",
-        )
+        arguments.label,
+        name,
+        config,
+        arguments.protected,
+        arguments.isolated,
+        shell.resolve(arguments.manager) if arguments.manager else "",
     )
     shell.client.wait_until_known({name: {}})
     nodelet = shell.client.nodelets().nodelet(name)
     if nodelet is None:  # destroyed by somebody else in the meantime
         shell.show({"name": name}, [f"spawned {name}"])
         return
-    connections = [f"  {port} - {topic}" for port, topic in nodelet.connections.items()]
+    connections = [f"  {port} - {topic}" for port, topic in connections_of(nodelet).items()]
     shell.show(
         nodelet_shape(nodelet),
-        [f"spawned {name} from {nodelet.label} in {nodelet.manager}", *connections],
+        [f"spawned {name} from {nodelet.transformation} in {nodelet.manager}", *connections],
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import time
 from concurrent.futures import ThreadPoolExecutor
-from typing import Dict, List, Optional, Sequence, Tuple, Union
+from typing import TYPE_CHECKING, Dict, List, Optional, Sequence, Tuple, Union
 
 from dyknow.cli.arguments import Kind, graph_name, positive, seconds, takes
 from dyknow.cli.command import Command
@@ -14,14 +14,17 @@ from dyknow.cli.shapes import statistics_shape
 from dyknow.cli.shell import FAILED, Shell
 from dyknow.cli.tables import columns
 from dyknow.cli.watching import Screen
-from dyknow.ros.client_errors import Refused, Silent
-from dyknow.ros.snapshot import Statistics
+from dyknow.errors import DyKnowError, Refused
+from dyknow.ros.client_errors import Silent
+
+if TYPE_CHECKING:
+    from dyknow.ros.client import Statistics
 
 _WORKERS = 16
 _PERIOD = 1.0
 
 #: What a nodelet has done, or why it does not say.
-Answer = Union[Statistics, Refused, Silent]
+Answer = Union["Statistics", DyKnowError]
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
@@ -71,10 +74,10 @@ def _show_once(shell: Shell, names: Sequence[str]) -> Optional[int]:
         return FAILED
     answers = _ask(shell, present or [each.name for each in snapshot.nodelets])
     for answer in answers.values():
-        if not isinstance(answer, Statistics):
+        if isinstance(answer, DyKnowError):
             shell.error(answer)
     shell.show(_shape(answers), table(answers))
-    silent = any(not isinstance(answer, Statistics) for answer in answers.values())
+    silent = any(isinstance(answer, DyKnowError) for answer in answers.values())
     return FAILED if silent or len(present) < len(names) else None
 
 
@@ -101,9 +104,9 @@ def _shape(answers: Dict[str, Answer]) -> dict[str, object]:
         "nodelets": [
             statistics_shape(name, answer)
             for name, answer in answers.items()
-            if isinstance(answer, Statistics)
+            if not isinstance(answer, DyKnowError)
         ],
-        "silent": [name for name, answer in answers.items() if not isinstance(answer, Statistics)],
+        "silent": [name for name, answer in answers.items() if isinstance(answer, DyKnowError)],
     }
 
 
@@ -111,7 +114,7 @@ def table(answers: Dict[str, Answer]) -> List[str]:
     """Write what went through each port, a line for each; times in milliseconds."""
     rows = [("NODELET", "PORT", "", "HZ", "MESSAGES", "DROPPED", "MEAN", "MAX", "ERRORS", "TOPIC")]
     for name, answer in answers.items():
-        if not isinstance(answer, Statistics):
+        if isinstance(answer, DyKnowError):
             rows.append((name, "(does not answer)", "", "", "", "", "", "", "", ""))
             continue
         errors = str(answer.callback_errors)

@@ -85,8 +85,8 @@ def _load(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
     try:
         wiring = _read(arguments.file)
     except SpecificationError as error:
-        for problem in error.problems:
-            shell.error(problem)
+        for each in error.problems:
+            shell.error(each)
         return FAILED
     client = shell.client
     plan = plan_load(
@@ -104,16 +104,16 @@ def _load(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
     failed = []
     if not arguments.dry_run:
         failed = carry_out(steps_of(plan, client), arguments.keep_going)
-        for step, error in failed:
-            shell.error(f"{step.what}: {error}")
+        for step, cause in failed:
+            shell.error(f"{step.what}: {cause}")
         _wait(shell, plan)
     subjects = [step.subject for step, _ in failed]
     shape = _shape(plan, subjects)
     shape["file"] = arguments.file
     shape["dry_run"] = arguments.dry_run
     shape["failed"] = [
-        {"subject": step.subject, "step": step.what, "message": str(error)}
-        for step, error in failed
+        {"subject": step.subject, "step": step.what, "message": str(cause)}
+        for step, cause in failed
     ]
     shell.show(shape, _lines(plan, subjects, arguments.dry_run))
     return FAILED if failed else None
