@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Dict, List, Sequence, Tuple
 
 from dyknow import names
 from dyknow.cli.arguments import PortReference
+from dyknow.cli.views import state_of, unknown_nodelet
 from dyknow.errors import DyKnowError
 from dyknow.manager.model import PortState
 from dyknow.manager.transformation import IN, OUT
+from dyknow.ros.client_errors import Silent
 
 if TYPE_CHECKING:
     from dyknow.ros.shell_client import ShellClient
@@ -29,6 +31,28 @@ class Change:
     port: PortReference
     before: str
     after: str
+
+
+def ports_of(client: ShellClient, nodelet: str) -> Tuple[PortState, ...]:
+    """Ask a nodelet for its ports.
+
+    Raises:
+        CannotConnect: there is no such nodelet, or it has no proxy.
+        Silent: it does not answer.
+    """
+    try:
+        return client.get_config(nodelet)
+    except Silent as silence:
+        model = client.nodelets()
+        present = model.nodelet(nodelet)
+        if present is None:
+            raise CannotConnect(unknown_nodelet(nodelet, model)) from None
+        if not present.transformation:
+            raise CannotConnect(
+                f"nodelet '{nodelet}' was loaded by others and has no proxy: its ports cannot be "
+                "connected elsewhere"
+            ) from silence
+        raise Silent(f"{silence}; it is {state_of(present)}") from silence
 
 
 def find_port(reference: PortReference, ports: Sequence[PortState]) -> PortState:
@@ -90,8 +114,8 @@ def connect(
     Raises:
         CannotConnect: it was refused, and both ports are as they were.
     """
-    out = find_port(source, client.get_config(source.nodelet))
-    into = find_port(target, client.get_config(target.nodelet))
+    out = find_port(source, ports_of(client, source.nodelet))
+    into = find_port(target, ports_of(client, target.nodelet))
     check_ends(source, out, target, into)
     topic = topic or choose_topic(source, out, into)
     # The reader first: whatever is published on the topic from then on finds it.

@@ -89,6 +89,7 @@ def _add(chosen: argparse._SubParsersAction[Parser], command: Command) -> Parser
     epilog = "Examples:\n" + "".join(f"  {line}\n" for line in command.examples.splitlines())
     parser = chosen.add_parser(
         command.name,
+        prog=f"dyknow {command.name}",
         description=command.description,
         epilog=epilog,
         formatter_class=argparse.RawDescriptionHelpFormatter,

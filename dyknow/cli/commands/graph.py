@@ -24,7 +24,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     for kind in ("svg", "png"):
         takes(
             form.add_argument(
-                f"--{kind}", metavar="FILE", default="", help=f"draw it into a file ({kind})"
+                f"--{kind}", metavar="FILE", default=None, help=f"draw it into a file ({kind})"
             ),
             Kind.FILE,
         )
@@ -33,7 +33,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
             "--namespace",
             metavar="NS",
             type=namespace,
-            default="",
+            default=None,
             help="only nodelets of this namespace, with the topics that they are connected to",
         ),
         Kind.NAMESPACE,

@@ -121,7 +121,7 @@ def _export_arguments(parser: argparse.ArgumentParser) -> None:
     _labels(parser, "*", "what to export (default: all)")
     takes(
         parser.add_argument(
-            "-o", "--output", metavar="FILE", default="", help="write here (default: print)"
+            "-o", "--output", metavar="FILE", default=None, help="write here (default: print)"
         ),
         Kind.FILE,
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import difflib
 from typing import TYPE_CHECKING, Dict, Iterator, List, Optional, Sequence, Tuple
 
 from dyknow.cli.arguments import Kind, graph_name, namespace, takes
@@ -11,7 +10,7 @@ from dyknow.cli.command import Command
 from dyknow.cli.shapes import nodelet_shape
 from dyknow.cli.shell import FAILED, Shell
 from dyknow.cli.tables import columns
-from dyknow.cli.views import state_of
+from dyknow.cli.views import state_of, unknown_nodelet
 from dyknow.manager.transformation import IN, OUT
 
 if TYPE_CHECKING:
@@ -82,14 +81,6 @@ def _info(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
         lines = (line for nodelet in present for line in _describe(nodelet, snapshot))
         shell.show({"nodelets": [nodelet_shape(nodelet) for nodelet in present]}, lines)
     return None if len(present) == len(wanted) else FAILED
-
-
-def unknown_nodelet(name: str, snapshot: ModelView) -> str:
-    """Say that there is no such nodelet, and which similar ones there are."""
-    known = [nodelet.name for nodelet in snapshot.nodelets]
-    similar = difflib.get_close_matches(name, known, 3)
-    hint = f"; did you mean {' or '.join(similar)}?" if similar else "; see 'dyknow list'"
-    return f"no nodelet named '{name}' runs{hint}"
 
 
 def _describe(nodelet: NodeletView, snapshot: ModelView) -> Iterator[str]:

@@ -29,7 +29,7 @@ def _spawn_arguments(parser: argparse.ArgumentParser) -> None:
             "--manager",
             metavar="M",
             type=graph_name,
-            default="",
+            default=None,
             help="the nodelet manager to load it into (default: the DyKnow manager's choice)",
         ),
         Kind.NODELET_MANAGER,

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Dict, List, Optional, Sequence, Tuple, Union
 
 from dyknow.cli.arguments import Kind, graph_name, positive, seconds, takes
 from dyknow.cli.command import Command
-from dyknow.cli.commands.looking import unknown_nodelet
 from dyknow.cli.shapes import statistics_shape
 from dyknow.cli.shell import FAILED, Shell
 from dyknow.cli.tables import columns
+from dyknow.cli.views import unknown_nodelet
 from dyknow.cli.watching import Screen
 from dyknow.errors import DyKnowError, Refused
 from dyknow.ros.client_errors import Silent

@@ -7,7 +7,7 @@ from typing import Dict, List, Sequence
 
 from dyknow.cli.arguments import Kind, PortReference, graph_name, port_reference, takes
 from dyknow.cli.command import Command
-from dyknow.cli.connecting import Change, apply, connect, find_port
+from dyknow.cli.connecting import Change, apply, connect, find_port, ports_of
 from dyknow.cli.shapes import Shape
 from dyknow.cli.shell import Shell
 
@@ -30,7 +30,7 @@ def _connect_arguments(parser: argparse.ArgumentParser) -> None:
             "--topic",
             metavar="T",
             type=graph_name,
-            default="",
+            default=None,
             help="the topic to use (default: the out-port's, else the in-port's, else /A/OUT)",
         ),
         Kind.TOPIC,
@@ -66,7 +66,7 @@ def _disconnect_arguments(parser: argparse.ArgumentParser) -> None:
 def _disconnect(arguments: argparse.Namespace, shell: Shell) -> None:
     changes: List[Change] = []
     for reference in dict.fromkeys(_resolved(shell, each) for each in arguments.ports):
-        port = find_port(reference, shell.client.get_config(reference.nodelet))
+        port = find_port(reference, ports_of(shell.client, reference.nodelet))
         changes.append(Change(reference, port.topic, ""))
     made = [change for change in changes if change.before]
     apply(shell.client, made)
