@@ -22,7 +22,7 @@ demo: build ## run the demonstration (options: make demo ARGS="...")
 gui: build ## open the window on the computation graph
 	@$(IN_WORKSPACE) rosrun dyknow dyknow_rqt $(ARGS)
 
-test: deps ## run every check and test (ROSTEST_JOBS=2 runs two rostest suites at a time)
+test: deps ## run every check and test (ROSTEST_JOBS=1 runs the rostest suites one by one)
 	@$(ROS_PYTHON) tools/check.py
 
 benchmark: build ## measure the time to arrival over a chain of nodelets (options: make benchmark ARGS="...")

@@ -8,8 +8,11 @@ wrong and says what was expected. Only ``dyknow.ros`` turns them into answers of
     DyKnowError
     ├── InvalidName              a string is not a ROS name
     ├── TypeMismatch             a topic carries another type
+    ├── BadParameter             a parameter has a value that cannot be worked with
     ├── RemappedTopic            the command line of the process sends this topic elsewhere
     ├── PeerTimeout              somebody outside did not answer in time
+    ├── DuplicateBond            a bond with that id is there (dyknow.ros.bond_table)
+    ├── BondsClosed              no more bonds: this end is closed (dyknow.ros.bonds)
     ├── HandleClosed             the nodelet of this handle is unloaded, or it was unregistered
     ├── Denied                   a guard forbids it: deny list, read-only mode
     ├── TooMuch                  a limit is exceeded
@@ -73,6 +76,15 @@ class TypeMismatch(DyKnowError):
         self.wanted = wanted
         self.present = present
         super().__init__(f"topic '{topic}' carries {present}, but {wanted} was asked for")
+
+
+class BadParameter(DyKnowError):
+    """A parameter has a value that cannot be worked with."""
+
+    def __init__(self, name: str, value: object, expected: str) -> None:
+        self.name = name
+        self.value = value
+        super().__init__(f"parameter '{name}' is {value!r}: expected {expected}")
 
 
 class RemappedTopic(DyKnowError):

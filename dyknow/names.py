@@ -17,14 +17,16 @@ _LEGAL = re.compile(r"[~/A-Za-z][A-Za-z0-9_/]*\Z")
 
 
 def check(name: str, what: str = "name") -> str:
-    """Return ``name`` if it is a legal graph name.
+    """Return ``name``, in its usual form, if it is a legal graph name.
+
+    As in rospy, ``~/x`` is taken for ``~x`` and a slash at the end for none.
 
     Raises:
         InvalidName: it is empty, holds a character that ROS does not allow, or a double slash.
     """
-    if not _LEGAL.match(name) or "//" in name or name.startswith("~/") or name in ("~", "/"):
+    if not _LEGAL.match(name) or "//" in name or name in ("~", "/", "~/"):
         raise InvalidName(name, what)
-    return name.rstrip("/")
+    return name.rstrip("/").replace("~/", "~", 1)
 
 
 def join(namespace: str, name: str) -> str:
@@ -77,13 +79,15 @@ def pair_remappings(
 
     Raises:
         BadRemapping: the lists differ in length.
-        InvalidName: an entry is not a graph name.
+        InvalidName: an entry is empty or not a graph name.
     """
     if len(sources) != len(targets):
         raise BadRemapping(nodelet, len(sources), len(targets))
+
+    def whole(name: str, what: str) -> str:
+        return resolve(check(name, what), namespace, nodelet, what)
+
     return {
-        resolve(source, namespace, nodelet, "remap source"): resolve(
-            target, namespace, nodelet, "remap target"
-        )
+        whole(source, "remap source"): whole(target, "remap target")
         for source, target in zip(sources, targets)
     }

@@ -37,6 +37,10 @@ class Settings:
     spawn_timeout: float = 10.0
 
 
+DEFAULT_SETTINGS = Settings()
+"""Names begin at the root; a nodelet has 10 s to come up."""
+
+
 class Manager:
     """Transformations, nodelets and their connections; every method is safe from any thread."""
 
@@ -46,7 +50,7 @@ class Manager:
         store: Store,
         library: Library,
         guards: Guards = NO_GUARDS,
-        settings: Settings = Settings(),
+        settings: Settings = DEFAULT_SETTINGS,
     ) -> None:
         """Put the parts together; nothing is touched before ``start``."""
         self.library = library

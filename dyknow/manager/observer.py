@@ -32,7 +32,7 @@ class _Patience:
 
     def __init__(self, clock: Callable[[], float]) -> None:
         self._clock = clock
-        self._attempts: Dict[str, "tuple[int, float]"] = {}
+        self._attempts: Dict[str, tuple[int, float]] = {}
 
     def allows(self, name: str) -> bool:
         """Whether an attempt may be made now."""
@@ -105,7 +105,7 @@ class Observer:
     def _check(
         self,
         record: Record,
-        state: "ManagerState | None",
+        state: ManagerState | None,
         listed: Dict[str, List[str]],
         changed: Set[str],
     ) -> None:
@@ -120,7 +120,7 @@ class Observer:
     def _compare(
         self,
         record: Record,
-        state: "ManagerState | None",
+        state: ManagerState | None,
         listed: Dict[str, List[str]],
         changed: Set[str],
     ) -> None:
@@ -143,7 +143,7 @@ class Observer:
         else:
             self._lose(record, f"nodelet manager {record.manager} does not answer")
 
-    def _follow(self, record: Record, state: "ManagerState | None", closely: bool) -> None:
+    def _follow(self, record: Record, state: ManagerState | None, closely: bool) -> None:
         incarnation = state.incarnation if state is not None else record.incarnation
         came_back = record.state is not State.RUNNING or record.incarnation != incarnation
         record = replace(record, state=State.RUNNING, detail="", incarnation=incarnation)

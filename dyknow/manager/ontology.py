@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Dict, FrozenSet, Iterable, List, Set, Tuple
 
 import rdflib
-from rdflib.namespace import OWL, RDF, RDFS
+from rdflib import OWL, RDF, RDFS
 
 from dyknow.errors import IndividualsError, OntologyFileError, UnknownConcept
 

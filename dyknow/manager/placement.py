@@ -51,7 +51,7 @@ def choose(
     return best if best is not None else host.ensure(kind)
 
 
-def _nearest(records: List[Record], shared: List[str], topics: "set[str]") -> Optional[str]:
+def _nearest(records: List[Record], shared: List[str], topics: set[str]) -> Optional[str]:
     if not shared:
         return None
     load: Dict[str, int] = collections.Counter(record.manager for record in records)

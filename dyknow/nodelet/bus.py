@@ -40,11 +40,15 @@ class _Topic:
     connections: List[Connection] = field(default_factory=list)
 
     @property
+    def ends(self) -> List[Union[Publication, Connection]]:
+        return [*self.publications, *self.connections]
+
+    @property
     def route(self) -> Tuple[Receive, ...]:
         return tuple(connection.push for connection in self.connections)
 
 
-@dataclass
+@dataclass(eq=False)
 class _Plan:
     """One endpoint's part in a switch, filled in as the steps are taken."""
 
@@ -64,6 +68,7 @@ class Bus:
         self._clock = clock
         self._lock = threading.Lock()
         self._topics: Dict[str, _Topic] = {}
+        self._making: List[_Plan] = []
 
     def datatype_of(self, topic: str) -> str:
         """Type name of a topic that is alive, in this process or outside; empty if it is not."""
@@ -90,6 +95,7 @@ class Bus:
         Raises:
             TypeMismatch: a topic has another type in this process; nothing was changed.
             HandleClosed: an endpoint was released meanwhile; nothing was changed.
+            Exception: a registration failed; nothing was changed, unless ``between`` was called.
         """
         plans = [_Plan(endpoint, topic) for endpoint, topic in moves if endpoint.topic != topic]
         deadline = self._clock() + patience
@@ -99,13 +105,16 @@ class Bus:
         except BaseException:
             self._undo(plans)
             raise
-        self._register(plans)
-        self._break(plans, deadline)
+        try:
+            self._register(plans)
+        finally:
+            self._break(plans, deadline)
 
     def release(self, endpoints: Sequence[Endpoint]) -> None:
         """Take endpoints off the bus for good: queued messages are dropped, registrations end."""
         halves: List[Union[OutsidePublisher, OutsideSubscriber, None]] = []
         with self._lock:
+            halves += [plan.half for plan in self._making if plan.endpoint in endpoints]
             for endpoint in endpoints:
                 if isinstance(endpoint, Publication):
                     halves.append(endpoint.outside)
@@ -135,9 +144,11 @@ class Bus:
                     self._link(topic, plan.link)
                 else:
                     plan.late = bool(topic.connections)
+            self._making += plans
         early = [plan for plan in plans if plan.topic and not plan.late]
         for plan in early:
             plan.half = self._registration(plan)
+            self._check_open(plan)  # who released it before did not know of this registration
         for plan in early:
             seconds = max(0.0, deadline - self._clock())
             if seconds and isinstance(plan.half, OutsidePublisher):
@@ -148,8 +159,7 @@ class Bus:
     def _switch(self, plans: List[_Plan], between: Optional[Callable[[], None]]) -> None:
         with self._lock:
             for plan in plans:
-                if plan.endpoint.closed:
-                    raise HandleClosed(f"an endpoint of topic '{plan.topic}'")
+                self._check_open(plan)
                 if plan.topic:
                     self._topic(plan.topic, plan.endpoint.datatype)
             for plan in plans:
@@ -168,11 +178,16 @@ class Bus:
             for plan in plans:
                 if plan.link is not None:
                     plan.link.open()
+            self._made(plans)
 
     def _register(self, plans: List[_Plan]) -> None:
+        failures: List[BaseException] = []
         for plan in plans:
-            if plan.late:
-                plan.half = self._registration(plan)
+            try:
+                if plan.late:
+                    plan.half = self._registration(plan)
+            except BaseException as error:  # the others are switched too and need theirs
+                failures.append(error)
             half, endpoint = plan.half, plan.endpoint
             owed = NOTHING
             with self._lock:
@@ -186,8 +201,13 @@ class Bus:
                         plan.link.outside = half
             if half is not None and not current:  # released or moved on meanwhile
                 half.close()
-            elif owed is not NOTHING and isinstance(half, OutsidePublisher):
-                half.latch(owed)
+            elif isinstance(endpoint, Publication) and isinstance(half, OutsidePublisher):
+                while owed is not NOTHING:
+                    half.latch(owed)
+                    # What was published meanwhile may have overtaken it: the last is to stay.
+                    owed = NOTHING if endpoint.latched is owed else endpoint.latched
+        if failures:
+            raise failures[0]
 
     def _break(self, plans: List[_Plan], deadline: float) -> None:
         for plan in plans:
@@ -198,6 +218,7 @@ class Bus:
 
     def _undo(self, plans: List[_Plan]) -> None:
         with self._lock:
+            self._made(plans)
             for plan in plans:
                 if plan.link is not None:
                     self._unlink(plan.link, discard=True)
@@ -207,7 +228,15 @@ class Bus:
             if plan.half is not None:
                 plan.half.close()
 
+    @staticmethod
+    def _check_open(plan: _Plan) -> None:
+        if plan.endpoint.closed:
+            raise HandleClosed(f"an endpoint of topic '{plan.topic}'")
+
     # The table; every method below is called with the lock held, except ``_registration``.
+
+    def _made(self, plans: List[_Plan]) -> None:
+        self._making = [plan for plan in self._making if plan not in plans]
 
     def _registration(self, plan: _Plan) -> Union[OutsidePublisher, OutsideSubscriber]:
         endpoint = plan.endpoint
@@ -235,9 +264,15 @@ class Bus:
         return topic
 
     def _forget(self, name: str) -> None:
+        # Somebody left: the topic may be gone, or only ends of any type be left on it.
         topic = self._topics.get(name)
-        if topic is not None and not topic.publications and not topic.connections:
+        if topic is None:
+            return
+        ends = topic.ends
+        if not ends:
             del self._topics[name]
+        elif all(end.datatype._md5sum == "*" for end in ends):
+            topic.datatype = ends[0].datatype
 
     def _link(self, topic: _Topic, connection: Connection) -> None:
         topic.connections.append(connection)

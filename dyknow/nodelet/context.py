@@ -94,17 +94,25 @@ class Context:
 
     _held = True
 
-    def new_strand(self, what: str) -> Strand:
-        """Make a further strand, for what may overlap with the nodelet's other callbacks."""
+    def new_strand(self, what: str, at_once: bool = False) -> Strand:
+        """Make a further strand, for what may overlap with the nodelet's other callbacks.
+
+        Args:
+            what: names it in the log.
+            at_once: whether it runs during ``on_init`` too.
+        """
         with self._lock:
-            strand = Strand(self.runtime.executor, f"{self.name} ({what})", held=self._held)
+            held = self._held and not at_once
+            strand = Strand(self.runtime.executor, f"{self.name} ({what})", held)
             if self.closed:
                 strand.kill()
             self._strands.append(strand)
         return strand
 
     def drop_strand(self, strand: Strand) -> None:
-        """End a strand that ``new_strand`` made."""
+        """End a strand that ``new_strand`` made; the nodelet's own stays."""
+        if strand is self.strand:
+            return
         strand.kill()
         with self._lock:
             if strand in self._strands:
@@ -162,9 +170,12 @@ class Context:
             period, callback, strand, oneshot, lambda error: self.failed("a timer", error)
         )
         with self._lock:
+            ended = [each for each in self._timers if not each.is_alive()]
             self._timers = [each for each in self._timers if each.is_alive()]
             self._timers.append(timer)
             late = self.closed
+        for each in ended:
+            self.drop_strand(each.strand)
         if late:
             timer.shutdown()
         return timer
@@ -203,12 +214,18 @@ class Context:
         if opened is not None:
             self.own(opened)
 
+    @property
+    def running(self) -> bool:
+        """Whether a callback runs at this moment."""
+        with self._lock:
+            return any(strand.running for strand in self._strands)
+
     def stop(self) -> None:
         """Drop what is queued and run no further callback; publishing is still possible."""
         with self._lock:
             strands = list(self._strands)
         for strand in strands:
-            strand.kill()
+            strand.kill(noted=True)
 
     def close(self) -> None:
         """Give everything back; late publishes are refused from now on."""

@@ -56,6 +56,11 @@ class Connection:
         self._task = self._deliver
         self._arrived: Optional[threading.Event] = None
 
+    @property
+    def datatype(self) -> Any:
+        """Message class of the subscription."""
+        return self._subscription.datatype
+
     def push(self, message: Any) -> None:
         """Take a message, from any thread; beyond ``queue_size`` the oldest goes, counted."""
         with self._lock:

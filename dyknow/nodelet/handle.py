@@ -10,6 +10,7 @@ import queue
 from typing import Any, Callable, Optional
 
 from dyknow import names
+from dyknow.nodelet.bus import Endpoint
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.middleware import Closable
 from dyknow.nodelet.service import Service
@@ -113,9 +114,14 @@ class NodeHandle:
     # Names
 
     def resolve_name(self, name: str, caller_id: Optional[str] = None) -> str:
-        """Make a name global and remap it: the load request's table first, then the process's."""
+        """Make a name global and remap it: the load request's table first, then the process's.
+
+        As in rospy, ``~`` alone is the nodelet's own namespace.
+        """
         private = caller_id or self.context.name
         namespace = self.namespace if caller_id is None else names.parent(caller_id)
+        if name in ("~", "/"):  # all parameters below, in get_param("~")
+            return private if name == "~" else name
         resolved = names.resolve(name, namespace, private)
         if resolved in self.context.remappings:
             return self.context.remappings[resolved]
@@ -142,13 +148,14 @@ class NodeHandle:
         queue_size: Optional[int] = None,
     ) -> Publisher:
         """Publish on a topic; the arguments are those of ``rospy.Publisher``."""
-        topic = self.resolve_name(name)
+        topic = self.resolve_name(names.check(name, "topic name"))
         options = _given(
             subscriber_listener=subscriber_listener, tcp_nodelay=tcp_nodelay, headers=headers
         )
         publication = self.context.publication(name, data_class, latch, queue_size, **options)
-        self._connect(publication, topic)
-        return Publisher(PublisherState(self.context, name, publication))
+        state = PublisherState(self.context, name, publication)
+        self._connect(state, publication, topic)
+        return Publisher(state)
 
     def Subscriber(  # noqa: N802
         self,
@@ -161,7 +168,7 @@ class NodeHandle:
         tcp_nodelay: bool = False,
     ) -> Subscriber:
         """Subscribe to a topic; the arguments are those of ``rospy.Subscriber``."""
-        topic = self.resolve_name(name)
+        topic = self.resolve_name(names.check(name, "topic name"))
         state = SubscriberState(
             self.context,
             name,
@@ -169,10 +176,10 @@ class NodeHandle:
             callback,
             callback_args,
             queue_size,
-            self.concurrent,
+            self.context.new_strand(name) if self.concurrent else self.context.strand,
             **_given(buff_size=buff_size if buff_size != DEFAULT_BUFF_SIZE else None),
         )
-        self._connect(state.subscription, topic)
+        self._connect(state, state.subscription, topic)
         return Subscriber(state)
 
     def wait_for_message(
@@ -184,20 +191,21 @@ class NodeHandle:
             ROSException: nothing came within ``timeout`` seconds.
             ROSInterruptException: the nodelet was unloaded meanwhile.
         """
+        resolved = self.resolve_name(names.check(topic, "topic name"))
         inbox = Inbox(self.context)
-        subscriber = self.__class__(self.context, self.namespace, concurrent=True).Subscriber(
-            topic, topic_type, inbox.put, queue_size=1
-        )
+        strand = self.context.new_strand(topic, at_once=True)
+        state = SubscriberState(self.context, topic, topic_type, inbox.put, None, 1, strand)
+        self._connect(state, state.subscription, resolved)
         try:
             return inbox.get(f"a message on '{topic}'", timeout)
         finally:
-            subscriber.unregister()
+            state.unregister(self)
 
-    def _connect(self, endpoint: Any, topic: str) -> None:
+    def _connect(self, state: Any, endpoint: Endpoint, topic: str) -> None:
         try:
             self.context.runtime.bus.rewire([(endpoint, topic)])
         except BaseException:
-            self.context.release(endpoint)
+            state.unregister(self)
             raise
 
     # Services, parameters, time
@@ -215,9 +223,8 @@ class NodeHandle:
             buff_size=buff_size if buff_size != DEFAULT_BUFF_SIZE else None,
             error_handler=error_handler,
         )
-        return Service(
-            self.context, self.resolve_name(name), service_class, handler, self.concurrent, options
-        )
+        service = self.resolve_name(names.check(name, "service name"))
+        return Service(self.context, service, service_class, handler, self.concurrent, options)
 
     def Timer(  # noqa: N802
         self,

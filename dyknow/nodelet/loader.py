@@ -31,7 +31,7 @@ class _State(enum.Enum):
     UNLOADING = "unloading"
 
 
-@dataclass
+@dataclass(eq=False)
 class _Entry:
     """One taken name."""
 
@@ -124,16 +124,17 @@ class Loader:
             LoadFailed: the nodelet raised; nothing of it is left.
             UnloadedMeanwhile: somebody unloaded it before it was up.
         """
-        context = Context(self.runtime, name, remappings, my_argv)
-        context.on_attach = self._on_attach
-        context.unload = lambda: self._unload_self(name)
-        entry = _Entry(context)
         with self._lock:
             if name in self._entries:
                 raise NameTaken(name)
-            self._entries[name] = entry
+            context = Context(self.runtime, name, remappings, my_argv)
+            entry = self._entries[name] = _Entry(context)
+        context.on_attach = self._on_attach
+        context.unload = lambda: self._unload_self(name, entry)
         try:
             nodelet_class = self._find_class(type_name)
+            if context.closed:
+                raise UnloadedMeanwhile(name, "load")
             run = _Run(lambda: self._start(entry, nodelet_class), f"{name} on_init")
             context.own(_Signal(run.done))  # an unload ends the wait
             run.done.wait()
@@ -161,10 +162,13 @@ class Loader:
         Raises:
             UnknownNodelet: no nodelet of that name is loaded.
         """
+        self._unload(name, None)
+
+    def _unload(self, name: str, only: Optional[_Entry]) -> None:
         with self._lock:
             entry = self._entries.get(name)
             known = [each for each, one in self._entries.items() if one.state is _State.RUNNING]
-            if entry is None or entry.state is _State.UNLOADING:
+            if entry is None or entry.state is _State.UNLOADING or only not in (None, entry):
                 raise UnknownNodelet(name, known)
             was_running = entry.state is _State.RUNNING
             entry.state = _State.UNLOADING
@@ -172,7 +176,7 @@ class Loader:
         context.stop()
         if was_running:
             self._shut_down(entry)
-            if context.strand.busy:
+            if context.running:
                 _log.info("%s: unloaded while a callback runs; it is not waited for", name)
         context.close()
         self._free(name, entry)
@@ -201,9 +205,10 @@ class Loader:
             if self._entries.get(name) is entry:
                 del self._entries[name]
 
-    def _unload_self(self, name: str) -> None:
+    def _unload_self(self, name: str, entry: _Entry) -> None:
+        # By its entry: another nodelet may have the name by now.
         try:
-            self.unload(name)
+            self._unload(name, entry)
         except UnknownNodelet:
             _log.info("%s: asked to be unloaded twice", name)
 

@@ -149,7 +149,7 @@ def _import(declared: PluginClass) -> Type[Nodelet]:
         importlib.invalidate_caches()
     try:
         module = importlib.import_module(module_name)
-    except Exception as error:  # an import runs the author's code: anything can come out
+    except (Exception, SystemExit) as error:  # an import runs the author's code
         raise BrokenPlugin(
             what, f"cannot import '{module_name}': {type(error).__name__}: {error}"
         ) from error

@@ -37,16 +37,30 @@ _log = logging.getLogger("rosout.dyknow")
 class Strand:
     """Serial executor: at most one of its tasks runs at any time, in the order of ``post``."""
 
-    __slots__ = ("__weakref__", "_busy", "_ready", "_tasks", "alive", "name", "turns")
+    __slots__ = (
+        "__weakref__",
+        "_busy",
+        "_held",
+        "_noted",
+        "_ready",
+        "_tasks",
+        "alive",
+        "name",
+        "running",
+        "turns",
+    )
 
     def __init__(self, executor: Executor, name: str, held: bool = False) -> None:
         """Create a strand on ``executor``; a ``held`` one collects tasks until ``resume``."""
         self.name = name
         self.alive = True
+        self.running = False
         self.turns = 0
         self._tasks: Deque[Task] = collections.deque()
         self._busy = threading.Lock()
         self._ready = executor.ready
+        self._held = held
+        self._noted = False
         if held:
             self._busy.acquire()
         executor.strands.add(self)
@@ -64,17 +78,26 @@ class Strand:
                 self._ready(self)
 
     def resume(self) -> None:
-        """Start a strand that was created held."""
-        self._ready(self)
+        """Start a strand that was created held; nothing if it runs already."""
+        if self._held:
+            self._held = False
+            self._ready(self)
 
-    def kill(self) -> None:
-        """Drop what is queued and refuse what comes; a task that runs is not waited for."""
+    def kill(self, noted: bool = False) -> None:
+        """Drop what is queued and refuse what comes; a task that runs is not waited for.
+
+        Args:
+            noted: say in the log when the task that runs now has ended.
+        """
+        if noted and self.running:
+            self._noted = True
         self.alive = False
 
     def run(self) -> bool:
         """Run what is queued, called by one worker at a time; True if it must be queued again."""
         tasks = self._tasks
         while True:
+            self.running = True
             for _ in range(_BUDGET):
                 if not tasks:
                     break
@@ -88,8 +111,11 @@ class Strand:
                 except BaseException:  # the boundary: sys.exit() in a task must not end a worker
                     _log.error("%s: a task failed\n%s", self.name, traceback.format_exc())
             else:
+                self.running = False
                 return True
-            if not self.alive:
+            self.running = False
+            if self._noted:
+                self._noted = False
                 _log.info("%s: the callback that ran at the unload has ended", self.name)
             self._busy.release()
             # Somebody may have posted after the last look and found the lock still taken.

@@ -82,3 +82,6 @@ class Service(Closable):
         except Exception as error:  # the boundary: raised again where the caller waits
             self._context.callback_errors += 1
             return None, error
+        except BaseException as error:  # sys.exit(): must end neither this worker nor the caller
+            self._context.failed(f"service '{self.resolved_name}'", error)
+            return None, RuntimeError(f"the handler raised {type(error).__name__}: {error}")

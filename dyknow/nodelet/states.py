@@ -6,6 +6,7 @@ from typing import Any, Callable, List, Optional, Tuple
 
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.endpoints import Publication
+from dyknow.nodelet.scheduler import Strand
 
 Callback = Callable[..., Any]
 
@@ -39,7 +40,7 @@ class SubscriberState:
         callback: Optional[Callback],
         callback_args: Any,
         queue_size: Optional[int],
-        concurrent: bool,
+        strand: Strand,
         **options: Any,
     ) -> None:
         """Make a subscription that is not connected yet.
@@ -51,14 +52,13 @@ class SubscriberState:
             callback: called with each message; more can be added.
             callback_args: given to ``callback`` after the message, unless None, as in rospy.
             queue_size: messages that wait at most.
-            concurrent: whether it has a strand of its own.
+            strand: where the callbacks run; one of its own goes with the subscription.
             options: for the outside half.
         """
         self.context = context
         self.name = name
         self.datatype = datatype
-        self._own_strand = concurrent
-        self._strand = context.new_strand(name) if concurrent else context.strand
+        self._strand = strand
         self._callbacks: Tuple[Tuple[Callback, Tuple[Any, ...]], ...] = ()
         if callback is not None:
             args = () if callback_args is None else (callback_args,)
@@ -69,7 +69,7 @@ class SubscriberState:
             datatype,
             callback if plain and callback is not None else self._spread,
             queue_size,
-            self._strand,
+            strand,
             **options,
         )
 
@@ -93,5 +93,4 @@ class SubscriberState:
     def unregister(self, handle: object) -> None:
         """Stop receiving."""
         self.context.release(self.subscription)
-        if self._own_strand:
-            self.context.drop_strand(self._strand)
+        self.context.drop_strand(self._strand)

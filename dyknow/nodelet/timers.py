@@ -35,7 +35,7 @@ class Timer:
         self.due = 0.0
         self._queue = queue
         self._callback = callback
-        self._strand = strand
+        self.strand = strand
         self._failed = failed
         self._pending = threading.Lock()
         self._done = False
@@ -55,7 +55,7 @@ class Timer:
         """Queue the callback, unless the last one still waits."""
         if not self._done and self._pending.acquire(False):
             due = self.due
-            self._strand.post(lambda: self._call(due))
+            self.strand.post(lambda: self._call(due))
 
     def _call(self, due: float) -> None:
         self._pending.release()

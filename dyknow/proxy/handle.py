@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Callable, Optional
+from typing import Any, Callable, Dict, Optional
 
 from dyknow.nodelet.handle import DEFAULT_BUFF_SIZE, Inbox, Publisher, Subscriber
 from dyknow.nodelet.handle import NodeHandle as PlainNodeHandle
@@ -66,7 +66,9 @@ class NodeHandle:
 
         It starts disconnected unless the load request remaps its name.
         """
-        given = {"buff_size": buff_size} if buff_size != DEFAULT_BUFF_SIZE else {}
+        given: Dict[str, Any] = {}
+        if buff_size != DEFAULT_BUFF_SIZE:
+            given["buff_size"] = buff_size
         state = self._proxy.subscriber(
             self._plain,
             port,
@@ -88,7 +90,7 @@ class NodeHandle:
         """
         inbox = Inbox(self._plain.context)
         state = self._proxy.subscriber(
-            self._plain, port, topic_type, inbox.put, None, 1, concurrent=True
+            self._plain, port, topic_type, inbox.put, None, 1, concurrent=True, at_once=True
         )
         try:
             return inbox.get(f"a message at port '{port}'", timeout)

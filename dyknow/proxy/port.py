@@ -13,7 +13,7 @@ from dyknow.nodelet.bus import Endpoint
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.endpoints import Publication
 from dyknow.nodelet.states import PublisherState, SubscriberState
-from dyknow.nodelet.traffic import TrafficSnapshot
+from dyknow.nodelet.traffic import Traffic, TrafficSnapshot
 
 IN, OUT = "in", "out"
 
@@ -53,6 +53,8 @@ class Port:
         self.name = name
         self.datatype = datatype
         self.topic = topic
+        self._traffics: List[Traffic] = []
+        self._free: List[Traffic] = []
 
     @property
     def config(self) -> PortConfig:
@@ -68,10 +70,20 @@ class Port:
         """What moves when the port is connected elsewhere."""
         raise NotImplementedError
 
+    def count(self, endpoint: Endpoint) -> None:
+        """Count what goes through ``endpoint``, going on where one that has left stopped."""
+        if self._free:
+            endpoint.traffic = self._free.pop()
+        else:
+            self._traffics.append(endpoint.traffic)
+
+    def leave(self, endpoint: Endpoint) -> None:
+        """Keep the counts of an endpoint that goes."""
+        self._free.append(endpoint.traffic)
+
     def statistics(self) -> PortStatistics:
         """What went through."""
-        snapshots = [endpoint.traffic.snapshot() for endpoint in self.endpoints()]
-        return PortStatistics(self.config, _together(snapshots))
+        return PortStatistics(self.config, _together([each.snapshot() for each in self._traffics]))
 
 
 class OutPort(Port):
@@ -112,6 +124,9 @@ class PortPublisher(PublisherState):
         super().__init__(context, port.name, publication)
         self._port = port
         port.handles.append(self)
+        if port.publication is None:
+            port.publication = publication
+            port.count(publication)
 
     def unregister(self, handle: object) -> None:
         """Withdraw the publication with the last handle; the port stays."""
@@ -121,6 +136,7 @@ class PortPublisher(PublisherState):
         if not port.handles and port.publication is not None:
             publication, port.publication = port.publication, None
             self.context.release(publication)
+            port.leave(publication)
 
 
 class PortSubscriber(SubscriberState):
@@ -130,12 +146,16 @@ class PortSubscriber(SubscriberState):
         """Receive what the port receives."""
         self._port = port
         port.handles.append(self)
+        port.count(self.subscription)
 
     def unregister(self, handle: object) -> None:
         """Stop receiving; the port stays."""
-        if self in self._port.handles:
+        joined = self in self._port.handles
+        if joined:
             self._port.handles.remove(self)
         super().unregister(handle)
+        if joined:
+            self._port.leave(self.subscription)
 
 
 def _together(snapshots: Sequence[TrafficSnapshot]) -> TrafficSnapshot:

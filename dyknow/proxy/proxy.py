@@ -10,6 +10,7 @@ import threading
 from dataclasses import dataclass
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
+from dyknow import names
 from dyknow.errors import (
     DuplicatePort,
     DyKnowError,
@@ -22,8 +23,7 @@ from dyknow.errors import (
     UnknownPort,
     UnloadedMeanwhile,
 )
-from dyknow import names
-from dyknow.nodelet.bus import Move
+from dyknow.nodelet.bus import Endpoint
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.handle import NodeHandle
 from dyknow.proxy.port import (
@@ -40,6 +40,7 @@ from dyknow.proxy.port import (
 #: Seconds that a reconfiguration waits for peers outside.
 PATIENCE = 0.5
 
+Change = Tuple[Port, str]
 ReconfigureCallback = Callable[[Dict[str, str], Dict[str, str]], None]
 
 
@@ -104,18 +105,17 @@ class NodeletProxy:
             TooMuch: the request is beyond the limits.
             UnloadedMeanwhile: the nodelet was unloaded; nothing is connected any more.
         """
-        with self._turn:
-            changes = self._checked(config)
-            changed = [port for port, topic in changes if port.topic != topic]
-            if not changed:
-                return
-            topics = {port.name: topic for port, topic in changes}
-            moves = [(endpoint, topic) for port, topic in changes for endpoint in port.endpoints()]
-            self._switch(moves, self._maps(topics))
-            for port, topic in changes:
-                port.topic = topic
-            self._reconfigurations += 1
-        self.on_change()
+        before = self._reconfigurations
+        try:
+            with self._turn:
+                changes = self._checked(config)
+                if all(port.topic == topic for port, topic in changes):
+                    return
+                while not self._switched(changes):
+                    pass  # a handle was unregistered meanwhile; its port goes on without it
+        finally:
+            if self._reconfigurations != before:
+                self.on_change()
 
     def get_statistics(self) -> ProxyStatistics:
         """Return the counts of this moment."""
@@ -156,12 +156,11 @@ class NodeletProxy:
                 publication = self._context.publication(
                     name, datatype, latch, queue_size, **options
                 )
-                self._place(port, publication)
-                port.publication = publication
             elif publication.latch != latch:
                 wanted = "latched" if latch else "not latched"
                 raise PortConflict(name, port.kind, wanted)
             state = PortPublisher(self._context, port, publication)
+            self._place(port, state, publication)
         self.on_change()
         return state
 
@@ -174,61 +173,65 @@ class NodeletProxy:
         callback_args: Any,
         queue_size: Optional[int],
         concurrent: bool,
+        at_once: bool = False,
         **options: Any,
     ) -> PortSubscriber:
         """Declare an in-port, or share one that is there.
+
+        The callback is run on a strand of its own if ``concurrent``, and during ``on_init`` too
+        if ``at_once``.
 
         Raises:
             PortConflict: the port exists as an out-port, or with another type.
         """
         with self._turn:
             port = self._declare(InPort, handle, name, datatype)
+            context = self._context
             state = PortSubscriber(
-                self._context,
+                context,
                 name,
                 datatype,
                 callback,
                 callback_args,
                 queue_size,
-                concurrent,
+                context.new_strand(name, at_once) if concurrent else context.strand,
                 **options,
             )
-            self._place(port, state.subscription)
             state.join(port)
+            self._place(port, state, state.subscription)
         self.on_change()
         return state
 
     # Inside
 
     def _declare(self, kind: Any, handle: NodeHandle, name: str, datatype: Any) -> Any:
-        names.check(name, "port name")
+        name = names.check(name, "port name")
         port = self._ports.get(name)
         if port is None:
             resolved = names.resolve(name, handle.namespace, self._context.name)
             topic = self._context.remappings.get(resolved, "")
             if topic:
                 self._context.runtime.guards().check_topic(topic)
-            port = self._ports[name] = kind(name, datatype, topic)
+            port = kind(name, datatype, topic)
         elif port.direction != kind.direction or port.datatype._md5sum != datatype._md5sum:
             raise PortConflict(name, port.kind, f"{kind.direction}-port of type {datatype._type}")
         return port
 
-    def _place(self, port: Port, endpoint: Any) -> None:
-        if not port.topic:
-            return
+    def _place(self, port: Port, state: Any, endpoint: Endpoint) -> None:
         try:
             self._context.runtime.bus.rewire([(endpoint, port.topic)])
         except BaseException:
-            self._context.release(endpoint)
+            state.unregister(self)
             raise
+        self._ports[port.name] = port
 
-    def _checked(self, config: Sequence[Tuple[str, str]]) -> List[Tuple[Port, str]]:
+    def _checked(self, config: Sequence[Tuple[str, str]]) -> List[Change]:
         guards = self._context.runtime.guards()
         guards.check_sizes((text for pair in config for text in pair), len(config))
         problems: List[DyKnowError] = []
-        changes: List[Tuple[Port, str]] = []
+        changes: List[Change] = []
         seen: Dict[str, int] = {}
-        types: Dict[str, Any] = {}
+        types: Dict[str, str] = {}
         for name, _ in config:
             seen[name] = seen.get(name, 0) + 1
         problems.extend(DuplicatePort(name) for name, count in seen.items() if count > 1)
@@ -260,15 +263,20 @@ class NodeletProxy:
             raise RemappedTopic(topic, target)
         return topic
 
-    def _check_type(self, port: Port, topic: str, types: Dict[str, Any]) -> None:
+    def _check_type(self, port: Port, topic: str, types: Dict[str, str]) -> None:
+        # ``types`` has what is known of topics: what lives there, or the first port to come.
         wanted = port.datatype._type
-        present = types.setdefault(topic, wanted)
-        if topic != port.topic and present == wanted:
-            present = self._context.runtime.bus.datatype_of(topic) or wanted
-        if "*" not in (wanted, present) and wanted != present:
+        if wanted == "*":
+            return
+        if topic not in types and topic != port.topic:
+            types[topic] = self._context.runtime.bus.datatype_of(topic)
+        present = types.get(topic) or wanted
+        types[topic] = present
+        if present not in ("*", wanted):
             raise TypeMismatch(topic, f"{wanted} (port '{port.name}')", present)
 
-    def _maps(self, topics: Dict[str, str]) -> Tuple[Dict[str, str], Dict[str, str]]:
+    def _maps(self, changes: Sequence[Change]) -> Tuple[Dict[str, str], Dict[str, str]]:
+        topics = {port.name: topic for port, topic in changes}
         inputs: Dict[str, str] = {}
         outputs: Dict[str, str] = {}
         for port in self._ports.values():
@@ -276,8 +284,12 @@ class NodeletProxy:
             side[port.name] = topics.get(port.name, port.topic)
         return inputs, outputs
 
-    def _switch(self, moves: Sequence[Move], maps: Tuple[Dict[str, str], Dict[str, str]]) -> None:
+    def _switched(self, changes: Sequence[Change]) -> bool:
         context, callback = self._context, self._callback
+        maps = self._maps(changes)
+        moves = [(endpoint, topic) for port, topic in changes for endpoint in port.endpoints()]
+        if context.closed:
+            raise UnloadedMeanwhile(self.name, "reconfiguration")
 
         def tell() -> None:
             assert callback is not None
@@ -287,6 +299,9 @@ class NodeletProxy:
                 context.failed("a reconfiguration", error)
 
         def between() -> None:
+            for port, topic in changes:
+                port.topic = topic
+            self._reconfigurations += 1
             if callback is not None:
                 context.strand.post(tell)
 
@@ -295,6 +310,7 @@ class NodeletProxy:
         except HandleClosed as closed:
             if context.closed:
                 raise UnloadedMeanwhile(self.name, "reconfiguration") from closed
-            raise
+            return False
         except TypeMismatch as problem:
             raise InvalidConfiguration(self.name, [problem]) from problem
+        return True

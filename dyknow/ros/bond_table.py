@@ -11,22 +11,18 @@ import uuid
 from dataclasses import dataclass, field
 from typing import Callable, Iterable
 
+from dyknow.errors import DyKnowError
 from dyknow.ros.bond_states import BondEnd, BondState, BondTimings, Outcome
 
 OnBroken = Callable[[], None]
 
 
-class DuplicateBond(ValueError):
-    """A bond with this id exists already.
-
-    Attributes:
-        bond_id: The id.
-    """
+class DuplicateBond(DyKnowError):
+    """A bond with this id is alive already."""
 
     def __init__(self, bond_id: str) -> None:
-        """Take the id that was given twice."""
-        super().__init__(f"there is a bond with the id '{bond_id}' already")
         self.bond_id = bond_id
+        super().__init__(f"there is a bond with the id '{bond_id}' already; choose another id")
 
 
 @dataclass(frozen=True)

@@ -21,9 +21,10 @@ from typing import Any, Callable, Sequence
 import rospy
 from bond.msg import Constants, Status
 
+from dyknow.errors import DyKnowError, PeerTimeout
 from dyknow.ros.bond_states import BondTimings
 from dyknow.ros.bond_table import BondTable, Effects, OnBroken, Word
-from dyknow.ros.remote_calls import RemoteCallTimeout, call_within
+from dyknow.ros.remote_calls import call_within
 
 STOCK_TIMINGS = BondTimings(
     connect_timeout=Constants.DEFAULT_CONNECT_TIMEOUT,
@@ -41,8 +42,12 @@ _QUEUE_SIZE = 1000
 _PARAMETER_TIMEOUT = 1.0
 
 
-class BondsClosed(RuntimeError):
+class BondsClosed(DyKnowError):
     """A bond was to be started after `Bonds.close`."""
+
+    def __init__(self, topic: str) -> None:
+        self.topic = topic
+        super().__init__(f"no new bonds on '{topic}': this end is closed")
 
 
 def in_a_thread(work: Callable[[], None]) -> None:
@@ -93,7 +98,7 @@ class Bonds:
         """
         with self._condition:
             if self._closed_until is not None:
-                raise BondsClosed(f"no new bonds on {self._topic}: it is closed")
+                raise BondsClosed(self._topic)
             effects = self._table.add(bond_id, on_broken, time.monotonic())
             if self._thread is None:
                 self._thread = threading.Thread(target=self._serve, name="bonds", daemon=True)
@@ -219,7 +224,7 @@ class Bonds:
             return bool(
                 call_within(_PARAMETER_TIMEOUT, name, lambda: rospy.get_param(name, False))
             )
-        except (OSError, RemoteCallTimeout, rospy.ROSException) as error:
+        except (OSError, PeerTimeout, rospy.ROSException) as error:
             rospy.logwarn(
                 f"Cannot read the parameter {name}, so heartbeat timeouts count: {error}"
             )

@@ -22,14 +22,16 @@ from typing import Sequence
 import rospy
 from nodelet.srv import NodeletLoad, NodeletLoadRequest, NodeletUnload
 
+from dyknow.errors import PeerTimeout
 from dyknow.ros.bonds import Bonds
 from dyknow.ros.exit_codes import DONE, FAILED, INTERRUPTED
-from dyknow.ros.remote_calls import RemoteCallTimeout, call_within
+from dyknow.ros.remote_calls import call_within
 
 _UNLOAD_TIMEOUT = 10.0
 _LOAD_TIMEOUT_AT_EXIT = 0.5
 _UNLOAD_TIMEOUT_AT_EXIT = 2.0
 _BOND_TIMEOUT_AT_EXIT = 0.2
+_LAST_WORD = 0.05
 _LONGEST_EXIT = 4.0
 _SHUTDOWN_TIMEOUT = 2.0
 
@@ -89,7 +91,7 @@ def unload(name: str, manager: str, timeout: float) -> bool:
     failure = f"Failed to unload nodelet '{name}` from manager `{manager}'"
     try:
         call_within(timeout, service, lambda: rospy.ServiceProxy(service, NodeletUnload)(name))
-    except RemoteCallTimeout as error:
+    except PeerTimeout as error:
         rospy.logfatal(f"{failure}: {error}")
         return False
     except rospy.ServiceException as error:
@@ -153,7 +155,7 @@ class _LoadClient:
             return DONE
         unloaded = unload(self._name, self._manager, _UNLOAD_TIMEOUT_AT_EXIT)
         if bonds is not None:
-            bonds.close(_BOND_TIMEOUT_AT_EXIT if unloaded else 0.0)
+            bonds.close(_BOND_TIMEOUT_AT_EXIT if unloaded else _LAST_WORD)
         return DONE
 
     def _abandon_load(self) -> None:
@@ -227,6 +229,7 @@ def _cause(error: rospy.ServiceException) -> str:
     if said is None:
         return f": {error}"
     text = ast.literal_eval(said.group(1)).decode("utf-8", "replace")
+    text = re.sub("^(service cannot process|error processing) request: ", "", text)
     return f": {text}" if text else ""
 
 

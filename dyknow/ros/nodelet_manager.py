@@ -24,8 +24,8 @@ from nodelet.srv import (
     NodeletUnloadResponse,
 )
 
-from dyknow.errors import DyKnowError
 from dyknow import names
+from dyknow.errors import BadParameter, DyKnowError
 from dyknow.nodelet.context import Context, Runtime
 from dyknow.nodelet.loader import Loader
 from dyknow.nodelet.middleware import Closable
@@ -34,6 +34,7 @@ from dyknow.nodelet.scheduler import WorkerPool
 from dyknow.proxy.proxy import NodeletProxy
 from dyknow.ros.announcements import Announcer
 from dyknow.ros.bonds import Bonds
+from dyknow.ros.exit_codes import DONE, FAILED
 from dyknow.ros.guard_parameters import GuardParameters, caller_of
 from dyknow.ros.middleware import RospyMiddleware
 from dyknow.ros.owner import end_when_orphaned
@@ -61,16 +62,16 @@ class Settings:
         """Read the node's private parameters.
 
         Raises:
-            DyKnowError: a parameter has no sensible value.
+            BadParameter: a parameter has no sensible value.
         """
         workers = rospy.get_param("~num_worker_threads", cls.num_worker_threads)
         if isinstance(workers, bool) or not isinstance(workers, int) or workers < 0:
-            raise DyKnowError(f"~num_worker_threads: expected an integer from 0, not {workers!r}")
+            raise BadParameter("~num_worker_threads", workers, "an integer from 0")
         seconds = {}
         for name in ("switch_interval", "stuck_after"):
             value = rospy.get_param("~" + name, getattr(cls, name))
             if isinstance(value, bool) or not isinstance(value, (int, float)) or not value > 0:
-                raise DyKnowError(f"~{name}: expected seconds above 0, not {value!r}")
+                raise BadParameter(f"~{name}", value, "seconds above 0")
             seconds[name] = float(value)
         return cls(workers, **seconds)
 
@@ -170,12 +171,13 @@ class NodeletManager:
     # Bonds
 
     def _bond(self, name: str, bond_id: str) -> None:
+        self._bonded[name] = bond_id  # first: the bond may break at once
         try:
             self._bonds.add(bond_id, lambda: self._unload_bonded(name, bond_id))
         except BaseException:
+            del self._bonded[name]
             self.loader.unload(name)
             raise
-        self._bonded[name] = bond_id
         if name not in self.loader.list():  # unloaded in between
             self._unloaded(name)
 
@@ -259,7 +261,7 @@ def _serve(manager: NodeletManager) -> int:
 
     rospy.on_shutdown(end)
     ended.wait()  # rospy.spin() would wake up twice a second for nothing
-    return 0
+    return DONE
 
 
 def _start(node: str, argv: Sequence[str]) -> Optional[NodeletManager]:
@@ -275,7 +277,7 @@ def run_manager(argv: Sequence[str], node: str = "manager") -> int:
     """Run a nodelet manager until it is told to end; returns the exit code."""
     manager = _start(node, argv)
     if manager is None:
-        return 1
+        return FAILED
     manager.offer()
     _end_without_owner()
     return _serve(manager)
@@ -285,7 +287,7 @@ def run_standalone(type_name: str, my_argv: Sequence[str], argv: Sequence[str]) 
     """Run one nodelet in a process of its own, under the name of the node."""
     manager = _start(type_name.replace("/", "_"), argv)
     if manager is None:
-        return 1
+        return FAILED
     remappings = {
         source: target
         for source, target in rospy.names.get_resolved_mappings().items()
@@ -298,5 +300,5 @@ def run_standalone(type_name: str, my_argv: Sequence[str], argv: Sequence[str]) 
     except DyKnowError as error:
         rospy.logfatal("Failed to load nodelet [%s]: %s", rospy.get_name(), error)
         manager.close()
-        return 1
+        return FAILED
     return _serve(manager)

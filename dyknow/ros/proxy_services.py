@@ -14,8 +14,8 @@ from dyknow_msgs.srv import (
     SetConfigResponse,
 )
 
-from dyknow.errors import DyKnowError
 from dyknow import names
+from dyknow.errors import DyKnowError
 from dyknow.nodelet.middleware import Closable
 from dyknow.proxy.proxy import NodeletProxy
 from dyknow.ros.guard_parameters import GuardParameters, caller_of

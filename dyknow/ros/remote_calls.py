@@ -10,22 +10,9 @@ import queue
 import threading
 from typing import Callable, TypeVar
 
+from dyknow.errors import PeerTimeout
+
 T = TypeVar("T")
-
-
-class RemoteCallTimeout(Exception):
-    """A remote call took longer than it was given.
-
-    Attributes:
-        what: What was called.
-        seconds: The time that it was given.
-    """
-
-    def __init__(self, what: str, seconds: float) -> None:
-        """Take what was called and the time that it was given."""
-        super().__init__(f"{what} did not answer within {seconds:g} s")
-        self.what = what
-        self.seconds = seconds
 
 
 def call_within(seconds: float, what: str, call: Callable[[], T]) -> T:
@@ -39,7 +26,7 @@ def call_within(seconds: float, what: str, call: Callable[[], T]) -> T:
         call: The call.
 
     Raises:
-        RemoteCallTimeout: It did not end in time.
+        PeerTimeout: It did not end in time.
         Exception: Whatever the call raises.
     """
     results: queue.SimpleQueue[tuple[Exception | None, T | None]] = queue.SimpleQueue()
@@ -54,7 +41,7 @@ def call_within(seconds: float, what: str, call: Callable[[], T]) -> T:
     try:
         error, result = results.get(timeout=seconds)
     except queue.Empty:
-        raise RemoteCallTimeout(what, seconds) from None
+        raise PeerTimeout(what, seconds) from None
     if error is not None:
         raise error
     return result  # type: ignore[return-value]

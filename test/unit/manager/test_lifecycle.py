@@ -70,7 +70,7 @@ def test_names_and_topics_are_resolved_as_the_nodelet_would(world: World) -> Non
     ],
 )
 def test_what_is_wrong_is_named_and_leaves_nothing(
-    world: World, label: str, config: "dict[str, str]", error: type, words: "list[str]"
+    world: World, label: str, config: dict[str, str], error: type, words: list[str]
 ) -> None:
     with pytest.raises(error) as raised:
         world.spawn(label, "x", config=config)
@@ -197,7 +197,10 @@ def test_a_plain_nodelet_is_wired_by_remapping_and_rewired_by_reload(world: Worl
         "/robot/image": "/cam/image",
         "/robot/n/out": "/small",
     }
-    assert [(p.name, p.topic) for p in record.ports] == [("image", "/cam/image"), ("~out", "/small")]
+    assert [(p.name, p.topic) for p in record.ports] == [
+        ("image", "/cam/image"),
+        ("~out", "/small"),
+    ]
     world.manager.reconfigure("/robot/n", {"image": "/other"})
     assert world.host.nodelet("/robot/n").request.remappings["/robot/image"] == "/other"
     assert world.host.nodelet("/robot/n").request.remappings["/robot/n/out"] == "/small"

@@ -88,6 +88,6 @@ class World:
         """Spawn with keywords."""
         return self.manager.spawn(SpawnRequest(label, name, **kwds))
 
-    def states(self) -> "dict[str, str]":
+    def states(self) -> dict[str, str]:
         """State of each nodelet in the model."""
         return {each.name: each.state.name for each in self.manager.graph.all()}

@@ -1,0 +1,165 @@
+"""The processes of the demonstration: a roscore where there is none, and a nodelet manager.
+
+Who owns what: ``Processes`` owns what it started and ends exactly that, by process id, in reverse
+order, however the demonstration ends.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from types import TracebackType
+from typing import Callable, Dict, List, Optional, Sequence, Tuple, Type
+
+from dyknow.errors import DyKnowError, PeerTimeout
+from dyknow.ros.master import Master
+
+#: Seconds for a process to be up, and to end after each signal.
+START_TIMEOUT = 20.0
+END_TIMEOUT = 5.0
+
+_LOOK = 0.05
+_TAIL = 20
+
+
+class ProcessFailed(DyKnowError):
+    """A process of the demonstration ended by itself, or was not ready in time."""
+
+    def __init__(self, what: str, reason: str, output: str) -> None:
+        super().__init__(f"{what} {reason}; the last it printed:\n{output or '(nothing)'}")
+
+
+class Processes:
+    """Child processes with their output in files of a temporary folder."""
+
+    def __init__(self) -> None:
+        self._children: List[Tuple[str, subprocess.Popen[bytes], Path]] = []
+        self._folder = tempfile.TemporaryDirectory(prefix="dyknow_demo_")
+
+    def __enter__(self) -> Processes:
+        return self
+
+    def __exit__(
+        self,
+        kind: Optional[Type[BaseException]],
+        error: Optional[BaseException],
+        trace: Optional[TracebackType],
+    ) -> None:
+        # A second Ctrl-C must not leave processes behind.
+        handlers = {each: signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)}
+        for each in handlers:
+            signal.signal(each, signal.SIG_IGN)
+        try:
+            for _, child, _ in reversed(self._children):
+                _end(child)
+            self._folder.cleanup()
+        finally:
+            for each, handler in handlers.items():
+                signal.signal(each, handler)
+
+    def start(
+        self,
+        what: str,
+        command: Sequence[str],
+        environment: Dict[str, str],
+        ready: Callable[[], bool],
+    ) -> int:
+        """Start a process, wait until it is ready, and return its id.
+
+        Raises:
+            ProcessFailed: it ended, or was not ready in time.
+        """
+        log = Path(self._folder.name) / f"{len(self._children)}.log"
+        with log.open("wb") as output:
+            child = subprocess.Popen(
+                command,
+                env={**os.environ, **environment},
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,  # Ctrl-C reaches us alone; we end it in its turn
+            )
+        self._children.append((what, child, log))
+        deadline = time.monotonic() + START_TIMEOUT
+        while not ready():
+            self.check()
+            if time.monotonic() > deadline:
+                raise ProcessFailed(what, f"was not ready after {START_TIMEOUT:.0f} s", _tail(log))
+            time.sleep(_LOOK)
+        return child.pid
+
+    def check(self, patience: float = 0.0) -> None:
+        """Make sure that all still run.
+
+        Args:
+            patience: seconds for each to end, where there is reason to think that one does.
+
+        Raises:
+            ProcessFailed: one has ended.
+        """
+        for what, child, log in self._children:
+            try:
+                code = child.wait(patience)
+            except subprocess.TimeoutExpired:
+                continue
+            raise ProcessFailed(what, f"ended with exit code {code}", _tail(log))
+
+
+def system_master() -> str:
+    """URI of the master that the environment names."""
+    return Master("/dyknow_demo").uri
+
+
+def master_answers() -> bool:
+    """Whether the master that the environment names answers."""
+    try:
+        Master("/dyknow_demo", timeout=1.0).ask("getPid")
+    except PeerTimeout:
+        return False
+    return True
+
+
+def start_roscore(processes: Processes) -> str:
+    """Start a roscore on a free port of the loopback interface, and use it from now on.
+
+    Returns:
+        Its URI.
+    """
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    uri = f"http://127.0.0.1:{port}"
+    os.environ.pop("ROS_HOSTNAME", None)
+    os.environ.update(ROS_MASTER_URI=uri, ROS_IP="127.0.0.1")
+    processes.start("roscore", ["roscore", "-p", str(port)], {}, master_answers)
+    return uri
+
+
+def start_manager(processes: Processes, name: str, ready: Callable[[], bool]) -> int:
+    """Start a nodelet manager under a global name and return its process id."""
+    namespace, _, base = name.rpartition("/")
+    command = [sys.executable, "-m", "dyknow.cli.nodelet", "manager", f"__name:={base}"]
+    return processes.start(
+        "the nodelet manager", command, {"ROS_NAMESPACE": namespace or "/"}, ready
+    )
+
+
+def _end(child: subprocess.Popen[bytes]) -> None:
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
+        if child.poll() is not None:
+            return
+        child.send_signal(number)
+        try:
+            child.wait(END_TIMEOUT)
+        except subprocess.TimeoutExpired:
+            continue
+
+
+def _tail(log: Path) -> str:
+    return "\n".join(log.read_text(errors="replace").splitlines()[-_TAIL:])

@@ -1,0 +1,1 @@
+"""Nodelets that come with DyKnow, useful as they are and small enough to copy from."""

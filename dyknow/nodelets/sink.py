@@ -1,0 +1,49 @@
+"""The nodelet dyknow/Sink: what arrives, and how late."""
+
+from __future__ import annotations
+
+from typing import Any, List
+
+import dyknow
+from dyknow.nodelets.stamps import StampField
+from dyknow.ros.parameters import get_datatype, get_positive
+
+
+class Sink(dyknow.Nodelet):
+    """Logs the rate of what it receives and, if the messages are stamped, their latency.
+
+    Ports:
+        in: any type.
+
+    Parameters:
+        ~datatype (string, std_msgs/Header): ROS type of the messages.
+        ~period (double, 5): seconds from one line in the log to the next.
+    """
+
+    def on_init(self) -> None:
+        """Declare the port and start the timer."""
+        self.nh = dyknow.NodeHandle(self.node_handle)
+        datatype = get_datatype(self.nh)
+        self.stamp = StampField.of(datatype)
+        self.period = get_positive(self.nh, "~period", 5.0, "s")
+        self.count = 0
+        self.latencies: List[float] = []
+        self.sub = self.nh.Subscriber("in", datatype, self.on_message, queue_size=100)
+        self.timer = self.nh.Timer(self.nh.Duration(self.period), self.on_timer)
+
+    def on_message(self, message: Any) -> None:
+        """Count a message; its latency is that from its stamp to now, in s."""
+        self.count += 1
+        if self.stamp is not None:
+            self.latencies.append(self.nh.get_time() - self.stamp.read(message).to_sec())
+
+    def on_timer(self, event: Any) -> None:
+        """Log what came since the last time."""
+        line = f"{self.count} messages, {self.count / self.period:.1f} Hz"
+        if self.latencies:
+            mean = 1000 * sum(self.latencies) / len(self.latencies)
+            worst = 1000 * max(self.latencies)
+            line += f", latency {mean:.3f} ms on average, {worst:.3f} ms at most"
+        self.nh.loginfo("%s: %s", self.name, line)
+        self.count = 0
+        self.latencies = []

@@ -1,0 +1,40 @@
+"""Parameters of nodelets, checked when a nodelet is loaded."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import roslib.message
+
+from dyknow.errors import BadParameter
+
+
+def get_datatype(nh: Any) -> Any:
+    """Return the message class that the parameter ``~datatype`` names.
+
+    Raises:
+        BadParameter: no message type of that name can be imported.
+    """
+    name = nh.get_param("~datatype", "std_msgs/Header")
+    found = None
+    if isinstance(name, str) and "/" in name:
+        try:
+            found = roslib.message.get_message_class(name)
+        except ValueError:
+            found = None  # more than one slash; reported below with everything else
+    if found is None:
+        expected = "a message type of a built package, such as sensor_msgs/Image"
+        raise BadParameter(nh.resolve_name("~datatype"), name, expected)
+    return found
+
+
+def get_positive(nh: Any, name: str, default: float, unit: str) -> float:
+    """Return a parameter that is a number above zero, or its default.
+
+    Raises:
+        BadParameter: it is something else.
+    """
+    value = nh.get_param(name, default)
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not value > 0:
+        raise BadParameter(nh.resolve_name(name), value, f"a number above 0, in {unit}")
+    return float(value)

@@ -1,0 +1,93 @@
+"""Real processes for tests: started, watched by what they print, and ended for certain."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from typing import Callable, Sequence
+
+NODELET = [sys.executable, "-m", "dyknow.cli.nodelet"]
+STOCK_NODELET = ["rosrun", "nodelet", "nodelet"]
+
+
+def eventually(condition: Callable[[], object], timeout: float, what: str) -> float:
+    """Wait until something holds and return how long (s) that took; fail when it does not."""
+    start = time.monotonic()
+    while not condition():
+        if time.monotonic() - start > timeout:
+            raise AssertionError(f"not within {timeout:g} s: {what}")
+        time.sleep(0.02)
+    return time.monotonic() - start
+
+
+class Running:
+    """A process; leaving the `with` block kills it."""
+
+    def __init__(self, *command: str) -> None:
+        self.command = command
+        self._lines: list[str] = []
+        self._process = subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            env={**os.environ, "PYTHONUNBUFFERED": "1"},
+        )
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def __enter__(self) -> Running:
+        return self
+
+    def __exit__(self, *unused: object) -> None:
+        if self._process.poll() is None:
+            self._process.kill()
+        self._process.wait()
+        self._reader.join()
+        self._process.stdout.close()
+
+    @property
+    def output(self) -> str:
+        return "".join(self._lines)
+
+    @property
+    def has_ended(self) -> bool:
+        return self._process.poll() is not None
+
+    def wait_for(self, text: str, timeout: float = 20.0) -> None:
+        """Wait until the process has printed a text."""
+        eventually(lambda: text in self.output or self.has_ended, timeout, self._says(text))
+        if text not in self.output:
+            self._reader.join()
+        assert text in self.output, self._says(text)
+
+    def stop(self, number: int = signal.SIGINT) -> None:
+        self._process.send_signal(number)
+
+    def exit_code(self, timeout: float) -> int:
+        """Wait for the end of the process."""
+        try:
+            code = self._process.wait(timeout)
+        except subprocess.TimeoutExpired:
+            raise AssertionError(f"still running: {self.command}\n{self.output}") from None
+        self._reader.join()
+        return code
+
+    def _says(self, text: str) -> str:
+        return f"{self.command} says '{text}'; it said:\n{self.output}"
+
+    def _read(self) -> None:
+        for line in self._process.stdout:
+            self._lines.append(line)
+
+
+def finished(command: Sequence[str], timeout: float = 20.0) -> tuple[int, str]:
+    """Run a process to its end; its exit code and all that it printed."""
+    with Running(*command) as process:
+        code = process.exit_code(timeout)
+    return code, process.output

@@ -1,0 +1,122 @@
+#!/usr/bin/env python3
+"""The node of the tutorial before and after its conversion: the same input, the same output."""
+
+from __future__ import annotations
+
+import queue
+import sys
+import time
+import unittest
+
+import cv2
+import numpy as np
+import rospy
+import rostest
+from geometry_msgs.msg import PointStamped
+from sensor_msgs.msg import Image
+from std_msgs.msg import Bool, Header
+from std_srvs.srv import SetBool
+
+VERSIONS = ("before", "after")
+TIMEOUT = 20.0  # s
+HEIGHT, WIDTH, RADIUS = 120, 160, 9
+
+
+def picture(number, ball=None):
+    """An image with a yellow ball at (x, y), or with none; its number is its time stamp."""
+    pixels = np.full((HEIGHT, WIDTH, 3), (60, 130, 40), np.uint8)
+    if ball is not None:
+        cv2.circle(pixels, ball, RADIUS, (30, 200, 250), -1)
+    header = Header(stamp=rospy.Time(number), frame_id="camera")
+    return Image(header, HEIGHT, WIDTH, "bgr8", 0, 3 * WIDTH, pixels.tobytes())
+
+
+class ConvertTest(unittest.TestCase):
+    def setUp(self):
+        self.balls = {version: queue.Queue() for version in VERSIONS}
+        self.visible = {version: queue.Queue() for version in VERSIONS}
+        for version in VERSIONS:
+            self.listen(f"/{version}/ball", PointStamped, self.balls[version])
+            self.listen(f"/{version}/ball_visible", Bool, self.visible[version])
+        self.camera = rospy.Publisher("/camera/image", Image, queue_size=100)
+        self.addCleanup(self.camera.unregister)
+        self.number = 0
+        self.connect()
+
+    def listen(self, topic, datatype, messages):
+        subscriber = rospy.Subscriber(topic, datatype, messages.put)
+        self.addCleanup(subscriber.unregister)
+
+    def send(self, ball=None):
+        self.number += 1
+        self.camera.publish(picture(self.number, ball))
+        return self.number
+
+    def connect(self):
+        """Send balls until both have found one, and let both come to the last of them."""
+        waiting = set(VERSIONS)
+        deadline = time.monotonic() + TIMEOUT
+        while waiting:
+            self.assertLess(time.monotonic(), deadline, f"nothing comes from {sorted(waiting)}")
+            self.send((20, 20))
+            for version in sorted(waiting):
+                try:
+                    self.balls[version].get(timeout=0.1)
+                    waiting.remove(version)
+                except queue.Empty:
+                    continue
+        self.found_until(self.send((20, 20)))
+
+    def found_until(self, last):
+        """What each version found, up to the image of that number."""
+        found = {version: [] for version in VERSIONS}
+        for version, balls in found.items():
+            while not balls or balls[-1].header.stamp.secs != last:
+                balls.append(self.balls[version].get(timeout=TIMEOUT))
+        return [
+            [(ball.header.stamp.secs, ball.header.frame_id, ball.point) for ball in found[version]]
+            for version in VERSIONS
+        ]
+
+    def wait_for(self, visible):
+        for version in VERSIONS:
+            while self.visible[version].get(timeout=TIMEOUT).data is not visible:
+                pass
+
+    def test_both_find_the_same_balls(self):
+        for x in range(RADIUS, WIDTH - RADIUS, 10):
+            # No more at once than their queues hold: a full queue drops images.
+            for ball in ((x, HEIGHT // 2), None, (x + 1, 20), None):
+                self.send(ball)
+            before, after = self.found_until(self.send((30, 40)))
+            self.assertEqual(before, after)
+            self.assertEqual(len(before), 3)
+        self.assertAlmostEqual(before[-1][2].x, 30)
+        self.assertAlmostEqual(before[-1][2].y, 40)
+
+    def test_both_tell_whether_the_ball_is_visible(self):
+        self.wait_for(True)
+        self.wait_for(False)
+        self.send((30, 40))
+        self.wait_for(True)
+
+    def test_both_offer_the_service(self):
+        for version in VERSIONS:
+            rospy.wait_for_service(f"/{version}/enable", TIMEOUT)
+        enable = [rospy.ServiceProxy(f"/{version}/enable", SetBool) for version in VERSIONS]
+        for call in enable:
+            self.assertTrue(call(False).success)
+        self.send((50, 50))
+        for version in VERSIONS:  # a message of the timer, which comes after that image
+            self.wait_for(False)
+            self.assertTrue(self.balls[version].empty())
+        for call in enable:
+            self.assertTrue(call(True).success)
+        before, after = self.found_until(self.send((60, 60)))
+        self.assertEqual(before, after)
+        self.assertEqual(len(before), 1)
+
+
+if __name__ == "__main__":
+    rospy.init_node("test_convert")
+    rostest.rosrun("dyknow", "convert", ConvertTest, sys.argv)

@@ -1,0 +1,163 @@
+#!/usr/bin/env python3
+"""The shipped nodelets in a real nodelet manager, used by an ordinary node of another process."""
+
+from __future__ import annotations
+
+import itertools
+import queue
+import sys
+import unittest
+
+import rosgraph
+import rospy
+import rostest
+from dyknow_msgs.msg import Port, PortConfig
+from dyknow_msgs.srv import GetConfig, GetStatistics, SetConfig
+from nodelet.srv import NodeletList, NodeletLoad, NodeletUnload
+from rosgraph_msgs.msg import Log
+from sensor_msgs.msg import Image
+from std_msgs.msg import Header, String
+
+TIMEOUT = 15.0  # s
+SHIPPED = {
+    "dyknow/Source": {("out", Port.OUT)},
+    "dyknow/Relay": {("in", Port.IN), ("out", Port.OUT)},
+    "dyknow/Throttle": {("in", Port.IN), ("out", Port.OUT)},
+    "dyknow/Sink": {("in", Port.IN)},
+}
+
+
+def service(name, service_class):
+    rospy.wait_for_service(name, TIMEOUT)
+    return rospy.ServiceProxy(name, service_class)
+
+
+class ShippedNodeletsTest(unittest.TestCase):
+    numbers = itertools.count()
+
+    @classmethod
+    def setUpClass(cls):
+        cls.load_nodelet = service("/manager/load_nodelet", NodeletLoad)
+        cls.unload_nodelet = service("/manager/unload_nodelet", NodeletUnload)
+        cls.list = service("/manager/list", NodeletList)
+
+    def load(self, nodelet_type, ports=(), **parameters):
+        """Load a nodelet with ports connected as in {port: topic}; returns its name."""
+        name = f"/nodelet_{next(self.numbers)}"
+        for key, value in parameters.items():
+            rospy.set_param(f"{name}/{key}", value)
+        ports = dict(ports)
+        self.load_nodelet(
+            name=name,
+            type=nodelet_type,
+            remap_source_args=[f"/{port}" for port in ports],
+            remap_target_args=list(ports.values()),
+        )
+        self.addCleanup(self.unload_nodelet, name)
+        return name
+
+    def listen(self, topic, datatype):
+        """Subscribe as a node of another process; returns the queue that messages come to."""
+        messages = queue.Queue()
+        subscriber = rospy.Subscriber(topic, datatype, messages.put)
+        self.addCleanup(subscriber.unregister)
+        return messages
+
+    def take(self, messages, count):
+        return [messages.get(timeout=TIMEOUT) for _ in range(count)]
+
+    def test_each_has_the_ports_that_its_docstring_states(self):
+        for nodelet_type, expected in SHIPPED.items():
+            for datatype in ("std_msgs/Header", "sensor_msgs/Image"):
+                with self.subTest(type=nodelet_type, datatype=datatype):
+                    name = self.load(nodelet_type, datatype=datatype)
+                    ports = service(f"{name}/get_config", GetConfig)().ports
+                    self.assertEqual({(port.name, port.direction) for port in ports}, expected)
+                    self.assertEqual({port.datatype for port in ports}, {datatype})
+                    self.assertEqual({port.topic for port in ports}, {""})
+
+    def test_a_bad_datatype_fails_the_load_and_leaves_nothing(self):
+        for nodelet_type in SHIPPED:
+            with self.subTest(type=nodelet_type):
+                rospy.set_param("/bad/datatype", "std_msgs/Nope")
+                with self.assertRaises(rospy.ServiceException) as failure:
+                    self.load_nodelet(
+                        name="/bad",
+                        type=nodelet_type,
+                        remap_source_args=["/in", "/out"],
+                        remap_target_args=["/bad_in", "/bad_out"],
+                    )
+                self.assertIn("/bad/datatype", str(failure.exception))
+                self.assertIn("std_msgs/Nope", str(failure.exception))
+                self.assertNotIn("/bad", self.list().nodelets)
+                topics = [
+                    topic
+                    for side in rosgraph.Master("/t").getSystemState()[:2]
+                    for topic, _ in side
+                ]
+                self.assertFalse({"/bad_in", "/bad_out"} & set(topics))
+
+    def test_source_counts_and_stamps(self):
+        messages = self.listen("/counted", Header)
+        self.load("dyknow/Source", {"out": "/counted"}, rate=50)
+        headers = self.take(messages, 20)
+        first = headers[0].seq
+        self.assertEqual([each.seq for each in headers], list(range(first, first + 20)))
+        self.assertEqual([each.frame_id for each in headers], [str(each.seq) for each in headers])
+        span = (headers[-1].stamp - headers[0].stamp).to_sec()
+        self.assertAlmostEqual(span, 19 / 50, delta=0.1)
+
+    def test_what_a_source_counts_in_frame_id_survives_rospys_own_numbers(self):
+        messages = self.listen("/images", Image)
+        self.load("dyknow/Source", {"out": "/images"}, rate=50, datatype="sensor_msgs/Image")
+        counts = [int(image.header.frame_id) for image in self.take(messages, 10)]
+        self.assertEqual(counts, list(range(counts[0], counts[0] + 10)))
+
+    def test_a_chain_in_the_process_and_a_listener_outside(self):
+        messages = self.listen("/relayed", Header)
+        self.load("dyknow/Relay", {"in": "/raw", "out": "/relayed"})
+        self.load("dyknow/Source", {"out": "/raw"}, rate=100)
+        numbers = [each.seq for each in self.take(messages, 50)]
+        self.assertEqual(numbers, list(range(numbers[0], numbers[0] + 50)))
+
+    def test_a_relay_for_nodes_outside_alone(self):
+        messages = self.listen("/text_out", String)
+        name = self.load("dyknow/Relay", datatype="std_msgs/String")
+        publisher = rospy.Publisher("/text_in", String, queue_size=10, latch=True)
+        self.addCleanup(publisher.unregister)
+        publisher.publish("through ports")
+        answer = service(f"{name}/set_config", SetConfig)(
+            [PortConfig("out", "/text_out"), PortConfig("in", "/text_in")]
+        )
+        self.assertTrue(answer.success, answer.message)
+        self.assertEqual(self.take(messages, 1), [String("through ports")])
+
+    def test_throttle(self):
+        messages = self.listen("/slow", Header)
+        self.load("dyknow/Throttle", {"in": "/fast", "out": "/slow"}, rate=10.0)
+        self.load("dyknow/Source", {"out": "/fast"}, rate=100.0)
+        headers = self.take(messages, 11)
+        span = (headers[-1].stamp - headers[0].stamp).to_sec()
+        self.assertGreater(span, 0.9)
+        self.assertLess(span, 1.5)
+        self.assertGreater(headers[-1].seq - headers[0].seq, 80)
+
+    def test_sink_logs(self):
+        log = self.listen("/rosout", Log)
+        name = self.load("dyknow/Sink", {"in": "/heard"}, period=0.5)
+        self.load("dyknow/Source", {"out": "/heard"}, rate=20.0)
+        while True:
+            line = log.get(timeout=TIMEOUT).msg
+            if line.startswith(f"{name}: ") and "latency" in line:
+                break
+        self.assertRegex(
+            line, r"\d+ messages, \d+\.\d Hz, latency \d+\.\d{3} ms on average, \d+\.\d{3} ms"
+        )
+        port = service(f"{name}/get_statistics", GetStatistics)().ports[0]
+        self.assertGreater(port.messages, 0)
+        self.assertEqual(port.dropped, 0)
+
+
+if __name__ == "__main__":
+    rospy.init_node("test_shipped_nodelets")
+    rostest.rosrun("dyknow", "shipped_nodelets", ShippedNodeletsTest, sys.argv)

@@ -1,0 +1,157 @@
+"""The books of the demonstration: whatever goes wrong in a chain must show in them."""
+
+from __future__ import annotations
+
+import pytest
+
+from dyknow.demo.accounting import Arrival, Published, Switch, account, gaps
+from dyknow.demo.frame_names import FrameName
+
+PERIOD = 0.03
+SIZE = (304, 400)
+
+
+def published(camera, count, phase=0.0):
+    """Frames of a camera; each is routed within 0.2 ms after its stamp."""
+    return [
+        Published(
+            FrameName(camera, number), phase + PERIOD * number, phase + PERIOD * number + 2e-4
+        )
+        for number in range(count)
+    ]
+
+
+def arrival(each, latency=0.001):
+    return Arrival(each.frame, each.sent, each.sent + latency, SIZE)
+
+
+#: Camera a from 0 s, b from 1 s, a again from 2 s, nothing from 3 s; a call takes 4 ms, and no
+#: frame is published during one.
+SWITCHES = [
+    Switch("a", "first", -0.01, -0.001),
+    Switch("b", "second", 1.004, 1.008),
+    Switch("a", "third", 2.004, 2.008),
+    Switch("", "end", 3.004, 3.008),
+]
+CAMERAS = published("a", 120) + published("b", 120, phase=0.01)
+MOMENTS = [-0.002, 1.006, 2.006, 3.006]
+
+
+def delivered(moments=MOMENTS):
+    """What a chain without faults delivers, if the switches come into force at these moments."""
+    frames = []
+    for index, camera in enumerate("aba"):
+        begin, end = moments[index], moments[index + 1]
+        frames += [
+            each for each in CAMERAS if each.frame.camera == camera and begin <= each.sent < end
+        ]
+    return [arrival(each) for each in frames]
+
+
+def totals(arrivals, cameras=CAMERAS):
+    accounts = account(cameras, arrivals, SWITCHES).values()
+    return tuple(
+        sum(getattr(each, name) for each in accounts) for name in ("lost", "doubled", "reordered")
+    )
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.001, 0.002, 0.004])
+def test_a_chain_without_faults_balances_whenever_in_the_call_it_switched(offset):
+    moments = [-0.002, *(switch.called + offset for switch in SWITCHES[1:])]
+    assert totals(delivered(moments)) == (0, 0, 0)
+
+
+def test_stages_are_told_apart():
+    accounts = account(CAMERAS, delivered(), SWITCHES)
+    assert list(accounts) == ["first", "second", "third"]
+    assert [each.messages for each in accounts.values()] == [34, 33, 34]
+    assert accounts["second"].rate == pytest.approx(1 / PERIOD)
+    assert accounts["second"].mean == pytest.approx(0.001)
+    assert accounts["second"].percentile(99) == pytest.approx(0.001)
+    assert accounts["second"].size == SIZE
+
+
+def test_every_single_lost_frame_is_found():
+    good = delivered()
+    for index in range(len(good)):
+        assert totals(good[:index] + good[index + 1 :]) == (1, 0, 0), good[index]
+
+
+def test_every_doubled_frame_is_found():
+    good = delivered()
+    for index in range(len(good)):
+        assert totals([*good[: index + 1], *good[index:]]) == (0, 1, 0), good[index]
+
+
+def test_every_frame_from_a_camera_that_is_not_connected_counts_as_doubled():
+    good = delivered()
+    known = {each.frame for each in good}
+    strays = [each for each in CAMERAS if each.frame not in known and each.sent > 0]
+    assert strays
+    for each in strays:
+        assert totals([*good, arrival(each)])[1] == 1, each
+
+
+def test_frames_that_change_places_are_found():
+    good = delivered()
+    for index in range(len(good) - 1):
+        swapped = [*good]
+        swapped[index : index + 2] = [good[index + 1], good[index]]
+        assert totals(swapped) == (0, 0, 1), good[index]
+
+
+def test_a_frame_of_the_old_camera_after_the_first_of_the_new_one_is_out_of_order():
+    good = delivered()
+    last_of_first = 33
+    moved = [*good[:last_of_first], good[last_of_first + 1], good[last_of_first]]
+    assert totals(moved + good[last_of_first + 2 :]) == (0, 0, 1)
+
+
+def test_both_sides_of_a_switch_must_be_explained_by_one_moment():
+    # Within the call, b's frame comes before a's: whoever got a's had lost nothing of a, but then
+    # had to miss b's. Both at the end of the chain is one too many.
+    cameras = [
+        Published(FrameName("a", 0), 0.0, 0.0001),
+        Published(FrameName("b", 0), 1.005, 1.0051),
+        Published(FrameName("a", 1), 1.007, 1.0071),
+    ]
+    switches = [SWITCHES[0], SWITCHES[1], Switch("", "end", 2.0, 2.004)]
+    both = account(cameras, [arrival(each) for each in cameras], switches).values()
+    assert sum(each.doubled for each in both) == 1
+    neither = account(cameras, [arrival(cameras[0])], switches).values()
+    assert sum(each.lost for each in neither) == 0
+    for kept in (cameras[1], cameras[2]):
+        one = account(cameras, [arrival(cameras[0]), arrival(kept)], switches).values()
+        assert sum(each.lost + each.doubled for each in one) == 0
+
+
+def test_the_same_camera_goes_on_over_a_switch():
+    switches = [SWITCHES[0], Switch("a", "second", 1.0, 1.004), Switch("", "end", 2.0, 2.004)]
+    good = [arrival(each) for each in CAMERAS if each.frame.camera == "a" and each.sent < 2.0]
+    for index in range(len(good)):
+        accounts = account(CAMERAS, good[:index] + good[index + 1 :], switches).values()
+        assert sum(each.lost for each in accounts) == 1, good[index]
+
+
+def test_a_stage_that_is_not_over_is_left_out():
+    accounts = account(CAMERAS, delivered(), SWITCHES[:2])
+    assert list(accounts) == ["first"]
+    assert accounts["first"].lost == 0
+
+
+def test_a_frame_that_no_witness_saw_counts_as_doubled():
+    unknown = Arrival(FrameName("a", 500), 1.5, 1.5, SIZE)
+    assert totals([*delivered(), unknown]) == (0, 1, 0)
+
+
+def test_nothing_at_all():
+    accounts = account([], [], SWITCHES)
+    assert [each.messages for each in accounts.values()] == [0, 0, 0]
+    assert accounts["first"].rate == accounts["first"].mean == 0.0
+    assert accounts["first"].percentile(99) == 0.0
+
+
+def test_gaps_of_a_witness_are_counted():
+    assert gaps(CAMERAS) == 0
+    assert gaps(CAMERAS[1:]) == 1
+    assert gaps(CAMERAS[:50] + CAMERAS[60:]) == 10

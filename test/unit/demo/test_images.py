@@ -1,0 +1,71 @@
+"""Images and the stages that work on them."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+import pytest
+from sensor_msgs.msg import Image
+from std_msgs.msg import Header
+
+from dyknow.demo import images
+from dyknow.demo.field import render
+from dyknow.demo.frame_names import FrameName
+
+
+def test_an_array_is_a_view_of_the_message():
+    image = images.blank(Header(), 4, 6, "bgr8")
+    images.array_of(image)[1, 2] = (7, 8, 9)
+    assert bytes(image.data[18 + 6 : 18 + 9]) == bytes((7, 8, 9))
+    assert np.shares_memory(images.array_of(image), np.frombuffer(image.data, np.uint8))
+
+
+@pytest.mark.parametrize(("encoding", "shape"), [("bgr8", (4, 6, 3)), ("mono8", (4, 6))])
+def test_pixels_survive_the_way_to_another_process(encoding, shape):
+    pixels = np.arange(np.prod(shape), dtype=np.uint8).reshape(shape)
+    sent = images.image_of(pixels, encoding)
+    wire = io.BytesIO()
+    sent.serialize(wire)
+    received = Image().deserialize(wire.getvalue())
+    assert np.array_equal(images.array_of(received), pixels)
+
+
+@pytest.mark.parametrize(("encoding", "channels"), [("bgr8", 3), ("mono8", 1)])
+def test_padded_rows_are_cut_off_without_a_copy(encoding, channels):
+    step = 6 * channels + 5
+    image = Image(Header(), 4, 6, encoding, 0, step, bytearray(range(4 * step)))
+    pixels = images.array_of(image)
+    assert pixels.shape[:2] == (4, 6)
+    assert pixels[2].ravel()[0] == 2 * step
+    assert np.shares_memory(pixels, np.frombuffer(image.data, np.uint8))
+
+
+def test_an_unknown_encoding_is_refused():
+    with pytest.raises(ValueError, match="encoding 'bayer_rggb8': expected one of 8UC1"):
+        images.array_of(Image(encoding="bayer_rggb8"))
+
+
+def test_data_that_do_not_fill_the_image_are_refused():
+    with pytest.raises(ValueError, match="buffer"):
+        images.array_of(Image(Header(), 4, 6, "bgr8", 0, 18, b"short"))
+
+
+def test_another_header_on_the_same_pixels():
+    image = images.image_of(np.zeros((2, 3, 3), np.uint8), "bgr8")
+    other = images.with_header(Header(frame_id="cam#1"), image)
+    assert other.data is image.data
+    assert (image.header.frame_id, other.header.frame_id) == ("", "cam#1")
+
+
+def test_the_rendered_ball_moves():
+    frames = list(render(4))
+    assert all(frame.shape == (480, 640, 3) for frame in frames)
+    assert not any(np.array_equal(frames[0], other) for other in frames[1:])
+
+
+def test_frame_names_are_read_back():
+    assert FrameName.parse(str(FrameName("camera_1", 42))) == FrameName("camera_1", 42)
+    for text in ("camera_1", "", "camera_1#", "camera_1#x"):
+        with pytest.raises(ValueError):
+            FrameName.parse(text)

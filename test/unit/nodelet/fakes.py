@@ -1,0 +1,163 @@
+"""What the tests of the runtime share: message types, a small world, ways to wait."""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import Any, Callable, Dict, List, Optional, Sequence
+
+import dyknow
+from dyknow.nodelet.context import Context, Runtime
+from dyknow.nodelet.handle import NodeHandle
+from dyknow.nodelet.loader import Loader
+from dyknow.nodelet.local import LocalMiddleware, LocalPublisher, LocalSubscriber
+from dyknow.nodelet.scheduler import Executor, ManualExecutor, WorkerPool
+
+#: Seconds after which a test gives up on another thread; far more than any of them needs.
+PATIENCE = 10.0
+
+
+class Message:
+    """A message type with one field."""
+
+    _type = "test/Message"
+    _md5sum = "message"
+
+    def __init__(self, number: Any = 0) -> None:
+        self.number = number
+
+    def __repr__(self) -> str:
+        return f"Message({self.number})"
+
+
+class OtherMessage(Message):
+    """A message type that does not fit ``Message``."""
+
+    _type = "test/OtherMessage"
+    _md5sum = "other"
+
+
+class AnyMessage(Message):
+    """Stands for every type, as rospy.AnyMsg does."""
+
+    _type = "*"
+    _md5sum = "*"
+
+
+class FakeClock:
+    """Steady time that a test sets."""
+
+    def __init__(self) -> None:
+        self.seconds = 100.0
+
+    def __call__(self) -> float:
+        return self.seconds
+
+
+class RecordingMiddleware(LocalMiddleware):
+    """Also records halves in the order they were made, and can refuse or pause at a topic."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.halves: List[Any] = []
+        self.refused: Dict[str, Exception] = {}
+        self.on_register: Callable[[str], None] = lambda topic: None
+
+    def advertise(self, topic: str, *args: Any) -> LocalPublisher:
+        self._look(topic)
+        half = super().advertise(topic, *args)
+        self.halves.append(half)
+        return half
+
+    def subscribe(self, topic: str, *args: Any) -> LocalSubscriber:
+        self._look(topic)
+        half = super().subscribe(topic, *args)
+        self.halves.append(half)
+        return half
+
+    def _look(self, topic: str) -> None:
+        if topic in self.refused:
+            raise self.refused[topic]
+        self.on_register(topic)
+
+
+class World:
+    """A runtime on a local middleware, by default deterministic."""
+
+    def __init__(self, executor: Optional[Executor] = None, clock: Any = time.monotonic) -> None:
+        self.executor = executor or ManualExecutor()
+        self.middleware = RecordingMiddleware()
+        self.runtime = Runtime.make(self.middleware, self.executor, clock)
+        self.bus = self.runtime.bus
+
+    def context(self, name: str = "/probe", **options: Any) -> Context:
+        """A nodelet's share whose callbacks run."""
+        context = Context(self.runtime, name, **options)
+        context.start()
+        return context
+
+    def handle(self, name: str = "/probe", concurrent: bool = False) -> NodeHandle:
+        """A plain handle in the root namespace, of a nodelet of its own."""
+        return NodeHandle(self.context(name), "/", concurrent)
+
+    def loader(self, **classes: Any) -> Loader:
+        """A loader whose types are the keywords."""
+        return Loader(self.runtime, classes.__getitem__)
+
+    def drain(self) -> None:
+        """Run everything that can run."""
+        assert self.executor.drain(PATIENCE), "callbacks have not ended"
+
+    @property
+    def registrations(self) -> List[Any]:
+        """What is registered outside, sorted."""
+        return sorted(self.middleware.registrations)
+
+    def close(self) -> None:
+        """End the threads."""
+        self.runtime.close()
+
+
+class Idle(dyknow.Nodelet):
+    """A nodelet that sets nothing up."""
+
+    def on_init(self) -> None:
+        pass
+
+
+def make_pool_world(size: int = 4, **options: Any) -> World:
+    """A world on real threads."""
+    return World(WorkerPool(size, **options))
+
+
+def numbers(messages: Sequence[Message]) -> List[Any]:
+    """The field of each message."""
+    return [message.number for message in messages]
+
+
+def wait_for(event: threading.Event) -> None:
+    """Wait for something that must happen."""
+    assert event.wait(PATIENCE), "it did not happen"
+
+
+def wait_until(condition: Callable[[], Any]) -> None:
+    """Wait for a condition that nobody signals."""
+    deadline = time.monotonic() + PATIENCE
+    pause = threading.Event()
+    while not condition():
+        assert time.monotonic() < deadline, "it did not become true"
+        pause.wait(0.005)
+
+
+def in_thread(call: Callable[[], Any]) -> threading.Thread:
+    """Run ``call`` on a thread of its own."""
+    thread = threading.Thread(target=call, daemon=True)
+    thread.start()
+    return thread
+
+
+def join(*threads: threading.Thread) -> None:
+    """Wait for threads that must end."""
+    for thread in threads:
+        thread.join(PATIENCE)
+        assert not thread.is_alive(), "a thread has not ended"

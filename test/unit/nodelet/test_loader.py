@@ -1,0 +1,344 @@
+"""Loading: names, failures, and that one nodelet's start holds up nobody else."""
+
+from __future__ import annotations
+
+import threading
+from contextlib import suppress
+
+import pytest
+from unit.nodelet.fakes import (
+    Idle,
+    Message,
+    in_thread,
+    join,
+    make_pool_world,
+    numbers,
+    wait_for,
+    wait_until,
+)
+
+from dyknow.errors import (
+    BrokenPlugin,
+    HandleClosed,
+    LoadFailed,
+    NameTaken,
+    UnknownNodelet,
+    UnknownNodeletType,
+    UnloadedMeanwhile,
+)
+from dyknow.nodelet.loader import Loader
+from dyknow.nodelet.nodelet import Nodelet
+
+
+@pytest.fixture(name="world")
+def _world():
+    world = make_pool_world(3)
+    yield world
+    world.close()
+
+
+class Gate(Nodelet):
+    """A nodelet whose ``on_init`` waits; one gate for each test."""
+
+    entered: threading.Event
+    opened: threading.Event
+
+    def on_init(self):
+        self.pub = self.node_handle.Publisher("early", Message)
+        self.entered.set()
+        wait_for(self.opened)
+        self.late = self.node_handle.Publisher("late", Message)
+
+
+@pytest.fixture(name="gate")
+def _gate():
+    class FreshGate(Gate):
+        entered, opened = threading.Event(), threading.Event()
+
+    yield FreshGate
+    FreshGate.opened.set()
+
+
+def load_in_thread(loader, *args):
+    outcome = []
+
+    def load():
+        try:
+            outcome.append(loader.load(*args))
+        except Exception as error:
+            outcome.append(error)
+
+    return in_thread(load), outcome
+
+
+def test_a_loaded_nodelet_has_its_name_arguments_and_callbacks(world):
+    class Echo(Nodelet):
+        def on_init(self):
+            self.pub = self.node_handle.Publisher("out", Message)
+            self.node_handle.Subscriber("in", Message, self.pub.publish)
+
+    loader = world.loader(echo=Echo)
+    nodelet = loader.load("/ns/echo", "echo", {"/ns/out": "/result"}, ["-v", "x"])
+    assert nodelet.name == "/ns/echo"
+    assert nodelet.my_argv == ["-v", "x"]
+    assert loader.list() == ["/ns/echo"]
+    assert loader.get("/ns/echo") is nodelet
+    got, nh = [], world.handle()
+    nh.Subscriber("/result", Message, got.append)
+    nh.Publisher("/ns/in", Message).publish(3)
+    world.drain()
+    assert numbers(got) == [3]
+
+
+def test_messages_that_come_during_on_init_are_delivered_after_it(world, gate):
+    got = []
+
+    class Late(gate):
+        def on_init(self):
+            self.node_handle.Subscriber("in", Message, got.append)
+            super().on_init()
+            got.append("on_init has returned")
+
+    loader = world.loader(late=Late)
+    thread, _ = load_in_thread(loader, "/late", "late")
+    wait_for(gate.entered)
+    message = Message()
+    world.handle().Publisher("/in", Message).publish(message)
+    gate.opened.set()
+    join(thread)
+    world.drain()
+    assert got == ["on_init has returned", message]
+
+
+def test_list_is_sorted(world):
+    loader = world.loader(idle=Idle)
+    for name in ("/c", "/a", "/b"):
+        loader.load(name, "idle")
+    assert loader.list() == ["/a", "/b", "/c"]
+
+
+def test_unknown_names_are_refused_with_those_known(world):
+    loader = world.loader(idle=Idle)
+    loader.load("/here", "idle")
+    for call in (loader.get, loader.unload):
+        with pytest.raises(UnknownNodelet, match="'/gone' is loaded; loaded: /here"):
+            call("/gone")
+
+
+class TestNameTaken:
+    def test_the_one_that_is_there_is_untouched(self, world):
+        loader = world.loader(idle=Idle)
+        first = loader.load("/n", "idle")
+        with pytest.raises(NameTaken, match="'/n' is already loaded"):
+            loader.load("/n", "idle")
+        assert loader.get("/n") is first
+        assert not first.context.closed
+
+    def test_while_it_is_being_loaded(self, world, gate):
+        loader = world.loader(gate=gate, idle=Idle)
+        thread, outcome = load_in_thread(loader, "/n", "gate")
+        wait_for(gate.entered)
+        with pytest.raises(NameTaken):
+            loader.load("/n", "idle")
+        gate.opened.set()
+        join(thread)
+        assert loader.get("/n") is outcome[0]
+
+    def test_while_it_is_being_unloaded_and_free_right_after(self, world):
+        entered, opened = threading.Event(), threading.Event()
+
+        class Slow(Idle):
+            def on_shutdown(self):
+                entered.set()
+                wait_for(opened)
+
+        loader = world.loader(slow=Slow, idle=Idle)
+        loader.load("/n", "slow")
+        thread = in_thread(lambda: loader.unload("/n"))
+        wait_for(entered)
+        with pytest.raises(NameTaken):
+            loader.load("/n", "idle")
+        with pytest.raises(UnknownNodelet):
+            loader.unload("/n")
+        opened.set()
+        join(thread)
+        assert type(loader.load("/n", "idle")) is Idle
+
+
+class TestFailure:
+    @pytest.mark.parametrize(
+        "error", [UnknownNodeletType("pkg/X", []), BrokenPlugin("pkg/X", "does not import")]
+    )
+    def test_a_type_that_cannot_be_found_leaves_the_name_free(self, world, error):
+        classes = [error, Idle]
+
+        def find(name):
+            found = classes.pop(0)
+            if isinstance(found, Exception):
+                raise found
+            return found
+
+        loader = Loader(world.runtime, find)
+        with pytest.raises(type(error)) as caught:
+            loader.load("/n", "pkg/X")
+        assert caught.value is error
+        assert loader.list() == []
+        loader.load("/n", "pkg/X")
+
+    @pytest.mark.parametrize("error", [ValueError("bad rate"), SystemExit(1), KeyboardInterrupt()])
+    def test_what_on_init_raises_fails_the_load_and_leaves_nothing(self, world, error):
+        class Failing(Nodelet):
+            def on_init(self):
+                nh = self.node_handle
+                nh.Publisher("p", Message, latch=True).publish(1)
+                nh.Subscriber("s", Message, print)
+                self.mt_node_handle.Subscriber("m", Message, print)
+                nh.Service("service", object, print)
+                nh.Timer(1.0, print)
+                raise error
+
+        loader = world.loader(failing=Failing, idle=Idle)
+        with pytest.raises(LoadFailed) as caught:
+            loader.load("/n", "failing")
+        assert caught.value.cause is error
+        assert f"cannot load '/n' of type failing: {type(error).__name__}" in str(caught.value)
+        assert caught.value.__cause__ is error
+        assert loader.list() == []
+        assert world.registrations == []
+        assert world.middleware.services == {}
+        assert world.runtime.timers._heap == []
+        assert world.bus._topics == {}
+        loader.load("/n", "idle")
+
+    def test_a_constructor_that_raises_is_a_failed_load_too(self, world):
+        class Broken(Idle):
+            def __init__(self):
+                raise OSError("no camera")
+
+        with pytest.raises(LoadFailed, match="OSError: no camera"):
+            world.loader(broken=Broken).load("/n", "broken")
+
+    def test_a_class_without_on_init_says_so(self, world):
+        class Empty(Nodelet):
+            pass
+
+        with pytest.raises(LoadFailed, match=r"Empty does not define on_init\(\)"):
+            world.loader(empty=Empty).load("/n", "empty")
+
+    def test_what_a_failed_nodelet_still_holds_refuses_to_work(self, world):
+        kept = []
+
+        class Failing(Nodelet):
+            def on_init(self):
+                kept.append(self.node_handle.Publisher("p", Message))
+                raise ValueError
+
+        with pytest.raises(LoadFailed):
+            world.loader(failing=Failing).load("/n", "failing")
+        with pytest.raises(HandleClosed):
+            kept[0].publish()
+
+
+class TestSlowStart:
+    def test_blocks_neither_list_nor_other_loads_and_unloads(self, world, gate):
+        loader = world.loader(gate=gate, idle=Idle)
+        thread, outcome = load_in_thread(loader, "/slow", "gate")
+        wait_for(gate.entered)
+        assert loader.list() == []
+        loader.load("/other", "idle")
+        assert loader.list() == ["/other"]
+        loader.unload("/other")
+        with pytest.raises(UnknownNodelet):
+            loader.get("/slow")
+        assert outcome == []
+        gate.opened.set()
+        join(thread)
+        assert loader.list() == ["/slow"]
+
+    def test_can_be_unloaded_in_the_middle(self, world, gate):
+        told = []
+        loader = Loader(world.runtime, lambda name: gate, on_unloaded=told.append)
+        thread, outcome = load_in_thread(loader, "/slow", "gate")
+        wait_for(gate.entered)
+        assert world.registrations == [("publisher", "/early")]
+        loader.unload("/slow")
+        assert world.registrations == []
+        join(thread)
+        assert isinstance(outcome[0], UnloadedMeanwhile)
+        again, _ = load_in_thread(loader, "/slow", "gate")
+        gate.opened.set()
+        join(again)
+        assert loader.list() == ["/slow"]
+        wait_until(
+            lambda: world.registrations == [("publisher", "/early"), ("publisher", "/late")]
+        )
+
+    def test_unloaded_while_its_class_is_imported_is_never_started(self, world):
+        entered, opened, started = threading.Event(), threading.Event(), []
+
+        class Started(Nodelet):
+            def on_init(self):
+                started.append(self.name)
+
+        def slow_import(name):
+            entered.set()
+            wait_for(opened)
+            return Started
+
+        loader = Loader(world.runtime, slow_import)
+        thread, outcome = load_in_thread(loader, "/n", "started")
+        wait_for(entered)
+        loader.unload("/n")
+        opened.set()
+        join(thread)
+        assert isinstance(outcome[0], UnloadedMeanwhile)
+        world.drain()
+        assert started == []
+
+    def test_may_unload_itself(self, world):
+        class Unwilling(Nodelet):
+            def on_init(self):
+                self.node_handle.Publisher("p", Message)
+                self.node_handle.signal_shutdown("not today")
+
+        loader = world.loader(unwilling=Unwilling)
+        with pytest.raises(UnloadedMeanwhile):
+            loader.load("/n", "unwilling")
+        assert loader.list() == []
+        assert world.registrations == []
+
+
+def test_loads_and_unloads_of_one_name_from_many_threads_end_clean(world):
+    class Busy(Nodelet):
+        def on_init(self):
+            self.pub = self.node_handle.Publisher("t", Message)
+            self.node_handle.Subscriber("t", Message, lambda message: None)
+            self.pub.publish()
+
+    loader = world.loader(busy=Busy)
+    loaded = []
+
+    def run():
+        for _ in range(60):
+            with suppress(NameTaken, UnloadedMeanwhile):
+                loaded.append(loader.load("/n", "busy"))
+            with suppress(UnknownNodelet):
+                loader.unload("/n")
+
+    join(*[in_thread(run) for _ in range(4)])
+    loader.close()
+    world.drain()
+    assert loaded
+    assert loader.list() == []
+    assert world.registrations == []
+    assert world.bus._topics == {}
+
+
+def test_close_unloads_the_newest_first(world):
+    gone = []
+    loader = Loader(world.runtime, lambda name: Idle, on_unloaded=gone.append)
+    for name in ("/b", "/a", "/c"):
+        loader.load(name, "idle")
+    loader.close()
+    assert gone == ["/c", "/a", "/b"]
+    assert loader.list() == []

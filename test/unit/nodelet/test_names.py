@@ -1,0 +1,105 @@
+"""ROS graph names: validity, resolution, remapping."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dyknow import names
+from dyknow.errors import BadRemapping, InvalidName
+
+SEGMENT = st.from_regex(r"[A-Za-z][A-Za-z0-9_]{0,5}", fullmatch=True)
+RELATIVE = st.lists(SEGMENT, min_size=1, max_size=3).map("/".join)
+GLOBAL = RELATIVE.map(lambda name: "/" + name)
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("image", "/robot/image"),
+        ("cam/image", "/robot/cam/image"),
+        ("/image", "/image"),
+        ("~image", "/robot/nodelet/image"),
+        ("~cam/image", "/robot/nodelet/cam/image"),
+        ("~/image", "/robot/nodelet/image"),
+        ("image/", "/robot/image"),
+        ("", "/robot"),
+    ],
+)
+def test_names_resolve_as_in_ros(name, expected):
+    assert names.resolve(name, "/robot", "/robot/nodelet") == expected
+
+
+def test_relative_names_in_the_root_have_one_slash():
+    assert names.resolve("image", "/", "/nodelet") == "/image"
+
+
+@pytest.mark.parametrize(
+    "name", ["1st", "_x", "a b", "a-b", "a//b", "//a", "a.b", "é", "a\n", "-", "{x}", "a~b/~"]
+)
+def test_what_is_no_graph_name_is_refused_and_named(name):
+    with pytest.raises(InvalidName) as caught:
+        names.resolve(name, "/", "/n", "topic name")
+    assert caught.value.name == name
+    assert "topic name" in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["", "~", "/", "//", "~/", "~//x"])
+def test_names_without_a_name_in_them_are_refused_by_check(name):
+    with pytest.raises(InvalidName):
+        names.check(name)
+
+
+@pytest.mark.parametrize(
+    ("name", "parent"), [("/a/b/c", "/a/b"), ("/a", "/"), ("/", "/"), ("/a/b/", "/a")]
+)
+def test_parent_is_the_namespace_a_name_stands_in(name, parent):
+    assert names.parent(name) == parent
+
+
+@given(GLOBAL, GLOBAL, GLOBAL)
+def test_global_names_resolve_to_themselves_anywhere(name, namespace, private):
+    assert names.resolve(name, namespace, private) == name
+
+
+@given(RELATIVE, GLOBAL)
+def test_parent_undoes_join_of_a_base_name(name, namespace):
+    joined = names.join(namespace, name)
+    assert joined.startswith(namespace + "/")
+    assert names.check(joined) == joined
+    if "/" not in name:
+        assert names.parent(joined) == namespace
+
+
+def test_the_first_table_that_knows_a_name_decides():
+    first, second = {"/a": "/b"}, {"/a": "/c", "/b": "/d", "/e": "/f"}
+    assert names.remap("/a", first, second) == "/b"
+    assert names.remap("/e", first, second) == "/f"
+    assert names.remap("/x", first, second) == "/x"
+
+
+def test_pairs_of_a_load_request_become_global():
+    table = names.pair_remappings(
+        "/robot/undistort",
+        ["image", "/in", "~out"],
+        ["cam/image", "other", "~result"],
+        "/manager",
+    )
+    assert table == {
+        "/manager/image": "/manager/cam/image",
+        "/in": "/manager/other",
+        "/robot/undistort/out": "/robot/undistort/result",
+    }
+
+
+def test_unequal_lists_are_refused_with_both_lengths():
+    with pytest.raises(BadRemapping, match=r"2 remap_source_args but 1 remap_target_args"):
+        names.pair_remappings("/n", ["a", "b"], ["c"], "/")
+
+
+@pytest.mark.parametrize("pair", [("a b", "c"), ("a", "c d"), ("", "c"), ("a", "")])
+def test_pairs_with_bad_names_are_refused(pair):
+    source, target = pair
+    with pytest.raises(InvalidName):
+        names.pair_remappings("/n", [source], [target], "/")

@@ -1,0 +1,322 @@
+"""The outside halves: when they are made, fed, and withdrawn."""
+
+from __future__ import annotations
+
+import pytest
+from unit.nodelet.fakes import Message, World, in_thread, join, numbers
+
+from dyknow.errors import HandleClosed
+from dyknow.nodelet.local import LocalPublisher
+
+
+@pytest.fixture(name="world")
+def _world():
+    return World()
+
+
+def publication_of(publisher):
+    return publisher._state.publication
+
+
+def subscription_of(subscriber):
+    return subscriber._state.subscription
+
+
+def test_topics_are_registered_and_withdrawn(world):
+    nh = world.handle()
+    publisher = nh.Publisher("a", Message, queue_size=1)
+    subscriber = nh.Subscriber("a", Message, print)
+    nh.Subscriber("b", Message, print)
+    assert world.registrations == [
+        ("publisher", "/a"),
+        ("subscriber", "/a"),
+        ("subscriber", "/b"),
+    ]
+    publisher.unregister()
+    subscriber.unregister()
+    assert world.registrations == [("subscriber", "/b")]
+    nh.context.close()
+    assert world.registrations == []
+
+
+def test_moves_leave_one_registration_for_each_endpoint(world):
+    nh = world.handle()
+    publisher = nh.Publisher("a", Message, queue_size=1)
+    subscriber = nh.Subscriber("a", Message, print)
+    ends = [publication_of(publisher), subscription_of(subscriber)]
+    for topic in ("/b", "/c", "/a", "/d"):
+        world.bus.rewire([(end, topic) for end in ends])
+        assert world.registrations == [("publisher", topic), ("subscriber", topic)]
+        assert [end.topic for end in ends] == [topic, topic]
+    world.bus.rewire([(end, "") for end in ends])
+    assert world.registrations == []
+    nh.context.close()
+    assert world.registrations == []
+
+
+def test_an_endpoint_that_is_there_already_keeps_its_registration(world):
+    nh = world.handle()
+    publisher = nh.Publisher("a", Message, queue_size=1)
+    before = list(world.middleware.halves)
+    world.bus.rewire([(publication_of(publisher), "/a")])
+    assert world.middleware.halves == before
+
+
+def test_a_new_connection_is_made_before_the_old_one_is_broken(world):
+    nh = world.handle()
+    publisher = nh.Publisher("a", Message, queue_size=1)
+    subscriber = nh.Subscriber("x", Message, print)
+    seen = []
+    world.middleware.on_register = lambda topic: seen.append((topic, world.registrations))
+    world.bus.rewire([(publication_of(publisher), "/b"), (subscription_of(subscriber), "/y")])
+    both = [("publisher", "/a"), ("subscriber", "/x")]
+    assert seen[0] == ("/b", both)
+    assert seen[1] == ("/y", sorted([*both, ("publisher", "/b")]))
+
+
+def test_a_message_goes_out_only_if_somebody_listens(world):
+    nh = world.handle()
+    publisher = nh.Publisher("t", Message, queue_size=1)
+    (half,) = world.middleware.halves
+    sent = []
+    half.publish = sent.append
+    publisher.publish(1)
+    assert sent == []
+    half.connections.append(print)
+    message = Message(2)
+    publisher.publish(message)
+    assert sent == [message]
+
+
+def test_it_goes_out_once_however_many_listen_inside(world):
+    got, outside = [], []
+    nh = world.handle()
+    for _ in range(3):
+        nh.Subscriber("t", Message, got.append)
+    publisher = nh.Publisher("t", Message, queue_size=1)
+    world.middleware.listeners["/t"].append(outside.append)
+    publisher.publish(1)
+    world.drain()
+    assert numbers(outside) == [1]
+    assert numbers(got) == [1, 1, 1]
+
+
+def test_messages_from_outside_reach_each_subscriber_once(world):
+    got = []
+    nh = world.handle()
+    nh.Subscriber("t", Message, got.append)
+    nh.Subscriber("t", Message, got.append)
+    world.middleware.send("/t", Message(1))
+    assert got == []
+    world.drain()
+    assert numbers(got) == [1, 1]
+
+
+def test_messages_from_outside_that_come_during_the_switch_follow_the_old_ones(world):
+    got = []
+    nh = world.handle()
+    subscriber = nh.Subscriber("old", Message, got.append)
+    world.middleware.send("/old", Message("old"))
+
+    class Early(type(world.middleware.halves[0])):
+        def wait(self, arrived, seconds):
+            self.receive(Message("new"))
+            assert arrived(0.0)
+
+    subscribe = world.middleware.subscribe
+
+    def early_subscribe(topic, datatype, receive, options):
+        half = subscribe(topic, datatype, receive, options)
+        half.__class__ = Early
+        return half
+
+    world.middleware.subscribe = early_subscribe
+    world.bus.rewire(
+        [(subscription_of(subscriber), "/new")],
+        between=lambda: nh.context.strand.post(lambda: got.append(Message("between"))),
+        patience=1.0,
+    )
+    world.drain()
+    assert numbers(got) == ["old", "between", "new"]
+
+
+def test_what_comes_late_through_an_old_registration_is_not_delivered(world):
+    got = []
+    nh = world.handle()
+    subscriber = nh.Subscriber("old", Message, got.append)
+    (old,) = world.middleware.halves
+    world.bus.rewire([(subscription_of(subscriber), "/new")])
+    old.receive(Message("late"))
+    world.drain()
+    assert got == []
+
+
+def test_a_latched_message_is_handed_to_the_half_that_comes_later(world):
+    nh = world.handle()
+    nh.Subscriber("new", Message, print)  # so that the switch goes before the registration
+    publisher = nh.Publisher("old", Message, latch=True, queue_size=1)
+    publisher.publish(1)
+    outside = world.middleware.listeners.setdefault("/new", [])
+    got = []
+    outside.append(got.append)
+    world.bus.rewire([(publication_of(publisher), "/new")])
+    assert numbers(got) == [1]
+
+
+@pytest.mark.parametrize("alive", [False, True])
+def test_what_is_published_during_a_latched_switch_is_the_last_word_outside(world, alive):
+    nh = world.handle()
+    if alive:
+        nh.Subscriber("new", Message, print)
+    publisher = nh.Publisher("old", Message, latch=True, queue_size=1)
+    publisher.publish(1)
+    got = []
+
+    def listen(message):
+        got.append(message)
+        if len(got) == 1:  # another thread publishes while the latched message is handed over
+            publisher.publish(2)
+            got.append(message)
+
+    world.middleware.listeners.setdefault("/new", []).append(listen)
+    world.bus.rewire([(publication_of(publisher), "/new")])
+    assert numbers(got)[0] == 1
+    assert numbers(got)[-1] == 2
+
+
+def test_a_refused_registration_leaves_nothing_of_a_handle(world):
+    nh = world.handle()
+    error = RuntimeError("the master is gone")
+    world.middleware.refused["/t"] = error
+    for make in (nh.Publisher, nh.Subscriber):
+        with pytest.raises(RuntimeError, match="the master is gone"):
+            make("t", Message)
+    assert world.registrations == []
+    assert world.bus.datatype_of("/t") == ""
+    assert nh.context._endpoints == []
+
+
+def test_a_refused_registration_on_a_topic_that_is_alive_leaves_nothing(world):
+    nh = world.handle()
+    publisher = nh.Publisher("t", Message, queue_size=1)
+    world.middleware.refused["/t"] = RuntimeError("no")
+    got = []
+    with pytest.raises(RuntimeError):
+        nh.Subscriber("t", Message, got.append)
+    publisher.publish(1)
+    world.drain()
+    assert got == []
+    assert world.registrations == [("publisher", "/t")]
+
+
+def test_a_refused_registration_undoes_the_whole_switch(world):
+    got = []
+    nh = world.handle()
+    publisher = nh.Publisher("a", Message, queue_size=1)
+    subscriber = nh.Subscriber("a", Message, got.append)
+    before = world.registrations
+    world.middleware.refused["/c"] = RuntimeError("no")
+    told = []
+    with pytest.raises(RuntimeError):
+        world.bus.rewire(
+            [(publication_of(publisher), "/b"), (subscription_of(subscriber), "/c")],
+            between=lambda: told.append(1),
+        )
+    assert told == []
+    assert world.registrations == before
+    assert publisher.name == subscriber.name == "/a"
+    publisher.publish(1)
+    world.drain()
+    assert numbers(got) == [1]
+    assert world.bus.datatype_of("/b") == world.bus.datatype_of("/c") == ""
+
+
+def test_a_refused_registration_of_a_live_topic_leaves_no_old_ones(world):
+    # Inside, the switch is done by then: what is left is to be true, and to let go of the old.
+    got = []
+    nh, other = world.handle(), world.handle("/other")
+    other.Subscriber("/b", Message, got.append)
+    other.Subscriber("/d", Message, got.append)
+    first, second = (nh.Publisher(topic, Message, queue_size=1) for topic in ("a", "c"))
+    world.middleware.refused["/b"] = RuntimeError("no")
+    with pytest.raises(RuntimeError, match="no"):
+        world.bus.rewire([(publication_of(first), "/b"), (publication_of(second), "/d")])
+    assert (first.name, second.name) == ("/b", "/d")
+    first.publish(1)
+    second.publish(2)
+    world.drain()
+    assert numbers(got) == [1, 2]
+    assert world.registrations == [
+        ("publisher", "/d"),
+        ("subscriber", "/b"),
+        ("subscriber", "/d"),
+    ]
+
+
+def test_nothing_is_registered_after_an_unload_while_peers_are_waited_for(world):
+    nh = world.handle()
+    publisher = nh.Publisher("a", Message, queue_size=1)
+    subscriber = nh.Subscriber("a", Message, print)
+    seen = []
+
+    class Slow(LocalPublisher):
+        def wait(self, seconds):
+            seen.append(world.registrations)
+            join(in_thread(nh.context.close))
+            seen.append(world.registrations)
+
+    advertise = world.middleware.advertise
+
+    def slow_advertise(*args):
+        half = advertise(*args)
+        half.__class__ = Slow
+        return half
+
+    world.middleware.advertise = slow_advertise
+    moves = [(publication_of(publisher), "/b"), (subscription_of(subscriber), "/c")]
+    with pytest.raises(HandleClosed):
+        world.bus.rewire(moves, patience=1.0)
+    before, after = seen
+    assert len(before) == 4
+    assert after == []
+    assert world.registrations == []
+
+
+def test_a_nodelet_unloaded_while_its_topic_is_registered_leaves_nothing(world):
+    nh = world.handle()
+    publisher = nh.Publisher("a", Message, queue_size=1)
+    world.middleware.on_register = lambda topic: join(in_thread(nh.context.close))
+    with pytest.raises(HandleClosed):
+        world.bus.rewire([(publication_of(publisher), "/b")])
+    assert world.registrations == []
+    assert world.bus.datatype_of("/b") == ""
+
+
+def test_a_nodelet_unloaded_while_a_live_topic_is_registered_leaves_nothing(world):
+    world.handle("/other").Subscriber("/b", Message, print)
+    nh = world.handle()
+    publisher = nh.Publisher("a", Message, queue_size=1)
+    world.middleware.on_register = lambda topic: join(in_thread(nh.context.close))
+    world.bus.rewire([(publication_of(publisher), "/b")])
+    assert world.registrations == [("subscriber", "/b")]
+    with pytest.raises(HandleClosed):
+        publisher.publish(1)
+
+
+def test_a_handle_being_made_while_its_nodelet_is_unloaded_leaves_nothing(world):
+    nh = world.handle()
+    world.middleware.on_register = lambda topic: join(in_thread(nh.context.close))
+    with pytest.raises(HandleClosed):
+        nh.Publisher("a", Message, queue_size=1)
+    assert world.registrations == []
+
+
+def test_connections_are_counted_as_in_roscpp(world):
+    nh = world.handle()
+    publisher = nh.Publisher("t", Message, queue_size=1)
+    assert publisher.get_num_connections() == 0
+    nh.Subscriber("t", Message, print)
+    nh.Subscriber("t", Message, print)
+    assert publisher.get_num_connections() == 1
+    world.middleware.listeners["/t"].extend([print, print])
+    assert publisher.get_num_connections() == 3

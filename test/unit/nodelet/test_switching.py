@@ -1,0 +1,213 @@
+"""Switches of publications and subscriptions, in every order, against a simple model.
+
+The model: a message belongs to whoever is on its topic when it is published, and a nodelet is
+called back in the order of all that happened to it. Nothing else may come out of the bus.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from itertools import groupby
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from unit.nodelet.fakes import Message, World
+
+PUBLISHERS, SUBSCRIBERS = 3, 4
+TOPICS = ("", "/a", "/b", "/c")
+
+#: Publications are ends 0, 1, 2; subscriptions 3, 4, 5, 6 (two of each nodelet).
+MOVES = st.dictionaries(
+    st.integers(0, PUBLISHERS + SUBSCRIBERS - 1), st.sampled_from(TOPICS), min_size=1, max_size=5
+)
+STEPS = st.lists(
+    st.one_of(
+        st.tuples(st.just("publish"), st.integers(0, PUBLISHERS - 1)),
+        st.tuples(st.just("publish"), st.integers(0, PUBLISHERS - 1)),
+        st.tuples(st.just("outside"), st.sampled_from(TOPICS[1:])),
+        st.tuples(st.just("switch"), MOVES),
+        st.tuples(st.just("step"), st.none()),
+        st.tuples(st.just("drain"), st.none()),
+        st.tuples(st.just("release"), st.integers(0, PUBLISHERS + SUBSCRIBERS - 1)),
+    ),
+    max_size=40,
+)
+
+
+class Bench:
+    """Real ends on a bus, and beside them what the model says they should see."""
+
+    def __init__(self, queue_size=None):
+        self.world = World()
+        self.contexts = [self.world.context(f"/n{n}") for n in range(SUBSCRIBERS // 2)]
+        self.owner = self.world.context("/publishers")
+        self.logs = [[] for _ in self.contexts]
+        self.expected = [[] for _ in self.contexts]
+        self.ends = [self.owner.publication(str(n), Message, False, 1) for n in range(PUBLISHERS)]
+        for n in range(SUBSCRIBERS):
+            context, log = self.contexts[n // 2], self.logs[n // 2]
+            receive = lambda message, n=n, log=log: log.append((n, message.number))  # noqa: E731
+            self.ends.append(
+                context.subscription(str(n), Message, receive, queue_size, context.strand)
+            )
+        self.topics = [""] * len(self.ends)
+        self.released = set()
+        self.moved = set()
+        self.count = 0
+
+    def run(self, steps):
+        for verb, what in steps:
+            getattr(self, verb)(what)
+        self.drain()
+
+    def publish(self, which):
+        if which not in self.released:
+            self._expect(self.topics[which])
+            self.ends[which].publish(Message(self.count))
+
+    def outside(self, topic):
+        self._expect(topic)
+        self.world.middleware.send(topic, Message(self.count))
+
+    def _expect(self, topic):
+        self.count += 1
+        for n in range(SUBSCRIBERS):
+            if topic and self.topics[PUBLISHERS + n] == topic:
+                self.expected[n // 2].append((n, self.count))
+
+    def switch(self, moves):
+        moves = {end: topic for end, topic in moves.items() if end not in self.released}
+        self.count += 1
+        marker = ("switch", self.count)
+
+        def between():
+            for context, log in zip(self.contexts, self.logs):
+                context.strand.post(lambda log=log: log.append(marker))
+
+        self.world.bus.rewire([(self.ends[e], topic) for e, topic in moves.items()], between)
+        for end, topic in moves.items():
+            if self.topics[end] != topic:
+                self.moved.add((end, self.count))
+            self.topics[end] = topic
+        for expected in self.expected:
+            expected.append(marker)
+
+    def step(self, _):
+        self.world.executor.step()
+
+    def drain(self, _=None):
+        self.world.drain()
+
+    def release(self, end):
+        self.drain()  # what a release drops is another test's matter
+        self.released.add(end)
+        self.topics[end] = ""
+        self.world.bus.release([self.ends[end]])
+
+    def agrees(self):
+        """Whether everything came as expected; subscriptions of one nodelet go in any order."""
+        return [_grouped(log) for log in self.logs] == [_grouped(log) for log in self.expected]
+
+    def registered(self):
+        kinds = ["publisher"] * PUBLISHERS + ["subscriber"] * SUBSCRIBERS
+        return Counter((kind, topic) for kind, topic in zip(kinds, self.topics) if topic)
+
+
+def _grouped(log):
+    return [sorted(entries, key=str) for _, entries in groupby(log, key=lambda entry: entry[1])]
+
+
+@settings(max_examples=400, deadline=None)
+@given(STEPS)
+def test_every_message_arrives_once_in_order_and_on_its_side_of_each_switch(steps):
+    bench = Bench()
+    bench.run(steps)
+    assert bench.agrees(), (bench.logs, bench.expected)
+
+
+@settings(max_examples=200, deadline=None)
+@given(STEPS)
+def test_registrations_and_routes_are_those_of_the_last_switch(steps):
+    bench = Bench()
+    bench.run(steps)
+    assert Counter(bench.world.registrations) == bench.registered()
+    assert [end.topic for end in bench.ends] == bench.topics
+    bench.owner.close()
+    for context in bench.contexts:
+        context.close()
+    assert bench.world.registrations == []
+    assert bench.world.bus._topics == {}
+
+
+@settings(max_examples=200, deadline=None)
+@given(STEPS, st.integers(1, 3))
+def test_a_bounded_queue_loses_only_what_it_counts(steps, queue_size):
+    bench = Bench(queue_size)
+    bench.run(steps)
+    for n in range(SUBSCRIBERS):
+        # A message that takes a dropped one's place may overtake what came in between, but never
+        # a switch of its own subscription.
+        mine = {("switch", count) for end, count in bench.moved if end == PUBLISHERS + n}
+        expected = [each for each in bench.expected[n // 2] if each[0] == n or each in mine]
+        got = [each for each in bench.logs[n // 2] if each[0] == n or each in mine]
+        rest = iter(expected)
+        assert all(entry in rest for entry in got), "out of order, doubled, or on the wrong side"
+        dropped = bench.ends[PUBLISHERS + n].traffic.dropped
+        assert len(got) + dropped == len(expected)
+
+
+@settings(max_examples=200, deadline=None)
+@given(STEPS, st.integers(0, SUBSCRIBERS // 2 - 1))
+def test_a_nodelet_that_is_unloaded_hears_nothing_more_and_others_all(steps, gone):
+    bench = Bench()
+    half = len(steps) // 2
+    for verb, what in steps[:half]:
+        getattr(bench, verb)(what)
+    bench.contexts[gone].close()
+    frozen = list(bench.logs[gone])
+    for n in range(SUBSCRIBERS):
+        if n // 2 == gone:
+            bench.released.add(PUBLISHERS + n)
+            bench.topics[PUBLISHERS + n] = ""
+    bench.run(steps[half:])
+    assert bench.logs[gone] == frozen
+    others = 1 - gone
+    assert _grouped(bench.logs[others]) == _grouped(bench.expected[others])
+    assert Counter(bench.world.registrations) == bench.registered()
+
+
+def test_queued_messages_are_delivered_before_the_marker_and_the_first_new_one():
+    bench = Bench()
+    bench.switch({0: "/a", 1: "/b", 3: "/a"})
+    for _ in range(100):  # more than a strand runs in one go
+        bench.publish(0)
+    bench.switch({3: "/b"})
+    bench.publish(0)
+    bench.publish(1)
+    bench.drain()
+    kinds = [entry[0] for entry in bench.logs[0]]
+    assert kinds == ["switch"] + [0] * 100 + ["switch", 0]
+    assert bench.agrees(), (bench.logs, bench.expected)
+
+
+def test_a_queue_is_bounded_for_each_connection_by_itself():
+    # The first new message does not push out one that waits from the old topic.
+    bench = Bench(queue_size=1)
+    bench.switch({0: "/a", 1: "/b", 3: "/a"})
+    bench.publish(0)
+    bench.switch({3: "/b"})
+    bench.publish(1)
+    bench.drain()
+    assert [entry[0] for entry in bench.logs[0]] == ["switch", 0, "switch", 0]
+
+
+def test_two_ends_that_swap_their_topics_stay_apart():
+    bench = Bench()
+    bench.switch({0: "/a", 1: "/b", 3: "/a", 4: "/b"})
+    bench.publish(0)
+    bench.publish(1)
+    bench.switch({0: "/b", 1: "/a", 3: "/b", 4: "/a"})
+    bench.publish(0)
+    bench.publish(1)
+    bench.drain()
+    assert bench.agrees(), (bench.logs, bench.expected)

@@ -1,0 +1,185 @@
+"""Switches under fire: publishers at full speed on threads of their own, real workers."""
+
+from __future__ import annotations
+
+import sys
+import threading
+
+import pytest
+from unit.nodelet.fakes import Message, in_thread, join, make_pool_world, wait_until
+
+SWITCHES = 1000
+
+
+class Stream:
+    """A publisher that counts up as fast as its reader keeps pace."""
+
+    def __init__(self, world, name, topic):
+        self.handle = world.handle(name)
+        self.publisher = self.handle.Publisher(topic, Message, queue_size=1)
+        self.end = self.publisher._state.publication
+        self.sent = 0
+        self.received = 0
+        self.going = True
+
+    def run(self):
+        while self.going:
+            # A bound on what is under way, or memory would set the pace.
+            if self.sent - self.received < 1000:
+                self.sent += 1
+                self.publisher.publish((self, self.sent))
+            else:
+                threading.Event().wait(0.0005)
+
+
+@pytest.fixture(name="world")
+def _world():
+    world = make_pool_world(3)
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(1e-5)  # threads change places in the middle of everything
+    yield world
+    sys.setswitchinterval(before)
+    world.close()
+
+
+def switches(*streams):
+    """Numbers of the switches to make; now and then messages are awaited, so that they meet."""
+    for number in range(SWITCHES):
+        yield number
+        if number % 10 == 0:
+            due = [stream.sent + 20 for stream in streams]
+            wait_until(lambda due=due: all(s.sent >= d for s, d in zip(streams, due)))
+
+
+def watcher(faults):
+    """A callback that checks each stream's own numbers."""
+    last = {}
+
+    def receive(message):
+        stream, number = message.number
+        if number != last.get(stream, 0) + 1:
+            faults.append((stream, last.get(stream, 0), number))
+        last[stream] = number
+        stream.received = number
+
+    return receive
+
+
+def test_both_ends_move_together_and_lose_double_and_swap_nothing(world):
+    faults = []
+    stream = Stream(world, "/source", "t0")
+    subscriber = world.handle("/sink").Subscriber("/t0", Message, watcher(faults))
+    ends = [stream.end, subscriber._state.subscription]
+    thread = in_thread(stream.run)
+    for number in switches(stream):
+        order = ends if number % 2 else ends[::-1]
+        world.bus.rewire([(end, f"/t{number % 7}") for end in order])
+    stream.going = False
+    join(thread)
+    world.drain()
+    assert faults == []
+    assert stream.received == stream.sent > SWITCHES
+
+
+def test_publishers_move_between_topics_that_one_nodelet_hears_both(world):
+    # One strand, two subscriptions: even the order across the two topics must stay.
+    faults = []
+    streams = [Stream(world, f"/source{n}", "a") for n in range(3)]
+    sink = world.handle("/sink")
+    receive = watcher(faults)
+    for topic in ("/a", "/b"):
+        sink.Subscriber(topic, Message, receive)
+    threads = [in_thread(stream.run) for stream in streams]
+    for number in switches(*streams):
+        for stream in streams:
+            world.bus.rewire([(stream.end, "/" + "ab"[number % 2])])
+    for stream in streams:
+        stream.going = False
+    join(*threads)
+    world.drain()
+    assert faults == []
+    assert [s.received for s in streams] == [s.sent for s in streams]
+
+
+def test_a_subscriber_that_moves_gets_a_gapless_piece_of_each_topic(world):
+    # While it is away from a topic it misses messages; within a visit it must miss none.
+    visits = [[]]
+    streams = {topic: Stream(world, f"/source{topic}", f"/{topic}") for topic in "ab"}
+
+    def receive(message):
+        visits[-1].append(message.number)
+
+    sink = world.handle("/sink")
+    subscriber = sink.Subscriber("/a", Message, receive)
+    listeners = world.handle("/pace")
+    for topic, stream in streams.items():
+        listeners.Subscriber(
+            f"/{topic}", Message, lambda m: setattr(m.number[0], "received", m.number[1])
+        )
+        assert stream.publisher.name == f"/{topic}"
+    threads = [in_thread(stream.run) for stream in streams.values()]
+    for number in switches(*streams.values()):
+        world.bus.rewire(
+            [(subscriber._state.subscription, "/" + "ba"[number % 2])],
+            between=lambda: sink.context.strand.post(lambda: visits.append([])),
+        )
+    for stream in streams.values():
+        stream.going = False
+    join(*threads)
+    world.drain()
+    seen = {stream: 0 for stream in streams.values()}
+    for number, visit in enumerate(visits):
+        stream = streams["ab"[number % 2]]
+        assert {each for each, _ in visit} <= {stream}, "on the wrong side of a switch"
+        numbers = [each for _, each in visit]
+        if numbers:
+            assert numbers[0] > seen[stream], "a message came twice"
+            assert numbers == list(range(numbers[0], numbers[-1] + 1)), "a message was lost"
+            seen[stream] = numbers[-1]
+    assert len(visits) == SWITCHES + 1
+    assert len([visit for visit in visits if visit]) > 10
+
+
+def test_handles_that_come_and_go_disturb_nobody(world):
+    faults = []
+    stream = Stream(world, "/source", "t")
+    world.handle("/sink").Subscriber("/t", Message, watcher(faults))
+    before = world.registrations
+    thread = in_thread(stream.run)
+    guest = world.handle("/guest")
+    for _ in switches(stream):
+        subscriber = guest.Subscriber("/t", Message, lambda message: None, queue_size=1)
+        publisher = guest.Publisher("/t", Message, queue_size=1)
+        subscriber.unregister()
+        publisher.unregister()
+    stream.going = False
+    join(thread)
+    world.drain()
+    assert faults == []
+    assert stream.received == stream.sent
+    assert world.registrations == before
+
+
+def test_switching_threads_do_not_get_in_each_others_way(world):
+    faults = []
+    pairs = []
+    for n in range(4):
+        stream = Stream(world, f"/source{n}", f"t{n}")
+        sink = world.handle(f"/sink{n}").Subscriber(f"/t{n}", Message, watcher(faults))
+        pairs.append((stream, sink._state.subscription))
+
+    def switch(n, stream, subscription):
+        for number in range(SWITCHES // 4):
+            topic = f"/t{n}_{number % 3}"
+            world.bus.rewire([(stream.end, topic), (subscription, topic)])
+
+    sources = [in_thread(stream.run) for stream, _ in pairs]
+    movers = [in_thread(lambda n=n, p=p: switch(n, *p)) for n, p in enumerate(pairs)]
+    join(*movers)
+    for stream, _ in pairs:
+        stream.going = False
+    join(*sources)
+    world.drain()
+    assert faults == []
+    assert all(stream.received == stream.sent for stream, _ in pairs)
+    assert len(world.registrations) == 8

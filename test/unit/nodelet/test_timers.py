@@ -1,0 +1,250 @@
+"""Timers on time that stands still until the test moves it."""
+
+from __future__ import annotations
+
+import gc
+import threading
+
+import pytest
+from unit.nodelet.fakes import PATIENCE, World, make_pool_world, wait_for, wait_until
+
+from dyknow.nodelet.context import Context
+from dyknow.nodelet.handle import NodeHandle
+from dyknow.nodelet.local import ManualTicker
+from dyknow.nodelet.timers import TimerQueue
+
+
+class StillQueue(TimerQueue):
+    """A timer queue without its thread: the test ticks."""
+
+    def _run(self):
+        pass
+
+
+@pytest.fixture(name="world")
+def _world():
+    world = World()
+    object.__setattr__(world.runtime, "timers", StillQueue(world.middleware))
+    return world
+
+
+def advance(world, seconds, tick=True):
+    world.middleware.ticker.advance(seconds)
+    if tick:
+        world.runtime.timers.tick()
+        world.drain()
+
+
+def test_a_timer_fires_once_each_period(world):
+    fired = []
+    world.handle().Timer(1.0, lambda event: fired.append(event.current_real))
+    advance(world, 0.5)
+    assert fired == []
+    for _ in range(6):
+        advance(world, 0.5)
+    assert fired == [1.0, 2.0, 3.0]
+
+
+def test_the_event_tells_what_rospy_tells(world):
+    events = []
+    world.handle().Timer(1.0, events.append)
+    advance(world, 1.25)
+    advance(world, 1.0)
+    first, second = events
+    assert (first.last_expected, first.last_real, first.last_duration) == (None, None, None)
+    assert (first.current_expected, first.current_real) == (1.0, 1.25)
+    assert (second.last_expected, second.last_real) == (1.0, 1.25)
+    assert (second.current_expected, second.current_real) == (2.0, 2.25)
+    assert second.last_duration == 0.0
+
+
+def test_a_oneshot_timer_fires_once_and_is_done(world):
+    fired = []
+    timer = world.handle().Timer(1.0, fired.append, oneshot=True)
+    assert timer.is_alive()
+    for _ in range(3):
+        advance(world, 1.0)
+    assert len(fired) == 1
+    assert not timer.is_alive()
+
+
+def test_time_slept_through_is_not_caught_up_in_a_burst(world):
+    fired = []
+    world.handle().Timer(1.0, lambda event: fired.append(event.current_real))
+    advance(world, 5.5)
+    assert fired == [5.5]
+    advance(world, 0.5)
+    assert fired == [5.5, 6.0], "the grid of the timer was left"
+
+
+def test_calls_do_not_pile_up_while_the_nodelet_is_busy(world):
+    fired = []
+    world.handle().Timer(1.0, fired.append)
+    for _ in range(5):
+        world.middleware.ticker.advance(1.0)
+        world.runtime.timers.tick()
+    world.drain()
+    assert len(fired) == 1
+    advance(world, 1.0)
+    assert len(fired) == 2
+
+
+def test_a_call_due_while_the_callback_runs_is_made_after_it(world):
+    fired = []
+
+    def slow(event):
+        fired.append(event)
+        if len(fired) == 1:
+            world.middleware.ticker.advance(1.0)
+            world.runtime.timers.tick()
+
+    world.handle().Timer(1.0, slow)
+    advance(world, 1.0)
+    assert len(fired) == 2
+    assert fired[1].last_duration == 1.0
+
+
+def test_after_a_jump_back_the_next_call_is_one_period_later(world):
+    fired = []
+    world.handle().Timer(1.0, lambda event: fired.append(event.current_real))
+    advance(world, 100.0)
+    advance(world, -99.5)
+    assert fired == [100.0]
+    advance(world, 0.75)
+    assert fired == [100.0]
+    advance(world, 0.25)
+    assert fired == [100.0, 1.5]
+    advance(world, 1.0)
+    assert fired == [100.0, 1.5, 2.5]
+
+
+def test_a_timer_can_be_shut_down_in_its_callback(world):
+    fired, timers = [], []
+
+    def once(event):
+        fired.append(event)
+        timers[0].shutdown()
+
+    timers.append(world.handle().Timer(1.0, once))
+    for _ in range(3):
+        advance(world, 1.0)
+    assert len(fired) == 1
+    assert not timers[0].is_alive()
+
+
+def test_a_call_that_waits_is_dropped_by_shutdown(world):
+    fired = []
+    timer = world.handle().Timer(1.0, fired.append)
+    world.middleware.ticker.advance(1.0)
+    world.runtime.timers.tick()
+    timer.shutdown()
+    world.drain()
+    assert fired == []
+
+
+def test_a_timer_ends_with_its_nodelet_and_leaves_others_alone(world):
+    fired = []
+    context = world.context("/going")
+    timer = NodeHandle(context, "/").Timer(1.0, lambda event: fired.append("going"))
+    world.handle("/staying").Timer(1.0, lambda event: fired.append("staying"))
+    advance(world, 1.0)
+    context.close()
+    advance(world, 1.0)
+    assert fired == ["going", "staying", "staying"]
+    assert not timer.is_alive()
+    assert len(world.runtime.timers._heap) == 1
+
+
+def test_a_timer_made_by_a_closed_nodelet_never_fires(world):
+    handle, fired = world.handle(), []
+    handle.context.close()
+    handle.Timer(1.0, fired.append)
+    advance(world, 5.0)
+    assert fired == []
+
+
+def test_a_failing_callback_is_counted_and_called_again(world, caplog):
+    handle, fired = world.handle("/failing"), []
+
+    def fail(event):
+        fired.append(event)
+        raise SystemExit("no")
+
+    handle.Timer(1.0, fail)
+    advance(world, 1.0)
+    advance(world, 1.0)
+    assert len(fired) == 2
+    assert handle.context.callback_errors == 2
+    assert "/failing: the callback of a timer raised" in caplog.text
+
+
+@pytest.mark.parametrize("period", [0.0, -1.0, float("nan")])
+def test_a_period_must_be_positive(world, period):
+    with pytest.raises(ValueError, match="must be positive"):
+        world.handle().Timer(period, print)
+
+
+def test_timers_wait_for_the_end_of_on_init(world):
+    context, fired = Context(world.runtime, "/starting"), []
+    NodeHandle(context, "/").Timer(1.0, fired.append)
+    for _ in range(3):
+        advance(world, 1.0)
+    assert fired == []
+    context.start()
+    world.drain()
+    assert len(fired) == 1
+
+
+def test_finished_timers_leave_nothing_behind(world):
+    # A common pattern: a callback that makes a one-shot timer, again and again.
+    handle = world.handle(concurrent=True)
+    before = len(world.executor.strands)
+    for _ in range(50):
+        handle.Timer(1.0, lambda event: None, oneshot=True)
+        advance(world, 1.0)
+        handle.Timer(1.0, lambda event: None).shutdown()
+    gc.collect()
+    assert len(world.executor.strands) <= before + 2
+    assert len(world.runtime.timers._heap) == 0
+
+
+def test_the_timer_thread_sleeps_until_something_is_due_and_ends():
+    world = make_pool_world(1)
+    try:
+        fired = threading.Semaphore(0)
+        world.handle().Timer(10.0, lambda event: fired.release())
+        world.handle("/sooner").Timer(1.0, lambda event: fired.release())
+        for _ in range(10):
+            world.middleware.ticker.advance(1.0)
+            assert fired.acquire(timeout=PATIENCE)
+        assert fired.acquire(timeout=PATIENCE)
+    finally:
+        world.close()
+    wait_until(lambda: not world.runtime.timers._thread.is_alive())
+
+
+def test_a_failing_ticker_does_not_end_the_timers_of_others(caplog):
+    ticker = ManualTicker()
+    world = make_pool_world(1)
+    world.middleware.ticker = ticker
+    timers = TimerQueue(world.middleware)
+    fired, calls = threading.Event(), []
+    wait = ticker.wait
+
+    def failing_wait(until):
+        calls.append(until)
+        if len(calls) == 1:
+            raise RuntimeError("clock lost")
+        wait(until)
+
+    ticker.wait = failing_wait
+    context = world.context()
+    try:
+        timers.add(1.0, lambda event: fired.set(), context.strand, False, lambda error: None)
+        wait_until(lambda: len(calls) > 1)
+        ticker.advance(1.0)
+        wait_for(fired)
+        assert "clock lost" in caplog.text
+    finally:
+        timers.close()
+        world.close()

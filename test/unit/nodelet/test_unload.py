@@ -1,0 +1,316 @@
+"""Unloading: what is gone, what is refused, what is not waited for."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+
+import pytest
+from unit.nodelet.fakes import (
+    Idle,
+    Message,
+    in_thread,
+    join,
+    make_pool_world,
+    numbers,
+    wait_for,
+    wait_until,
+)
+
+from dyknow.errors import HandleClosed, UnknownNodelet
+from dyknow.nodelet import loader as loader_module
+from dyknow.nodelet.loader import Loader
+from dyknow.nodelet.nodelet import Nodelet
+
+
+@pytest.fixture(name="world")
+def _world():
+    world = make_pool_world(3)
+    yield world
+    world.close()
+
+
+class Hanging(Nodelet):
+    """Its callback blocks until the test lets go, then publishes."""
+
+    def on_init(self):
+        self.started, self.release = threading.Event(), threading.Event()
+        self.ended, self.raised, self.got = threading.Event(), [], []
+        self.pub = self.node_handle.Publisher("out", Message)
+        self.node_handle.Subscriber("in", Message, self.on_message)
+
+    def on_message(self, message):
+        self.got.append(message)
+        self.started.set()
+        wait_for(self.release)
+        try:
+            self.pub.publish(1)
+        except HandleClosed as error:
+            self.raised.append(error)
+        self.ended.set()
+
+
+def test_everything_is_unregistered_before_it_returns(world):
+    class Full(Nodelet):
+        def on_init(self):
+            for nh in (self.node_handle, self.mt_private_node_handle):
+                nh.Publisher("p", Message)
+                nh.Subscriber("s", Message, print)
+                nh.Service("service", object, print)
+                nh.Timer(1.0, print)
+
+    told = []
+    loader = Loader(world.runtime, lambda name: Full, on_unloaded=told.append)
+    loader.load("/n", "full")
+    assert len(world.registrations) == 4
+    loader.unload("/n")
+    assert world.registrations == []
+    assert world.middleware.services == {}
+    assert world.runtime.timers._heap == []
+    assert told == ["/n"]
+    assert loader.list() == []
+
+
+def test_a_failure_while_closing_leaves_nothing_else_behind(world, caplog):
+    class Full(Nodelet):
+        def on_init(self):
+            self.node_handle.Publisher("p", Message)
+            for name in ("a", "b", "c"):
+                self.node_handle.Service(name, object, print)
+
+    loader = world.loader(full=Full)
+    loader.load("/n", "full")
+    offered = loader.get("/n").context._closables[1]._offered
+    offered.close = lambda: 1 / 0
+    loader.unload("/n")
+    assert sorted(world.middleware.services) == ["/b"]
+    assert world.registrations == []
+    assert "ZeroDivisionError" in caplog.text
+    loader.load("/n", "full")
+
+
+def test_a_running_callback_is_not_waited_for_and_its_late_publish_refused(world, caplog):
+    caplog.set_level(logging.INFO)
+    loader = world.loader(hanging=Hanging)
+    nodelet = loader.load("/n", "hanging")
+    got, nh = [], world.handle()
+    nh.Subscriber("/out", Message, got.append)
+    publisher = nh.Publisher("/in", Message)
+    for number in range(3):
+        publisher.publish(number)
+    wait_for(nodelet.started)
+    loader.unload("/n")
+    assert loader.list() == []
+    assert "/n: unloaded while a callback runs" in caplog.text
+    again = loader.load("/n", "hanging")
+    nodelet.release.set()
+    wait_for(nodelet.ended)
+    wait_until(lambda: "/n: the callback that ran at the unload has ended" in caplog.text)
+    again.release.set()
+    world.drain()
+    assert len(nodelet.raised) == 1
+    assert "publisher 'out' of /n is closed" in str(nodelet.raised[0])
+    assert numbers(nodelet.got) == [0], "queued messages are dropped"
+    assert got == []
+
+
+def test_an_idle_nodelet_is_unloaded_without_words_about_callbacks(world, caplog):
+    caplog.set_level(logging.INFO)
+    loader = world.loader(hanging=Hanging)
+    loader.load("/n", "hanging")
+    world.drain()
+    loader.unload("/n")
+    assert "callback" not in caplog.text
+
+
+@pytest.mark.parametrize("how", ["subscriber", "timer", "service", "mt"])
+def test_a_callback_may_unload_its_own_nodelet(world, how):
+    loader = None
+    done = threading.Event()
+
+    class Suicidal(Nodelet):
+        def on_init(self):
+            nh = self.mt_node_handle if how == "mt" else self.node_handle
+            self.pub = nh.Publisher("p", Message)
+            if how == "timer":
+                nh.Timer(1.0, self.end)
+            elif how == "service":
+                nh.Service("end", object, self.end)
+            else:
+                nh.Subscriber("in", Message, self.end)
+
+        def end(self, _):
+            loader.unload(self.name)
+            with pytest.raises(HandleClosed):
+                self.pub.publish()
+            done.set()
+
+    loader = world.loader(suicidal=Suicidal)
+    loader.load("/n", "suicidal")
+    if how == "timer":
+        world.middleware.ticker.advance(1.0)
+    elif how == "service":
+        call = world.middleware.services["/end"]
+        in_thread(lambda: pytest.raises(Exception, call, None))
+    else:
+        world.handle().Publisher("/in", Message).publish()
+    wait_for(done)
+    assert loader.list() == []
+    assert world.registrations in ([], [("publisher", "/in")])
+    loader.load("/n", "suicidal")
+
+
+class TestSignalShutdown:
+    def test_unloads_only_its_own_nodelet(self, world):
+        loader = world.loader(idle=Idle)
+        nodelet = loader.load("/going", "idle")
+        loader.load("/staying", "idle")
+        nodelet.node_handle.signal_shutdown("enough")
+        assert loader.list() == ["/staying"]
+        assert nodelet.node_handle.is_shutdown()
+        nodelet.node_handle.signal_shutdown("again")  # says so in the log, raises nothing
+
+    def test_of_a_nodelet_that_is_gone_leaves_its_successor_alone(self, world):
+        loader = world.loader(idle=Idle)
+        old = loader.load("/n", "idle")
+        loader.unload("/n")
+        new = loader.load("/n", "idle")
+        old.node_handle.signal_shutdown("late")
+        assert loader.get("/n") is new
+        assert not new.node_handle.is_shutdown()
+
+
+class TestOnShutdown:
+    def test_runs_once_and_can_still_publish(self, world):
+        ended = []
+
+        class Polite(Nodelet):
+            def on_init(self):
+                self.pub = self.node_handle.Publisher("bye", Message)
+
+            def on_shutdown(self):
+                ended.append(self.node_handle.is_shutdown())
+                self.pub.publish(1)
+
+        got = []
+        world.handle().Subscriber("/bye", Message, got.append)
+        loader = world.loader(polite=Polite)
+        loader.load("/n", "polite")
+        loader.unload("/n")
+        with pytest.raises(UnknownNodelet):
+            loader.unload("/n")
+        loader.close()
+        world.drain()
+        assert ended == [False]
+        assert numbers(got) == [1]
+
+    def test_runs_though_the_nodelet_unloads_itself(self, world):
+        ended = threading.Event()
+
+        class Polite(Idle):
+            def on_shutdown(self):
+                ended.set()
+
+        world.loader(polite=Polite).load("/n", "polite").node_handle.signal_shutdown()
+        assert ended.is_set()
+
+    def test_no_callback_runs_after_it(self, world):
+        order = []
+
+        class Orderly(Nodelet):
+            def on_init(self):
+                self.node_handle.Subscriber("in", Message, lambda m: order.append("callback"))
+
+            def on_shutdown(self):
+                publisher.publish()
+                assert world.executor.drain()
+                order.append("on_shutdown")
+
+        publisher = world.handle().Publisher("/in", Message)
+        loader = world.loader(orderly=Orderly)
+        loader.load("/n", "orderly")
+        publisher.publish()
+        world.drain()
+        loader.unload("/n")
+        publisher.publish()
+        world.drain()
+        assert order == ["callback", "on_shutdown"]
+
+    def test_is_waited_for_a_second_at_most(self, world, caplog):
+        assert loader_module.SHUTDOWN_PATIENCE == 1.0
+        release = threading.Event()
+
+        class Stubborn(Nodelet):
+            def on_init(self):
+                self.node_handle.Publisher("p", Message)
+
+            def on_shutdown(self):
+                wait_for(release)
+
+        loader = world.loader(stubborn=Stubborn)
+        loader.load("/n", "stubborn")
+        start = time.monotonic()
+        loader.unload("/n")
+        assert 0.9 < time.monotonic() - start < 3.0
+        assert world.registrations == []
+        assert "/n: on_shutdown has not returned after 1 s" in caplog.text
+        loader.load("/n", "stubborn")
+        release.set()
+        loader.unload("/n")
+
+    def test_and_each_hook_run_though_others_raise(self, world, caplog):
+        ran = []
+
+        class Failing(Nodelet):
+            def on_init(self):
+                self.node_handle.on_shutdown(lambda: ran.append("first hook"))
+                self.node_handle.on_shutdown(lambda: [][0])
+                self.node_handle.on_shutdown(lambda: ran.append("last hook"))
+
+            def on_shutdown(self):
+                ran.append("on_shutdown")
+                raise SystemExit
+
+        loader = world.loader(failing=Failing)
+        loader.load("/n", "failing")
+        loader.unload("/n")
+        assert ran == ["on_shutdown", "first hook", "last hook"]
+        assert "/n: on_shutdown raised" in caplog.text
+        assert "IndexError" in caplog.text
+
+    def test_is_not_run_for_a_nodelet_that_did_not_start(self, world):
+        ended = []
+
+        class Failing(Nodelet):
+            def on_init(self):
+                raise ValueError
+
+            def on_shutdown(self):
+                ended.append(1)
+
+        with pytest.raises(Exception, match="ValueError"):
+            world.loader(failing=Failing).load("/n", "failing")
+        assert ended == []
+
+
+def test_publishers_at_full_speed_see_the_unload_as_one_refusal(world):
+    loader = world.loader(hanging=Hanging)
+    nodelet = loader.load("/n", "hanging")
+    refused = []
+
+    def publish():
+        try:
+            while True:
+                nodelet.pub.publish(1)
+        except HandleClosed:
+            refused.append(1)
+
+    got = []
+    world.handle().Subscriber("/out", Message, got.append, queue_size=10)
+    threads = [in_thread(publish) for _ in range(3)]
+    wait_until(lambda: len(got) > 10)
+    loader.unload("/n")
+    join(*threads)
+    world.drain()
+    assert refused == [1, 1, 1]

@@ -1,0 +1,271 @@
+"""The worker pool: real threads, exclusion, lost wake-ups, the watchdog."""
+
+from __future__ import annotations
+
+import itertools
+import logging
+import threading
+from unittest import mock
+
+import pytest
+from unit.nodelet.fakes import PATIENCE, in_thread, join, wait_for, wait_until
+
+from dyknow.nodelet.scheduler import Strand, WorkerPool
+
+
+@pytest.fixture(name="make_pool")
+def _make_pool():
+    pools = []
+
+    def make(size, **options):
+        pools.append(WorkerPool(size, **options))
+        return pools[-1]
+
+    yield make
+    for pool in pools:
+        pool.close()
+
+
+class Blocker:
+    """Tasks that block until released."""
+
+    def __init__(self):
+        self.started = threading.Semaphore(0)
+        self.release = threading.Event()
+
+    def __call__(self):
+        self.started.release()
+        wait_for(self.release)
+
+    def wait_started(self, count=1):
+        for _ in range(count):
+            assert self.started.acquire(timeout=PATIENCE)
+
+
+def test_a_pool_needs_a_worker():
+    with pytest.raises(ValueError, match="at least one worker"):
+        WorkerPool(0)
+
+
+def test_tasks_of_a_strand_never_overlap_and_keep_their_order(make_pool):
+    pool = make_pool(4)
+    strands = [Strand(pool, str(n)) for n in range(5)]
+    inside = [0] * 5
+    overlaps, ran = [], [[] for _ in range(5)]
+
+    def task(which, number):
+        inside[which] += 1
+        if inside[which] != 1:
+            overlaps.append(which)
+        ran[which].append(number)
+        inside[which] -= 1
+
+    for number in range(2000):
+        for which, strand in enumerate(strands):
+            strand.post(lambda w=which, n=number: task(w, n))
+    assert pool.drain(PATIENCE)
+    assert overlaps == []
+    assert ran == [list(range(2000))] * 5
+
+
+def test_strands_overlap_with_each_other(make_pool):
+    pool = make_pool(2)
+    both = threading.Barrier(2)
+    met = []
+
+    def meet():
+        both.wait(PATIENCE)
+        met.append(1)
+
+    Strand(pool, "a").post(meet)
+    Strand(pool, "b").post(meet)
+    assert pool.drain(PATIENCE)
+    assert met == [1, 1]
+
+
+def test_no_wake_up_is_lost_under_many_posting_threads(make_pool):
+    # Strands run empty all the time here, which is when a wake-up could be missed.
+    pool = make_pool(3)
+    strands = [Strand(pool, str(n)) for n in range(4)]
+    counts = [itertools.count() for _ in strands]
+
+    def post(offset):
+        for number in range(4000):
+            which = (number + offset) % len(strands)
+            strands[which].post(counts[which].__next__)
+
+    join(*[in_thread(lambda o=o: post(o)) for o in range(4)])
+    assert pool.drain(PATIENCE), "a strand with tasks was forgotten"
+    assert [next(count) for count in counts] == [4000] * 4
+
+
+def test_a_task_is_run_though_nothing_follows_it(make_pool):
+    # One task at a time, each awaited: a lost wake-up would show as a time-out at once.
+    pool = make_pool(2)
+    strand, ran = Strand(pool, "s"), threading.Semaphore(0)
+    for _ in range(2000):
+        strand.post(ran.release)
+        assert ran.acquire(timeout=PATIENCE)
+
+
+def test_exiting_tasks_do_not_end_workers(make_pool):
+    pool = make_pool(1)
+    strand, ran = Strand(pool, "s"), threading.Event()
+
+    def leave():
+        raise SystemExit
+
+    for _ in range(5):
+        strand.post(leave)
+    strand.post(ran.set)
+    wait_for(ran)
+    assert pool.threads == 1
+
+
+def test_drain_gives_up_while_something_runs(make_pool):
+    pool, blocker = make_pool(1), Blocker()
+    strand = Strand(pool, "s")
+    strand.post(blocker)
+    blocker.wait_started()
+    assert pool.drain(0.0) is False
+    blocker.release.set()
+    assert pool.drain(PATIENCE) is True
+
+
+def test_drain_does_not_wait_for_a_killed_strand(make_pool):
+    pool, blocker = make_pool(1), Blocker()
+    strand = Strand(pool, "s")
+    strand.post(blocker)
+    blocker.wait_started()
+    strand.kill()
+    assert pool.drain(PATIENCE) is True
+    blocker.release.set()
+
+
+def test_blocked_workers_are_replaced_so_that_others_go_on(make_pool):
+    pool, blocker = make_pool(2), Blocker()
+    blocked = [Strand(pool, f"blocked {n}") for n in range(3)]
+    for strand in blocked:
+        strand.post(blocker)
+    others = [threading.Event() for _ in range(20)]
+    live = [Strand(pool, f"live {n}") for n in range(20)]
+    for strand, event in zip(live, others):
+        strand.post(event.set)
+    for event in others:
+        wait_for(event)
+    blocker.release.set()
+    assert pool.drain(PATIENCE)
+
+
+def test_a_replaced_worker_ends_when_its_callback_returns(make_pool):
+    pool, blocker = make_pool(1), Blocker()
+    stuck, other = Strand(pool, "stuck"), Strand(pool, "other")
+    stuck.post(blocker)
+    blocker.wait_started()
+    went_on, after = threading.Event(), threading.Event()
+    other.post(went_on.set)
+    wait_for(went_on)
+    assert pool.threads == 2
+    stuck.post(after.set)
+    blocker.release.set()
+    wait_for(after)
+    wait_until(lambda: pool.threads == 1)
+
+
+def test_workers_that_block_with_nobody_waiting_are_kept(make_pool):
+    now = [0.0]
+    looks = threading.Semaphore(0)
+
+    def clock():
+        looks.release()
+        return now[0]
+
+    pool, blocker = make_pool(1, clock=clock), Blocker()
+    strand = Strand(pool, "s")
+    strand.post(blocker)
+    blocker.wait_started()
+    for _ in range(4):
+        assert looks.acquire(timeout=PATIENCE)
+    assert pool.threads == 1
+    blocker.release.set()
+
+
+def test_a_stuck_callback_is_reported_once_with_its_stack(make_pool, caplog):
+    now = [0.0]
+    looks = threading.Semaphore(0)
+
+    def clock():
+        looks.release()
+        return now[0]
+
+    pool, blocker = make_pool(1, stuck_after=5.0, clock=clock), Blocker()
+
+    def a_callback_that_hangs():
+        blocker()
+
+    strand = Strand(pool, "/hanging")
+    caplog.set_level(logging.WARNING)
+    strand.post(a_callback_that_hangs)
+    blocker.wait_started()
+
+    def look(times):
+        for _ in range(times):
+            assert looks.acquire(timeout=PATIENCE)
+
+    look(3)
+    assert caplog.text == ""
+    now[0] = 6.0
+    wait_until(lambda: "/hanging" in caplog.text)
+    look(3)
+    assert caplog.text.count("has not returned") == 1
+    assert "a_callback_that_hangs" in caplog.text
+    # The next callback of the same strand that hangs is a new fault, and told again.
+    blocker.release.set()
+    second = Blocker()
+    strand.post(second)
+    second.wait_started()
+    look(3)
+    now[0] = 20.0
+    wait_until(lambda: caplog.text.count("has not returned") == 2)
+    second.release.set()
+
+
+def test_the_watchdog_sleeps_while_there_is_nothing_to_do(make_pool):
+    looks = []
+    pool = make_pool(2, clock=lambda: looks.append(1) or float(len(looks)))
+    strand, ran = Strand(pool, "s"), threading.Event()
+    strand.post(ran.set)
+    wait_for(ran)
+    wait_until(lambda: not pool._awake.is_set())
+    before = len(looks)
+    # Three times the watchdog's period, in which it must not look once.
+    threading.Event().wait(0.7)
+    assert len(looks) == before
+    # And it is there again when it is needed.
+    blocker, went_on = [Blocker(), Blocker()], threading.Event()
+    held = [Strand(pool, "held") for _ in blocker]
+    for one, block in zip(held, blocker):
+        one.post(block)
+    strand.post(went_on.set)
+    wait_for(went_on)
+    for block in blocker:
+        block.release.set()
+
+
+def test_close_ends_all_threads_that_are_free():
+    pool = WorkerPool(3)
+    with mock.patch.object(pool, "_report"):
+        threads = [worker.thread for worker in pool._workers] + [pool._watchdog]
+        pool.close()
+        join(*threads)
+    assert pool.threads == 0
+
+
+def test_close_lets_a_running_callback_end_by_itself():
+    pool, blocker = WorkerPool(2), Blocker()
+    Strand(pool, "s").post(blocker)
+    blocker.wait_started()
+    pool.close()
+    wait_until(lambda: pool.threads == 1)
+    blocker.release.set()
+    wait_until(lambda: pool.threads == 0)

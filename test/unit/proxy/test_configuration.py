@@ -1,0 +1,295 @@
+"""set_config: everything is checked first, then all is switched together, or nothing."""
+
+from __future__ import annotations
+
+import pytest
+from unit.nodelet.fakes import AnyMessage, Message, OtherMessage, World, in_thread, join, numbers
+
+import dyknow
+from dyknow.errors import (
+    DuplicatePort,
+    InvalidConfiguration,
+    InvalidName,
+    PeerTimeout,
+    RemappedTopic,
+    TypeMismatch,
+    UnknownPort,
+    UnloadedMeanwhile,
+)
+from dyknow.nodelet.handle import NodeHandle
+from dyknow.proxy.proxy import NodeletProxy
+
+
+class Bench:
+    """A nodelet with ports, and a probe outside of it."""
+
+    def __init__(self, name="/ns/nodelet", **options):
+        self.world = World()
+        self.context = self.world.context(name, **options)
+        self.nh = dyknow.NodeHandle(NodeHandle(self.context, "/ns"))
+        self.proxy = NodeletProxy.of(self.context)
+        self.probe = self.world.handle("/probe")
+        self.got = []
+
+    def with_ports(self):
+        self.out = self.nh.Publisher("out", Message, queue_size=10)
+        self.nh.Publisher("other_out", OtherMessage, queue_size=10)
+        self.sub = self.nh.Subscriber("in", Message, self.got.append)
+        self.nh.Subscriber("any", AnyMessage, self.got.append)
+        return self
+
+    def topics(self):
+        return {port.name: port.topic for port in self.proxy.get_config()}
+
+    def refuse(self, config):
+        """Set a configuration that must be refused without a trace; returns its problems."""
+        before = (
+            self.proxy.get_config(),
+            self.world.registrations,
+            self.proxy.get_statistics().reconfigurations,
+        )
+        with pytest.raises(InvalidConfiguration) as caught:
+            self.proxy.set_config(config)
+        after = (
+            self.proxy.get_config(),
+            self.world.registrations,
+            self.proxy.get_statistics().reconfigurations,
+        )
+        assert after == before
+        assert str(caught.value).startswith("/ns/nodelet: nothing was changed: ")
+        return caught.value.problems
+
+
+@pytest.fixture(name="bench")
+def _bench():
+    return Bench().with_ports()
+
+
+def test_ports_connect_to_topics(bench):
+    received = []
+    bench.probe.Subscriber("/b", Message, received.append)
+    bench.proxy.set_config([("in", "/a"), ("out", "/b")])
+    bench.probe.Publisher("/a", Message).publish(1)
+    bench.out.publish(2)
+    bench.world.drain()
+    assert numbers(bench.got) == [1]
+    assert numbers(received) == [2]
+    assert bench.topics() == {"out": "/b", "other_out": "", "in": "/a", "any": ""}
+    assert bench.out.name == "/b" and bench.sub.name == "/a"
+
+
+@pytest.mark.parametrize(
+    ("text", "topic"),
+    [
+        ("image", "/ns/image"),
+        ("cam/image", "/ns/cam/image"),
+        ("/image", "/image"),
+        ("~image", "/ns/nodelet/image"),
+        ("image/", "/ns/image"),
+    ],
+)
+def test_topics_resolve_like_those_of_the_nodelet(bench, text, topic):
+    bench.proxy.set_config([("in", text)])
+    assert bench.topics()["in"] == topic
+
+
+def test_the_remappings_of_the_load_request_are_not_applied():
+    bench = Bench(remappings={"/ns/image": "/elsewhere"}).with_ports()
+    bench.proxy.set_config([("in", "image")])
+    assert bench.topics()["in"] == "/ns/image"
+
+
+def test_an_empty_topic_disconnects(bench):
+    bench.proxy.set_config([("in", "/a"), ("out", "/b")])
+    assert bench.world.registrations == [("publisher", "/b"), ("subscriber", "/a")]
+    bench.proxy.set_config([("in", ""), ("out", "")])
+    assert bench.world.registrations == []
+    assert set(bench.topics().values()) == {""}
+    bench.out.publish(1)
+
+
+def test_ports_that_are_not_named_stay(bench):
+    bench.proxy.set_config([("in", "/a"), ("out", "/b")])
+    halves = list(bench.world.middleware.halves)
+    bench.proxy.set_config([("in", "/c")])
+    assert bench.topics()["out"] == "/b"
+    assert len(bench.world.middleware.halves) == len(halves) + 1
+
+
+def test_a_configuration_that_changes_nothing_is_none(bench):
+    bench.proxy.set_config([("in", "/a")])
+    told = []
+    bench.nh.set_reconfigure_callback(lambda *maps: told.append(maps))
+    for config in ([], [("in", "/a")], [("out", "")]):
+        bench.proxy.set_config(config)
+    bench.world.drain()
+    assert told == []
+    assert bench.proxy.get_statistics().reconfigurations == 1
+
+
+class TestRefusals:
+    def test_an_unknown_port(self, bench):
+        (problem,) = bench.refuse([("nose", "/a"), ("in", "/b")])
+        assert isinstance(problem, UnknownPort)
+        assert str(problem) == "unknown port 'nose'; known ports: any, in, other_out, out"
+
+    def test_a_port_named_twice(self, bench):
+        (problem,) = bench.refuse([("in", "/a"), ("out", "/c"), ("in", "/b")])
+        assert isinstance(problem, DuplicatePort)
+        assert problem.port == "in"
+
+    def test_a_port_named_twice_with_the_same_topic(self, bench):
+        (problem,) = bench.refuse([("in", "/a"), ("in", "/a")])
+        assert isinstance(problem, DuplicatePort)
+
+    @pytest.mark.parametrize("topic", ["a b", "1", "//a", "/", "~", "a//b", "/a/~b", " ", "-"])
+    def test_an_invalid_topic(self, bench, topic):
+        (problem,) = bench.refuse([("in", topic), ("out", "/b")])
+        assert isinstance(problem, InvalidName)
+        assert problem.name == topic
+        assert "topic name" in str(problem)
+
+    def test_a_topic_of_another_type_in_this_process(self, bench):
+        bench.probe.Publisher("/a", OtherMessage)
+        (problem,) = bench.refuse([("in", "/a"), ("out", "/b")])
+        assert isinstance(problem, TypeMismatch)
+        assert "'/a' carries test/OtherMessage" in str(problem)
+        assert "port 'in'" in str(problem)
+
+    def test_a_topic_of_another_type_outside(self, bench):
+        bench.world.middleware.types["/a"] = "test/Third"
+        (problem,) = bench.refuse([("in", "/a")])
+        assert isinstance(problem, TypeMismatch)
+
+    def test_two_ports_of_different_types_on_one_topic(self, bench):
+        (problem,) = bench.refuse([("in", "/a"), ("other_out", "/a")])
+        assert isinstance(problem, TypeMismatch)
+
+    def test_a_port_of_any_type_does_not_hide_the_type_of_a_topic(self, bench):
+        bench.world.middleware.types["/a"] = "test/Third"
+        for config in ([("any", "/a"), ("in", "/a")], [("in", "/a"), ("any", "/a")]):
+            (problem,) = bench.refuse(config)
+            assert isinstance(problem, TypeMismatch)
+
+    def test_two_types_are_told_apart_though_a_port_of_any_comes_first(self, bench):
+        (problem,) = bench.refuse([("any", "/a"), ("in", "/a"), ("other_out", "/a")])
+        assert isinstance(problem, TypeMismatch)
+
+    def test_a_topic_that_the_process_remaps(self, bench):
+        bench.world.middleware.remappings["/a"] = "/b"
+        (problem,) = bench.refuse([("in", "/a")])
+        assert isinstance(problem, RemappedTopic)
+
+    def test_all_that_is_wrong_is_told_at_once(self, bench):
+        bench.world.middleware.types["/t"] = "test/Third"
+        problems = bench.refuse(
+            [
+                ("in", "/t"),
+                ("out", "a b"),
+                ("nose", "/a"),
+                ("any", "/a"),
+                ("any", "/b"),
+                ("other_out", "/fine"),
+            ]
+        )
+        assert sorted(type(problem).__name__ for problem in problems) == [
+            "DuplicatePort",
+            "InvalidName",
+            "TypeMismatch",
+            "UnknownPort",
+        ]
+
+    def test_a_topic_that_is_about_to_be_used_has_its_type_already(self, bench):
+        refused = []
+
+        def come_up(topic):
+            bench.world.middleware.on_register = lambda topic: None
+            with pytest.raises(TypeMismatch):
+                bench.probe.Publisher("/b", OtherMessage)
+            refused.append(topic)
+
+        bench.world.middleware.on_register = come_up
+        bench.proxy.set_config([("in", "/a"), ("out", "/b")])
+        assert refused == ["/a"]
+        assert bench.world.registrations == [("publisher", "/b"), ("subscriber", "/a")]
+
+    def test_a_registration_that_fails(self, bench):
+        bench.proxy.set_config([("in", "/a"), ("out", "/b")])
+        bench.world.middleware.refused["/bad"] = PeerTimeout("the master", 1.0)
+        told = []
+        bench.nh.set_reconfigure_callback(lambda *maps: told.append(maps))
+        with pytest.raises(PeerTimeout):
+            bench.proxy.set_config([("in", "/good"), ("out", "/bad")])
+        bench.world.drain()
+        assert told == []
+        assert bench.topics()["in"] == bench.sub.name == "/a"
+        assert bench.topics()["out"] == bench.out.name == "/b"
+        assert bench.world.registrations == [("publisher", "/b"), ("subscriber", "/a")]
+        assert bench.proxy.get_statistics().reconfigurations == 1
+
+    def test_a_registration_that_fails_after_the_switch_is_told_and_the_config_true(self, bench):
+        # A topic that is alive here is switched to at once, and registered afterwards.
+        bench.probe.Subscriber("/bad", Message, print)
+        bench.probe.Publisher("/good", Message)
+        bench.proxy.set_config([("in", "/a"), ("out", "/b")])
+        bench.world.middleware.refused["/bad"] = ValueError("headers")
+        changes = []
+        bench.proxy.on_change = lambda: changes.append(bench.topics()["out"])
+        with pytest.raises(ValueError, match="headers"):
+            bench.proxy.set_config([("out", "/bad"), ("in", "/good")])
+        assert bench.topics()["in"] == bench.sub.name == "/good"
+        assert bench.topics()["out"] == bench.out.name == "/bad"
+        assert changes == ["/bad"]
+
+
+class TestTypes:
+    def test_any_fits_every_topic(self, bench):
+        bench.probe.Publisher("/a", OtherMessage, latch=True).publish(1)
+        bench.proxy.set_config([("any", "/a")])
+        bench.world.drain()
+        assert numbers(bench.got) == [1]
+
+    def test_a_topic_nobody_is_on_any_more_has_no_type(self, bench):
+        bench.probe.Publisher("/a", OtherMessage).unregister()
+        bench.proxy.set_config([("in", "/a")])
+
+    def test_the_config_shows_directions_and_types(self, bench):
+        shown = [(p.name, p.direction, p.datatype) for p in bench.proxy.get_config()]
+        assert shown == [
+            ("out", "out", "test/Message"),
+            ("other_out", "out", "test/OtherMessage"),
+            ("in", "in", "test/Message"),
+            ("any", "in", "*"),
+        ]
+
+
+class TestUnload:
+    def test_while_the_outside_is_asked(self, bench):
+        bench.world.middleware.on_register = lambda topic: join(in_thread(bench.context.close))
+        with pytest.raises(UnloadedMeanwhile, match="/ns/nodelet"):
+            bench.proxy.set_config([("in", "/a")])
+        assert bench.world.registrations == []
+
+    def test_before(self, bench):
+        bench.context.close()
+        with pytest.raises(UnloadedMeanwhile):
+            bench.proxy.set_config([("in", "/a")])
+
+    def test_before_with_ports_whose_handles_are_gone(self, bench):
+        bench.out.unregister()
+        bench.context.close()
+        with pytest.raises(UnloadedMeanwhile):
+            bench.proxy.set_config([("out", "/a")])
+
+    def test_a_handle_unregistered_during_the_switch_does_not_fail_it(self, bench):
+        second = bench.nh.Subscriber("in", Message, bench.got.append)
+        once = [second]
+
+        def unregister(topic):
+            if once:
+                join(in_thread(once.pop().unregister))
+
+        bench.world.middleware.on_register = unregister
+        bench.proxy.set_config([("in", "/a"), ("out", "/b")])
+        assert bench.topics()["in"] == bench.sub.name == "/a"
+        assert bench.world.registrations == [("publisher", "/b"), ("subscriber", "/a")]

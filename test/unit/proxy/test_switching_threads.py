@@ -1,0 +1,230 @@
+"""set_config under fire: real workers, publishers at full speed, thousands of switches."""
+
+from __future__ import annotations
+
+import sys
+import threading
+
+import pytest
+from unit.nodelet.fakes import (
+    Message,
+    in_thread,
+    join,
+    make_pool_world,
+    wait_until,
+)
+
+import dyknow
+from dyknow.errors import HandleClosed, UnloadedMeanwhile
+from dyknow.proxy.proxy import NodeletProxy
+
+SWITCHES = 1000
+
+
+@pytest.fixture(name="world")
+def _world():
+    world = make_pool_world(3)
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(1e-5)  # threads change places in the middle of everything
+    yield world
+    sys.setswitchinterval(before)
+    world.close()
+
+
+class Filter(dyknow.Nodelet):
+    """Checks what comes, in the order of its queue, and passes it on."""
+
+    def on_init(self):
+        nh = dyknow.NodeHandle(self.node_handle)
+        self.faults, self.last, self.maps = [], 0, []
+        self.out = nh.Publisher("out", Message, queue_size=1)
+        nh.Subscriber("in", Message, self.on_message)
+        nh.set_reconfigure_callback(lambda inputs, outputs: self.maps.append(inputs["in"]))
+
+    def on_message(self, message):
+        number, topic = message.number
+        if number != self.last + 1:
+            self.faults.append((self.last, number))
+        if topic is not None and self.maps and topic != self.maps[-1]:
+            self.faults.append((number, topic, self.maps[-1]))
+        self.last = number
+        self.out.publish((number, None))
+
+
+class Pump:
+    """Publishes as fast as the end of the chain keeps pace; at most 1000 are under way."""
+
+    def __init__(self, publisher, sink, label=lambda: None):
+        self.sent, self.going = 0, True
+        self._publisher, self._sink, self._label = publisher, sink, label
+        self.thread = in_thread(self._run)
+
+    def _run(self):
+        while self.going:
+            if self.sent - self._sink.last < 1000:
+                self.sent += 1
+                self._publisher.publish((self.sent, self._label()))
+            else:
+                threading.Event().wait(0.0005)
+
+    def stop(self):
+        self.going = False
+        join(self.thread)
+
+
+def proxy_of(nodelet):
+    return NodeletProxy.of(nodelet.context)
+
+
+def test_a_chain_that_is_rewired_all_the_time_loses_and_doubles_nothing(world):
+    # Each nodelet's in-port and the out-port before it cannot move in one call, so the in-port
+    # listens on both topics for a while, through a second port of the same nodelet.
+    loader = world.loader(filter=Filter)
+    first = loader.load("/first", "filter", {"/out": "/m0"})
+    last = loader.load("/last", "filter", {"/in": "/m0"})
+    spare = dyknow.NodeHandle(last.node_handle)
+    spare.Subscriber("in2", Message, last.on_message)
+    last.maps = []
+    pump = Pump(first.out, last)
+    ports = ["in", "in2"]
+    for number in range(1, SWITCHES + 1):
+        old, new = ports
+        proxy_of(last).set_config([(new, f"/m{number % 5}")])
+        proxy_of(first).set_config([("out", f"/m{number % 5}")])
+        proxy_of(last).set_config([(old, "")])
+        last.maps = []  # their topics are another test's
+        ports.reverse()
+        if number % 10 == 0:
+            due = pump.sent + 20
+            wait_until(lambda due=due: pump.sent >= due)
+    pump.stop()
+    world.drain()
+    assert last.faults == []
+    assert last.last == pump.sent > SWITCHES
+    assert proxy_of(first).get_statistics().reconfigurations == SWITCHES
+    assert proxy_of(first).get_statistics().ports[0].traffic.messages == pump.sent
+    loader.close()
+    assert world.registrations == []
+
+
+def test_a_nodelet_whose_both_ends_move_hears_itself_in_order_and_knows_its_topic(world):
+    loader = world.loader(filter=Filter)
+    nodelet = loader.load("/loop", "filter")
+    source = dyknow.NodeHandle(nodelet.node_handle).Publisher("source", Message, queue_size=1)
+    proxy = proxy_of(nodelet)
+    proxy.set_config([("source", "/t0"), ("in", "/t0")])
+    pump = Pump(source, nodelet)
+    for number in range(1, SWITCHES + 1):
+        config = [("source", f"/t{number % 7}"), ("in", f"/t{number % 7}")]
+        proxy.set_config(config if number % 2 else config[::-1])
+        if number % 10 == 0:
+            due = pump.sent + 20
+            wait_until(lambda due=due: pump.sent >= due)
+    pump.stop()
+    world.drain()
+    assert nodelet.faults == []
+    assert nodelet.last == pump.sent > SWITCHES
+    assert nodelet.maps == [f"/t{number % 7}" for number in range(SWITCHES + 1)]
+
+
+def test_the_reconfigure_callback_stands_exactly_between_the_topics(world):
+    # Each message says on which topic it was published; the nodelet compares with its map.
+    loader = world.loader(filter=Filter)
+    nodelet = loader.load("/n", "filter", {"/in": "/a"})
+    proxy = proxy_of(nodelet)
+    seen = []
+
+    def check(message):
+        expected = nodelet.maps[-1] if nodelet.maps else "/a"
+        seen.append(message.number == expected)
+
+    extra = dyknow.NodeHandle(nodelet.node_handle)
+    extra.Subscriber("probe", Message, check)
+    proxy.set_config([("probe", "/a")])
+    nodelet.maps.clear()
+    extra.set_reconfigure_callback(lambda inputs, outputs: nodelet.maps.append(inputs["probe"]))
+    going = [True]
+
+    def publish(topic):
+        publisher = world.handle(f"/source{topic}").Publisher(topic, Message, queue_size=1)
+        while going[0]:
+            if len(seen) < 10 * len(nodelet.maps) + 50:
+                publisher.publish(topic)
+            else:
+                threading.Event().wait(0.0005)
+
+    threads = [in_thread(lambda t=t: publish(t)) for t in ("/a", "/b")]
+    for number in range(SWITCHES):
+        proxy.set_config([("probe", "/" + "ba"[number % 2])])
+        if number % 10 == 0:
+            due = len(seen) + 5
+            wait_until(lambda due=due: len(seen) >= due)
+    going[0] = False
+    join(*threads)
+    world.drain()
+    assert len(seen) > SWITCHES / 10
+    assert all(seen)
+
+
+def test_an_unload_amid_switches_from_many_threads_leaves_nothing(world):
+    loader = world.loader(filter=Filter)
+    for _ in range(30):
+        nodelet = loader.load("/n", "filter", {"/in": "/a", "/out": "/b"})
+        ended = []
+
+        def switch(which, nodelet=nodelet, ended=ended):
+            number = 0
+            try:
+                while True:
+                    number += 1
+                    config = [("in", f"/a{which}{number % 3}"), ("out", f"/b{number % 2}")]
+                    proxy_of(nodelet).set_config(config)
+            except UnloadedMeanwhile:
+                ended.append(which)
+
+        def publish(nodelet=nodelet, ended=ended):
+            try:
+                while True:
+                    nodelet.out.publish((1, None))
+            except HandleClosed:
+                ended.append("publisher")
+
+        threads = [in_thread(lambda w=w: switch(w)) for w in range(3)]
+        threads.append(in_thread(publish))
+        wait_until(lambda n=nodelet: proxy_of(n).get_statistics().reconfigurations > 5)
+        loader.unload("/n")
+        join(*threads)
+        assert sorted(map(str, ended)) == ["0", "1", "2", "publisher"]
+        assert world.registrations == []
+        assert world.bus._topics == {}
+        assert world.bus._making == []
+
+
+def test_handles_that_come_and_go_do_not_fail_set_config(world):
+    loader = world.loader(filter=Filter)
+    nodelet = loader.load("/n", "filter")
+    going, failed = [True], []
+
+    def come_and_go():
+        nh = dyknow.NodeHandle(nodelet.mt_node_handle)
+        try:
+            while going[0]:
+                subscriber = nh.Subscriber("in", Message, lambda message: None)
+                publisher = nh.Publisher("guest", Message)
+                subscriber.unregister()
+                publisher.unregister()
+        except Exception as error:
+            failed.append(error)
+
+    threads = [in_thread(come_and_go) for _ in range(2)]
+    wait_until(lambda: "guest" in [port.name for port in proxy_of(nodelet).get_config()])
+    for number in range(SWITCHES // 2):
+        topic = f"/t{number % 3}"
+        proxy_of(nodelet).set_config([("in", topic), ("guest", topic)])
+    going[0] = False
+    join(*threads)
+    assert failed == []
+    assert [r for r in world.registrations if r[0] == "subscriber"] == [("subscriber", topic)]
+    loader.close()
+    assert world.registrations == []
+    assert world.bus._topics == {}
