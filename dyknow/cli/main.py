@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import signal
 import sys
@@ -32,6 +33,19 @@ def main(words: Optional[Sequence[str]] = None) -> int:
         return INTERRUPTED
 
 
+def execute(arguments: argparse.Namespace, shell: Shell) -> int:
+    """Run the command that was parsed and return its exit code; errors become one line each."""
+    try:
+        code = all_commands()[arguments.command].run(arguments, shell)
+    except Unreachable as error:
+        shell.error(error)
+        return UNREACHABLE
+    except DyKnowError as error:
+        shell.error(error)
+        return FAILED
+    return DONE if code is None else code
+
+
 def _run(words: Sequence[str]) -> int:
     try:
         arguments = parse(words)
@@ -43,22 +57,14 @@ def _run(words: Sequence[str]) -> int:
 
         return ShellClient(arguments.manager_node, arguments.timeout)
 
-    shell = Shell(connect, arguments.json)
     try:
-        try:
-            code = all_commands()[arguments.command].run(arguments, shell)
-        except Unreachable as error:
-            shell.error(error)
-            code = UNREACHABLE
-        except DyKnowError as error:
-            shell.error(error)
-            code = FAILED
+        code = execute(arguments, Shell(connect, arguments.json))
         sys.stdout.flush()
     except BrokenPipeError:
         # Whoever read our words has gone; the interpreter's own flush must not complain about it.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return BROKEN_PIPE
-    return DONE if code is None else code
+    return code
 
 
 if __name__ == "__main__":

@@ -55,8 +55,8 @@ class Shell:
         return self._client
 
     def resolve(self, name: str) -> str:
-        """Make the name of a nodelet or topic global: relative ones begin at the manager's."""
-        return names.resolve(name, self.client.namespace, "/")
+        """Make a name global: relative ones begin in the manager's namespace."""
+        return name if name == "/" else names.resolve(name, self.client.namespace, "/")
 
     def show(self, value: Any, lines: Iterable[str]) -> None:
         """Print a result: the value as JSON, or else the lines."""

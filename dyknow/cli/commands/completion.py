@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import argparse
 import os
+from typing import TYPE_CHECKING
 
 from dyknow.cli.command import Command
 from dyknow.cli.shell import Shell
 from dyknow.cli.shell_words import split
+
+if TYPE_CHECKING:
+    from dyknow.ros.shell_client import ShellClient
 
 #: Seconds that each answer may take: who presses TAB does not wait.
 _TIMEOUT = 0.2
@@ -20,9 +24,10 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 def _complete(arguments: argparse.Namespace, shell: Shell) -> None:
     from dyknow.cli.completion import complete
     from dyknow.cli.parser import manager_node
-    from dyknow.ros.shell_client import ShellClient
 
     def client(manager: str) -> ShellClient:
+        from dyknow.ros.shell_client import ShellClient
+
         return ShellClient(manager_node(manager) if manager else arguments.manager_node, _TIMEOUT)
 
     line = split(arguments.line)
