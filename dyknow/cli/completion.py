@@ -54,6 +54,9 @@ def complete(words: Sequence[str], last: str, client: Callable[[str], ShellClien
         last: What is there of it.
         client: Makes a client of the manager of that name, empty for the default.
     """
+    option, equals, value = last.partition("=")
+    if option.startswith("--") and equals:
+        return [f"{option}={each}" for each in complete([*words, option], value, client)]
     program, parsers = build_parser()
     place = find_place(program, parsers, words)
     if last.startswith("-") and not place.only:

@@ -134,7 +134,7 @@ class _Reader:
             self._foreign += 1
             return
         self._check_attributes(name, attributes, line)
-        if name in ("transformations", "nodelets") and not self._first(name, "", line):
+        if name in ("transformations", "nodelets") and self._earlier(name, "", line):
             self.problem(line, f"a second <{name}>; expected one")
         if name == "wiring" and attributes.get("version", VERSION) != VERSION:
             raise _Stop(line, f"version '{attributes['version']}'; expected '{VERSION}'")
@@ -166,8 +166,11 @@ class _Reader:
 
     # What the elements say
 
-    def _first(self, what: str, key: str, line: int) -> bool:
-        return self._seen.setdefault((what, key), line) == line
+    def _earlier(self, what: str, key: str, line: int) -> int:
+        """Line in which this was seen before, or 0."""
+        earlier = self._seen.get((what, key), 0)
+        self._seen.setdefault((what, key), line)
+        return earlier
 
     def _check_attributes(self, name: str, attributes: _Attributes, line: int) -> None:
         required, optional = _ATTRIBUTES[name]
@@ -209,8 +212,8 @@ class _Reader:
         name, manager = attributes.get("name", ""), attributes.get("manager", "")
         if name:
             self._check_global(name, "nodelet name", line)
-            if not self._first("nodelet", name, line):
-                first = self._seen["nodelet", name]
+            first = self._earlier("nodelet", name, line)
+            if first:
                 self.problem(line, f"the nodelet '{name}' is there already, in line {first}")
         if manager:
             self._check_global(manager, "nodelet manager", line)
