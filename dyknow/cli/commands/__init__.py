@@ -6,6 +6,7 @@ from typing import Tuple
 
 from dyknow.cli.command import Command
 from dyknow.cli.commands import (
+    checking,
     completion,
     graph,
     library,
@@ -21,7 +22,7 @@ GROUPS: Tuple[Tuple[str, Tuple[Command, ...]], ...] = (
     ("What runs", (*looking.COMMANDS, *statistics.COMMANDS, *graph.COMMANDS)),
     ("Nodelets", nodelets.COMMANDS),
     ("Connections", wiring.COMMANDS),
-    ("Transformations", library.COMMANDS),
+    ("Transformations", (*library.COMMANDS, *checking.COMMANDS)),
     ("Whole wirings", storage.COMMANDS),
     ("", completion.COMMANDS),
 )

@@ -6,7 +6,7 @@ import argparse
 import difflib
 import re
 import sys
-from typing import Any, Dict, Iterable, List, Optional, Sequence, Tuple
+from typing import Any, Dict, Iterable, List, Optional, Sequence
 
 from dyknow.cli.arguments import Kind, takes
 from dyknow.cli.command import Command
@@ -14,7 +14,7 @@ from dyknow.cli.files import write_file
 from dyknow.cli.shapes import transformation_shape
 from dyknow.cli.shell import FAILED, Shell
 from dyknow.cli.tables import columns, count
-from dyknow.errors import DyKnowError, Problem, Refused, UnknownTransformation
+from dyknow.errors import DyKnowError, Refused, UnknownTransformation
 from dyknow.manager.transformation import IN, OUT, Transformation
 from dyknow.ros.client_errors import Unreachable
 
@@ -168,76 +168,6 @@ def _remove(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
     return FAILED if failed else None
 
 
-def _check_arguments(parser: argparse.ArgumentParser) -> None:
-    _files(parser)
-    takes(
-        parser.add_argument(
-            "--ontology",
-            metavar="OWL",
-            action="append",
-            default=[],
-            help="file in which templates find the individuals of a concept; may be repeated",
-        ),
-        Kind.FILE,
-    )
-
-
-def _check(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
-    reports = [(file, _report(file, arguments.ontology)) for file in arguments.files]
-    bad = False
-    lines: List[str] = []
-    for file, (labels, problems, warnings) in reports:
-        bad = bad or bool(problems)
-        lines.extend(str(problem) for problem in problems)
-        lines.extend(_with_warning(problem) for problem in warnings)
-        if not problems:
-            lines.append(f"{file}: {count(len(labels), 'transformation')}: {', '.join(labels)}")
-    shell.show(
-        {
-            "files": [
-                {
-                    "file": file,
-                    "labels": list(labels),
-                    "problems": [_problem_shape(problem) for problem in problems],
-                    "warnings": [_problem_shape(problem) for problem in warnings],
-                }
-                for file, (labels, problems, warnings) in reports
-            ]
-        },
-        lines,
-    )
-    return FAILED if bad else None
-
-
-def _report(
-    file: str, ontologies: Sequence[str]
-) -> Tuple[Sequence[str], Sequence[Problem], Sequence[Problem]]:
-    from dyknow.errors import SpecificationError
-    from dyknow.manager.specification import parse, parse_file
-
-    ontology = None
-    if ontologies:
-        from dyknow.manager.ontology import load_ontology
-
-        ontology = load_ontology(ontologies)
-    try:
-        if file == STDIN:
-            found = parse(sys.stdin.buffer.read(), "standard input", ontology)
-        else:
-            found = parse_file(file, ontology)
-    except SpecificationError as error:
-        return (), error.problems, error.warnings
-    return [each.label for each in found.transformations], (), found.warnings
-
-
-def _with_warning(problem: Problem) -> str:
-    return str(problem._replace(message=f"warning: {problem.message}"))
-
-
-def _problem_shape(problem: Problem) -> Dict[str, Any]:
-    return {"file": problem.file, "line": problem.line, "message": problem.message}
-
-
 COMMANDS = (
     Command(
         "library",
@@ -272,14 +202,5 @@ COMMANDS = (
         "dyknow remove 'undistort(cam1)'",
         _remove_arguments,
         _remove,
-    ),
-    Command(
-        "check",
-        "check specification files without a manager",
-        "Find everything that is wrong with specification files, with file and line. No manager "
-        "and no master is needed. Ends with 1 if there are problems; warnings are no problems.",
-        "dyknow check cameras.xml\ndyknow check --ontology soccer.owl *.xml",
-        _check_arguments,
-        _check,
     ),
 )

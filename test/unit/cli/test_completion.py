@@ -99,7 +99,7 @@ def test_files(client: FakeClient, tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert offered(client, "import ") == ["a\\ file.xml", "folder/"]
     assert offered(client, "load folder/") == ["folder/x.xml"]
     assert offered(client, "save .h") == [".hidden"]
-    assert offered(client, "export -o fo") == ["folder/"]
+    assert offered(client, "export -o fol") == ["folder/"]
     assert offered(client, "check nowhere/") == []
 
 
@@ -125,7 +125,8 @@ def test_what_is_inserted_means_the_candidate(words: list[str]) -> None:
 def bash(line: str, path: Path, function: str = "_dyknow") -> list[str]:
     """What bash offers for a line, with its completion sourced and `dyknow` on `path`."""
     script = (
-        f". '{ROOT}/scripts/dyknow-completion.bash'; COMP_LINE=$1; COMP_POINT=${{#1}}; {function}; "
+        f". '{ROOT}/env-hooks/dyknow-completion.bash'; COMP_LINE=$1; COMP_POINT=${{#1}}; "
+        f"{function}; "
         'printf "%s\\n" "${COMPREPLY[@]}"'
     )
     done = subprocess.run(

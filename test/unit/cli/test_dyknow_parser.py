@@ -58,7 +58,7 @@ def test_examples_are_understood() -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["spwan", "a", "b"], "there is no command 'spwan'; did you mean spawn?"),
+        (["spawm", "a", "b"], "there is no command 'spawm'; did you mean spawn?"),
         ([], "a command is missing"),
         (["spawn", "relay"], "the following arguments are required: NAME"),
         (["spawn", "relay", "a b"], "'a b' is not a valid name"),
