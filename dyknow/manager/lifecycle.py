@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass, field, replace
-from typing import Dict, List, Mapping
+from typing import Dict, List, Mapping, Tuple
 
 from dyknow import names
 from dyknow.errors import (
@@ -22,8 +22,11 @@ from dyknow.guards import Guards
 from dyknow.manager import placement
 from dyknow.manager.graph import Graph
 from dyknow.manager.host import Host, Kind, LoadRequest
-from dyknow.manager.model import Record, State, declared_ports, seen_ports
+from dyknow.manager.model import PortState, Record, State, declared_ports, seen_ports
 from dyknow.manager.transformation import TOPIC, Transformation
+
+#: Seconds to wait for a look, or for somebody else, to be done with a nodelet.
+PATIENCE = 5.0
 
 _log = logging.getLogger("rosout.dyknow")
 
@@ -123,6 +126,8 @@ class Lifecycle:
                 kind = Kind.CPP if record.rewired_by_reload else Kind.PYTHON
                 starting = replace(starting, manager=self._host.ensure(kind, record.name))
             running = self._bring_up(starting)
+        except NameTaken:
+            return record  # it is there: the next look takes it up
         except DyKnowError as error:
             self._take_down(starting)
             running = replace(record, state=State.FAILED, detail=str(error), ports=())
@@ -138,18 +143,14 @@ class Lifecycle:
             HostError: its nodelet manager did not do it.
         """
         self._graph.get(name)
-        with self._graph.changing(name) as record:
+        with self._graph.changing(name, patience=PATIENCE) as record:
             if record is None:
                 self._graph.get(name)
                 return
             if record.is_protected:
                 raise Protected(name)
-            if record.state is State.RUNNING:
-                try:
-                    self._host.unload(record.manager, name)
-                except HostError:
-                    if not record.isolated and name in self._host.list(record.manager):
-                        raise
+            if record.state in (State.RUNNING, State.LOST):
+                self._unload(record)
             self._dispose(record)
             self._graph.remove(name)
 
@@ -170,23 +171,44 @@ class Lifecycle:
             DyKnowError: it did not work; the nodelet is wired as before.
         """
         self._graph.get(name)
-        with self._graph.changing(name) as record:
+        with self._graph.changing(name, patience=PATIENCE) as record:
             if record is None or record.transformation is None or not record.rewired_by_reload:
                 raise HostError(f"nodelet '{name}' is not one that is re-wired by a reload")
             changes = self._resolved(record.transformation, name, config)
             changed = replace(record, topics={**record.topics, **changes})
             if changed.topics == record.topics:
                 return
-            self._host.unload(record.manager, name)
+            # Whoever finds it unloaded after the manager was killed here has to bring it back.
+            self._graph.put(replace(record, state=State.STARTING))
+            try:
+                self._host.unload(record.manager, name)
+            except HostError:
+                self._graph.put(record)
+                raise
             try:
                 running = self._bring_up(changed)
             except DyKnowError as error:
-                self._take_down(changed)
-                self._graph.put(self._bring_up(record))
+                self._drop(changed)
+                self._load_as_before(record)
                 raise SpawnFailed(name, error) from error
             self._graph.put(running)
 
     # Inside
+
+    def _unload(self, record: Record) -> None:
+        try:
+            self._host.unload(record.manager, record.name)
+        except HostError:
+            incarnation = self._incarnation(record.manager)
+            died = not incarnation or record.incarnation not in ("", incarnation)
+            if not record.isolated and not died and record.name in self._host.list(record.manager):
+                raise
+
+    def _load_as_before(self, record: Record) -> None:
+        try:
+            self._graph.put(self._bring_up(record))
+        except DyKnowError as error:  # a look will try again
+            self._graph.put(replace(record, state=State.FAILED, detail=str(error)))
 
     def _resolved(
         self, transformation: Transformation, name: str, config: Mapping[str, str]
@@ -224,15 +246,19 @@ class Lifecycle:
         )
         if record.rewired_by_reload:
             return replace(record, ports=declared_ports(record))
-        self._check_ports(record)
+        ports = self._checked_ports(record)
         if wiring:
             self._host.connect(record.name, wiring)
-        return replace(record, ports=seen_ports(record, self._host.ports(record.name)))
+            ports = tuple(
+                replace(port, topic=wiring.get(port.name, port.topic)) for port in ports
+            )
+        return replace(record, ports=seen_ports(record, ports))
 
-    def _check_ports(self, record: Record) -> None:
+    def _checked_ports(self, record: Record) -> Tuple[PortState, ...]:
         transformation = record.transformation
         assert transformation is not None
-        found = {port.name: port for port in self._host.ports(record.name)}
+        ports = self._host.ports(record.name)
+        found = {port.name: port for port in ports}
         wrong = []
         for port in transformation.ports:
             real = found.get(port.name)
@@ -251,13 +277,17 @@ class Lifecycle:
                 )
         if wrong:
             raise HostError("; ".join(wrong))
+        return ports
 
     def _take_down(self, record: Record) -> None:
+        self._drop(record)
+        self._dispose(record)
+
+    def _drop(self, record: Record) -> None:
         try:
             self._host.unload(record.manager, record.name)
         except HostError as error:
             _log.debug("%s: %s", record.name, error)
-        self._dispose(record)
 
     def _dispose(self, record: Record) -> None:
         if record.transformation is not None:

@@ -135,7 +135,7 @@ class Observer:
             if record.state is State.RUNNING:
                 _log.info("%s was unloaded by others; it is not brought back", record.name)
                 self._lifecycle.forget(record)
-            elif record.state is State.FAILED:
+            else:  # it failed, or the manager was killed while it brought it back
                 self._bring_back(record)
         elif alive or state is None or (state.own and not state.alive):
             self._lose(record, "its nodelet manager has died")
@@ -146,6 +146,8 @@ class Observer:
     def _follow(self, record: Record, state: ManagerState | None, closely: bool) -> None:
         incarnation = state.incarnation if state is not None else record.incarnation
         came_back = record.state is not State.RUNNING or record.incarnation != incarnation
+        if record.state is State.STARTING and not self._complete(record):
+            return
         record = replace(record, state=State.RUNNING, detail="", incarnation=incarnation)
         if (closely or came_back) and not record.rewired_by_reload:
             try:
@@ -156,6 +158,20 @@ class Observer:
                 record = replace(record, ports=ports)
                 record = replace(record, topics=topics_of(record))
         self._graph.put(record, durable=record.transformation is not None)
+
+    def _complete(self, record: Record) -> bool:
+        """Finish what an earlier life began: it was killed while it brought the nodelet back."""
+        wiring = {port: topic for port, topic in record.topics.items() if topic}
+        try:
+            if record.rewired_by_reload:  # with which wiring it runs nobody knows
+                self._host.unload(record.manager, record.name)
+                return False
+            if wiring:
+                self._host.connect(record.name, wiring)
+        except HostError as error:
+            _log.warning("%s: %s", record.name, error)
+            return False
+        return True
 
     def _lose(self, record: Record, why: str) -> None:
         if record.state is State.RUNNING:

@@ -39,6 +39,8 @@ _STEP = 0.02
 _SHORT_LIFE = 10.0
 _LONGEST_PAUSE = 30.0
 _ANSWER_TIMEOUT = 1.0
+#: Seconds that a child of an earlier life may take to show itself: it may have just been started.
+_ADOPTION_TIMEOUT = 5.0
 _BASES = {Kind.PYTHON: "dyknow_nodelet_manager", Kind.CPP: "dyknow_cpp_nodelet_manager"}
 
 _log = logging.getLogger("rosout.dyknow")
@@ -117,8 +119,13 @@ class Children:
             found = None if name in known else self._living(name)
             if found is not None and self._is_ours(name):
                 records.append(ChildRecord(name, kind, process=found))
-        for record in records:
-            self._add(Child(record, adopted=True))
+        children = [self._add(Child(record, adopted=True)) for record in records]
+        deadline = time.monotonic() + _ADOPTION_TIMEOUT
+        for child in children:
+            try:
+                self._wait_up(child, deadline)
+            except HostError as error:
+                _log.warning("%s", error)
         return [record.name for record in records]
 
     def all(self) -> List[Child]:

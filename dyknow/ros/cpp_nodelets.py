@@ -110,7 +110,8 @@ class CppNodelets:
             wanted = [
                 record.name
                 for record in self._manager.graph.all()
-                if record.rewired_by_reload and record.state is State.RUNNING
+                if record.rewired_by_reload
+                and (record.state is State.RUNNING or record.name in self._offered)
             ]
             for name in [name for name in self._offered if name not in wanted]:
                 self._offered.pop(name).close()

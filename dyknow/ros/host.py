@@ -148,6 +148,8 @@ class RosHost(Host):
             if (manager, name) in self._refused:
                 self._refused.discard((manager, name))
                 raise HostError(f"nodelet '{name}' was not loaded")
+        if not self._client_of(manager).answers:
+            self.list(manager)  # fails at once as long as it hangs
         service = f"{manager}/unload_nodelet"
         self._asking(manager, lambda: self._call(service, NodeletUnload, UNLOAD_TIMEOUT, name))
 

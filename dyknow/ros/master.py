@@ -24,26 +24,44 @@ class _Transport(xmlrpc.client.Transport):
         return connection
 
 
-def ask(uri: str, peer: str, timeout: float, question: str, *args: Any) -> Any:
-    """Call a function of the master's or a node's XML-RPC API and return its value.
+class _Server:
+    """The XML-RPC API of the master or of a node; connections are kept for the next question."""
 
-    Raises:
-        PeerTimeout: no answer in time, or nobody there.
-        LookupError: the answer is an error.
-    """
-    transport = _Transport(timeout)
-    server = xmlrpc.client.ServerProxy(uri, transport=transport)
-    try:
-        code, message, value = getattr(server, question)(*args)
-    except (OSError, http.client.HTTPException) as error:
-        raise PeerTimeout(peer, timeout) from error
-    except (xmlrpc.client.Error, ValueError, TypeError) as error:
-        raise LookupError(f"{peer}: {error}") from error
-    finally:
-        transport.close()
-    if code != 1:
-        raise LookupError(message)
-    return value
+    def __init__(self, uri: str, peer: str, timeout: float) -> None:
+        self._uri = uri
+        self._peer = peer
+        self._timeout = timeout
+        self._idle: List[_Transport] = []
+
+    def ask(self, question: str, *args: Any) -> Any:
+        """Call a function and return its value.
+
+        Raises:
+            PeerTimeout: no answer in time, or nobody there.
+            LookupError: the answer is an error.
+        """
+        try:
+            transport = self._idle.pop()
+        except IndexError:
+            transport = _Transport(self._timeout)
+        server = xmlrpc.client.ServerProxy(self._uri, transport=transport)
+        try:
+            code, message, value = getattr(server, question)(*args)
+        except (OSError, http.client.HTTPException) as error:
+            transport.close()
+            raise PeerTimeout(self._peer, self._timeout) from error
+        except (xmlrpc.client.Error, ValueError, TypeError) as error:
+            transport.close()
+            raise LookupError(f"{self._peer}: {error}") from error
+        self._idle.append(transport)
+        if code != 1:
+            raise LookupError(message)
+        return value
+
+    def close(self) -> None:
+        """Close the connections that are not in use."""
+        while self._idle:
+            self._idle.pop().close()
 
 
 class Master:
@@ -60,6 +78,7 @@ class Master:
         self.caller = caller
         self.uri = uri or os.environ.get("ROS_MASTER_URI", "http://localhost:11311")
         self.timeout = timeout
+        self._server = _Server(self.uri, f"the ROS master at {self.uri}", timeout)
 
     def ask(self, question: str, *args: Any) -> Any:
         """Call a function of the master's API and return its value.
@@ -68,8 +87,7 @@ class Master:
             PeerTimeout: no answer in time, or no master.
             LookupError: the master knows nothing of it.
         """
-        peer = f"the ROS master at {self.uri}"
-        return ask(self.uri, peer, self.timeout, question, self.caller, *args)
+        return self._server.ask(question, self.caller, *args)
 
     def publishers(self, topic: str) -> Set[str]:
         """Names of the nodes that publish on a topic."""
@@ -106,7 +124,11 @@ class Master:
         Raises:
             PeerTimeout: it does not answer in time.
         """
-        return int(ask(uri, f"node {name}", timeout, "getPid", self.caller))
+        server = _Server(uri, f"node {name}", timeout)
+        try:
+            return int(server.ask("getPid", self.caller))
+        finally:
+            server.close()
 
     def purge(self, node: str, uri: str) -> None:
         """Unregister all that a dead node left, in its name, as ``rosnode cleanup`` does.
