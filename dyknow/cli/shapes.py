@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Dict
 
-from dyknow.cli.views import state_of
+from dyknow.cli.views import by_name, state_of
 from dyknow.manager.model import PortState
 from dyknow.manager.transformation import Transformation
 
@@ -36,7 +36,7 @@ def nodelet_shape(nodelet: NodeletView) -> Shape:
         "rewired_by_reload": nodelet.rewired_by_reload,
         "state": state_of(nodelet),
         "detail": nodelet.detail,
-        "ports": [port_shape(port) for port in nodelet.ports],
+        "ports": [port_shape(port) for port in by_name(nodelet.ports)],
     }
 
 

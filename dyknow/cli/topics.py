@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Dict, Iterator, List, Sequence, Tuple
 
 from dyknow.cli.arguments import PortReference
-from dyknow.cli.views import state_of
+from dyknow.cli.views import by_name, state_of
 from dyknow.manager.transformation import OUT
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ def topics_of(snapshot: ModelView) -> List[Topic]:
     targets: Dict[str, List[PortReference]] = {}
     types: Dict[str, str] = {}
     for nodelet in sorted(snapshot.nodelets, key=lambda each: each.name):
-        for port in sorted(nodelet.ports, key=lambda each: each.name):
+        for port in by_name(nodelet.ports):
             if port.topic:
                 ends = sources if port.direction == OUT else targets
                 ends.setdefault(port.topic, []).append(PortReference(nodelet.name, port.name))
@@ -64,7 +64,7 @@ def list_topics(snapshot: ModelView, topics: Sequence[Topic]) -> Iterator[str]:
     loose = [
         f"    {port.direction:<4} {PortReference(nodelet.name, port.name)}"
         for nodelet in snapshot.nodelets
-        for port in nodelet.ports
+        for port in by_name(nodelet.ports)
         if not port.topic
     ]
     loose.extend(

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import difflib
-from typing import TYPE_CHECKING, Dict
+from typing import TYPE_CHECKING, Dict, Iterable, List, Mapping
 
 if TYPE_CHECKING:
+    from dyknow.manager.model import PortState
     from dyknow.ros.client import ModelView, NodeletView
 
 
@@ -14,9 +15,14 @@ def state_of(nodelet: NodeletView) -> str:
     return nodelet.state.name.lower()
 
 
+def by_name(ports: Iterable[PortState]) -> List[PortState]:
+    """Sort ports: the manager shows them in the order in which the nodelet made them."""
+    return sorted(ports, key=lambda port: port.name)
+
+
 def connections_of(nodelet: NodeletView) -> Dict[str, str]:
-    """Topics of the ports that are connected."""
-    return {port.name: port.topic for port in nodelet.ports if port.topic}
+    """Topics of the ports that are connected, by port."""
+    return {port.name: port.topic for port in by_name(nodelet.ports) if port.topic}
 
 
 def unknown_nodelet(name: str, model: ModelView) -> str:
@@ -25,3 +31,15 @@ def unknown_nodelet(name: str, model: ModelView) -> str:
     similar = difflib.get_close_matches(name, known, 3)
     hint = f"; did you mean {' or '.join(similar)}?" if similar else "; see 'dyknow list'"
     return f"no nodelet named '{name}' runs{hint}"
+
+
+def shows(model: ModelView, wanted: Mapping[str, Mapping[str, str]]) -> bool:
+    """Whether the model has these topics at these ports, nodelet by nodelet."""
+    for name, topics in wanted.items():
+        nodelet = model.nodelet(name)
+        if nodelet is None:
+            return False
+        present = connections_of(nodelet)
+        if any(present.get(port, "") != topic for port, topic in topics.items()):
+            return False
+    return True

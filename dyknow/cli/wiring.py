@@ -94,7 +94,7 @@ def wiring_of(snapshot: ModelView) -> Tuple[Wiring, List[NodeletView]]:
                 nodelet.is_protected,
                 nodelet.isolated,
                 "" if nodelet.isolated else nodelet.manager,
-                tuple(sorted(connections_of(nodelet).items())),
+                tuple(connections_of(nodelet).items()),
             )
             for nodelet in sorted(own, key=lambda each: each.name)
         ),

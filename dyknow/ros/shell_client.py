@@ -9,9 +9,10 @@ from __future__ import annotations
 import http.client
 import os
 import re
+import socket
 import time
 import xmlrpc.client
-from typing import Any, Callable, List, Mapping, Optional, TypeVar
+from typing import Any, Callable, List, Optional, TypeVar
 from xml.parsers.expat import ExpatError
 
 from dyknow_msgs.msg import Model
@@ -68,21 +69,17 @@ class ShellClient(ManagerClient):
             return model_view(read_latched(self._asked, self.manager, topic, Model, seconds))
         except LookupError:
             raise self._no_manager("is not running") from None
-        except PeerTimeout:
-            raise self._no_manager(f"did not answer within {seconds:g} s") from None
-        except OSError as error:
-            raise self._no_manager(f"is registered, but does not answer ({error})") from error
+        except (PeerTimeout, OSError) as error:
+            raise self._no_manager(_why_silent(error, seconds)) from error
 
-    def wait_until_known(self, wanted: Mapping[str, Mapping[str, str]]) -> bool:
-        """Wait until the manager's model shows these topics of ports, nodelet by nodelet.
-
-        The next command then sees what this one has done.
+    def wait_for_model(self, condition: Callable[[ModelView], bool]) -> bool:
+        """Wait until the manager's model shows a change, so that the next command sees it.
 
         Returns:
             Whether it does within the time that the model needs at most.
         """
         deadline = time.monotonic() + FOLLOW_TIMEOUT
-        while not _shows(self.nodelets(), wanted):
+        while not condition(self.nodelets()):
             if time.monotonic() > deadline:
                 return False
             time.sleep(_FOLLOW_PERIOD)
@@ -118,8 +115,7 @@ class ShellClient(ManagerClient):
         except ServiceLost as error:
             if owner != self.manager:
                 raise Silent(f"nodelet '{owner}' does not answer: {error}") from error
-            why = "is not running" if "is not offered" in str(error) else f"is lost: {error}"
-            raise self._no_manager(why) from error
+            raise self._no_manager(_why_silent(error, seconds)) from error
         except PeerTimeout as error:
             if owner != self.manager:
                 raise Silent(f"nodelet '{owner}' did not answer within {seconds:g} s") from error
@@ -147,11 +143,8 @@ class ShellClient(ManagerClient):
             http.client.HTTPException,
             xmlrpc.client.Error,
         ) as error:
-            cause = error.__cause__ or error
-            # The words of an error of the system, without its number.
-            words = re.sub(r"^\[Errno -?\d+\] ", "", str(cause)) or type(cause).__name__
             raise Unreachable(
-                f"no ROS master at {self._asked.uri} ({words}): is roscore running, and "
+                f"no ROS master at {self._asked.uri} ({_words(error)}): is roscore running, and "
                 "ROS_MASTER_URI right?"
             ) from error
 
@@ -162,12 +155,16 @@ class ShellClient(ManagerClient):
         )
 
 
-def _shows(model: ModelView, wanted: Mapping[str, Mapping[str, str]]) -> bool:
-    for name, topics in wanted.items():
-        nodelet = model.nodelet(name)
-        if nodelet is None:
-            return False
-        found = {port.name: port.topic for port in nodelet.ports}
-        if any(found.get(port) != topic for port, topic in topics.items()):
-            return False
-    return True
+def _why_silent(error: BaseException, seconds: float) -> str:
+    cause = error.__cause__ or error
+    if isinstance(cause, LookupError):
+        return "is not running"
+    if isinstance(cause, (PeerTimeout, socket.timeout)):
+        return f"did not answer within {seconds:g} s"
+    return f"is registered, but does not answer ({_words(error)})"
+
+
+def _words(error: BaseException) -> str:
+    """The words of an error of the system, without its number."""
+    cause = error.__cause__ or error
+    return re.sub(r"^\[Errno -?\d+\] ", "", str(cause)) or type(cause).__name__

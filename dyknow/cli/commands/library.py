@@ -1,4 +1,4 @@
-"""`library`, `import`, `export`, `remove` and `check`: what can run."""
+"""`library`, `import`, `export` and `remove`: what can run."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ from dyknow.cli.command import Command
 from dyknow.cli.shapes import nodelet_shape
 from dyknow.cli.shell import FAILED, Shell
 from dyknow.cli.tables import columns
-from dyknow.cli.views import state_of, unknown_nodelet
+from dyknow.cli.views import by_name, state_of, unknown_nodelet
 from dyknow.manager.transformation import IN, OUT
 
 if TYPE_CHECKING:
@@ -95,7 +95,7 @@ def _describe(nodelet: NodeletView, snapshot: ModelView) -> Iterator[str]:
     ends = _ends(snapshot)
     for direction, title in ((IN, "In-ports"), (OUT, "Out-ports")):
         yield ""
-        ports = [port for port in nodelet.ports if port.direction == direction]
+        ports = [port for port in by_name(nodelet.ports) if port.direction == direction]
         yield f"{title}:" if ports else f"{title}: none"
         for port in ports:
             yield f" * {port.name} [{port.datatype or 'unknown type'}]"

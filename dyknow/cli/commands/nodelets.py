@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import argparse
-from typing import Any, Callable, Dict, List, Optional, Sequence
+from typing import TYPE_CHECKING, Any, Callable, Dict, List, Optional, Sequence
 
 from dyknow.cli.arguments import Kind, graph_name, port_topic, takes
 from dyknow.cli.command import Command
 from dyknow.cli.shapes import nodelet_shape
 from dyknow.cli.shell import FAILED, Shell
-from dyknow.cli.views import connections_of
+from dyknow.cli.views import connections_of, state_of
 from dyknow.errors import DuplicatePort, DyKnowError
 from dyknow.ros.client_errors import Unreachable
+
+if TYPE_CHECKING:
+    from dyknow.ros.client import ModelView
 
 
 def _spawn_arguments(parser: argparse.ArgumentParser) -> None:
@@ -63,7 +66,7 @@ def _spawn(arguments: argparse.Namespace, shell: Shell) -> None:
         arguments.isolated,
         shell.resolve(arguments.manager) if arguments.manager else "",
     )
-    shell.client.wait_until_known({name: {}})
+    shell.client.wait_for_model(lambda model: _runs(model, name))
     nodelet = shell.client.nodelets().nodelet(name)
     if nodelet is None:  # destroyed by somebody else in the meantime
         shell.show({"name": name}, [f"spawned {name}"])
@@ -73,6 +76,11 @@ def _spawn(arguments: argparse.Namespace, shell: Shell) -> None:
         nodelet_shape(nodelet),
         [f"spawned {name} from {nodelet.transformation} in {nodelet.manager}", *connections],
     )
+
+
+def _runs(model: ModelView, name: str) -> bool:
+    nodelet = model.nodelet(name)
+    return nodelet is not None and state_of(nodelet) != "starting"
 
 
 def _names_argument(parser: argparse.ArgumentParser) -> None:

@@ -11,6 +11,7 @@ from dyknow.cli.command import Command
 from dyknow.cli.files import write_file
 from dyknow.cli.shell import FAILED, Shell
 from dyknow.cli.tables import count
+from dyknow.cli.views import shows
 from dyknow.cli.wiring import Wiring, wiring_of
 from dyknow.cli.wiring_load import carry_out, steps_of
 from dyknow.cli.wiring_plan import Plan, plan_load
@@ -133,7 +134,7 @@ def _read(file: str) -> Wiring:
 def _wait(shell: Shell, plan: Plan) -> None:
     """Let the manager see what was re-wired, so that the next command does too."""
     moved = {kept.wanted.name: kept.moves for kept in plan.kept if kept.moves}
-    if moved and not shell.client.wait_until_known(moved):
+    if moved and not shell.client.wait_for_model(lambda model: shows(model, moved)):
         shell.warn("done, but the manager's model does not show all of it yet")
 
 

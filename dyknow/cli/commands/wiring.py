@@ -10,6 +10,7 @@ from dyknow.cli.command import Command
 from dyknow.cli.connecting import Change, apply, connect, find_port, ports_of
 from dyknow.cli.shapes import Shape
 from dyknow.cli.shell import Shell
+from dyknow.cli.views import shows
 
 
 def _connect_arguments(parser: argparse.ArgumentParser) -> None:
@@ -91,7 +92,7 @@ def _wait(shell: Shell, changes: Sequence[Change]) -> None:
     wanted: Dict[str, Dict[str, str]] = {}
     for change in changes:
         wanted.setdefault(change.port.nodelet, {})[change.port.port] = change.after
-    if wanted and not shell.client.wait_until_known(wanted):
+    if wanted and not shell.client.wait_for_model(lambda model: shows(model, wanted)):
         shell.warn("done, but the manager's model does not show it yet")
 
 

@@ -106,8 +106,8 @@ class FakeClient:
             ),
         )
 
-    def wait_until_known(self, wanted: Mapping[str, Mapping[str, str]]) -> bool:
-        return True
+    def wait_for_model(self, condition: Callable[[ModelView], bool]) -> bool:
+        return condition(self.nodelets())
 
     def nodelet_managers(self) -> list[str]:
         return sorted(self.world.host.processes)
