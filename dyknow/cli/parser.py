@@ -124,7 +124,7 @@ def _add_common(parser: argparse.ArgumentParser) -> None:
         metavar="SECONDS",
         type=seconds,
         default=argparse.SUPPRESS,
-        help="how long each answer may take (default: 5, changes 30)",
+        help="how long each answer may take (default: 5, changes 60)",
     )
 
 

@@ -82,6 +82,6 @@ def statistics_shape(name: str, statistics: Statistics) -> Shape:
                 "mean_callback": port.mean_callback,
                 "max_callback": port.max_callback,
             }
-            for port in statistics.ports
+            for port in sorted(statistics.ports, key=lambda port: port.port)
         ],
     }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import signal
 from typing import TYPE_CHECKING
 
 from dyknow.cli.command import Command
@@ -15,10 +16,16 @@ if TYPE_CHECKING:
 
 #: Seconds that each answer may take: who presses TAB does not wait.
 _TIMEOUT = 0.2
+#: Seconds after which it is given up altogether: a library of 100,000 labels takes longer.
+_LIMIT = 1.0
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("line", metavar="LINE", help="the command line up to the cursor")
+
+
+def _give_up(number: int, frame: object) -> None:
+    raise TimeoutError
 
 
 def _complete(arguments: argparse.Namespace, shell: Shell) -> None:
@@ -31,12 +38,16 @@ def _complete(arguments: argparse.Namespace, shell: Shell) -> None:
         return ShellClient(manager_node(manager) if manager else arguments.manager_node, _TIMEOUT)
 
     line = split(arguments.line)
+    signal.signal(signal.SIGALRM, _give_up)
+    signal.setitimer(signal.ITIMER_REAL, _LIMIT)
     try:
         found = complete(line.words[1:], line.last, client)
     except Exception:  # a boundary: nobody wants to read of it between two key strokes
         if os.environ.get("DYKNOW_DEBUG_COMPLETION"):
             raise
         found = []
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
     shell.show({"candidates": found}, [line.written(each) for each in found])
 
 

@@ -120,7 +120,7 @@ def table(answers: Dict[str, Answer]) -> List[str]:
         errors = str(answer.callback_errors)
         if not answer.ports:
             rows.append((name, "(no ports)", "", "", "", "", "", "", errors, ""))
-        for port in answer.ports:
+        for port in sorted(answer.ports, key=lambda port: port.port):
             rows.append(
                 (
                     name,
