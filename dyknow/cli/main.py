@@ -30,6 +30,8 @@ def main(words: Optional[Sequence[str]] = None) -> int:
             signal.signal(signal.SIGINT, signal.default_int_handler)
         return _run(sys.argv[1:] if words is None else words)
     except KeyboardInterrupt:
+        if sys.stderr.isatty():
+            sys.stderr.write("\n")  # behind the terminal's ^C
         return INTERRUPTED
 
 
