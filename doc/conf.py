@@ -1,5 +1,6 @@
 """Configuration of the documentation; `make docs` builds it."""
 
+import importlib.util
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
@@ -10,7 +11,8 @@ author = "the DyKnow developers"
 copyright = f"2026, {author}"
 release = version = _package.findtext("version")
 
-extensions = []
+# The pages in Markdown; Ubuntu 20.04 has the older of the two.
+extensions = ["myst_parser" if importlib.util.find_spec("myst_parser") else "recommonmark"]
 exclude_patterns = ["_build"]
 nitpicky = True
 

@@ -18,6 +18,7 @@ wrong and says what was expected. Only ``dyknow.ros`` turns them into answers of
     ├── TooMuch                  a limit is exceeded
     ├── UnknownTransformation    the library has no such label
     ├── NotSpawnable             the transformation is an existing topic
+    ├── InvalidTag               a tag is not a term
     ├── Busy                     another operation works on the nodelet
     ├── Protected                the nodelet is protected from being destroyed
     ├── SpawnFailed              a nodelet did not come up as specified; nothing of it is left
@@ -152,6 +153,14 @@ class NotSpawnable(DyKnowError):
             f"transformation '{label}' is the existing topic '{topic}': "
             "it is used as it is and cannot be spawned"
         )
+
+
+class InvalidTag(DyKnowError):
+    """A tag is not a term."""
+
+    def __init__(self, tag: str, expected: str) -> None:
+        self.tag = tag
+        super().__init__(f"'{tag}' is not a tag: {expected}")
 
 
 class Busy(DyKnowError):

@@ -11,7 +11,7 @@ import threading
 import time
 import traceback
 from dataclasses import dataclass
-from typing import Any, Callable, List, Mapping, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple
 
 from dyknow.guards import NO_GUARDS, Guards
 from dyknow.nodelet.bus import Bus, Endpoint
@@ -19,6 +19,11 @@ from dyknow.nodelet.endpoints import Publication, Subscription
 from dyknow.nodelet.middleware import Closable, Middleware
 from dyknow.nodelet.scheduler import Clock, Executor, Strand
 from dyknow.nodelet.timers import Timer, TimerQueue
+
+#: Seconds between two log entries of the same error at the same place.
+_LOG_PAUSE = 1.0
+#: Errors that are told apart before the account starts anew.
+_LOG_PLACES = 100
 
 _log = logging.getLogger("rosout.dyknow")
 
@@ -70,6 +75,7 @@ class Context:
         self.my_argv = tuple(my_argv)
         self.strand = Strand(runtime.executor, name, held=True)
         self.callback_errors = 0
+        self._failures: Dict[Tuple[str, type, str], Tuple[float, int]] = {}
         self.closed = False
         self.started_at = runtime.clock()
         #: Set by the host: unloads this nodelet.
@@ -119,10 +125,24 @@ class Context:
                 self._strands.remove(strand)
 
     def failed(self, what: str, error: BaseException) -> None:
-        """Count and log what a callback raised; the nodelet lives on."""
+        """Count and log what a callback raised; the nodelet lives on.
+
+        The same error at the same place is logged once a second, with the number of those that
+        were not: a callback that fails on every message must not fill the disk.
+        """
         self.callback_errors += 1
+        now = self.runtime.clock()
+        place = (what, type(error), str(error))
+        since, unlogged = self._failures.get(place, (now - _LOG_PAUSE, 0))
+        if now - since < _LOG_PAUSE:
+            self._failures[place] = (since, unlogged + 1)
+            return
+        if len(self._failures) > _LOG_PLACES:
+            self._failures.clear()
+        self._failures[place] = (now, 0)
         lines = traceback.format_exception(type(error), error, error.__traceback__)
-        _log.error("%s: the callback of %s raised\n%s", self.name, what, "".join(lines))
+        more = f" (and {unlogged} times more since)" if unlogged else ""
+        _log.error("%s: the callback of %s raised%s\n%s", self.name, what, more, "".join(lines))
 
     def publication(
         self, what: str, datatype: Any, latch: bool, queue_size: Optional[int], **options: Any

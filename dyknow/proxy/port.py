@@ -6,6 +6,7 @@ topic that it is connected to. Handles made on it later find that connection aga
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass
 from typing import Any, List, Optional, Sequence
 
@@ -96,6 +97,8 @@ class OutPort(Port):
         super().__init__(name, datatype, topic)
         self.publication: Optional[Publication] = None
         self.handles: List[PortPublisher] = []
+        #: A handle that comes must not share what the last one is about to withdraw.
+        self.lock = threading.Lock()
 
     def endpoints(self) -> Sequence[Endpoint]:
         """Its publication, while a handle is there."""
@@ -130,13 +133,15 @@ class PortPublisher(PublisherState):
 
     def unregister(self, handle: object) -> None:
         """Withdraw the publication with the last handle; the port stays."""
-        port = self._port
-        if self in port.handles:
-            port.handles.remove(self)
-        if not port.handles and port.publication is not None:
-            publication, port.publication = port.publication, None
-            self.context.release(publication)
-            port.leave(publication)
+        port, last = self._port, None
+        with port.lock:
+            if self in port.handles:
+                port.handles.remove(self)
+                if not port.handles:
+                    last, port.publication = port.publication, None
+        if last is not None:
+            self.context.release(last)
+            port.leave(last)
 
 
 class PortSubscriber(SubscriberState):

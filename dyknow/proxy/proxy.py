@@ -151,15 +151,16 @@ class NodeletProxy:
         """
         with self._turn:
             port = self._declare(OutPort, handle, name, datatype)
-            publication = port.publication
-            if publication is None:
-                publication = self._context.publication(
-                    name, datatype, latch, queue_size, **options
-                )
-            elif publication.latch != latch:
-                wanted = "latched" if latch else "not latched"
-                raise PortConflict(name, port.kind, wanted)
-            state = PortPublisher(self._context, port, publication)
+            with port.lock:
+                publication = port.publication
+                if publication is None:
+                    publication = self._context.publication(
+                        name, datatype, latch, queue_size, **options
+                    )
+                elif publication.latch != latch:
+                    wanted = "latched" if latch else "not latched"
+                    raise PortConflict(name, port.kind, wanted)
+                state = PortPublisher(self._context, port, publication)
             self._place(port, state, publication)
         self.on_change()
         return state

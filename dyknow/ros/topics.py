@@ -55,9 +55,14 @@ class RospyPublisher(OutsidePublisher):
         self._intraprocess = intraprocess
         self._local = intraprocess.publishing(topic)
         self._local.halves.add(self)
-        self._publisher = rospy.Publisher(
-            topic, datatype, latch=latch, queue_size=queue_size, **options
-        )
+        try:
+            self._publisher = rospy.Publisher(
+                topic, datatype, latch=latch, queue_size=queue_size, **options
+            )
+        except BaseException:
+            self._local.halves.discard(self)
+            intraprocess.retire(topic)
+            raise
         self._implementation = self._publisher.impl
         self.peers = self._implementation
         self._local.adopt(self._implementation)
@@ -106,6 +111,7 @@ class RospyPublisher(OutsidePublisher):
             self._implementation.latch = None
             self._local.latched = NOTHING
         self._publisher.unregister()
+        _put_away(self._implementation)
         self._intraprocess.retire(self._topic)
 
     def _outwards(self, message: Any) -> None:
@@ -159,6 +165,21 @@ class RospySubscriber(OutsideSubscriber):
     def close(self) -> None:
         """Unregister."""
         self._subscriber.unregister()
+        _put_away(self._implementation)
+
+
+def _put_away(implementation: Any) -> None:
+    """Close the epoll descriptor of a topic that rospy is done with.
+
+    rospy leaves it to the garbage collector, since the object that holds it refers to itself; a
+    nodelet manager that is re-wired often would run out of descriptors before the next collection.
+    """
+    poll = getattr(implementation, "connection_poll", None)
+    close = getattr(getattr(poll, "poller", None), "close", None)
+    if implementation.closed and poll is not None and close is not None:
+        poll.add_fd = poll.remove_fd = poll.noop  # for connections that end late
+        poll.error_iter = poll.noop_iter
+        close()
 
 
 def _idle(connection: Any) -> bool:

@@ -338,3 +338,19 @@ class TestTraffic:
             clock.seconds += 0.01
             traffic.sent()
         assert traffic.snapshot().rate == pytest.approx(100.0)
+
+
+def test_the_same_error_is_logged_once_a_second_with_the_number_of_the_others(world, caplog):
+    now = [0.0]
+    context = world.context("/n")
+    object.__setattr__(context.runtime, "clock", lambda: now[0])
+    for _ in range(1000):
+        context.failed("'in'", ValueError("same"))
+    context.failed("'in'", ValueError("other"))
+    assert context.callback_errors == 1001
+    assert [record.getMessage().count("same") for record in caplog.records] == [1, 0]
+    now[0] = 1.5
+    caplog.clear()
+    context.failed("'in'", ValueError("same"))
+    assert "999 times more" in caplog.records[0].getMessage()
+    assert "ValueError: same" in caplog.records[0].getMessage()

@@ -7,6 +7,7 @@ from contextlib import suppress
 
 import pytest
 from unit.nodelet.fakes import (
+    PATIENCE,
     Idle,
     Message,
     in_thread,
@@ -46,7 +47,7 @@ class Gate(Nodelet):
     def on_init(self):
         self.pub = self.node_handle.Publisher("early", Message)
         self.entered.set()
-        wait_for(self.opened)
+        assert self.opened.wait(3 * PATIENCE)  # longer than any test waits for others
         self.late = self.node_handle.Publisher("late", Message)
 
 
@@ -90,12 +91,15 @@ def test_a_loaded_nodelet_has_its_name_arguments_and_callbacks(world):
     assert numbers(got) == [3]
 
 
-def test_messages_that_come_during_on_init_are_delivered_after_it(world, gate):
+@pytest.mark.parametrize("concurrent", [False, True])
+def test_what_comes_during_on_init_is_called_back_after_it(world, gate, concurrent):
     got = []
 
     class Late(gate):
         def on_init(self):
-            self.node_handle.Subscriber("in", Message, got.append)
+            handle = self.mt_node_handle if concurrent else self.node_handle
+            handle.Subscriber("in", Message, got.append)
+            handle.Timer(1.0, lambda event: got.append("timer"), oneshot=True)
             super().on_init()
             got.append("on_init has returned")
 
@@ -104,10 +108,18 @@ def test_messages_that_come_during_on_init_are_delivered_after_it(world, gate):
     wait_for(gate.entered)
     message = Message()
     world.handle().Publisher("/in", Message).publish(message)
+    world.middleware.ticker.advance(1.0)
+    wait_until(lambda: not world.runtime.timers._heap)
+    # Whatever could run by now has been given to the workers before this one.
+    others = [world.context(f"/other{n}").strand for n in range(20)]
+    for strand in others:
+        strand.post(lambda: None)
+    wait_until(lambda: not any(strand.busy for strand in others))
     gate.opened.set()
     join(thread)
-    world.drain()
-    assert got == ["on_init has returned", message]
+    wait_until(lambda: len(got) == 3)
+    assert got[0] == "on_init has returned"
+    assert message in got
 
 
 def test_list_is_sorted(world):
@@ -294,6 +306,27 @@ class TestSlowStart:
         assert isinstance(outcome[0], UnloadedMeanwhile)
         world.drain()
         assert started == []
+
+    def test_that_fails_after_its_unload_leaves_its_successor_alone(self, world):
+        entered, opened, kinds = threading.Event(), threading.Event(), ["slow"]
+
+        def find(name):
+            if kinds:
+                kinds.pop()
+                entered.set()
+                wait_for(opened)
+                raise BrokenPlugin("slow", "does not import")
+            return Idle
+
+        loader = Loader(world.runtime, find)
+        thread, outcome = load_in_thread(loader, "/n", "any")
+        wait_for(entered)
+        loader.unload("/n")
+        successor = loader.load("/n", "any")
+        opened.set()
+        join(thread)
+        assert isinstance(outcome[0], BrokenPlugin)
+        assert loader.get("/n") is successor
 
     def test_may_unload_itself(self, world):
         class Unwilling(Nodelet):

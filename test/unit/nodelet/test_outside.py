@@ -292,6 +292,24 @@ def test_a_nodelet_unloaded_while_its_topic_is_registered_leaves_nothing(world):
     assert world.bus.datatype_of("/b") == ""
 
 
+def test_nobody_waits_for_the_peers_of_a_nodelet_that_was_unloaded(world):
+    nh = world.handle()
+    publisher = nh.Publisher("a", Message, queue_size=1)
+    world.middleware.on_register = lambda topic: join(in_thread(nh.context.close))
+    advertise, waited = world.middleware.advertise, []
+
+    def impatient_advertise(*args):
+        half = advertise(*args)
+        half.wait = waited.append
+        return half
+
+    world.middleware.advertise = impatient_advertise
+    with pytest.raises(HandleClosed):
+        world.bus.rewire([(publication_of(publisher), "/b")], patience=1.0)
+    assert waited == []
+    assert world.registrations == []
+
+
 def test_a_nodelet_unloaded_while_a_live_topic_is_registered_leaves_nothing(world):
     world.handle("/other").Subscriber("/b", Message, print)
     nh = world.handle()

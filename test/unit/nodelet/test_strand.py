@@ -162,6 +162,29 @@ def test_nothing_is_noted_of_a_strand_that_ran_nothing_when_it_was_killed(caplog
     assert caplog.records == []
 
 
+def test_a_task_that_comes_while_the_strand_lets_go_is_not_forgotten():
+    # The narrow place: the strand has seen that it is empty and still holds its lock.
+    executor, ran = ManualExecutor(), []
+    strand = Strand(executor, "s")
+
+    class LateGuest:
+        def __init__(self, lock):
+            self.acquire, self.locked = lock.acquire, lock.locked
+            self._lock, self._came = lock, False
+
+        def release(self):
+            if not self._came:
+                self._came = True
+                strand.post(lambda: ran.append("late"))
+            self._lock.release()
+
+    strand._busy = LateGuest(strand._busy)
+    strand.post(lambda: ran.append("first"))
+    executor.drain()
+    assert ran == ["first", "late"]
+    assert not strand.busy
+
+
 def test_an_executor_keeps_no_strand_alive():
     executor = ManualExecutor()
     strand = Strand(executor, "s")

@@ -162,8 +162,10 @@ class TestRefusals:
         assert isinstance(problem, TypeMismatch)
 
     def test_two_ports_of_different_types_on_one_topic(self, bench):
-        (problem,) = bench.refuse([("in", "/a"), ("other_out", "/a")])
+        problem, other = bench.refuse([("in", "/a"), ("other_out", "/a"), ("nose", "/b")])
         assert isinstance(problem, TypeMismatch)
+        assert "port 'other_out'" in str(problem)
+        assert isinstance(other, UnknownPort)
 
     def test_a_port_of_any_type_does_not_hide_the_type_of_a_topic(self, bench):
         bench.world.middleware.types["/a"] = "test/Third"

@@ -1,0 +1,7 @@
+"""``python3 -m dyknow.benchmark``."""
+
+import sys
+
+from dyknow.benchmark.main import main
+
+sys.exit(main())

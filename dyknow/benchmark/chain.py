@@ -1,0 +1,198 @@
+"""``benchmark chain``: time to arrival over a chain of hops, the paper's figure 4.
+
+A source stamps messages at a fixed frequency, every hop that is asked for compares the stamp with
+the time of arrival before it forwards the message. One chain of the largest length serves all
+numbers of hops, as in the paper. The kinds take turns in blocks, so that a drift of the machine's
+speed meets them all. What the proxy adds is measured apart: the messages of DyKnow's chain and of
+the plain one alternate, and each pair of such blocks gives one difference.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+from typing import Dict, List, Sequence, Tuple
+
+from dyknow.benchmark import figure, machine, options, progress, tables
+from dyknow.benchmark.chains import Chains
+from dyknow.benchmark.control import Block, ChainControl, Order, run_alternating
+from dyknow.benchmark.kinds import KINDS
+from dyknow.benchmark.outcome import Outcome
+from dyknow.benchmark.session import Session
+from dyknow.benchmark.summary import Summary, median, median_interval
+from dyknow.benchmark.targets import Verdict
+
+HEADER = ("kind", "hops", "messages", "lost", "mean_us", "median_us", "p99_us", "max_us")
+OVERHEAD_HEADER = ("hops", "pairs", "median_us", "low_us", "high_us")
+#: Messages at the start of every block that do not count.
+WARM_UP = 5
+#: Messages of each chain in one pair.
+PAIR_MESSAGES = 25
+#: Number of hops that the targets are stated for.
+TARGET_HOPS = 50
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is to be measured.
+
+    Attributes:
+        kinds: which chains.
+        hops: numbers of hops.
+        frequency: Hz.
+        messages: of each kind, in all.
+        repeats: blocks that they are divided into.
+        pairs: differences between ``dyknow`` and ``nodelet``.
+        pair_messages: messages of each of the two in one pair.
+    """
+
+    kinds: Sequence[str]
+    hops: Sequence[int]
+    frequency: float
+    messages: int
+    repeats: int
+    pairs: int
+    pair_messages: int = PAIR_MESSAGES
+
+    def orders(self) -> List[Order]:
+        """Blocks of nearly the same size that add up to ``messages``."""
+        size, rest = divmod(self.messages, self.repeats)
+        sizes = [size + (index < rest) for index in range(self.repeats)]
+        return [Order(WARM_UP, each, self.frequency) for each in sizes if each]
+
+    @property
+    def paired(self) -> bool:
+        """Whether there is something to take differences of."""
+        return self.pairs > 0 and {"dyknow", "nodelet"} <= set(self.kinds)
+
+
+PAPER = Plan(list(KINDS), [1, 2, 5, 10, 20, 50], 5.0, 1000, 10, 20)
+QUICK = Plan([kind for kind in KINDS if kind != "node"], [1, 5, 10, 50], 100.0, 500, 5, 20, 10)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    kinds = "; ".join(f"{kind}: {text}" for kind, text in KINDS.items())
+    parser.add_argument("--kinds", nargs="+", choices=list(KINDS), metavar="KIND", help=kinds)
+    parser.add_argument("--hops", nargs="+", type=options.positive, help="default: 1 2 5 10 20 50")
+    parser.add_argument("--rate", type=float, help="messages per second (default: 5)")
+    parser.add_argument("--messages", type=options.positive, help="of each kind (default: 1000)")
+    parser.add_argument(
+        "--repeats", type=options.positive, help="turns that they come in (default: 10)"
+    )
+    parser.add_argument(
+        "--pairs", type=int, help="differences dyknow - nodelet (default: 20; 0: none)"
+    )
+    parser.add_argument(
+        "--quick",
+        action="store_true",
+        help=f"a look within two minutes: --rate {QUICK.frequency:g} --messages {QUICK.messages} "
+        f"--hops {' '.join(map(str, QUICK.hops))}, all kinds but node; each can be given too",
+    )
+
+
+def plan_of(arguments: argparse.Namespace) -> Plan:
+    """Fill in what the command line leaves open: the paper's setting, or the quick one."""
+    default = QUICK if arguments.quick else PAPER
+    given = set(arguments.kinds or default.kinds)
+    return Plan(
+        kinds=[kind for kind in KINDS if kind in given],
+        hops=sorted(set(arguments.hops or default.hops)),
+        frequency=arguments.rate or default.frequency,
+        messages=arguments.messages or default.messages,
+        repeats=arguments.repeats or default.repeats,
+        pairs=default.pairs if arguments.pairs is None else arguments.pairs,
+        pair_messages=default.pair_messages,
+    )
+
+
+def run(arguments: argparse.Namespace) -> Outcome:
+    """Measure and put the results together."""
+    plan = plan_of(arguments)
+    with Session() as session:
+        chains = Chains(session)
+        controls = {}
+        for kind in plan.kinds:
+            progress.say(f"setting up {max(plan.hops)} hops: {KINDS[kind]}")
+            controls[kind] = chains.build(kind, max(plan.hops), plan.hops)
+        load = machine.Load()
+        blocks = measure(plan, controls)
+        differences = pair(plan, controls) if plan.paired else {}
+    return outcome(plan, blocks, differences, load.rows())
+
+
+def measure(plan: Plan, controls: Dict[str, ChainControl]) -> Dict[str, Block]:
+    """Let the kinds take turns; the order is reversed from turn to turn."""
+    blocks = {kind: Block() for kind in plan.kinds}
+    turns = [
+        (order, kind)
+        for index, order in enumerate(plan.orders())
+        for kind in (list(plan.kinds) if index % 2 == 0 else list(plan.kinds)[::-1])
+    ]
+    for order, kind in progress.steps(turns, "chains", len(turns)):
+        blocks[kind].add(controls[kind].finish(order, controls[kind].begin(order)))
+    return blocks
+
+
+def pair(plan: Plan, controls: Dict[str, ChainControl]) -> Dict[int, List[float]]:
+    """Differences of the mean times, dyknow minus nodelet, by hops."""
+    differences: Dict[int, List[float]] = {hops: [] for hops in plan.hops}
+    order = Order(WARM_UP, plan.pair_messages, plan.frequency)
+    for index in progress.steps(range(plan.pairs), "pairs", plan.pairs, "pair"):
+        kinds = ["dyknow", "nodelet"] if index % 2 == 0 else ["nodelet", "dyknow"]
+        run_blocks = run_alternating([controls[kind] for kind in kinds], order)
+        of = dict(zip(kinds, run_blocks))
+        for hops in plan.hops:
+            ours, plain = (of[kind].latencies[hops] for kind in ("dyknow", "nodelet"))
+            if ours and plain:
+                differences[hops].append(Summary.of(ours).mean - Summary.of(plain).mean)
+    return differences
+
+
+def outcome(
+    plan: Plan,
+    blocks: Dict[str, Block],
+    differences: Dict[int, List[float]],
+    load: Sequence[Tuple[str, tables.Cell]],
+) -> Outcome:
+    """Make tables, the figure and the verdicts of what was measured."""
+    summaries = {
+        (kind, hops): Summary.of(blocks[kind].latencies.get(hops, []))
+        for kind in plan.kinds
+        for hops in plan.hops
+    }
+    rows: List[Sequence[tables.Cell]] = [
+        (kind, hops, s.count, blocks[kind].sent - s.count, s.mean, s.median, s.p99, s.max)
+        for (kind, hops), s in summaries.items()
+    ]
+    overhead: List[Sequence[tables.Cell]] = [
+        (hops, len(values), median(values), *median_interval(values))
+        for hops, values in differences.items()
+        if values
+    ]
+    means = {key: summary.mean for key, summary in summaries.items() if summary.count}
+    outcome = Outcome(judge(plan, means, differences))
+    outcome.table("figure4", "time to arrival", HEADER, rows)
+    if overhead:
+        outcome.table("overhead", "what the proxy adds", OVERHEAD_HEADER, overhead)
+    outcome.table("machine", "the machine", machine.HEADER, load)
+    title = f"{plan.messages} messages at {plan.frequency:g} Hz"
+    outcome.draw("figure4", lambda path: figure.draw(means, title, path))
+    return outcome
+
+
+def judge(
+    plan: Plan, means: Dict[Tuple[str, int], float], differences: Dict[int, List[float]]
+) -> List[Verdict]:
+    """Compare with the targets that apply; they are stated for 50 hops."""
+    verdicts = []
+    ours, peer = means.get(("dyknow", TARGET_HOPS)), means.get(("cpp_nodelet", TARGET_HOPS))
+    if ours and peer:
+        limit = 0.25 if plan.frequency >= 100 else 0.35
+        what = f"mean of DyKnow / mean of C++ nodelets, {TARGET_HOPS} hops, {plan.frequency:g} Hz"
+        verdicts.append(Verdict(what, ours / peer, limit))
+    added = differences.get(TARGET_HOPS)
+    if added:
+        what = f"added by the proxy, {TARGET_HOPS} hops, median of {len(added)} pairs (ms)"
+        verdicts.append(Verdict(what, median(added) / 1000, 0.02))
+    return verdicts

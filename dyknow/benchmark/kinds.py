@@ -1,0 +1,27 @@
+"""The kinds of chains that are compared."""
+
+from __future__ import annotations
+
+from typing import Dict
+
+#: What each kind is, in the order in which it is shown.
+KINDS: Dict[str, str] = {
+    "dyknow": "DyKnow nodelets: ports, through the proxy",
+    "nodelet": "plain Python nodelets of the same nodelet manager: topics, no proxy",
+    "function": "Python functions that call each other",
+    "rospy": "publishers and subscribers within one rospy process",
+    "node": "rospy nodes, a process each",
+    "cpp_nodelet": "C++ nodelets in the stock nodelet manager",
+    "cpp_node": "C++ nodes, a process each",
+}
+
+#: What the figure calls them.
+LABELS: Dict[str, str] = {
+    "dyknow": "DyKnow nodelets",
+    "nodelet": "Python nodelets without proxy",
+    "function": "function calls",
+    "rospy": "one rospy process",
+    "node": "rospy nodes",
+    "cpp_nodelet": "C++ nodelets",
+    "cpp_node": "C++ nodes",
+}

@@ -1,0 +1,94 @@
+"""Tags: terms such as ``FieldPosition(ball)`` that say what a stream is about.
+
+A supplied tag matches a demanded one when its functor is the same or a subclass, and each of its
+arguments is equal to, an instance or a subclass of the demanded argument, or meets a variable
+``?x``. A variable stands for one name throughout its term, and only in demanded terms.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Dict, NamedTuple, Protocol, Tuple
+
+from dyknow.errors import InvalidTag
+
+_TERM = re.compile(r"\s*(?P<functor>[^(),?]*[^(),?\s])\s*(?:\((?P<args>[^()]*)\)\s*)?\Z")
+_ARGUMENT = re.compile(r"\??[^(),?]*[^(),?\s]\Z")
+
+#: Longest tag that is read, in characters, and most arguments.
+MAX_LENGTH = 4096
+MAX_ARGUMENTS = 16
+
+
+class Term(NamedTuple):
+    """A functor and its arguments; an argument that begins with ``?`` is a variable."""
+
+    functor: str
+    args: Tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        """Write the term as it is read."""
+        return f"{self.functor}({', '.join(self.args)})" if self.args else self.functor
+
+    @property
+    def is_ground(self) -> bool:
+        """Whether it has no variable."""
+        return not any(arg.startswith("?") for arg in self.args)
+
+
+class Subsumption(Protocol):
+    """What an ontology knows about names."""
+
+    def names_above(self, name: str) -> frozenset[str]:
+        """Every name that subsumes ``name``, itself included."""
+
+
+class NoOntology:
+    """Every name is only itself."""
+
+    def names_above(self, name: str) -> frozenset[str]:
+        """The name alone."""
+        return frozenset((name,))
+
+
+NO_ONTOLOGY = NoOntology()
+"""What is there without an ontology."""
+
+
+def parse_tag(text: str) -> Term:
+    """Read a term.
+
+    Raises:
+        InvalidTag: it is no term; the error says what was expected.
+    """
+    if len(text) > MAX_LENGTH:
+        raise InvalidTag(text[:40] + "…", f"expected at most {MAX_LENGTH} characters")
+    found = _TERM.match(text)
+    if found is None:
+        raise InvalidTag(text, "expected Functor or Functor(arg, …)")
+    inner = found.group("args")
+    if inner is None:
+        return Term(found.group("functor").strip())
+    args = tuple(arg.strip() for arg in inner.split(","))
+    if len(args) > MAX_ARGUMENTS:
+        raise InvalidTag(text, f"expected at most {MAX_ARGUMENTS} arguments")
+    for arg in args:
+        if not _ARGUMENT.match(arg):
+            raise InvalidTag(text, f"expected a name or a ?variable as argument, not '{arg}'")
+    return Term(found.group("functor").strip(), args)
+
+
+def matches(supplied: Term, demanded: Term, ontology: Subsumption) -> bool:
+    """Tell whether a supplied tag will do for a demanded one."""
+    if len(supplied.args) != len(demanded.args):
+        return False
+    if demanded.functor not in ontology.names_above(supplied.functor):
+        return False
+    bound: Dict[str, str] = {}
+    for have, want in zip(supplied.args, demanded.args):
+        if want.startswith("?"):
+            if bound.setdefault(want, have) != have:
+                return False
+        elif want not in ontology.names_above(have):
+            return False
+    return True

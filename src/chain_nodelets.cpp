@@ -1,0 +1,29 @@
+// The chain's parts as nodelets of the stock C++ nodelet manager.
+#include "chain.h"
+
+#include <nodelet/nodelet.h>
+#include <pluginlib/class_list_macros.hpp>
+
+#include <memory>
+
+namespace dyknow_benchmark
+{
+
+template <class Part>
+class ChainNodelet : public nodelet::Nodelet
+{
+  void onInit() override
+  {
+    part_ = std::make_unique<Part>(getNodeHandle(), getPrivateNodeHandle());
+  }
+
+  std::unique_ptr<Part> part_;
+};
+
+using SourceNodelet = ChainNodelet<Source>;
+using HopNodelet = ChainNodelet<Hop>;
+
+}  // namespace dyknow_benchmark
+
+PLUGINLIB_EXPORT_CLASS(dyknow_benchmark::SourceNodelet, nodelet::Nodelet)
+PLUGINLIB_EXPORT_CLASS(dyknow_benchmark::HopNodelet, nodelet::Nodelet)
