@@ -86,27 +86,29 @@ class Observer:
         """
         with self._turn:
             states = self._host.managers()
-            listed: Dict[str, List[str]] = {}
+            listed: Dict[str, Set[str]] = {}
             for state in states:
                 try:
                     if state.alive:
-                        listed[state.name] = self._host.list(state.name)
+                        listed[state.name] = set(self._host.list(state.name))
                 except HostError as error:
                     _log.warning("nodelet manager %s: %s", state.name, error)
             by_name = {state.name: state for state in states}
             for record in self._graph.all():
-                self._check(record, by_name.get(record.manager), listed, changed)
+                host = by_name.get(record.manager)
+                if record.name in changed or not _as_it_was(record, host, listed):
+                    self._check(record, host, listed, changed)
             known = {record.name for record in self._graph.all()}
             for manager in sorted(listed):
-                for name in listed[manager]:
-                    if name not in known and not self._graph.is_busy(name):
+                for name in sorted(listed[manager] - known):
+                    if not self._graph.is_busy(name):
                         self._meet(name, manager)
 
     def _check(
         self,
         record: Record,
         state: ManagerState | None,
-        listed: Dict[str, List[str]],
+        listed: Dict[str, Set[str]],
         changed: Set[str],
     ) -> None:
         try:
@@ -121,7 +123,7 @@ class Observer:
         self,
         record: Record,
         state: ManagerState | None,
-        listed: Dict[str, List[str]],
+        listed: Dict[str, Set[str]],
         changed: Set[str],
     ) -> None:
         alive = state is not None and record.manager in listed
@@ -219,3 +221,13 @@ class Observer:
             return self._host.list(manager)
         except HostError:
             return []
+
+
+def _as_it_was(record: Record, state: ManagerState | None, listed: Dict[str, Set[str]]) -> bool:
+    """Whether a nodelet runs on in the process that was seen last: the look is done with it."""
+    return (
+        state is not None
+        and record.state is State.RUNNING
+        and record.incarnation == state.incarnation
+        and record.name in listed.get(record.manager, ())
+    )

@@ -14,10 +14,11 @@ import sys
 import threading
 from typing import TYPE_CHECKING, Sequence
 
+import rosgraph.names
 import rospy
 
 from dyknow import names
-from dyknow.errors import DyKnowError
+from dyknow.errors import DyKnowError, PeerTimeout
 from dyknow.manager.host import Kind
 from dyknow.manager.library import Library
 from dyknow.manager.manager import Manager, Settings
@@ -27,6 +28,7 @@ from dyknow.ros.children import Children
 from dyknow.ros.cpp_nodelets import CppNodelets
 from dyknow.ros.guard_parameters import GUARDS, to_parameter
 from dyknow.ros.host import RosHost
+from dyknow.ros.launcher import Launcher
 from dyknow.ros.manager_services import ManagerServices
 from dyknow.ros.manager_settings import ManagerSettings
 from dyknow.ros.master import Master
@@ -41,6 +43,8 @@ if TYPE_CHECKING:
 #: Seconds that rosnode kill is held up for an orderly end.
 _LONGEST_END = 15.0
 _SHUTDOWN_TIMEOUT = 2.0
+_ANSWER_TIMEOUT = 1.0
+_NAME = "dyknow_manager"
 
 
 class ManagerNode:
@@ -60,11 +64,14 @@ class ManagerNode:
             rospy.logerr("%s", self._store.complaint)
         master = Master(node)
         self._children = Children(
-            master,
+            Launcher(
+                master,
+                self._owner,
+                settings.orphan_timeout,
+                {GUARDS: to_parameter(settings.guards, node)},
+            ),
+            names.parent(node),
             settings.state_path("children.json"),
-            self._owner,
-            settings.orphan_timeout,
-            {GUARDS: to_parameter(settings.guards, node)},
             self._on_child,
         )
         self._host = RosHost(master, self._children, settings.nodelet_managers, settings.guards)
@@ -91,9 +98,8 @@ class ManagerNode:
         self.manager.on_change = self._publisher.note_change
         self.manager.start()
         self._retire_empty()
-        self._cpp.follow()
-        self._listener.follow(self._python_managers())
-        self._services = ManagerServices(self.manager, self._messages, self._cpp.follow)
+        self._after_change()
+        self._services = ManagerServices(self.manager, self._messages, self._after_change)
         self._publisher.note_change()
         self._watch.start()
 
@@ -140,12 +146,35 @@ class ManagerNode:
     def _on_child(self) -> None:
         self._watch.hurry()
 
-    def _after_look(self) -> None:
+    def _after_change(self) -> None:
+        self._cpp.follow()
         self._listener.follow(self._python_managers())
+
+    def _after_look(self) -> None:
+        self._after_change()
         self._children.echo()
 
 
-def _ontology(paths: Sequence[str]) -> "Ontology | None":
+def _is_running(argv: Sequence[str]) -> bool:
+    """Whether a manager of that name runs already.
+
+    The master would tell it to end, and with it all its nodelets would end.
+    """
+    mappings = rosgraph.names.load_mappings(argv)
+    namespace = mappings.get("__ns", rosgraph.names.get_ros_namespace(argv=[]))
+    name = names.join(str(namespace), str(mappings.get("__name", _NAME)))
+    master = Master(name)
+    try:
+        uri = master.node(name)
+        pid = master.pid(name, uri, _ANSWER_TIMEOUT) if uri else 0
+    except (PeerTimeout, LookupError):
+        return False  # rospy waits for the master; what does not answer is dead or about to be
+    if pid:
+        print(f"{name} runs already (process {pid}); end it first: rosnode kill {name}")
+    return bool(pid)
+
+
+def _ontology(paths: Sequence[str]) -> Ontology | None:
     if not paths:
         return None
     from dyknow.manager.ontology import load_ontology  # rdflib takes its time to import
@@ -155,8 +184,11 @@ def _ontology(paths: Sequence[str]) -> "Ontology | None":
 
 def main(argv: Sequence[str] = ()) -> int:
     """Run the node until it is told to end; returns the exit code."""
-    rospy.init_node("dyknow_manager", argv=list(argv or sys.argv), disable_signals=True)
-    told: "queue.SimpleQueue[str]" = queue.SimpleQueue()  # a signal handler may put into it
+    argv = list(argv or sys.argv)
+    if _is_running(argv):
+        return 1
+    rospy.init_node(_NAME, argv=argv, disable_signals=True)
+    told: queue.SimpleQueue[str] = queue.SimpleQueue()  # a signal handler may put into it
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda number, frame: told.put(signal.Signals(number).name))
     ended, shut_down = threading.Event(), threading.Event()

@@ -123,7 +123,7 @@ def start(command: Sequence[str], output: str, folder: str) -> ProcessId:
 
 def _pidfd(pid: int) -> Optional[int]:
     try:
-        return os.pidfd_open(pid)
+        return int(getattr(os, "pidfd_open")(pid))  # noqa: B009
     except (AttributeError, OSError):  # before Python 3.9, or no such process
         return None
 

@@ -113,7 +113,7 @@ class ManagerProcess:
 
     def children(self) -> dict[str, ProcessId]:
         """Nodelet managers that it has on its list."""
-        for file in Path(self.state).glob("*.children.json"):
+        for file in Path(self.state).glob("*-dyknow-manager.children.json"):
             return {
                 each["name"]: ProcessId(each["pid"], each["started"])
                 for each in json.loads(file.read_text())

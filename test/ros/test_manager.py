@@ -75,7 +75,9 @@ class ServicesTest(ManagerCase):
         self.assertEqual(added.labels, ("extra",))
         found = {each.label: each for each in self.client.get_model().transformations}["extra"]
         self.assertEqual([p.value for p in found.parameters], [3, 0.5, True, "me"])
-        self.assertEqual([(p.name, p.direction) for p in found.ports], [("in", "in"), ("out", "out")])
+        self.assertEqual(
+            [(p.name, p.direction) for p in found.ports], [("in", "in"), ("out", "out")]
+        )
         revision = self.client.get_model().library_revision
         self.client.remove_transformation("extra")
         self.assertGreater(self.client.get_model().library_revision, revision)
@@ -151,7 +153,9 @@ class ServicesTest(ManagerCase):
     def test_a_nodelet_destroys_itself(self):
         self.client.spawn("counter", "/counter", {"out": "/numbers"})
         self.client.spawn("suicidal", "/suicidal", {"in": "/numbers"})
+        self.client.spawn("suicidal", "/suicidal_too", {"in": "/numbers"}, isolated=True)
         eventually(lambda: self.manager.nodelet("/suicidal") is None, 5.0, "it is gone")
+        eventually(lambda: self.manager.nodelet("/suicidal_too") is None, 5.0, "it is gone")
         self.assertEqual(registrations("/suicidal"), [])
 
     def test_what_others_do_shows_within_a_second(self):
@@ -173,10 +177,13 @@ class ServicesTest(ManagerCase):
         )
         for name in ("/ours", "/theirs"):
             rospy.ServiceProxy(f"{CHILD}/unload_nodelet", NodeletUnload)(name)
-            eventually(lambda: self.manager.nodelet(name) is None, 1.0, f"{name} is gone")
+            self.wait_until_gone(name)
         time.sleep(1.0)  # it is not brought back
         self.assertIsNone(self.manager.nodelet("/ours"))
         self.assertEqual(parameters("/ours"), [])
+
+    def wait_until_gone(self, name):
+        eventually(lambda: self.manager.nodelet(name) is None, 1.0, f"{name} is gone")
 
     def told_topics(self):
         return [(n.name, port.topic) for n in self.models[-1].nodelets for port in n.ports]
@@ -368,13 +375,31 @@ class StartTest(ManagerCase):
     def test_transformations_of_files(self):
         manager = self.make()
         good, bad = f"{manager.state}/good.xml", f"{manager.state}/bad.xml"
-        open(good, "w").write(LIBRARY)
-        open(bad, "w").write("<transformations>")
+        Path(good).write_text(LIBRARY)
+        Path(bad).write_text("<transformations>")
         manager.parameters["transformations"] = [good, bad]
         manager.start()
         labels = [each.label for each in manager.client.get_model().transformations]
         self.assertIn("counter", labels)
         self.assertIn(bad, manager.output)
+
+    def test_a_second_manager_of_that_name_does_not_end_the_first(self):
+        manager = self.started()
+        manager.client.spawn("relay", "/relay")
+        second = ManagerProcess(manager.state)
+        second.start(wait=False)
+        self.assertEqual(second.process.wait(20.0), 1)
+        self.assertIn("runs already", second.output)
+        self.assertIs(manager.nodelet("/relay").state, State.RUNNING)
+        # Under another name it has a state and nodelet managers of its own.
+        other = subprocess.Popen(
+            [*second.process.args, "__name:=other_manager", f"_state_dir:={manager.state}"]
+        )
+        self.addCleanup(other.wait)
+        self.addCleanup(other.send_signal, signal.SIGINT)
+        self.addCleanup(rospy.delete_param, "/other_manager")
+        eventually(lambda: registrations(f"{CHILD}_2/list"), 20.0, "it has a child of its own")
+        self.assertIs(manager.nodelet("/relay").state, State.RUNNING)
 
     def test_nobody_there(self):
         manager = self.make()

@@ -48,7 +48,7 @@ class Camera:
         self._infos.unregister()
 
 
-def size_on(topic: str, timeout: float = 10.0) -> "tuple[int, int]":
+def size_on(topic: str, timeout: float = 10.0) -> tuple[int, int]:
     image = rospy.wait_for_message(topic, Image, timeout)
     return image.width, image.height
 

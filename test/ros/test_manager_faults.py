@@ -190,6 +190,22 @@ class ManagerFaultsTest(ManagerCase):
         self.assertEqual(manager.topics("/relay"), {"in": "/s0", "out": "/other"})
         self.assertTrue(manager.nodelet("/counter").is_protected)
 
+    def test_a_stopped_nodelet_manager_is_adopted_too(self):
+        manager = self.started()
+        manager.client.spawn("counter", "/counter", {"out": "/s"})
+        manager.kill()
+        child = manager.child()
+        child.signal(signal.SIGSTOP)
+        self.addCleanup(child.signal, signal.SIGCONT)
+        begin = time.monotonic()
+        manager.start()
+        self.assertLess(time.monotonic() - begin, 6.0)
+        eventually(lambda: manager.nodelet("/counter").state is State.LOST, 3.0, "it is missed")
+        child.signal(signal.SIGCONT)
+        eventually(lambda: manager.nodelet("/counter").state is State.RUNNING, 3.0, "it is back")
+        self.assertEqual(manager.child(), child)
+        self.assertEqual(manager.topics("/counter"), {"out": "/s"})
+
     def test_children_end_when_nobody_looks_after_them(self):
         manager = self.started(orphan_timeout=1.5)
         manager.client.spawn("relay", "/relay")
