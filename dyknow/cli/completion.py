@@ -25,8 +25,8 @@ from dyknow.cli.topics import topics_of
 from dyknow.manager.transformation import IN, NODELET, OUT
 
 if TYPE_CHECKING:
-    from dyknow.ros.client import NodeletView
     from dyknow.ros.shell_client import ShellClient
+    from dyknow.ros.views import NodeletView
 
 
 @dataclass

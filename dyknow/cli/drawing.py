@@ -15,7 +15,7 @@ from dyknow.cli.views import state_of
 from dyknow.errors import DyKnowError
 
 if TYPE_CHECKING:
-    from dyknow.ros.client import ModelView, NodeletView
+    from dyknow.ros.views import ModelView, NodeletView
 
 #: Seconds that graphviz may take; some 200 nodelets need 15 of them.
 LAYOUT_TIMEOUT = 120.0

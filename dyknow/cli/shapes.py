@@ -9,7 +9,7 @@ from dyknow.manager.model import PortState
 from dyknow.manager.transformation import Transformation
 
 if TYPE_CHECKING:
-    from dyknow.ros.client import NodeletView, Statistics
+    from dyknow.ros.views import NodeletView, Statistics
 
 Shape = Dict[str, Any]
 

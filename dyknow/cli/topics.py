@@ -10,7 +10,7 @@ from dyknow.cli.views import by_name, state_of
 from dyknow.manager.transformation import OUT
 
 if TYPE_CHECKING:
-    from dyknow.ros.client import ModelView, NodeletView
+    from dyknow.ros.views import ModelView, NodeletView
 
 
 @dataclass(frozen=True)

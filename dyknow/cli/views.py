@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Dict, Iterable, List, Mapping
 
 if TYPE_CHECKING:
     from dyknow.manager.model import PortState
-    from dyknow.ros.client import ModelView, NodeletView
+    from dyknow.ros.views import ModelView, NodeletView
 
 
 def state_of(nodelet: NodeletView) -> str:

@@ -11,7 +11,7 @@ from dyknow.errors import DyKnowError
 from dyknow.manager.transformation import Transformation
 
 if TYPE_CHECKING:
-    from dyknow.ros.client import ModelView, NodeletView
+    from dyknow.ros.views import ModelView, NodeletView
 
 VERSION = "1"
 

@@ -11,7 +11,7 @@ from dyknow.cli.wiring import WiredNodelet, Wiring
 from dyknow.manager.transformation import TOPIC, Transformation
 
 if TYPE_CHECKING:
-    from dyknow.ros.client import ModelView, NodeletView
+    from dyknow.ros.views import ModelView, NodeletView
 
 
 @dataclass(frozen=True)

@@ -20,11 +20,12 @@ from dyknow_msgs.msg import Model
 from dyknow import names
 from dyknow.errors import PeerTimeout, Refused
 from dyknow.ros import client
-from dyknow.ros.client import ManagerClient, ModelView, model_view
+from dyknow.ros.client import ManagerClient
 from dyknow.ros.client_errors import Silent, Unreachable
 from dyknow.ros.latched import read_latched
 from dyknow.ros.master import TIMEOUT, Master
 from dyknow.ros.service_client import ServiceClient, ServiceFailed, ServiceLost
+from dyknow.ros.views import ModelView, model_view
 
 T = TypeVar("T")
 

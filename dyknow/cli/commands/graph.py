@@ -15,7 +15,7 @@ from dyknow.cli.shell import Shell
 from dyknow.cli.topics import Topic, list_topics, topics_of
 
 if TYPE_CHECKING:
-    from dyknow.ros.client import ModelView
+    from dyknow.ros.views import ModelView
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:

@@ -14,7 +14,7 @@ from dyknow.cli.views import by_name, state_of, unknown_nodelet
 from dyknow.manager.transformation import IN, OUT
 
 if TYPE_CHECKING:
-    from dyknow.ros.client import ModelView, NodeletView
+    from dyknow.ros.views import ModelView, NodeletView
 
 _Ends = Dict[str, List[Tuple[str, str, str]]]
 

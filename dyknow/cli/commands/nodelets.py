@@ -14,7 +14,7 @@ from dyknow.errors import DuplicatePort, DyKnowError
 from dyknow.ros.client_errors import Unreachable
 
 if TYPE_CHECKING:
-    from dyknow.ros.client import ModelView
+    from dyknow.ros.views import ModelView
 
 
 def _spawn_arguments(parser: argparse.ArgumentParser) -> None:

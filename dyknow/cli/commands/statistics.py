@@ -18,7 +18,7 @@ from dyknow.errors import DyKnowError, Refused
 from dyknow.ros.client_errors import Silent
 
 if TYPE_CHECKING:
-    from dyknow.ros.client import Statistics
+    from dyknow.ros.views import Statistics
 
 _WORKERS = 16
 _PERIOD = 1.0

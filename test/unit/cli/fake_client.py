@@ -16,8 +16,9 @@ from dyknow.cli.shell import Shell
 from dyknow.errors import DyKnowError, HostError, Refused
 from dyknow.manager.lifecycle import SpawnRequest
 from dyknow.manager.model import Record
-from dyknow.ros.client import Added, ModelView, NodeletView, PortTraffic, Statistics
+from dyknow.ros.client import Added
 from dyknow.ros.client_errors import Silent
+from dyknow.ros.views import ModelView, NodeletView, PortTraffic, Statistics
 
 
 class FakeClient:

@@ -13,7 +13,7 @@ from unit.manager.world import World
 
 from dyknow.cli.drawing import CannotDraw, render, to_dot
 from dyknow.manager.model import PortState, State
-from dyknow.ros.client import ModelView, NodeletView
+from dyknow.ros.views import ModelView, NodeletView
 
 needs_graphviz = pytest.mark.skipif(shutil.which("dot") is None, reason="graphviz is missing")
 
