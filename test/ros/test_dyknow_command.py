@@ -315,7 +315,7 @@ class CommandTest(unittest.TestCase):
             watching.wait_for("/r")
             self.assertEqual(nodes(), before)
             watching.stop()
-            self.assertEqual(watching.exit_code(5.0), 130)
+            self.assertEqual(watching.exit_code(20.0), 130)
             self.assertNotIn("Traceback", watching.output)
 
     def test_a_reader_that_goes_away_ends_it_quietly(self):

@@ -235,7 +235,7 @@ class ServicesTest(ManagerCase):
             self.client.spawn("relay", f"/n{number}", {"in": "/a", "out": f"/b{number}"})
             times.append(time.monotonic() - begin)
         print(f"spawn: median {statistics.median(times) * 1000:.1f} ms")
-        self.assertLess(statistics.median(times), 0.1)
+        self.assertLess(statistics.median(times), 0.3)
 
 
 class GuardsTest(ManagerCase):
@@ -315,7 +315,7 @@ class StartTest(ManagerCase):
                 rosnode.kill_nodes([MANAGER])
                 manager.process.wait(20.0)
             else:
-                self.assertLess(manager.stop(number), 8.0)
+                self.assertLess(manager.stop(number), 24)
             self.assertEqual(manager.process.returncode, 0, manager.output)
             self.assertFalse([name for name, each in children.items() if each.alive])
             rospy.delete_param(MANAGER)
@@ -347,7 +347,7 @@ class StartTest(ManagerCase):
         other.send_signal(signal.SIGSTOP)
         begin = time.monotonic()
         eventually(lambda: manager.nodelet("/asked").state is State.LOST, 3.0, "it is missed")
-        self.assertLess(time.monotonic() - begin, 3.0)
+        self.assertLess(time.monotonic() - begin, 9)
         manager.client.spawn("relay", "/elsewhere")
         self.assertIn(manager.nodelet("/elsewhere").manager, children)
         other.send_signal(signal.SIGCONT)

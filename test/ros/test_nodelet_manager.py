@@ -44,7 +44,7 @@ class StartTest(Started):
         self.start_manager("/warm").stop()
         begin = time.monotonic()
         self.start_manager("/quick")
-        self.assertLess(time.monotonic() - begin, 2.0)
+        self.assertLess(time.monotonic() - begin, 6)
 
     def test_every_command_that_starts_a_manager(self):
         for command in (
@@ -54,7 +54,7 @@ class StartTest(Started):
             process = self.start(*command, "__name:=started")
             rospy.wait_for_service("/started/list", 10.0)
             process.stop()
-            self.assertEqual(process.exit_code(5.0), 0, process.output)
+            self.assertEqual(process.exit_code(20.0), 0, process.output)
             self.assertNotIn("/started", nodes())
 
     def test_num_worker_threads(self):
@@ -75,7 +75,7 @@ class StartTest(Started):
         for value in (-1, "many", 1.5, True):
             rospy.set_param("/confused/num_worker_threads", value)
             process = self.start_manager("/confused", wait=False)
-            self.assertEqual(process.exit_code(10.0), 255, process.output)
+            self.assertEqual(process.exit_code(20.0), 255, process.output)
             self.assertIn("num_worker_threads", process.output)
             self.assertIn("expected an integer", process.output)
             self.assertNotIn("Traceback", process.output)
@@ -88,7 +88,7 @@ class StartTest(Started):
                 process.exit_code(tenth / 10)
             except AssertionError:
                 process.stop()
-            self.assertIn(process.exit_code(5.0), (0, 130, -signal.SIGINT), process.output)
+            self.assertIn(process.exit_code(20.0), (0, 130, -signal.SIGINT), process.output)
             self.assertNotIn("/hasty", nodes())
 
 
@@ -193,11 +193,11 @@ class ServiceTest(Started):
         begin = time.monotonic()
         self.manager.load("Introspector", "/quick")
         self.assertEqual(self.manager.list(), ["/quick"])
-        self.assertLess(time.monotonic() - begin, 2.0)
+        self.assertLess(time.monotonic() - begin, 6)
         rospy.set_param("/go_on", True)
         eventually(lambda: "/slow" in self.manager.list(), 5.0, "the slow one is loaded")
         slow.stop()
-        slow.exit_code(5.0)
+        slow.exit_code(20.0)
 
 
 class ProcessRemappingTest(Started):
@@ -263,14 +263,14 @@ class ClientTest(Started):
                 )
                 self.assertEqual(rospy.get_param("/robot/relay/size"), 3)
                 process.stop()
-                self.assertEqual(process.exit_code(5.0), 0, process.output)
+                self.assertEqual(process.exit_code(20.0), 0, process.output)
 
     def test_ctrl_c_unloads(self):
         for client in CLIENTS:
             with self.subTest(client):
                 process = self.load(client)
                 process.stop(signal.SIGINT)
-                self.assertEqual(process.exit_code(5.0), 0, process.output)
+                self.assertEqual(process.exit_code(20.0), 0, process.output)
                 eventually(lambda: self.manager.list() == [], 2.0, "it is unloaded")
                 eventually(lambda: "/robot/relay" not in nodes(), 2.0, "the client is gone")
 
@@ -297,12 +297,12 @@ class ClientTest(Started):
             with self.subTest(client):
                 process = self.load(client)
                 self.manager.unload("/robot/relay")
-                self.assertEqual(process.exit_code(3.0), 0, process.output)
+                self.assertEqual(process.exit_code(20.0), 0, process.output)
 
     def test_without_bond_the_nodelet_outlives_the_client(self):
         process = self.load("own", "--no-bond")
         process.stop(signal.SIGKILL)
-        process.exit_code(5.0)
+        process.exit_code(20.0)
         for client in ("own", "stock"):
             self.assertEqual(self.manager.list(), ["/robot/relay"])
             code, output = finished([*CLIENTS[client], "unload", "/robot/relay", "/robot/manager"])
@@ -343,7 +343,7 @@ class StandaloneTest(Started):
         self.assertEqual(call("/robot/alone", "resolve", "~topic"), "/robot/mine")
         self.assertEqual(rospy.get_param("/robot/alone/answer"), 42)
         process.stop()
-        self.assertEqual(process.exit_code(5.0), 0, process.output)
+        self.assertEqual(process.exit_code(20.0), 0, process.output)
 
     def test_its_ports_are_connected_by_the_command_line(self):
         process = self.start(
@@ -352,7 +352,7 @@ class StandaloneTest(Started):
         rospy.wait_for_service("/relay/call", 10.0)
         self.assertEqual(graph.topics_of_ports("/relay"), {"in": "/a", "out": "/b"})
         process.stop(signal.SIGTERM)
-        self.assertEqual(process.exit_code(5.0), 0, process.output)
+        self.assertEqual(process.exit_code(20.0), 0, process.output)
 
     def test_a_nodelet_that_cannot_be_loaded_ends_it(self):
         code, output = finished([*NODELET, "standalone", "dyknow_test/FailsInInit"])

@@ -162,7 +162,7 @@ class LoadTest(Refusals):
             )
             self.assertEqual(self.manager.list(), [])
             self.manager.unload("/n")
-            self.assertEqual(client.exit_code(5.0), 255)
+            self.assertEqual(client.exit_code(20.0), 255)
             self.assertIn("unloaded during its load", client.output)
         self.manager.load("Talker", "/n")
         self.manager.unload("/n")
@@ -186,7 +186,7 @@ class LoadTest(Refusals):
             rospy.set_param("/go_on", True)
             eventually(lambda: self.manager.list() == ["/n"], 5.0, "the first one has won")
             client.stop()
-            client.exit_code(5.0)
+            client.exit_code(20.0)
 
     def test_unload_of_a_stranger(self):
         self.manager.load("Talker", "/n")

@@ -94,7 +94,7 @@ class SimTimeTest(unittest.TestCase):
         begin = time.monotonic()
         self.assertTrue(set_config("/listener", **{"in": "/nobody"}).success)
         self.manager.unload("/n")
-        self.assertLess(time.monotonic() - begin, 2.0)
+        self.assertLess(time.monotonic() - begin, 6)
 
 
 if __name__ == "__main__":
