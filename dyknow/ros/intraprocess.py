@@ -71,7 +71,7 @@ class LocalTopic:
     def __init__(self, name: str, uri: str, executor: Executor) -> None:
         self.name = name
         self.halves: Set[Any] = set()
-        self.latched: Any = NOTHING
+        self._latches: Dict[Any, Any] = {}
         self._uri = uri
         self._strand = Strand(executor, f"rospy subscribers of {name}")
         self._adopted: Any = None
@@ -85,6 +85,21 @@ class LocalTopic:
         if implementation is None:
             return []
         return [each for each in list(implementation.callbacks) if not _ours(each[0])]
+
+    @property
+    def latched(self) -> Any:
+        """The message that was latched last, by who is still there."""
+        return (list(self._latches.values()) or [NOTHING])[-1]
+
+    def latch(self, half: Any, message: Any) -> None:
+        """Keep what a publication has latched, the latest last."""
+        self._latches.pop(half, None)
+        self._latches[half] = message
+
+    def unlatch(self, half: Any) -> Any:
+        """Forget a publication's message; returns whose is the latest now, or None."""
+        self._latches.pop(half, None)
+        return (list(self._latches) or [None])[-1]
 
     def adopt(self, implementation: Any) -> None:
         """Pass on what ordinary publishers of this process publish on the topic."""

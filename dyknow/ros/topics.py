@@ -11,7 +11,6 @@ import genpy
 import rospy
 
 from dyknow.errors import PeerTimeout, RemappedTopic
-from dyknow.nodelet.endpoints import NOTHING
 from dyknow.nodelet.middleware import OutsidePublisher, OutsideSubscriber, Receive
 from dyknow.ros.anymsg import TypedReceiver
 from dyknow.ros.intraprocess import IntraProcess
@@ -40,6 +39,7 @@ class RospyPublisher(OutsidePublisher):
         "_intraprocess",
         "_local",
         "_publisher",
+        "_sent",
         "_topic",
         "heard",
     )
@@ -68,6 +68,7 @@ class RospyPublisher(OutsidePublisher):
         self.heard = False
         self.in_flight = 0
         self._closed = False
+        self._sent: Any = None
         self._intraprocess = intraprocess
         self._local = intraprocess.publishing(topic)
         self._local.halves.add(self)
@@ -96,7 +97,7 @@ class RospyPublisher(OutsidePublisher):
 
     def latch(self, message: Any) -> None:
         """Publish, and keep the message for those who come."""
-        self._local.latched = message
+        self._local.latch(self, message)
         if self._local.foreign:
             self._local.deliver(message)
         self._outwards(message)
@@ -115,7 +116,9 @@ class RospyPublisher(OutsidePublisher):
     def drain(self, seconds: float) -> bool:
         """Wait until rospy's sending threads have written everything."""
         deadline = time.monotonic() + seconds
-        while self.in_flight or not all(map(_idle, list(self._implementation.connections or ()))):
+        while not self._closed and (
+            self.in_flight or not all(map(_idle, list(self._implementation.connections or ())))
+        ):
             if time.monotonic() >= deadline:
                 return False
             time.sleep(_STEP)
@@ -127,9 +130,9 @@ class RospyPublisher(OutsidePublisher):
             return
         self._closed = True
         self._local.halves.discard(self)
-        if self._implementation.is_latch:
-            self._implementation.latch = None
-            self._local.latched = NOTHING
+        successor = self._local.unlatch(self)
+        if self._sent is not None and self._implementation.latch is self._sent:
+            self._implementation.latch = successor._sent if successor is not None else None
         self._publisher.unregister()
         _put_away(self._implementation)
         self._intraprocess.retire(self._topic)
@@ -139,6 +142,8 @@ class RospyPublisher(OutsidePublisher):
         if getattr(message.__class__, "_has_header", False):
             message = copy.copy(message)
             message.header = copy.copy(message.header)
+        if self._implementation.is_latch:
+            self._sent = message
         implementation = self._implementation
         implementation.acquire()
         try:
