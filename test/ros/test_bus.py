@@ -174,6 +174,22 @@ class OutsideTest(BusTest):
         self.assertIn("seq: 42", output)
         self.wait_for_numbers([41, 42], "/listener")
 
+    def test_of_two_latched_publishers_one_goes(self):
+        for number, name in enumerate(("/one", "/two", "/three")):
+            self.manager.load("Talker", name, {"/out": "/a"}, latch=True)
+            call(name, "publish", number, 1)
+        self.manager.unload("/one")
+        self.assertIn("\n2\n", self.latched("/a"))
+        self.manager.unload("/three")
+        self.assertIn("\n1\n", self.latched("/a"))
+
+    @staticmethod
+    def latched(topic):
+        """What somebody who comes late gets."""
+        code, output = finished(["rostopic", "echo", "-n", "1", f"{topic}/seq"], 10.0)
+        assert code == 0, output
+        return f"\n{output}"
+
     def test_a_latch_of_the_outside_reaches_every_new_connection(self):
         publisher = rospy.Publisher("/a", Header, queue_size=1, latch=True)
         self.addCleanup(publisher.unregister)
