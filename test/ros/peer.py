@@ -16,7 +16,8 @@ from std_msgs.msg import Header
 
 
 def talk(rate: str, *topics: str) -> None:
-    publishers = [rospy.Publisher(topic, Header, queue_size=1000) for topic in topics]
+    # Without a queue: what is published is sent, so the topics keep in step.
+    publishers = [rospy.Publisher(topic, Header, queue_size=None) for topic in topics]
     number = 0
     due = time.monotonic()
     while not rospy.is_shutdown():
