@@ -98,9 +98,25 @@ def types_fit(one: str, other: str) -> bool:
     return one == other or not one or not other or ANY in (one, other)
 
 
-def choose_topic(source: PortReference, out: PortState, into: PortState) -> str:
-    """Choose: the out-port's topic, else the in-port's, else `/NODELET/PORT` of the out-port."""
-    return out.topic or into.topic or names.join(source.nodelet, source.port.lstrip("~/"))
+def choose_topic(source: PortReference, out: PortState, into: PortState, is_fed: bool) -> str:
+    """Choose a topic so that the in-port hears the out-port, and only that.
+
+    The out-port's topic; else the in-port's, unless `is_fed` says that somebody publishes there
+    already; else `/NODELET/PORT` of the out-port.
+    """
+    if out.topic:
+        return out.topic
+    if into.topic and not is_fed:
+        return into.topic
+    return names.join(source.nodelet, source.port.lstrip("~/"))
+
+
+def _is_fed(client: ShellClient, topic: str) -> bool:
+    return any(
+        port.direction == OUT and port.topic == topic
+        for nodelet in client.nodelets().nodelets
+        for port in nodelet.ports
+    )
 
 
 def connect(
@@ -117,7 +133,9 @@ def connect(
     out = find_port(source, ports_of(client, source.nodelet))
     into = find_port(target, ports_of(client, target.nodelet))
     check_ends(source, out, target, into)
-    topic = topic or choose_topic(source, out, into)
+    if not topic:
+        is_fed = not out.topic and bool(into.topic) and _is_fed(client, into.topic)
+        topic = choose_topic(source, out, into, is_fed)
     # The reader first: whatever is published on the topic from then on finds it.
     changes = [
         Change(reference, port.topic, topic)
