@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Callable, Dict, Sequence
+from typing import Callable, Dict, List, Sequence
 
 import numpy as np
 
@@ -83,7 +83,8 @@ def measure(name: str, seed: int, times: Sequence[float]) -> Accuracy:
     eye = _eyes(world)[name]
     view = FieldCamera(eye.camera, seed)
     frame: Pixels = np.empty((eye.camera.height, eye.camera.width, 2), np.uint8)
-    frames, false, errors = 0, 0, []  # type: int, int, List[float]
+    frames = false = 0
+    errors: List[float] = []
     for number, time in enumerate(times):
         truth = world.ball_on_field(time)
         pose = eye.true_pose(time)

@@ -27,8 +27,8 @@ class FieldCamera:
         """Prepare a camera with these intrinsics."""
         self.camera = camera
         self._field = yuv_from_bgr(field.picture(seed))
-        self._lab = [int(each) for each in _yuv(_LAB)]
-        self._ball = tuple(int(each) for each in _yuv(ORANGE))
+        self._lab = _yuv(_LAB)
+        self._ball = _yuv(ORANGE)
         self._generator = np.random.default_rng([seed, 3])
         noise = self._generator.normal(0.0, _NOISE, (2 * camera.height, 2 * camera.width, 2))
         self._brighter = np.clip(noise + 0.5, 0, 255).astype(np.uint8)
@@ -93,6 +93,6 @@ class FieldCamera:
         return mask
 
 
-def _yuv(bgr: tuple[int, int, int]) -> Pixels:
-    pixel: Pixels = yuv_from_bgr(np.array([[bgr]], np.uint8))[0, 0]
-    return pixel
+def _yuv(bgr: tuple[int, int, int]) -> tuple[int, int, int]:
+    y, u, v = yuv_from_bgr(np.array([[bgr]], np.uint8))[0, 0].tolist()
+    return y, u, v

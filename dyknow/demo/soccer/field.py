@@ -46,7 +46,9 @@ def picture(seed: int) -> Pixels:
     shape = (round((WIDTH + 2 * BORDER) / SCALE), round((LENGTH + 2 * BORDER) / SCALE))
     mottle = np.random.default_rng(seed).normal(0.0, 14.0, (shape[0] // 8, shape[1] // 8))
     shade = cv2.resize(mottle, shape[::-1], interpolation=cv2.INTER_LINEAR)
-    field = np.clip(np.array(GRASS, np.float64) + shade[..., None], 0, 255).astype(np.uint8)
+    field: Pixels = np.clip(np.array(GRASS, np.float64) + shade[..., None], 0, 255).astype(
+        np.uint8
+    )
     half, box = LENGTH / 2, LENGTH / 2 - BOX_DEPTH
     _stroke(field, -half, -WIDTH / 2, half, WIDTH / 2)
     _stroke(field, 0.0, -WIDTH / 2, 0.0, WIDTH / 2)

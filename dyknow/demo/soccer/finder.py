@@ -73,7 +73,7 @@ def find_balls(
         limits: what counts as a ball.
     """
     coarse, fine = max(pyramid), min(pyramid)
-    found = []
+    found: List[Find] = []
     for window in _windows(pyramid[coarse], colour.widened(limits.slack), limits.regions):
         found += _finds(pyramid[fine], _scaled(window, coarse // fine), fine, colour, limits)
     found.sort(key=lambda find: (-find.score, find.centre))

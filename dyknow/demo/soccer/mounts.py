@@ -42,6 +42,8 @@ class Fixed:
 
 Mount = Union[NaoBottom, Fixed]
 
+_NUMBERS = ("height", "pitch", "roll")
+
 #: What ``mount_of`` expects, for error messages.
 EXPECTED = "nao_bottom, or the numbers height (m, above 0), pitch and, optionally, roll (rad)"
 
@@ -57,12 +59,9 @@ def mount_of(given: Any) -> Mount:
     """
     if given == "nao_bottom":
         return NaoBottom()
-    if isinstance(given, dict) and {"height", "pitch"} <= set(given) <= {
-        "height",
-        "pitch",
-        "roll",
-    }:
-        numbers = {name: float(value) for name, value in given.items()}
-        if numbers["height"] > 0:
-            return Fixed(**numbers)
+    if isinstance(given, dict):
+        needed, named = {"height", "pitch"}, set(given)
+        if needed <= named <= needed | {"roll"} and float(given["height"]) > 0:
+            height, pitch, roll = (float(given.get(name, 0.0)) for name in _NUMBERS)
+            return Fixed(height, pitch, roll)
     raise ValueError(f"expected {EXPECTED}")

@@ -1,9 +1,9 @@
 """Where the NAO's bottom camera is, for given joint angles.
 
-Numbers of the NAO V4 and V5 as its maker documents them (metres and radians): links and joints at
-http://doc.aldebaran.com/2-1/family/nao_h25/links_h25.html and ``joints_h25.html``, cameras at
-http://doc.aldebaran.com/1-14/family/robots/video_robot.html (head 4.0; the V5 has the same): angles of
-view 60.97 x 47.64 degrees, images up to 1280 x 960, YUV 4:2:2, 30 Hz.
+Numbers of the NAO V4 and V5 in metres and radians, as its maker documents them at
+http://doc.aldebaran.com/1-14/family/nao_h25/links_h25.html (links), ``joints_h25.html`` beside it,
+and http://doc.aldebaran.com/1-14/family/robots/video_robot.html (cameras; head 4.0, of which the
+V5 has the same): angles of view 60.9 x 47.6 degrees, up to 1280 x 960 in YUV 4:2:2 at 30 Hz.
 
 The robot's frame lies on the ground below its torso, x ahead, y left, z up (``base_footprint`` of
 REP 120). The feet stand flat; what the gait does sideways is left out.

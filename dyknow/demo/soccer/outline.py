@@ -57,4 +57,5 @@ def _least_squares(points: Array) -> tuple[Array, float]:
     near = points - origin
     system = np.column_stack((2 * near, np.ones(len(near))))
     (a, b, c), *_ = np.linalg.lstsq(system, (near**2).sum(axis=1), rcond=None)
-    return origin + (a, b), float(np.sqrt(max(c + a * a + b * b, 0.0)))
+    centre: Array = origin + np.array([a, b])
+    return centre, float(np.sqrt(max(c + a * a + b * b, 0.0)))

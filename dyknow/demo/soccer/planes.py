@@ -30,7 +30,7 @@ def halved(packed: Pixels, planes: Pixels) -> None:
 
 
 def halved_again(planes: Pixels, smaller: Pixels) -> None:
-    """Write planes at twice the factor into ``smaller``; odd last rows and columns are left out."""
+    """Write planes at twice the factor; an odd last row or column is left out."""
     _, rows, columns = smaller.shape
     for plane, half in zip(planes, smaller):
         even = plane[: 2 * rows, : 2 * columns]

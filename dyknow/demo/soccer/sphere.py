@@ -71,4 +71,5 @@ def _window(camera: Pinhole, centre: Array, radius: float) -> Optional[Tuple[int
 def _means(values: Array) -> Array:
     """Average the rays of each pixel."""
     rows, columns = values.shape[0] // _RAYS, values.shape[1] // _RAYS
-    return values.reshape(rows, _RAYS, columns, _RAYS).mean(axis=(1, 3))
+    means: Array = values.reshape(rows, _RAYS, columns, _RAYS).mean(axis=(1, 3))
+    return means

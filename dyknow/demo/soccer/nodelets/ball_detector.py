@@ -26,8 +26,8 @@ from dyknow.ros.parameters import get_positive
 class BallDetector(dyknow.Nodelet):
     """Finds the ball by colour and roundness, and locates it in the frame of the camera's owner.
 
-    It does so for whichever camera it is told of: the intrinsics come with the images, the mounting
-    is a parameter, and joints count only where the mounting has some.
+    It does so for whichever camera it is told of: the intrinsics come with the images, the
+    mounting is a parameter, and joints count only where the mounting has some.
 
     Ports:
         yuv_coarse, yuv_fine (in): sensor_msgs/Image, planes as of ImageSubsampler, of the same
