@@ -23,6 +23,9 @@ from dyknow.demo.soccer.world import World
 
 FACTORS = (2, 4)
 
+#: The cameras that ``measure`` knows.
+EYES = ("bottom_camera", "ceiling_camera")
+
 
 @dataclass(frozen=True)
 class Accuracy:
@@ -75,7 +78,7 @@ def measure(name: str, seed: int, times: Sequence[float]) -> Accuracy:
     """Let a camera look for the ball at some times (s).
 
     Args:
-        name: bottom_camera or ceiling_camera.
+        name: one of ``EYES``.
         seed: of the world.
         times: when to look.
     """

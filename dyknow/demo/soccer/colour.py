@@ -39,6 +39,6 @@ class Colour:
 ORANGE = Colour((30, 235), (0, 112), (152, 255))
 
 #: Balls of the Middle Size League.
-YELLOW = Colour((40, 235), (0, 100), (118, 150))
+YELLOW = Colour((40, 235), (0, 102), (120, 155))
 
 COLOURS = {"orange": ORANGE, "yellow": YELLOW}

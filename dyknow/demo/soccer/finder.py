@@ -14,7 +14,7 @@ import numpy as np
 
 from dyknow.demo.images import Pixels
 from dyknow.demo.soccer.colour import Colour
-from dyknow.demo.soccer.outline import fit_circle
+from dyknow.demo.soccer.outline import Ellipse, fit_round
 from dyknow.demo.soccer.rigid import Array
 
 _Window = Tuple[int, int, int, int]
@@ -30,6 +30,8 @@ class Limits:
         area: least number of pixels of a region in the fine planes.
         roundness: least score, see ``Find``.
         size: largest radius as a part of the image's width.
+        stretch: how much longer than wide an outline may be; 1 for circles. Lenses that distort
+            need more.
     """
 
     slack: int = 8
@@ -37,6 +39,7 @@ class Limits:
     area: int = 6
     roundness: float = 0.5
     size: float = 0.2
+    stretch: float = 1.0
 
 
 DEFAULT_LIMITS = Limits()
@@ -47,12 +50,12 @@ class Find:
     """A round region; columns and rows are those of the image in full resolution.
 
     Attributes:
-        centre: of the fitted circle, (column, row).
+        centre: of the fitted curve, (column, row).
         radius: pixels.
         box: left, top, right, bottom of the region itself.
-        outline: points (n, 2) of the outline that lie on the circle.
-        score: 0 to 1: how much of the outline lies on the circle, times how much of the circle
-            is filled.
+        outline: points (n, 2) of the outline that lie on the curve.
+        score: 0 to 1: how much of the outline lies on the curve, times how much of the inside is
+            filled.
     """
 
     centre: Tuple[float, float]
@@ -123,34 +126,34 @@ def _round(outline: Any, size: Tuple[int, int], factor: int, limits: Limits) -> 
         return None
     points = outline.reshape(-1, 2).astype(np.float64)
     inside = np.all((points > 0) & (points < np.array(size) - 1), axis=1)
-    circle = fit_circle(points[inside])  # the image's border is no outline of the ball
-    if circle is None or circle.radius + 0.5 > limits.size * size[0]:
+    fit = fit_round(points[inside], limits.stretch)  # the image's border is no outline
+    if fit is None or fit.curve.radius + 0.5 > limits.size * size[0]:
         return None
-    radius = circle.radius + 0.5
-    score = circle.agreement * min(1.0, area / _visible(circle.centre, radius, size))
+    score = fit.agreement * min(1.0, area / _visible(fit.curve, size))
     if score < limits.roundness:
         return None
-    column, row = _full(circle.centre, factor)
+    column, row = _full(fit.curve.centre, factor)
     box = (left, top, left + width, top + height)
     return Find(
         (float(column), float(row)),
-        radius * factor,
+        (fit.curve.radius + 0.5) * factor,
         (box[0] * factor, box[1] * factor, box[2] * factor, box[3] * factor),
-        _full(circle.points, factor),
+        _full(fit.points, factor),
         float(score),
     )
 
 
-def _visible(centre: Array, radius: float, size: Tuple[int, int]) -> float:
-    """Area of the part of a circle that lies in the image."""
+def _visible(curve: Ellipse, size: Tuple[int, int]) -> float:
+    """Area of the part of an ellipse that lies in the image."""
+    reach = curve.axes[0] + 0.5
     columns, rows = (
         np.arange(
-            max(0, int(middle - radius)), min(count, int(middle + radius) + 2), dtype=np.float64
+            max(0, int(middle - reach)), min(count, int(middle + reach) + 2), dtype=np.float64
         )
-        for middle, count in zip(centre, size)
+        for middle, count in zip(curve.centre, size)
     )
-    off = (columns[None, :] - centre[0]) ** 2 + (rows[:, None] - centre[1]) ** 2
-    return max(float((off <= radius**2).sum()), 1.0)
+    grid = np.stack(np.meshgrid(columns, rows), axis=-1)
+    return max(float((curve.ratios(grid) <= 1.0 + 0.5 / curve.radius).sum()), 1.0)
 
 
 def _full(pixels: Array, factor: int) -> Array:
