@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Callable, Dict, List, Sequence
+from typing import Callable, Dict, Iterator, List, Optional, Sequence
 
 import numpy as np
 
@@ -23,6 +23,9 @@ from dyknow.demo.soccer.world import World
 
 FACTORS = (2, 4)
 
+#: Metres from the truth at which a find is none.
+_FALSE = 0.5
+
 #: The cameras that ``measure`` knows.
 EYES = ("bottom_camera", "ceiling_camera")
 
@@ -34,7 +37,7 @@ class Accuracy:
     Attributes:
         frames: frames in which the ball is in view.
         errors: of the place on the field.
-        false_finds: frames with a ball that is more than half a metre off.
+        false_finds: frames in which something else was found: more than half a metre off.
     """
 
     frames: int
@@ -74,6 +77,21 @@ def _eyes(world: World) -> Dict[str, _Eye]:
     }
 
 
+@dataclass(frozen=True)
+class Look:
+    """One frame.
+
+    Attributes:
+        truth: centre (3,) of the ball on the field, m.
+        in_view: whether that is in the picture.
+        found: where the ball is taken to be (3,), or None.
+    """
+
+    truth: Array
+    in_view: bool
+    found: Optional[Array]
+
+
 def measure(name: str, seed: int, times: Sequence[float]) -> Accuracy:
     """Let a camera look for the ball at some times (s).
 
@@ -82,30 +100,35 @@ def measure(name: str, seed: int, times: Sequence[float]) -> Accuracy:
         seed: of the world.
         times: when to look.
     """
+    frames = false_finds = 0
+    errors: List[float] = []
+    for each in looks(name, seed, times):
+        frames += int(each.in_view)
+        if each.found is None:
+            continue
+        error = float(np.hypot(*(each.found - each.truth)[:2]))
+        if error > _FALSE:
+            false_finds += 1
+        else:
+            errors.append(error)
+    return Accuracy(frames, errors, false_finds)
+
+
+def looks(name: str, seed: int, times: Sequence[float]) -> Iterator[Look]:
+    """Look for the ball as ``measure`` does, frame by frame."""
     world = World(seed)
     eye = _eyes(world)[name]
     view = FieldCamera(eye.camera, seed)
     frame: Pixels = np.empty((eye.camera.height, eye.camera.width, 2), np.uint8)
-    frames = false = 0
-    errors: List[float] = []
     for number, time in enumerate(times):
-        truth = world.ball_on_field(time)
-        pose = eye.true_pose(time)
-        frames += int(_in_view(eye.camera, pose, truth))
+        truth, pose = world.ball_on_field(time), eye.true_pose(time)
         view.render(pose, truth, number, frame)
-        finds = find_balls(pyramid(frame, FACTORS), ORANGE)
         believed = eye.believed_pose(time)
         geometry = Geometry(eye.camera, believed, BALL_RADIUS, ANGLE_ERROR, min(FACTORS))
-        sighting = best_sighting(finds, geometry)
-        if sighting is None:
-            continue
-        found = on_field(eye.believed_place(time), sighting.position)
-        error = float(np.hypot(*(found - truth)[:2]))
-        if error > 0.5:
-            false += 1
-        else:
-            errors.append(error)
-    return Accuracy(frames, errors, false)
+        sighting = best_sighting(find_balls(pyramid(frame, FACTORS), ORANGE), geometry)
+        place = eye.believed_place(time)
+        found = None if sighting is None else on_field(place, sighting.position)
+        yield Look(truth, _in_view(eye.camera, pose, truth), found)
 
 
 def _in_view(camera: Pinhole, field_from_camera: Array, ball: Array) -> bool:
