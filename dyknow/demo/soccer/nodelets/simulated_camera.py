@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Dict
 
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
@@ -27,7 +27,7 @@ class SimulatedCamera(dyknow.Nodelet):
         self.frame_id = str(self.nh.get_param("~frame_id", self.name.rpartition("/")[2]))
         self.world = World(seed)
         self.view = FieldCamera(camera, seed)
-        self.info = self.intrinsics(camera)
+        self.intrinsics = _intrinsics(camera)
         self.count = 0
         self.image_pub = self.nh.Publisher("image", Image, queue_size=5)
         self.info_pub = self.nh.Publisher("camera_info", CameraInfo, queue_size=5)
@@ -37,35 +37,13 @@ class SimulatedCamera(dyknow.Nodelet):
         """True pose of the optical frame on the field."""
         raise NotImplementedError
 
-    def intrinsics(self, camera: Pinhole) -> Any:
-        """Describe the camera; the header is filled in for each frame."""
-        k = camera.matrix
-        info = CameraInfo(height=camera.height, width=camera.width)
-        info.distortion_model = "plumb_bob"
-        info.D = [0.0] * 5
-        info.K = k.ravel().tolist()
-        info.R = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
-        info.P = [*k[0], 0.0, *k[1], 0.0, *k[2], 0.0]
-        return info
-
     def on_timer(self, event: Any) -> None:
         """Publish one frame."""
         stamp = self.nh.Time.now()
         header = Header(self.count, stamp, self.frame_id)
         self.publish_besides(header)
-        time, info, camera = stamp.to_sec(), self.info, self.view.camera
-        self.info_pub.publish(
-            CameraInfo(
-                header=header,
-                height=info.height,
-                width=info.width,
-                distortion_model=info.distortion_model,
-                D=info.D,
-                K=info.K,
-                R=info.R,
-                P=info.P,
-            )
-        )
+        self.info_pub.publish(CameraInfo(header=header, **self.intrinsics))
+        time, camera = stamp.to_sec(), self.view.camera
         image = images.blank(header, camera.height, camera.width, "yuv422")
         ball = self.world.ball_on_field(time)
         self.view.render(self.pose(time), ball, self.count, images.array_of(image))
@@ -74,3 +52,17 @@ class SimulatedCamera(dyknow.Nodelet):
 
     def publish_besides(self, header: Any) -> None:
         """Publish what else a camera knows, before its frame."""
+
+
+def _intrinsics(camera: Pinhole) -> Dict[str, Any]:
+    """Fields of CameraInfo, all but the header."""
+    k = camera.matrix
+    return {
+        "height": camera.height,
+        "width": camera.width,
+        "distortion_model": "plumb_bob",
+        "D": [0.0] * 5,
+        "K": k.ravel().tolist(),
+        "R": [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+        "P": [*k[0], 0.0, *k[1], 0.0, *k[2], 0.0],
+    }
