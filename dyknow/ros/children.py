@@ -49,6 +49,7 @@ class Child:
     gone: threading.Event = field(default_factory=threading.Event)
     trouble: str = ""
     uri: str = ""
+    stale: str = ""
     follower: Optional[Follower] = None
 
     @property
@@ -254,7 +255,8 @@ class Children:
         if child.wanted:
             _log.warning("nodelet manager %s (process %d) has died", name, found.pid)
         self.echo()
-        self._launcher.tidy(name, child.uri)
+        if not child.wanted or child.record.isolated_for:
+            self._launcher.tidy(name, child.uri)
         self._on_change()
 
     def _launch(self, child: Child) -> None:
@@ -263,6 +265,7 @@ class Children:
         if living is not None:
             self._take_over(child, living)
             return
+        child.stale = self._launcher.registered(name)
         found, child.follower = self._launcher.launch(child.record.kind, name)
         with self._lock:
             child.record = replace(child.record, process=found)
@@ -273,7 +276,7 @@ class Children:
         if living.pid < 0 or not self._launcher.is_ours(child.record.name):
             raise HostError("another node has that name")
         with self._lock:
-            child.adopted = True
+            child.adopted, child.stale = True, ""
             child.record = replace(child.record, process=living)
         self._write()
 
@@ -283,7 +286,7 @@ class Children:
         if child.adopted:
             child.follower = self._launcher.follow(name)
         deadline = time.monotonic() + START_TIMEOUT
-        uri = self._launcher.address(name)
+        uri = self._launcher.address(name, child.stale)
         while not uri:
             if not found.alive or not child.wanted:
                 child.trouble = "it ended at its start"
@@ -292,7 +295,7 @@ class Children:
                 found.end(PATIENCE)
                 raise HostError(f"it has not come up within {START_TIMEOUT:g} s")
             time.sleep(_STEP)
-            uri = self._launcher.address(name)
+            uri = self._launcher.address(name, child.stale)
         child.uri = uri
         with self._lock:
             child.up = child.wanted

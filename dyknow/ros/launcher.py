@@ -59,11 +59,12 @@ class Launcher:
     def launch(self, kind: Kind, name: str) -> Tuple[ProcessId, Follower]:
         """Start a nodelet manager.
 
+        What a dead one of that name left at the master goes when this one registers there.
+
         Raises:
             OSError: the program cannot be started.
             HostError: the program is not installed.
         """
-        self.tidy(name, self._master.node(name))
         for key, value in self._parameters.items():
             self._master.ask("setParam", names.join(name, key), value)
         output = self._output(name)
@@ -113,11 +114,23 @@ class Launcher:
         except LookupError:
             return False
 
-    def address(self, name: str) -> str:
-        """Address of a nodelet manager whose services are there; empty if they are not."""
+    def registered(self, name: str) -> str:
+        """Address that the master has of a node, dead or alive; empty if it has none."""
+        return self._master.node(name)
+
+    def address(self, name: str, stale: str) -> str:
+        """Address of a nodelet manager whose services are there; empty if they are not.
+
+        Args:
+            name: its name.
+            stale: address of a dead predecessor, which does not count.
+        """
         try:
+            found = self._master.node(name)
+            if found == stale:
+                return ""
             self._master.ask("lookupService", f"{name}/list")
-            return self._master.node(name)
+            return found
         except (LookupError, PeerTimeout):
             return ""
 

@@ -153,7 +153,7 @@ class NodeletManagerFaultsTest(ManagerCase):
         thread.join()
         self.assertLess(time.monotonic() - begin, 9)
         self.assertIn("/name", answers[0][0])
-        eventually(lambda: registrations("/name") == [], 1.0, "nothing is registered")
+        eventually(lambda: registrations("/name") == [], 3.0, "nothing is registered")
         self.assertEqual(parameters("/name"), [])
         self.assertIsNone(manager.nodelet("/name"))
         manager.client.spawn("relay", "/name", {"in": "/a"})
