@@ -29,7 +29,8 @@ RELAYS = """
 
 def start(session: Session) -> ManagerClient:
     """Start a manager with the shipped source and relay in its library."""
-    session.start([executable("dyknow", "manager")])
+    # Whatever becomes of this process, its nodelet managers end soon after.
+    session.start([executable("dyknow", "manager"), "_orphan_timeout:=2"])
     rospy.wait_for_service(f"{MANAGER}/get_model", 60.0)
     client = ManagerClient(MANAGER)
     client.add_transformation(RELAYS)
