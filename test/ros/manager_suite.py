@@ -20,6 +20,7 @@ os.environ["ROS_PACKAGE_PATH"] = os.pathsep.join([os.environ["ROS_PACKAGE_PATH"]
 
 import rosgraph  # noqa: E402
 import rospy  # noqa: E402
+from processes import eventually  # noqa: E402
 from roslib.packages import find_node  # noqa: E402
 from std_msgs.msg import Header  # noqa: E402
 
