@@ -33,6 +33,7 @@ class StreamRequest:
         datatype: ROS type; empty for any.
         client_id: who asks.
         request_id: the same request again gets the same claim; empty: every request is a new one.
+        bond_id: bond of the client, for whoever watches it; empty: there is none.
         lease: seconds until the claim ends unless it is renewed; 0 for until it is released.
         max_silence: seconds without a message after which a part counts as broken; 0: never.
         exclude: labels of transformations that must not be used.
@@ -42,6 +43,7 @@ class StreamRequest:
     datatype: str = ""
     client_id: str = ""
     request_id: str = ""
+    bond_id: str = ""
     lease: float = 0.0
     max_silence: float = 0.0
     exclude: Tuple[str, ...] = ()

@@ -10,14 +10,13 @@ from __future__ import annotations
 import logging
 import re
 from dataclasses import dataclass, field, replace
-from typing import Dict, List, Mapping, Set, Tuple
+from functools import partial
+from typing import Callable, Dict, List, Mapping, Set, Tuple
 
 from dyknow import names
 from dyknow.errors import DyKnowError, NameTaken, SpawnFailed
-from dyknow.manager.graph import Graph
-from dyknow.manager.host import Host
-from dyknow.manager.library import Library
-from dyknow.manager.lifecycle import Lifecycle, SpawnRequest
+from dyknow.manager.lifecycle import SpawnRequest
+from dyknow.manager.manager import Manager
 from dyknow.manager.model import Record, seen_ports
 from dyknow.manager.planning import Live, Plan, Source
 from dyknow.manager.transformation import IN, OUT
@@ -51,15 +50,13 @@ class Fulfilled:
 class Fulfilment:
     """Carries plans out."""
 
-    def __init__(
-        self, host: Host, graph: Graph, library: Library, lifecycle: Lifecycle, namespace: str
-    ) -> None:
-        """Make nodelets in ``namespace``."""
-        self._host = host
-        self._graph = graph
-        self._library = library
-        self._lifecycle = lifecycle
-        self._namespace = namespace
+    def __init__(self, manager: Manager) -> None:
+        """Make nodelets in the namespace of the manager."""
+        self._manager = manager
+        self._host = manager.host
+        self._graph = manager.graph
+        self._library = manager.library
+        self._lifecycle = manager.lifecycle
 
     def carry_out(self, plan: Plan, topic: str, own: Mapping[str, str]) -> Fulfilled:
         """Make what a plan says.
@@ -210,7 +207,7 @@ class Fulfilment:
         stem = stem if stem[:1].isalpha() else "nodelet_" + stem
         taken: Set[str] = {record.name for record in self._graph.all()}
         for number in range(1, 10_000):
-            name = names.join(self._namespace, f"{stem}_{number}")
+            name = self._manager.resolve(f"{stem}_{number}")
             if name in taken:
                 continue
             request = SpawnRequest(label, name, config=config, claimed=True)
@@ -223,12 +220,12 @@ class Fulfilment:
     def _undo(self, done: Fulfilled, undo: List[Tuple[str, Dict[str, str]]]) -> None:
         for name, before in reversed(undo):
             if name not in done.spawned:
-                self._quietly(lambda name=name, before=before: self.connect(name, before))  # type: ignore[misc]
+                self._quietly(partial(self.connect, name, before))
         for name in reversed(done.spawned):
-            self._quietly(lambda name=name: self._lifecycle.destroy(name))  # type: ignore[misc]
+            self._quietly(partial(self._lifecycle.destroy, name))
 
     @staticmethod
-    def _quietly(step) -> None:  # type: ignore[no-untyped-def]
+    def _quietly(step: Callable[[], None]) -> None:
         try:
             step()
         except DyKnowError as error:

@@ -70,6 +70,11 @@ class Acquired:
     spawned: Tuple[str, ...] = ()
     reused: Tuple[str, ...] = ()
 
+    @property
+    def cost(self) -> int:
+        """What was, or would be, paid for new nodelets."""
+        return 0 if self.plan is None else self.plan.cost
+
 
 class Keeper:
     """All claims, and what is done for them."""
@@ -77,14 +82,23 @@ class Keeper:
     def __init__(
         self,
         manager: Manager,
-        fulfilment: Fulfilment,
         ontology: Subsumption = NO_ONTOLOGY,
         settings: KeeperSettings = DEFAULT_KEEPER_SETTINGS,
         clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        """Take up the claims that the store has; nothing is done before ``reconcile``."""
+        """Take up the claims that the store has; nothing is done before ``reconcile``.
+
+        Args:
+            manager: makes and destroys nodelets.
+            ontology: what is a kind of what.
+            settings: how to behave.
+            clock: seconds, steady.
+            sleep: waits that long, while a replacement comes up.
+        """
         self._manager = manager
-        self._fulfilment = fulfilment
+        self._fulfilment = Fulfilment(manager)
+        self._sleep = sleep
         self._ontology = ontology
         self._settings = settings
         self._clock = clock
@@ -118,6 +132,8 @@ class Keeper:
         demand = _demand(request)
         with self._turn:
             known = self._same_request(request)
+            if known is not None and not known.topic:
+                raise NoPlanFound(known.detail, known.claim_id)
             if known is not None:
                 return Acquired(known, None, (), known.nodelets)
             claim = Claim("" if dry_run else uuid.uuid4().hex[:12], request)
@@ -138,6 +154,10 @@ class Keeper:
     def release(self, claim_id: str) -> None:
         """End a claim; ending it again, or one that nobody knows any more, is no error."""
         self._end(claim_id, ClaimState.RELEASED, "released")
+
+    def expire(self, claim_id: str, reason: str) -> None:
+        """End a claim whose client is gone, such as one whose bond broke; no error if it ended."""
+        self._end(claim_id, ClaimState.EXPIRED, reason)
 
     def renew(self, claim_id: str, lease: float) -> Claim:
         """Let the claim live for so many seconds from now (0: until it is released).

@@ -76,7 +76,7 @@ class Lifecycle:
         if count > self._guards.nodelets:
             raise TooMuch("nodelets", count, self._guards.nodelets)
         config = self._resolved(transformation, request.name, request.config)
-        with self._graph.changing(request.name, new=True):
+        with self._graph.changing(request.name, new=True, patience=PATIENCE):
             kind = self._host.kind_of(transformation.source)
             manager = placement.choose(
                 self._host,

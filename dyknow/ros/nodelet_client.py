@@ -26,6 +26,7 @@ from dyknow.errors import PeerTimeout
 from dyknow.ros.bonds import Bonds
 from dyknow.ros.exit_codes import DONE, FAILED, INTERRUPTED
 from dyknow.ros.remote_calls import call_within
+from dyknow.ros.signals import on_signals
 
 _UNLOAD_TIMEOUT = 10.0
 _LOAD_TIMEOUT_AT_EXIT = 0.5
@@ -122,7 +123,6 @@ class _LoadClient:
         self._manager = manager
         self._my_argv = my_argv
         self._bond_id = f"{name}_{uuid.uuid4()}" if bond else ""
-        # A SimpleQueue, since a signal handler may put into it while this very thread waits on it.
         self._events: queue.SimpleQueue[_Event] = queue.SimpleQueue()
         self._requested = False
         self._ended = threading.Event()
@@ -144,8 +144,7 @@ class _LoadClient:
         if event is _Event.REFUSED:
             return FAILED
         if event is _Event.STOP:
-            self._abandon_load()
-            return INTERRUPTED
+            return self._abandon_load()
         bonds: Bonds | None = None
         if self._bond_id:
             bonds = Bonds(f"{self._manager}/bond")
@@ -158,20 +157,23 @@ class _LoadClient:
             bonds.close(_BOND_TIMEOUT_AT_EXIT if unloaded else _LAST_WORD)
         return DONE
 
-    def _abandon_load(self) -> None:
-        """Leave no nodelet behind that the manager is just initialising."""
+    def _abandon_load(self) -> int:
+        """Leave no nodelet behind that the manager is just initialising; gives the exit code.
+
+        A nodelet that came up while we were stopped is one that was loaded and then unloaded.
+        """
         if not self._requested:
-            return
+            return INTERRUPTED
         try:
             event = self._events.get(timeout=_LOAD_TIMEOUT_AT_EXIT)
         except queue.Empty:
             event = _Event.STOP
         if event is not _Event.REFUSED:
             unload(self._name, self._manager, _UNLOAD_TIMEOUT_AT_EXIT)
+        return DONE if event is _Event.LOADED else INTERRUPTED
 
     def _listen_for_stop(self) -> None:
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, lambda *_: self._events.put(_Event.STOP))
+        on_signals((signal.SIGINT, signal.SIGTERM), lambda: self._events.put(_Event.STOP))
         rospy.on_shutdown(self._on_shutdown_request)
         rospy.core.add_shutdown_hook(lambda reason: self._shut_down.set())
 

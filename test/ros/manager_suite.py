@@ -13,18 +13,19 @@ import tempfile
 import time
 import unittest
 from pathlib import Path
-from typing import Any, Callable, Iterator
+from typing import Any, Iterator
 
 PACKAGES = Path(__file__).resolve().parent.parent / "packages"
 os.environ["ROS_PACKAGE_PATH"] = os.pathsep.join([os.environ["ROS_PACKAGE_PATH"], str(PACKAGES)])
 
 import rosgraph  # noqa: E402
 import rospy  # noqa: E402
+from processes import eventually  # noqa: E402
 from roslib.packages import find_node  # noqa: E402
 from std_msgs.msg import Header  # noqa: E402
 
 from dyknow.ros.client import ManagerClient  # noqa: E402
-from dyknow.ros.process import ProcessId  # noqa: E402
+from dyknow.ros.os_process import ProcessId  # noqa: E402
 
 MANAGER = "/dyknow_manager"
 CHILD = "/dyknow_nodelet_manager"
@@ -65,16 +66,6 @@ LIBRARY = "".join(
 )
 
 
-def eventually(condition: Callable[[], object], timeout: float, what: str) -> float:
-    """Wait until something holds and return how long (s) that took; fail when it does not."""
-    start = time.monotonic()
-    while not condition():
-        if time.monotonic() - start > timeout:
-            raise AssertionError(f"not within {timeout:g} s: {what}")
-        time.sleep(0.02)
-    return time.monotonic() - start
-
-
 class ManagerProcess:
     """A DyKnow manager in a process of its own, its state, and a client."""
 
@@ -113,7 +104,7 @@ class ManagerProcess:
 
     def children(self) -> dict[str, ProcessId]:
         """Nodelet managers that it has on its list."""
-        for file in Path(self.state).glob("*.children.json"):
+        for file in Path(self.state).glob("*-dyknow-manager.children.json"):
             return {
                 each["name"]: ProcessId(each["pid"], each["started"])
                 for each in json.loads(file.read_text())

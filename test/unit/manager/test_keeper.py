@@ -10,7 +10,6 @@ import pytest
 from dyknow.errors import InvalidTag, NoPlanFound, SpawnFailed, StreamTypeMismatch, UnknownClaim
 from dyknow.manager.claim import ClaimEvent, ClaimState, StreamRequest
 from dyknow.manager.fake_host import FakeHost
-from dyknow.manager.fulfilment import Fulfilment
 from dyknow.manager.keeper import Keeper
 from dyknow.manager.library import Library
 from dyknow.manager.lifecycle import SpawnRequest
@@ -74,12 +73,12 @@ class Field:
         library = Library(self.store)
         self.manager = Manager(self.host, self.store, library)
         self.manager.start()
-        fulfilment = Fulfilment(
-            self.host, self.manager.graph, library, self.manager.lifecycle, "/"
-        )
-        self.keeper = Keeper(self.manager, fulfilment, clock=lambda: self.now)
+        self.keeper = Keeper(self.manager, clock=lambda: self.now, sleep=self.sleep)
         self.events: List[ClaimEvent] = []
         self.keeper.on_event = self.events.append
+
+    def sleep(self, seconds: float) -> None:
+        self.now += seconds
 
     def acquire(self, tag: str = GOAL, **kwds: Any) -> Any:
         return self.keeper.acquire(StreamRequest(tag, **kwds))
