@@ -19,8 +19,9 @@ import rospy
 from dyknow.errors import BadParameter, DyKnowError, HostError, PeerTimeout, Refused
 from dyknow.manager.claim import ClaimState, StreamRequest
 from dyknow.ros.client import CHANGE_TIMEOUT, ManagerClient
+from dyknow.ros.client_errors import StreamRefused
 from dyknow.ros.stream_session import StreamSession
-from dyknow.ros.stream_views import AcquiredView, StreamEventView, StreamRefused, StreamView
+from dyknow.ros.stream_views import AcquiredView, StreamEventView, StreamView
 
 OnEvent = Callable[[StreamEventView], None]
 

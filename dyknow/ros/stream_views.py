@@ -2,41 +2,13 @@
 
 from __future__ import annotations
 
-import enum
 from dataclasses import dataclass
 from typing import Any, Optional, Tuple
 
 from dyknow_msgs.msg import StreamEvent, StreamStatus
-from dyknow_msgs.srv import AcquireStreamResponse
 
-from dyknow.errors import Refused
 from dyknow.manager.claim import ClaimState
-
-
-class Result(enum.IntEnum):
-    """Why a stream was not made; the numbers are those of ``dyknow_msgs/AcquireStream``."""
-
-    OK = AcquireStreamResponse.OK
-    NO_PLAN = AcquireStreamResponse.NO_PLAN
-    INVALID_TAG = AcquireStreamResponse.INVALID_TAG
-    TYPE_MISMATCH = AcquireStreamResponse.TYPE_MISMATCH
-    SPAWN_FAILED = AcquireStreamResponse.SPAWN_FAILED
-    TIMEOUT = AcquireStreamResponse.TIMEOUT
-    DENIED = AcquireStreamResponse.DENIED
-
-
-class StreamRefused(Refused):
-    """The manager did not make a stream.
-
-    Attributes:
-        result: why, as a number.
-        claim_id: the claim that waits until the stream can be made; empty if there is none.
-    """
-
-    def __init__(self, message: str, result: Result, claim_id: str = "") -> None:
-        self.result = result
-        self.claim_id = claim_id
-        super().__init__(message)
+from dyknow.ros.client_errors import Result, StreamRefused
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""What the suites about streams on request share: a library with tags, and what must always hold."""
+"""What the suites about streams share: a library with tags, and what must always hold."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from dyknow.ros.stream_views import StreamEventView, StreamView, event_view
 
 
 def transformation(label: str, source: str, supplies: str, needs: str = "", cost: int = 1) -> str:
-    """Write a transformation with a tag on its port out, and one on its port in if it needs one."""
+    """Write a transformation with a tag on its port out, and on its port in if it has one."""
     ports, tags = '<port type="out">out</port>', f'<tag port="out">{supplies}</tag>'
     if needs:
         ports += '<port type="in">in</port>'

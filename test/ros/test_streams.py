@@ -12,7 +12,7 @@ from stream_suite import FILTER, GOAL, SENSOR, SPARE_FILTER, StreamCase
 import dyknow
 from dyknow.errors import Refused
 from dyknow.manager.claim import ClaimState, StreamRequest
-from dyknow.ros.stream_views import Result, StreamRefused
+from dyknow.ros.client_errors import Result, StreamRefused
 
 
 class AcquireTest(StreamCase):
