@@ -12,7 +12,7 @@ import sys
 import threading
 import time
 from dataclasses import dataclass, field, replace
-from typing import Callable, Dict, List, Optional
+from typing import AbstractSet, Callable, Dict, FrozenSet, List, Optional
 
 from dyknow import names
 from dyknow.errors import HostError, PeerTimeout
@@ -34,6 +34,9 @@ _LONGEST_PAUSE = 30.0
 #: Seconds that a child of an earlier life may take to show itself: it may have just been started.
 _ADOPTION_TIMEOUT = 5.0
 _BASES = {Kind.PYTHON: "dyknow_nodelet_manager", Kind.CPP: "dyknow_cpp_nodelet_manager"}
+
+#: No child.
+NOBODY: FrozenSet[str] = frozenset()
 
 _log = logging.getLogger("rosout.dyknow")
 
@@ -118,8 +121,13 @@ class Children:
         for _ in range(count - len(have)):
             self._add(Child(ChildRecord(self._free_name(kind), kind)))
 
-    def ensure(self, kind: Kind, isolated_for: str) -> str:
+    def ensure(self, kind: Kind, isolated_for: str, without: AbstractSet[str] = NOBODY) -> str:
         """Return the name of a child that is up, starting one if there is none.
+
+        Args:
+            kind: what it must be able to host.
+            isolated_for: the nodelet that is to have it alone; empty for a shared one.
+            without: children that will not do, since they hang.
 
         Raises:
             HostError: it does not come up.
@@ -132,6 +140,7 @@ class Children:
                 if child.record.kind is kind
                 and child.record.isolated_for == isolated_for
                 and child.wanted
+                and child.record.name not in without
             ]
         up = [child for child in fitting if child.up]
         if up:
