@@ -64,6 +64,7 @@ class StreamSession:
     def __init__(self, client: ManagerClient) -> None:
         """Begin to listen and to beat."""
         self._client = client
+        self._renew_lease = client.renewer()
         self._users = 0
         self._condition = threading.Condition()
         self._streams: Dict[str, Follower] = {}
@@ -148,7 +149,7 @@ class StreamSession:
     def _renew(self, stream: Follower) -> None:
         next_due = self._next_due(stream)
         try:
-            self._client.renew_stream(stream.claim_id, stream.lease)
+            self._renew_lease(stream.claim_id, stream.lease)
         except Refused as error:
             self._refresh([stream.claim_id])  # the manager may still know how it ended
             self.remove(stream.claim_id)
