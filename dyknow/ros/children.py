@@ -290,7 +290,7 @@ class Children:
         self._write()
 
     def _follow_until_up(self, child: Child, found: ProcessId) -> None:
-        """Wait until the services are there; a late one that we started is given up."""
+        """Wait until the services are there; one that is late and lost is given up."""
         name = child.record.name
         if child.adopted:
             child.follower = self._launcher.follow(name)
@@ -300,7 +300,7 @@ class Children:
             if not found.alive or not child.wanted:
                 child.trouble = "it ended at its start"
                 return
-            if time.monotonic() > deadline and not child.adopted:
+            if time.monotonic() > deadline and self._is_lost(child):
                 found.end(PATIENCE)
                 raise HostError(f"it has not come up within {START_TIMEOUT:g} s")
             time.sleep(_STEP)
@@ -310,6 +310,17 @@ class Children:
             child.up = child.wanted
             self._lock.notify_all()
         self._on_change()
+
+    def _is_lost(self, child: Child) -> bool:
+        """Whether a process that is late will never come up.
+
+        An adopted one may be stopped, and go on some day; but if the master does not know it, it
+        belongs to a master that is gone.
+        """
+        try:
+            return not child.adopted or not self._launcher.registered(child.record.name)
+        except PeerTimeout:
+            return False
 
     # Ending
 

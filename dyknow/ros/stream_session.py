@@ -86,9 +86,8 @@ class StreamSession:
         """Keep a stream's claim alive, and tell it what becomes of it."""
         with self._condition:
             self._streams[stream.claim_id] = stream
-            self._due[stream.claim_id] = self._next_due(stream)
+            self._due[stream.claim_id] = 0.0  # at once, for what happened before it was here
             self._condition.notify()
-        self._refresh([stream.claim_id])  # what happened before it was in the table
 
     def remove(self, claim_id: str) -> None:
         """Care for a stream no more."""
