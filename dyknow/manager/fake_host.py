@@ -121,8 +121,13 @@ class FakeHost(Host):
         return sorted(name for process in self.processes.values() for name in process.nodelets)
 
     def publishers(self, topic: str) -> List[str]:
-        """Names of the nodelets that publish on a topic."""
-        return [name for name in self.running if topic in self._find(name).topics("out")]
+        """Names of the nodelets that publish on a topic; those that hang do not count."""
+        return sorted(
+            name
+            for manager, process in self.processes.items()
+            for name, nodelet in process.nodelets.items()
+            if manager not in self._hung and topic in nodelet.topics("out")
+        )
 
     # The host
 
@@ -205,8 +210,8 @@ class FakeHost(Host):
                 f"unknown port '{unknown[0]}'; known ports: {', '.join(sorted(ports))}"
             )
         for port, topic in config.items():
-            found = self._type_of(topic, name)
-            if topic and found not in ("", "*", ports[port].datatype):
+            found, mine = self._type_of(topic, name), ports[port].datatype
+            if topic and "*" not in (found, mine) and found not in ("", mine):
                 raise HostError(f"topic '{topic}' carries {found}")
         for port, topic in config.items():
             old = ports[port]

@@ -201,8 +201,24 @@ class _Work:
             self._done.reused.add(name)
         topic = self._graph.get(name).topics.get(source.port, "")
         if not topic:
-            topic = _default(name, source.port)
+            topic = self._free_topic(name, source.port)
         self._connect(name, {source.port: topic})
+        return topic
+
+    def _free_topic(self, name: str, port: str) -> str:
+        """Name a topic after an out-port; one that has passed to a successor is passed over."""
+        spoken_for = self._order.taken | {self._order.topic}
+        spoken_for |= {
+            each.topic
+            for record in self._graph.all()
+            for each in record.ports
+            if each.direction == OUT and record.name != name
+        }
+        topic = default = _default(name, port)
+        number = 1
+        while topic in spoken_for:
+            number += 1
+            topic = f"{default}_{number}"
         return topic
 
     def _type_of(self, source: Source) -> str:

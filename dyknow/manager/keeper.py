@@ -21,7 +21,6 @@ from dyknow.errors import DyKnowError, NoPlanFound
 from dyknow.manager.claim import Claim, ClaimEvent, ClaimState, StreamRequest
 from dyknow.manager.claim_table import ClaimTable
 from dyknow.manager.delivery import Delivery
-from dyknow.manager.fulfilment import Fulfilment
 from dyknow.manager.housekeeping import Housekeeping
 from dyknow.manager.manager import Manager
 from dyknow.manager.offers import Offers
@@ -113,7 +112,7 @@ class Keeper:
             manager,
             self._table,
             self._prospects,
-            Fulfilment(manager, delivery, quarantine.blame),
+            delivery,
             self._housekeeping,
             quarantine,
             self._silence,

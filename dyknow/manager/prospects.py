@@ -149,10 +149,11 @@ class Prospects:
     def plan_anew(self, claim: Claim) -> Answer:
         """Plan a claim's stream as if its own nodelets were not there."""
         self._update()
-        own = frozenset(self.own(claim).values())
-        exclude = frozenset(claim.request.exclude) | self._quarantine.names()
-        streams = self._streams(exclude, own)
-        return self._planner.plan(demand_of([claim]), streams, exclude)
+        own = self.own(claim)
+        exclude = frozenset(claim.request.exclude)
+        streams = self._streams(exclude, frozenset(own.values()))
+        paused = self._quarantine.names() - frozenset(own)
+        return self._planner.plan(demand_of([claim]), streams, exclude, paused=paused)
 
     def with_own(self, plan: Plan, own: Dict[str, str]) -> Plan:
         """Take the nodelets that are there out of a plan's price."""
@@ -168,25 +169,31 @@ class Prospects:
 
     def _plan(self, claims: List[Claim], topic: str, paused: AbstractSet[str]) -> Answer:
         demand = demand_of(claims)
-        exclude = paused | {label for claim in claims for label in claim.request.exclude}
-        own = {label: name for label, name in self.own(claims[0]).items() if label not in exclude}
-        streams = self._streams(exclude, self._silence.unhealthy)
-        present = self._present(demand, streams, exclude, topic)
+        exclude = frozenset(label for claim in claims for label in claim.request.exclude)
+        own = self.own(claims[0]).keys() - exclude
+        streams = self._streams(exclude)
+        present = self._present(demand, streams, topic)
         if present is not None:
             return Plan(demand, present, (), 0)
-        return self._planner.plan(demand, streams, frozenset(exclude), frozenset(own))
+        return self._planner.plan(demand, streams, exclude, own, paused=paused - own)
 
-    def _present(
-        self, demand: Demand, streams: Iterable[Stream], exclude: AbstractSet[str], topic: str
-    ) -> Optional[Live]:
+    def _present(self, demand: Demand, streams: Iterable[Stream], topic: str) -> Optional[Live]:
         """Find a stream that will do and is where the client listens already."""
         there: Supply[Live] = Supply(self._ontology)
         for stream, terms in streams:
-            if topic and stream.topic == topic and stream.label not in exclude:
+            if topic and stream.topic == topic:
                 there.add(stream, terms, stream.datatype)
         return min(there.suppliers(demand), default=None)
 
-    def _streams(self, exclude: AbstractSet[str], without: AbstractSet[str]) -> List[Stream]:
+    def _streams(
+        self, exclude: AbstractSet[str], without: AbstractSet[str] = frozenset()
+    ) -> List[Stream]:
+        """List the streams that can be relied on.
+
+        Args:
+            exclude: labels that must not have a part in them, directly or further up.
+            without: nodelets that must not have a part in them.
+        """
         manager = self._manager
         published = [
             each
@@ -196,12 +203,13 @@ class Prospects:
             and each.source not in self._silence.silent
         ]
         records = manager.graph.all()
-        removed = {
+        excluded = {
             record.name
             for record in records
-            if record.claimed and not is_current(manager.library, record)
+            if record.label in exclude
+            or (record.claimed and not is_current(manager.library, record))
         }
-        unfit = without | removed | self._silence.unhealthy
+        unfit = without | excluded | self._silence.unhealthy
         return live_streams(records, published, self._planner.terms, self._ontology, unfit)
 
     def _current(self, label: str) -> Optional[Transformation]:

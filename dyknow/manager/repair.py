@@ -9,6 +9,7 @@ from typing import Any, Callable, Dict, Hashable, Optional, Tuple
 from dyknow.errors import DyKnowError
 from dyknow.manager.claim import Claim, ClaimState
 from dyknow.manager.claim_table import ClaimTable
+from dyknow.manager.delivery import Delivery
 from dyknow.manager.fulfilment import Fulfilment
 from dyknow.manager.housekeeping import Housekeeping
 from dyknow.manager.inspection import Damage, inspect
@@ -31,7 +32,7 @@ class Repair:
         manager: Manager,
         table: ClaimTable,
         prospects: Prospects,
-        fulfilment: Fulfilment,
+        delivery: Delivery,
         housekeeping: Housekeeping,
         quarantine: Quarantine,
         silence: SilenceWatch,
@@ -41,12 +42,13 @@ class Repair:
         self._manager = manager
         self._table = table
         self._prospects = prospects
-        self._fulfilment = fulfilment
+        self._fulfilment = Fulfilment(manager, delivery, self._note_failure)
         self._housekeeping = housekeeping
         self._quarantine = quarantine
         self._silence = silence
         self._clock = clock
         self._born: Dict[str, float] = {}
+        self._culprit = ""
         self._hopeless: Dict[str, Tuple[Hashable, str]] = {}
         manager.observer.on_death = self._note_death
 
@@ -105,10 +107,12 @@ class Repair:
         if claim.state is ClaimState.ACTIVE and answer.steps:
             changes = {"state": ClaimState.RECOVERING, "detail": damage.what}
             claim = self._table.change(claim_id, damage.what, **changes) or claim
+        self._culprit = ""
         try:
             done = self.carry_out(claim, answer)
         except DyKnowError as error:
-            self._quarantine.blame(claim_id)
+            if not self._culprit:
+                self._quarantine.blame(claim_id)
             failed = {"state": ClaimState.FAILED, "detail": str(error)}
             self._table.change(claim_id, damage.what, **failed)
             return
@@ -142,6 +146,11 @@ class Repair:
                 self._born.setdefault(record.name, now)
         for name in [name for name in self._born if name not in present]:
             del self._born[name]
+
+    def _note_failure(self, label: str) -> None:
+        """Count against a transformation that no nodelet could be made of it."""
+        self._culprit = label
+        self._quarantine.blame(label)
 
     def _note_death(self, record: Record) -> None:
         """Count the death of a nodelet's process against its transformation."""
