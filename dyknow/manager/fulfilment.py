@@ -124,7 +124,7 @@ class _Work:
         datatype = self._type_of(goal)
         wanted = self._order.datatype
         if wanted not in _ANY and datatype not in (*_ANY, wanted):
-            raise StreamTypeMismatch(self._order.tag, wanted, datatype)
+            raise StreamTypeMismatch(self._order.tag, wanted, datatype, goal.label)
         done.topic, done.datatype = place or present, datatype or wanted
         name, port = self._name_of(goal), goal.port
         if present != done.topic:
@@ -235,7 +235,7 @@ class _Work:
             wanted, found = types.get(port, ""), self._type_of(source)
             if wanted not in _ANY and found not in (*_ANY, wanted):
                 what = f"for port '{port}' of transformation '{step.action.label}'"
-                raise StreamTypeMismatch(what, wanted, found)
+                raise StreamTypeMismatch(what, wanted, found, source.label)
 
     def _connect(self, name: str, config: Mapping[str, str]) -> None:
         self.transaction.connect(name, config)

@@ -6,7 +6,7 @@ import logging
 from dataclasses import replace
 from typing import Any, Callable, Dict, Hashable, Optional, Tuple
 
-from dyknow.errors import DyKnowError
+from dyknow.errors import DyKnowError, StreamTypeMismatch
 from dyknow.manager.claim import Claim, ClaimState
 from dyknow.manager.claim_table import ClaimTable
 from dyknow.manager.delivery import Delivery
@@ -57,12 +57,32 @@ class Repair:
         silence, published = self._silence, self._prospects.published
         return inspect(self._manager, claim, silence.silent, silence.mute, published)
 
-    def carry_out(self, claim: Claim, plan: Plan) -> Fulfilled:
-        """Make a claim's stream as a plan says.
+    def carry_out(self, claim: Claim, plan: Plan, lenient: bool = False) -> Tuple[Plan, Fulfilled]:
+        """Make a claim's stream as a plan says, or another way where types turn out wrong.
+
+        Args:
+            claim: whose stream it is.
+            plan: what to try first.
+            lenient: use what failed lately too, if there is no other way.
 
         Raises:
+            StreamTypeMismatch: every way carries another type than is needed.
             DyKnowError: a step failed; what was made is undone.
         """
+        wrong: Dict[str, StreamTypeMismatch] = {}
+        while True:
+            try:
+                return plan, self._carry_out(claim, plan)
+            except StreamTypeMismatch as error:
+                if error.label in wrong:
+                    raise
+                wrong[error.label] = error
+                answer = self._prospects.plan(claim, lenient, frozenset(wrong))
+                if isinstance(answer, NoPlan):
+                    raise next(iter(wrong.values())) from None
+                plan = answer
+
+    def _carry_out(self, claim: Claim, plan: Plan) -> Fulfilled:
         others = [each for each in self._table.living() if each.claim_id != claim.claim_id]
         order = Order(
             plan,
@@ -109,7 +129,7 @@ class Repair:
             claim = self._table.change(claim_id, damage.what, **changes) or claim
         self._culprit = ""
         try:
-            done = self.carry_out(claim, answer)
+            _, done = self.carry_out(claim, answer)
         except DyKnowError as error:
             if not self._culprit:
                 self._quarantine.blame(claim_id)
