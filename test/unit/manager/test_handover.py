@@ -207,6 +207,7 @@ def test_a_stream_that_others_listen_to_is_relayed(field: Field) -> None:
 
 def test_an_ordinary_topic_takes_over_through_a_relay(field: Field) -> None:
     claim = field.acquire().claim
+    other = field.acquire("FieldPosition(?what)").claim
     field.settle()
     field.manager.add_transformation(
         '<transformation type="topic"><label>referee</label><source>/referee/ball</source>'
@@ -218,7 +219,8 @@ def test_an_ordinary_topic_takes_over_through_a_relay(field: Field) -> None:
     field.tidy()
     assert field.host.publishers(claim.topic) == ["/relay_of_referee_ball_1"]
     assert claim.topic in field.moving
-    assert field.labels() == ["relay of /referee/ball"]
+    assert field.labels() == ["relay of /referee/ball"], "one for both"
+    assert other.topic == claim.topic == field.claim(other.claim_id).topic
     field.host.topics.discard("/referee/ball")
     field.settle()
     assert field.state(claim.claim_id) is ClaimState.PENDING

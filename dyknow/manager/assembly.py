@@ -8,7 +8,7 @@ on a topic of its own until its first message has been sent, then it takes the p
 
 from __future__ import annotations
 
-from typing import Callable, Dict, Iterable, List, Mapping
+from typing import Callable, Dict, Iterable, List, Mapping, Tuple
 
 from dyknow import names
 from dyknow.errors import DyKnowError, NameTaken, SpawnFailed, StreamTypeMismatch
@@ -18,7 +18,7 @@ from dyknow.manager.lifecycle import SpawnRequest
 from dyknow.manager.manager import Manager
 from dyknow.manager.model import Record, State
 from dyknow.manager.naming import candidates
-from dyknow.manager.order import Fulfilled, Order
+from dyknow.manager.order import Assembled, Order
 from dyknow.manager.planning import Live, New, Source, Step
 from dyknow.manager.relay import relay
 from dyknow.manager.transaction import Transaction
@@ -28,7 +28,7 @@ from dyknow.manager.upstream import upstream
 _ANY = ("", "*")
 
 
-class Fulfilment:
+class Assembly:
     """Carries plans out."""
 
     def __init__(
@@ -45,7 +45,7 @@ class Fulfilment:
         self._delivery = delivery
         self._on_failure = on_failure
 
-    def carry_out(self, order: Order) -> Fulfilled:
+    def carry_out(self, order: Order) -> Assembled:
         """Make what a plan says.
 
         Raises:
@@ -78,10 +78,10 @@ class _Work:
         self._on_failure = on_failure
         self._order = order
         self._made: Dict[str, str] = {}
-        self._done = Fulfilled()
+        self._done = Assembled()
         self.transaction = Transaction(manager)
 
-    def do(self) -> Fulfilled:
+    def do(self) -> Assembled:
         done = self._done
         for step in self._order.plan.steps:
             self._take(step)
@@ -129,17 +129,18 @@ class _Work:
         name, port = self._name_of(goal), goal.port
         if present != done.topic:
             if not name or not self._may_move(name, present):
-                name, port = self._relay(present, datatype, done.topic), "out"
+                name, port = self._relay(goal, present, done.topic), "out"
             else:
                 self._await(goal, done.topic, present)
                 self._connect(name, {port: done.topic})
             self._clear(done.topic, name)
         done.goal = (name, port) if name else ("", "")
 
-    def _relay(self, source: str, datatype: str, topic: str) -> str:
+    def _relay(self, goal: Source, present: str, topic: str) -> str:
         """Bring a stream that must stay where it is to where the client listens."""
-        name = self._spawn(relay(source, datatype), {"in": source}, ())
-        self._connect(name, {"in": source, "out": topic})
+        made = relay(present, self._type_of(goal), self._tags_of(goal))
+        name = self._spawn(made, {"in": present}, ())
+        self._connect(name, {"in": present, "out": topic})
         return name
 
     def _may_move(self, name: str, topic: str) -> bool:
@@ -228,6 +229,15 @@ class _Work:
             return source.datatype
         types = {port.name: port.datatype for port in self._graph.get(name).ports}
         return types.get(source.port, "")
+
+    def _tags_of(self, source: Source) -> Tuple[str, ...]:
+        name = self._name_of(source)
+        if name:
+            transformation = self._graph.get(name).transformation
+        else:
+            transformation = self._manager.library.get(source.label)
+        ports = transformation.ports if transformation is not None else ()
+        return next((port.tags for port in ports if port.name == source.port or not name), ())
 
     def _check_types(self, record: Record, step: Step) -> None:
         types = {port.name: port.datatype for port in record.ports}
