@@ -242,6 +242,11 @@ class Prospects:
 def demand_of(claims: Iterable[Claim]) -> Demand:
     """What one stream has to be to satisfy all these claims."""
     claims = list(claims)
-    types = sorted({claim.request.datatype for claim in claims} - {""})
+    types = [wanted_type(claim) for claim in claims]
     tags = frozenset(parse_tag(claim.request.tag) for claim in claims)
-    return Demand(tags, claims[0].request.datatype or (types[0] if types else ""))
+    return Demand(tags, types[0] or max(types))
+
+
+def wanted_type(claim: Claim) -> str:
+    """Type of messages that a claim's client expects: what it asked for, or got first."""
+    return claim.request.datatype or claim.datatype.replace("*", "")

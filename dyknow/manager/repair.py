@@ -17,7 +17,7 @@ from dyknow.manager.manager import Manager
 from dyknow.manager.model import Record, State
 from dyknow.manager.order import Assembled, Order
 from dyknow.manager.planning import NoPlan, Plan
-from dyknow.manager.prospects import Prospects
+from dyknow.manager.prospects import Prospects, wanted_type
 from dyknow.manager.quarantine import Quarantine
 from dyknow.manager.silence import SilenceWatch
 
@@ -88,7 +88,7 @@ class Repair:
             plan,
             claim.request.tag,
             claim.topic,
-            claim.request.datatype,
+            wanted_type(claim),
             self._prospects.own(claim),
             self._silence.unhealthy,
             self._silence.mute,
