@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Dict
 
 import message_filters
 import numpy as np
@@ -26,13 +26,15 @@ from dyknow.ros.parameters import get_positive
 class BallDetector(dyknow.Nodelet):
     """Finds the ball by colour and roundness, and locates it in the frame of the camera's owner.
 
-    It does so for whichever camera it is told of: the intrinsics come with the images, the
-    mounting is a parameter, and joints count only where the mounting has some.
+    It does so for whichever camera it is connected to: the intrinsics come with the images, the
+    mounting is a parameter, and joints count only where the mounting has some. Which camera it is,
+    the frame of the images tells; intrinsics of another frame are put aside.
 
     Ports:
         yuv_coarse, yuv_fine (in): sensor_msgs/Image, planes as of ImageSubsampler, of the same
             stamps; the coarse ones are searched, the fine ones decide.
-        camera_info (in): sensor_msgs/CameraInfo, of the camera in full resolution.
+        camera_info (in): sensor_msgs/CameraInfo, of the camera in full resolution, with the frame
+            of the images.
         joint_states (in): sensor_msgs/JointState; may stay disconnected if the mount is fixed.
         ball (out): geometry_msgs/PoseWithCovarianceStamped, in the owner's frame on the floor;
             nothing is published where no ball is seen.
@@ -40,6 +42,8 @@ class BallDetector(dyknow.Nodelet):
     Parameters:
         ~mount (string or mapping, nao_bottom): nao_bottom, or {height, pitch, roll} in m and rad.
         ~owner (string, nao): name of the owner's frame.
+        ~fixed_cameras (mapping, empty): how other cameras are mounted whose images may come, by
+            the frame of these: {height, pitch, roll} as above. Each is its own owner.
         ~colour (string, orange): orange or yellow.
         ~radius (double, 0.0325): of the ball, m.
     """
@@ -49,7 +53,7 @@ class BallDetector(dyknow.Nodelet):
         self.nh = dyknow.NodeHandle(self.node_handle)
         self.read_parameters()
         self.joints = History([True] * len(self.mount.joints))
-        self.camera: Any = None
+        self.cameras: Dict[str, Pinhole] = {}
         self.pub = self.nh.Publisher("ball", PoseWithCovarianceStamped, queue_size=5)
         self.info_sub = self.nh.Subscriber("camera_info", CameraInfo, self.on_info, queue_size=1)
         self.joints_sub = self.nh.Subscriber(
@@ -68,12 +72,11 @@ class BallDetector(dyknow.Nodelet):
             BadParameter: one is not what is expected.
         """
         get = self.nh.get_param
-        given = get("~mount", "nao_bottom")
-        try:
-            self.mount = mounts.mount_of(given)
-        except (TypeError, ValueError):
-            name = self.nh.resolve_name("~mount")
-            raise BadParameter(name, given, mounts.EXPECTED) from None
+        self.mount = self.read_mount("~mount", get("~mount", "nao_bottom"))
+        self.fixed = {
+            frame: self.read_mount("~fixed_cameras", given)
+            for frame, given in get("~fixed_cameras", {}).items()
+        }
         colour = get("~colour", "orange")
         if colour not in COLOURS:
             expected = "one of " + ", ".join(sorted(COLOURS))
@@ -82,9 +85,18 @@ class BallDetector(dyknow.Nodelet):
         self.radius = get_positive(self.nh, "~radius", BALL_RADIUS, "m")
         self.owner = str(get("~owner", "nao"))
 
+    def read_mount(self, parameter: str, given: Any) -> mounts.Mount:
+        """Read how one camera is mounted."""
+        try:
+            return mounts.mount_of(given)
+        except (TypeError, ValueError):
+            name = self.nh.resolve_name(parameter)
+            raise BadParameter(name, given, mounts.EXPECTED) from None
+
     def on_info(self, info: Any) -> None:
         """Take the camera's intrinsics."""
-        self.camera = Pinhole.of_matrix(info.width, info.height, info.K)
+        camera = Pinhole.of_matrix(info.width, info.height, info.K)
+        self.cameras[info.header.frame_id] = camera
 
     def on_joints(self, state: Any) -> None:
         """Keep the angles that move the camera."""
@@ -95,25 +107,25 @@ class BallDetector(dyknow.Nodelet):
 
     def on_planes(self, coarse: Any, fine: Any) -> None:
         """Look for the ball in one image."""
-        stamp = fine.header.stamp
-        angles = self.joints.at(stamp.to_sec()) if self.mount.joints else ()
-        if self.camera is None or angles is None:
-            missing = "camera_info" if self.camera is None else "joint_states"
-            self.nh.logwarn_throttle(
-                5.0, f"{self.name}: an image without {missing} of its time is left out"
-            )
+        stamp, frame = fine.header.stamp, fine.header.frame_id
+        camera, mount = self.cameras.get(frame), self.fixed.get(frame, self.mount)
+        angles = self.joints.at(stamp.to_sec()) if mount.joints else ()
+        if camera is None or angles is None:
+            missing = f"camera_info of '{frame}'" if camera is None else "joint_states of its time"
+            self.nh.logwarn_throttle(5.0, f"{self.name}: an image without {missing} is left out")
             return
-        factors = [self.camera.width // image.width for image in (fine, coarse)]
+        factors = [camera.width // image.width for image in (fine, coarse)]
         pyramid = dict(zip(factors, (planes_of(fine), planes_of(coarse))))
-        pose = self.mount.owner_from_camera(angles)
-        geometry = Geometry(self.camera, pose, self.radius, ANGLE_ERROR, factors[0])
+        pose = mount.owner_from_camera(angles)
+        geometry = Geometry(camera, pose, self.radius, ANGLE_ERROR, factors[0])
         sighting = best_sighting(find_balls(pyramid, self.colour), geometry)
         if sighting is not None:
-            self.publish(stamp, sighting)
+            owner = frame if frame in self.fixed else self.owner
+            self.publish(Header(stamp=stamp, frame_id=owner), sighting)
 
-    def publish(self, stamp: Any, sighting: Sighting) -> None:
+    def publish(self, header: Any, sighting: Sighting) -> None:
         """Publish where the ball is; its orientation is not known."""
-        message = PoseWithCovarianceStamped(header=Header(stamp=stamp, frame_id=self.owner))
+        message = PoseWithCovarianceStamped(header=header)
         message.pose.pose.position = Point(*sighting.position.tolist())
         message.pose.pose.orientation = Quaternion(0.0, 0.0, 0.0, 1.0)
         covariance = np.zeros((6, 6))

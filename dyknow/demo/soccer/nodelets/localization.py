@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Tuple
 
 import numpy as np
 from geometry_msgs.msg import Point, PointStamped, PoseWithCovarianceStamped
@@ -12,6 +12,7 @@ import dyknow
 from dyknow.demo.soccer.history import History
 from dyknow.demo.soccer.localizing import on_field
 from dyknow.demo.soccer.nodelets.places import FIELD, place_of
+from dyknow.errors import BadParameter
 
 
 class Localization(dyknow.Nodelet):
@@ -19,15 +20,24 @@ class Localization(dyknow.Nodelet):
 
     Ports:
         pose (in): geometry_msgs/PoseWithCovarianceStamped, of the observer's frame on the field.
-        objects (in): geometry_msgs/PoseWithCovarianceStamped, in the observer's frame.
+        objects (in): geometry_msgs/PoseWithCovarianceStamped, in the observer's frame, or in that
+            of a fixed camera.
         field_position (out): geometry_msgs/PointStamped, in the frame ``field``, with the stamp of
             the object.
+
+    Parameters:
+        ~fixed_cameras (mapping, empty): places on the field of frames that do not move, by their
+            names: {x, y, yaw} in m and rad.
     """
 
     def on_init(self) -> None:
         """Declare the ports."""
         self.nh = dyknow.NodeHandle(self.node_handle)
         self.places = History([False, False, True])
+        self.fixed = {
+            frame: self.read_place(given)
+            for frame, given in self.nh.get_param("~fixed_cameras", {}).items()
+        }
         self.pub = self.nh.Publisher("field_position", PointStamped, queue_size=5)
         self.pose_sub = self.nh.Subscriber(
             "pose", PoseWithCovarianceStamped, self.on_pose, queue_size=20
@@ -36,6 +46,18 @@ class Localization(dyknow.Nodelet):
             "objects", PoseWithCovarianceStamped, self.on_object, queue_size=5
         )
 
+    def read_place(self, given: Any) -> Tuple[float, ...]:
+        """Read where one camera is.
+
+        Raises:
+            BadParameter: that is not what is expected.
+        """
+        try:
+            return tuple(float(given[name]) for name in ("x", "y", "yaw"))
+        except (KeyError, TypeError, ValueError):
+            name = self.nh.resolve_name("~fixed_cameras")
+            raise BadParameter(name, given, "the numbers x, y (m) and yaw (rad)") from None
+
     def on_pose(self, pose: Any) -> None:
         """Keep where the observer is."""
         self.places.add(pose.header.stamp.to_sec(), place_of(pose))
@@ -43,7 +65,7 @@ class Localization(dyknow.Nodelet):
     def on_object(self, observed: Any) -> None:
         """Transform one object."""
         stamp = observed.header.stamp
-        place = self.places.at(stamp.to_sec())
+        place = self.fixed.get(observed.header.frame_id) or self.places.at(stamp.to_sec())
         if place is None:
             self.nh.logwarn_throttle(
                 5.0, f"{self.name}: an object without a pose of its time is left out"

@@ -1,0 +1,116 @@
+"""The study's story on the fake host: the robot's camera goes, another's footage takes its way."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from dyknow.manager.claim import ClaimState, StreamRequest
+from dyknow.manager.fake_host import FakeHost
+from dyknow.manager.keeper import Keeper
+from dyknow.manager.library import Library
+from dyknow.manager.manager import Manager
+from dyknow.manager.ontology import load_ontology
+from dyknow.manager.specification import parse_file
+from dyknow.manager.store import Store
+
+EXAMPLES = Path(__file__).parents[4] / "examples"
+SOCCER = EXAMPLES / "transformations" / "soccer.xml"
+TRACKING = {"/nao_body_1", "/image_subsampler_nao_1", "/ball_detector_nao_1"}
+LOCALIZATION = "/localization_nao_ball_1"
+CAMERA, CEILING = "/bottom_camera_1", "/ceiling_camera_1"
+
+
+class Field:
+    """The soccer field's manager and keeper; time is moved by hand."""
+
+    def __init__(self) -> None:
+        self.ontology = load_ontology([str(EXAMPLES / "ontologies" / "soccer.ttl")])
+        made = parse_file(str(SOCCER), self.ontology).transformations
+        self.host = FakeHost(
+            {
+                each.source: [(port.name, port.direction, port.datatype) for port in each.ports]
+                for each in made
+                if each.type == "nodelet"
+            }
+        )
+        self.now = 0.0
+        store = Store(":memory:")
+        library = Library(store, self.ontology)
+        self.manager = Manager(self.host, store, library, clock=lambda: self.now)
+        self.manager.start()
+        self.keeper = Keeper(self.manager, self.ontology, clock=lambda: self.now, sleep=self.sleep)
+        self.reasons: list[str] = []
+        self.keeper.on_event = lambda event: self.reasons.append(event.reason)
+        self.manager.add_transformation(SOCCER.read_text())
+
+    def sleep(self, seconds: float) -> None:
+        self.now += seconds
+        self.host.flow()
+
+    def settle(self, seconds: float = 2.0) -> None:
+        for _ in range(int(seconds / 0.2)):
+            self.sleep(0.2)
+            self.manager.look()
+            self.keeper.reconcile()
+
+    def feeds(self, camera: str) -> None:
+        """Both what the robot's vision takes from a camera comes from this one."""
+        for nodelet, port, source in (
+            ("/image_subsampler_nao_1", "yuv", "image"),
+            ("/ball_detector_nao_1", "camera_info", "camera_info"),
+        ):
+            wired = self.host.nodelet(nodelet).ports[port].topic
+            assert wired == self.host.nodelet(camera).ports[source].topic
+
+
+@pytest.fixture
+def field() -> Field:
+    return Field()
+
+
+def test_the_robots_tracking_is_kept_and_re_wired(field: Field) -> None:
+    claim = field.keeper.acquire(StreamRequest("FieldPosition(ball)", max_silence=2.0)).claim
+    own = {*TRACKING, LOCALIZATION}
+    assert set(field.host.running) == {CAMERA, *own}
+    field.feeds(CAMERA)
+    field.settle()
+
+    # The battery runs low: camera and transformation go, with frames or without.
+    field.manager.remove_transformation("bottom_camera")
+    field.manager.destroy(CAMERA)
+    field.settle()
+    (now,) = field.keeper.claims()
+    assert (now.state, now.topic) == (ClaimState.ACTIVE, claim.topic)
+    assert set(field.host.running) == {CEILING, *own}
+    field.feeds(CEILING)
+    joints = field.host.nodelet("/nao_body_1").ports["joint_states"].topic
+    assert field.host.nodelet("/ball_detector_nao_1").ports["joint_states"].topic == joints
+    field.settle(10.0)
+    assert not any("cheaper" in reason for reason in field.reasons)
+
+    # It returns: reported, and taken up on request only.
+    field.manager.add_transformation(SOCCER.read_text())
+    field.settle()
+    assert any("cheaper" in reason and "bottom_camera" in reason for reason in field.reasons)
+    field.feeds(CEILING)
+    answer = field.keeper.replan(claim.claim_id)
+    assert len(answer.spawned) == 1
+    field.settle(10.0)
+    assert set(field.host.running) == {CAMERA, *own}
+    field.feeds(CAMERA)
+    assert field.keeper.claims()[0].topic == claim.topic
+
+
+def test_without_any_robot_the_ceiling_camera_has_its_own(field: Field) -> None:
+    for gone in ("bottom_camera", "nao_body"):
+        field.manager.remove_transformation(gone)
+    claim = field.keeper.acquire(StreamRequest("FieldPosition(ball)")).claim
+    assert set(field.host.running) == {
+        CEILING,
+        "/image_subsampler_ceiling_camera_1",
+        "/ball_detector_ceiling_camera_1",
+        "/localization_ceiling_camera_ball_1",
+    }
+    assert claim.state is ClaimState.ACTIVE
