@@ -23,6 +23,7 @@ wrong and says what was expected. Only ``dyknow.ros`` turns them into answers of
     ├── Protected                the nodelet is protected from being destroyed
     ├── SpawnFailed              a nodelet did not come up as specified; nothing of it is left
     ├── HostError                a nodelet manager refused, or could not be reached
+    ├── Refused                  a DyKnow manager or a proxy answered no
     ├── StoreError               the durable state cannot be read or written
     ├── NodeletError
     │   ├── NameTaken            a nodelet of that name is there already
@@ -188,6 +189,10 @@ class SpawnFailed(DyKnowError):
 
 class HostError(DyKnowError):
     """A nodelet manager refused something, or could not be reached."""
+
+
+class Refused(DyKnowError):
+    """A DyKnow manager or a proxy that was asked for something answered no; it says why."""
 
 
 class StoreError(DyKnowError):

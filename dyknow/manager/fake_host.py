@@ -6,7 +6,7 @@ import itertools
 from dataclasses import dataclass, field
 from typing import Callable, Dict, List, Mapping, Optional, Sequence, Tuple
 
-from dyknow.errors import HostError
+from dyknow.errors import HostError, NameTaken
 from dyknow.manager.host import Host, Kind, LoadRequest, ManagerState
 from dyknow.manager.model import PortState
 from dyknow.manager.transformation import Parameter
@@ -104,7 +104,7 @@ class FakeHost(Host):
         self._step("load", request.name)
         process = self._alive(manager)
         if request.name in process.nodelets:
-            raise HostError(f"a nodelet named '{request.name}' is already loaded")
+            raise NameTaken(request.name)
         for parameter in request.parameters:
             self.parameters[f"{request.name}/{parameter.name}"] = parameter.value
         nodelet = FakeNodelet(request)

@@ -2,7 +2,7 @@
 
 Who owns what: the graph owns the records and the revision; every record that is to survive the
 manager is written to the store before anybody sees it. A name is *busy* while one operation works
-on its nodelet; others are told so instead of waiting.
+on its nodelet; others say how long they are willing to wait for it.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class Graph:
     def __init__(self, store: Store) -> None:
         """Start empty; the revision goes on beyond every one that was ever shown."""
         self._store = store
-        self._lock = threading.Lock()
+        self._lock = threading.Condition()
         self._records: Dict[str, Record] = {}
         self._busy: Set[str] = set()
         self._revision = store.number("revision")
@@ -66,15 +66,22 @@ class Graph:
         return name in self._busy
 
     @contextlib.contextmanager
-    def changing(self, name: str, new: bool = False) -> Iterator[Optional[Record]]:
+    def changing(
+        self, name: str, new: bool = False, patience: float = 0.0
+    ) -> Iterator[Optional[Record]]:
         """Keep others off a name; gives its record.
+
+        Args:
+            name: of the nodelet.
+            new: it must not be there yet.
+            patience: seconds to wait for another operation to end, such as a look.
 
         Raises:
             Busy: another operation works on it.
             NameTaken: it is to be ``new`` and is there.
         """
         with self._lock:
-            if name in self._busy:
+            if not self._lock.wait_for(lambda: name not in self._busy, patience):
                 raise NameTaken(name) if new else Busy(name)
             if new and name in self._records:
                 raise NameTaken(name)
@@ -85,6 +92,7 @@ class Graph:
         finally:
             with self._lock:
                 self._busy.discard(name)
+                self._lock.notify_all()
 
     def put(self, record: Record, durable: bool = True) -> None:
         """Show a record, after it was written if it is to be durable."""

@@ -32,6 +32,7 @@ class ManagerState:
         incarnation: differs after every restart of the process; empty when it is not there.
         isolated_for: the nodelet that it was started for alone, empty for shared ones.
         own: whether the host started it, and starts it again.
+        responsive: whether it answered when it was asked last.
     """
 
     name: str
@@ -39,6 +40,7 @@ class ManagerState:
     incarnation: str = ""
     isolated_for: str = ""
     own: bool = True
+    responsive: bool = True
 
     @property
     def alive(self) -> bool:

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import difflib
 import threading
-from typing import Dict, List, Optional, Sequence
+from typing import TYPE_CHECKING, Dict, List, Optional, Sequence
 
 from dyknow.errors import TooMuch, UnknownTransformation
 from dyknow.manager.limits import DEFAULT_LIMITS, Limits
-from dyknow.manager.ontology import Ontology
 from dyknow.manager.specification import Specifications, parse
 from dyknow.manager.store import Store
 from dyknow.manager.transformation import Transformation
+
+if TYPE_CHECKING:
+    from dyknow.manager.ontology import Ontology  # it imports rdflib, which takes its time
 
 
 class Library:
@@ -61,14 +63,18 @@ class Library:
             labels: Sequence[str] = list(self._by_label) if len(self._by_label) < 10_000 else ()
         raise UnknownTransformation(label, difflib.get_close_matches(label, labels))
 
-    def add(self, text: str) -> Specifications:
+    def add(self, text: str, file_name: str = "specification") -> Specifications:
         """Add what a specification says; the label's older transformation is replaced.
+
+        Args:
+            text: XML.
+            file_name: where it comes from, for messages.
 
         Raises:
             SpecificationError: something is wrong with the text; nothing was added.
             TooMuch: the library would grow beyond its limit; nothing was added.
         """
-        specifications = parse(text, ontology=self._ontology, limits=self._limits)
+        specifications = parse(text, file_name, self._ontology, self._limits)
         with self._lock:
             new = {each.label: each for each in specifications.transformations}
             count = len(self._by_label.keys() | new.keys())

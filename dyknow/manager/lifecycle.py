@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass, field, replace
-from typing import Dict, List, Mapping
+from typing import Dict, List, Mapping, Tuple
 
 from dyknow import names
 from dyknow.errors import (
     DyKnowError,
     HostError,
     InvalidConfiguration,
+    NameTaken,
     NotSpawnable,
     Protected,
     SpawnFailed,
@@ -21,8 +22,11 @@ from dyknow.guards import Guards
 from dyknow.manager import placement
 from dyknow.manager.graph import Graph
 from dyknow.manager.host import Host, Kind, LoadRequest
-from dyknow.manager.model import Record, State, declared_ports, seen_ports
+from dyknow.manager.model import PortState, Record, State, declared_ports, seen_ports
 from dyknow.manager.transformation import TOPIC, Transformation
+
+#: Seconds to wait for a look, or for somebody else, to be done with a nodelet.
+PATIENCE = 5.0
 
 _log = logging.getLogger("rosout.dyknow")
 
@@ -96,6 +100,9 @@ class Lifecycle:
             self._graph.put(record)
             try:
                 running = self._bring_up(record)
+            except NameTaken:  # by a nodelet of others that nobody has seen yet: it stays
+                self._graph.remove(record.name)
+                raise
             except BaseException as error:
                 self._take_down(record)
                 self._graph.remove(record.name)
@@ -119,6 +126,8 @@ class Lifecycle:
                 kind = Kind.CPP if record.rewired_by_reload else Kind.PYTHON
                 starting = replace(starting, manager=self._host.ensure(kind, record.name))
             running = self._bring_up(starting)
+        except NameTaken:
+            return record  # it is there: the next look takes it up
         except DyKnowError as error:
             self._take_down(starting)
             running = replace(record, state=State.FAILED, detail=str(error), ports=())
@@ -134,18 +143,14 @@ class Lifecycle:
             HostError: its nodelet manager did not do it.
         """
         self._graph.get(name)
-        with self._graph.changing(name) as record:
+        with self._graph.changing(name, patience=PATIENCE) as record:
             if record is None:
                 self._graph.get(name)
                 return
             if record.is_protected:
                 raise Protected(name)
-            if record.state is State.RUNNING:
-                try:
-                    self._host.unload(record.manager, name)
-                except HostError:
-                    if not record.isolated and name in self._host.list(record.manager):
-                        raise
+            if record.state in (State.RUNNING, State.LOST):
+                self._unload(record)
             self._dispose(record)
             self._graph.remove(name)
 
@@ -166,23 +171,44 @@ class Lifecycle:
             DyKnowError: it did not work; the nodelet is wired as before.
         """
         self._graph.get(name)
-        with self._graph.changing(name) as record:
+        with self._graph.changing(name, patience=PATIENCE) as record:
             if record is None or record.transformation is None or not record.rewired_by_reload:
                 raise HostError(f"nodelet '{name}' is not one that is re-wired by a reload")
             changes = self._resolved(record.transformation, name, config)
             changed = replace(record, topics={**record.topics, **changes})
             if changed.topics == record.topics:
                 return
-            self._host.unload(record.manager, name)
+            # Whoever finds it unloaded after the manager was killed here has to bring it back.
+            self._graph.put(replace(record, state=State.STARTING))
+            try:
+                self._host.unload(record.manager, name)
+            except HostError:
+                self._graph.put(record)
+                raise
             try:
                 running = self._bring_up(changed)
             except DyKnowError as error:
-                self._take_down(changed)
-                self._graph.put(self._bring_up(record))
+                self._drop(changed)
+                self._load_as_before(record)
                 raise SpawnFailed(name, error) from error
             self._graph.put(running)
 
     # Inside
+
+    def _unload(self, record: Record) -> None:
+        try:
+            self._host.unload(record.manager, record.name)
+        except HostError:
+            incarnation = self._incarnation(record.manager)
+            died = not incarnation or record.incarnation not in ("", incarnation)
+            if not record.isolated and not died and record.name in self._host.list(record.manager):
+                raise
+
+    def _load_as_before(self, record: Record) -> None:
+        try:
+            self._graph.put(self._bring_up(record))
+        except DyKnowError as error:  # a look will try again
+            self._graph.put(replace(record, state=State.FAILED, detail=str(error)))
 
     def _resolved(
         self, transformation: Transformation, name: str, config: Mapping[str, str]
@@ -208,16 +234,11 @@ class Lifecycle:
         transformation = record.transformation
         assert transformation is not None
         wiring = {port: topic for port, topic in record.topics.items() if topic}
-        remappings = (
-            {
-                names.resolve(port, names.parent(record.name), record.name): topic
-                for port, topic in wiring.items()
-            }
-            if record.rewired_by_reload
-            else {}
-        )
         request = LoadRequest(
-            record.name, transformation.source, transformation.parameters, remappings
+            record.name,
+            transformation.source,
+            transformation.parameters,
+            _remappings(record, transformation) if record.rewired_by_reload else {},
         )
         self._host.load(record.manager, request, self._timeout)
         record = replace(
@@ -225,15 +246,19 @@ class Lifecycle:
         )
         if record.rewired_by_reload:
             return replace(record, ports=declared_ports(record))
-        self._check_ports(record)
+        ports = self._checked_ports(record)
         if wiring:
             self._host.connect(record.name, wiring)
-        return replace(record, ports=seen_ports(record, self._host.ports(record.name)))
+            ports = tuple(
+                replace(port, topic=wiring.get(port.name, port.topic)) for port in ports
+            )
+        return replace(record, ports=seen_ports(record, ports))
 
-    def _check_ports(self, record: Record) -> None:
+    def _checked_ports(self, record: Record) -> Tuple[PortState, ...]:
         transformation = record.transformation
         assert transformation is not None
-        found = {port.name: port for port in self._host.ports(record.name)}
+        ports = self._host.ports(record.name)
+        found = {port.name: port for port in ports}
         wrong = []
         for port in transformation.ports:
             real = found.get(port.name)
@@ -252,13 +277,17 @@ class Lifecycle:
                 )
         if wrong:
             raise HostError("; ".join(wrong))
+        return ports
 
     def _take_down(self, record: Record) -> None:
+        self._drop(record)
+        self._dispose(record)
+
+    def _drop(self, record: Record) -> None:
         try:
             self._host.unload(record.manager, record.name)
         except HostError as error:
             _log.debug("%s: %s", record.name, error)
-        self._dispose(record)
 
     def _dispose(self, record: Record) -> None:
         if record.transformation is not None:
@@ -271,3 +300,18 @@ class Lifecycle:
             if state.name == manager:
                 return state.incarnation
         return ""
+
+
+def _remappings(record: Record, transformation: Transformation) -> Dict[str, str]:
+    """Wire a plain C++ nodelet.
+
+    It would use the plain name of a port that is connected to nothing, so that is remapped too,
+    to a topic that nobody else uses.
+    """
+    return {
+        names.resolve(port.name, names.parent(record.name), record.name): record.topics.get(
+            port.name, ""
+        )
+        or names.join(record.name, "disconnected/" + port.name.lstrip("~/"))
+        for port in transformation.ports
+    }

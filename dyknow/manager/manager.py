@@ -16,7 +16,7 @@ from dyknow.guards import NO_GUARDS, Guards
 from dyknow.manager.graph import Graph
 from dyknow.manager.host import Host
 from dyknow.manager.library import Library
-from dyknow.manager.lifecycle import Lifecycle, SpawnRequest
+from dyknow.manager.lifecycle import PATIENCE, Lifecycle, SpawnRequest
 from dyknow.manager.model import Model, Record
 from dyknow.manager.observer import Observer
 from dyknow.manager.specification import Specifications
@@ -156,7 +156,7 @@ class Manager:
         name = self.resolve(name)
         self.guards.check_writable(f"changing the protection of '{name}'")
         self.graph.get(name)
-        with self.graph.changing(name) as record:
+        with self.graph.changing(name, patience=PATIENCE) as record:
             if record is None or record.transformation is None:
                 raise HostError(f"nodelet '{name}' was not spawned by this manager")
             self.graph.put(replace(record, is_protected=is_protected))

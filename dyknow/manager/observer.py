@@ -12,7 +12,7 @@ import time
 from dataclasses import replace
 from typing import Callable, Dict, Iterable, List, Set
 
-from dyknow.errors import Busy, DyKnowError, HostError
+from dyknow.errors import Busy, DyKnowError, HostError, NameTaken
 from dyknow.manager.graph import Graph
 from dyknow.manager.host import Host, ManagerState
 from dyknow.manager.lifecycle import Lifecycle
@@ -86,27 +86,29 @@ class Observer:
         """
         with self._turn:
             states = self._host.managers()
-            listed: Dict[str, List[str]] = {}
+            listed: Dict[str, Set[str]] = {}
             for state in states:
                 try:
                     if state.alive:
-                        listed[state.name] = self._host.list(state.name)
+                        listed[state.name] = set(self._host.list(state.name))
                 except HostError as error:
                     _log.warning("nodelet manager %s: %s", state.name, error)
             by_name = {state.name: state for state in states}
             for record in self._graph.all():
-                self._check(record, by_name.get(record.manager), listed, changed)
+                state = by_name.get(record.manager)
+                if record.name in changed or not _as_it_was(record, state, listed):
+                    self._check(record, state, listed, changed)
             known = {record.name for record in self._graph.all()}
             for manager in sorted(listed):
-                for name in listed[manager]:
-                    if name not in known and not self._graph.is_busy(name):
+                for name in sorted(listed[manager] - known):
+                    if not self._graph.is_busy(name):
                         self._meet(name, manager)
 
     def _check(
         self,
         record: Record,
         state: ManagerState | None,
-        listed: Dict[str, List[str]],
+        listed: Dict[str, Set[str]],
         changed: Set[str],
     ) -> None:
         try:
@@ -121,7 +123,7 @@ class Observer:
         self,
         record: Record,
         state: ManagerState | None,
-        listed: Dict[str, List[str]],
+        listed: Dict[str, Set[str]],
         changed: Set[str],
     ) -> None:
         alive = state is not None and record.manager in listed
@@ -130,10 +132,12 @@ class Observer:
         elif record.transformation is None:
             self._graph.remove(record.name)
         elif alive and state is not None and state.incarnation == record.incarnation:
+            if record.name in self._listed_now(record.manager):
+                return  # it came up since the look began
             if record.state is State.RUNNING:
                 _log.info("%s was unloaded by others; it is not brought back", record.name)
                 self._lifecycle.forget(record)
-            elif record.state is State.FAILED:
+            else:  # it failed, or the manager was killed while it brought it back
                 self._bring_back(record)
         elif alive or state is None or (state.own and not state.alive):
             self._lose(record, "its nodelet manager has died")
@@ -144,6 +148,8 @@ class Observer:
     def _follow(self, record: Record, state: ManagerState | None, closely: bool) -> None:
         incarnation = state.incarnation if state is not None else record.incarnation
         came_back = record.state is not State.RUNNING or record.incarnation != incarnation
+        if record.state is State.STARTING and not self._complete(record):
+            return
         record = replace(record, state=State.RUNNING, detail="", incarnation=incarnation)
         if (closely or came_back) and not record.rewired_by_reload:
             try:
@@ -154,6 +160,20 @@ class Observer:
                 record = replace(record, ports=ports)
                 record = replace(record, topics=topics_of(record))
         self._graph.put(record, durable=record.transformation is not None)
+
+    def _complete(self, record: Record) -> bool:
+        """Finish what an earlier life began: it was killed while it brought the nodelet back."""
+        wiring = {port: topic for port, topic in record.topics.items() if topic}
+        try:
+            if record.rewired_by_reload:  # with which wiring it runs nobody knows
+                self._host.unload(record.manager, record.name)
+                return False
+            if wiring:
+                self._host.connect(record.name, wiring)
+        except HostError as error:
+            _log.warning("%s: %s", record.name, error)
+            return False
+        return True
 
     def _lose(self, record: Record, why: str) -> None:
         if record.state is State.RUNNING:
@@ -183,8 +203,33 @@ class Observer:
 
     def _meet(self, name: str, manager: str) -> None:
         try:
+            with self._graph.changing(name, new=True):
+                if name in self._listed_now(manager):  # and not gone since the look began
+                    self._graph.put(self._foreign(name, manager), durable=False)
+        except (Busy, NameTaken):
+            return
+
+    def _foreign(self, name: str, manager: str) -> Record:
+        try:
             ports = self._host.ports(name)
         except HostError:
             ports = ()  # a plain nodelet has no proxy
-        record = Record(name, None, manager, state=State.RUNNING, ports=ports)
-        self._graph.put(record, durable=False)
+        return Record(name, None, manager, state=State.RUNNING, ports=ports)
+
+    def _listed_now(self, manager: str) -> List[str]:
+        try:
+            return self._host.list(manager)
+        except HostError:
+            return []
+
+
+def _as_it_was(
+    record: Record, state: "ManagerState | None", listed: Dict[str, Set[str]]
+) -> bool:
+    """Whether a nodelet runs on in the process that was seen last: the look is done with it."""
+    return (
+        state is not None
+        and record.state is State.RUNNING
+        and record.incarnation == state.incarnation
+        and record.name in listed.get(record.manager, ())
+    )

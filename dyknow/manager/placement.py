@@ -45,7 +45,7 @@ def choose(
     shared = [
         name
         for name, state in sorted(states.items())
-        if state.alive and state.kind is kind and not state.isolated_for
+        if state.alive and state.responsive and state.kind is kind and not state.isolated_for
     ]
     best = _nearest(list(records), shared, set(topics))
     return best if best is not None else host.ensure(kind)

@@ -13,6 +13,7 @@ import traceback
 from dataclasses import dataclass
 from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple
 
+from dyknow.guards import NO_GUARDS, Guards
 from dyknow.nodelet.bus import Bus, Endpoint
 from dyknow.nodelet.endpoints import Publication, Subscription
 from dyknow.nodelet.middleware import Closable, Middleware
@@ -36,13 +37,20 @@ class Runtime:
     executor: Executor
     timers: TimerQueue
     clock: Clock = time.monotonic
+    #: What no port may do, at this moment.
+    guards: Callable[[], Guards] = lambda: NO_GUARDS
 
     @classmethod
     def make(
-        cls, middleware: Middleware, executor: Executor, clock: Clock = time.monotonic
+        cls,
+        middleware: Middleware,
+        executor: Executor,
+        clock: Clock = time.monotonic,
+        guards: Callable[[], Guards] = lambda: NO_GUARDS,
     ) -> Runtime:
         """Put a runtime together."""
-        return cls(middleware, Bus(middleware, clock), executor, TimerQueue(middleware), clock)
+        bus = Bus(middleware, clock)
+        return cls(middleware, bus, executor, TimerQueue(middleware), clock, guards)
 
     def close(self) -> None:
         """End the threads."""

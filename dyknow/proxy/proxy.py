@@ -102,6 +102,7 @@ class NodeletProxy:
 
         Raises:
             InvalidConfiguration: something is wrong with an entry; nothing was changed.
+            TooMuch: the request is beyond the limits.
             UnloadedMeanwhile: the nodelet was unloaded; nothing is connected any more.
         """
         before = self._reconfigurations
@@ -210,6 +211,8 @@ class NodeletProxy:
         if port is None:
             resolved = names.resolve(name, handle.namespace, self._context.name)
             topic = self._context.remappings.get(resolved, "")
+            if topic:
+                self._context.runtime.guards().check_topic(topic)
             port = kind(name, datatype, topic)
         elif port.direction != kind.direction or port.datatype._md5sum != datatype._md5sum:
             raise PortConflict(name, port.kind, f"{kind.direction}-port of type {datatype._type}")
@@ -224,6 +227,8 @@ class NodeletProxy:
         self._ports[port.name] = port
 
     def _checked(self, config: Sequence[Tuple[str, str]]) -> List[Change]:
+        guards = self._context.runtime.guards()
+        guards.check_sizes((text for pair in config for text in pair), len(config))
         problems: List[DyKnowError] = []
         changes: List[Change] = []
         seen: Dict[str, int] = {}
@@ -239,6 +244,7 @@ class NodeletProxy:
             try:
                 topic = self._topic(text)
                 if topic:
+                    guards.check_topic(topic)
                     self._check_type(port, topic, types)
                 changes.append((port, topic))
             except DyKnowError as problem:

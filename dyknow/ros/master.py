@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import http.client
 import os
-import socket
 import xmlrpc.client
 from typing import Any, List, Set, Tuple
 
@@ -25,6 +24,46 @@ class _Transport(xmlrpc.client.Transport):
         return connection
 
 
+class _Server:
+    """The XML-RPC API of the master or of a node; connections are kept for the next question."""
+
+    def __init__(self, uri: str, peer: str, timeout: float) -> None:
+        self._uri = uri
+        self._peer = peer
+        self._timeout = timeout
+        self._idle: List[_Transport] = []
+
+    def ask(self, question: str, *args: Any) -> Any:
+        """Call a function and return its value.
+
+        Raises:
+            PeerTimeout: no answer in time, or nobody there.
+            LookupError: the answer is an error.
+        """
+        try:
+            transport = self._idle.pop()
+        except IndexError:
+            transport = _Transport(self._timeout)
+        server = xmlrpc.client.ServerProxy(self._uri, transport=transport)
+        try:
+            code, message, value = getattr(server, question)(*args)
+        except (OSError, http.client.HTTPException) as error:
+            transport.close()
+            raise PeerTimeout(self._peer, self._timeout) from error
+        except (xmlrpc.client.Error, ValueError, TypeError) as error:
+            transport.close()
+            raise LookupError(f"{self._peer}: {error}") from error
+        self._idle.append(transport)
+        if code != 1:
+            raise LookupError(message)
+        return value
+
+    def close(self) -> None:
+        """Close the connections that are not in use."""
+        while self._idle:
+            self._idle.pop().close()
+
+
 class Master:
     """The master that ROS_MASTER_URI names, asked in the name of one node."""
 
@@ -39,24 +78,16 @@ class Master:
         self.caller = caller
         self.uri = uri or os.environ.get("ROS_MASTER_URI", "http://localhost:11311")
         self.timeout = timeout
+        self._server = _Server(self.uri, f"the ROS master at {self.uri}", timeout)
 
     def ask(self, question: str, *args: Any) -> Any:
         """Call a function of the master's API and return its value.
 
         Raises:
             PeerTimeout: no answer in time, or no master.
+            LookupError: the master knows nothing of it.
         """
-        transport = _Transport(self.timeout)
-        server = xmlrpc.client.ServerProxy(self.uri, transport=transport)
-        try:
-            code, message, value = getattr(server, question)(self.caller, *args)
-        except (socket.timeout, OSError, http.client.HTTPException) as error:
-            raise PeerTimeout(f"the ROS master at {self.uri}", self.timeout) from error
-        finally:
-            transport.close()
-        if code != 1:
-            raise LookupError(message)
-        return value
+        return self._server.ask(question, self.caller, *args)
 
     def publishers(self, topic: str) -> Set[str]:
         """Names of the nodes that publish on a topic."""
@@ -79,6 +110,45 @@ class Master:
         state = self.ask("getSystemState")
         alive = any(name == topic and nodes for side in state[:2] for name, nodes in side)
         return found if alive else ""
+
+    def node(self, name: str) -> str:
+        """Address of a node that is registered, whether it lives or not; else empty."""
+        try:
+            return str(self.ask("lookupNode", name))
+        except LookupError:
+            return ""
+
+    def pid(self, name: str, uri: str, timeout: float) -> int:
+        """Ask a node for its process id.
+
+        Raises:
+            PeerTimeout: it does not answer in time.
+        """
+        server = _Server(uri, f"node {name}", timeout)
+        try:
+            return int(server.ask("getPid", self.caller))
+        finally:
+            server.close()
+
+    def purge(self, node: str, uri: str) -> None:
+        """Unregister all that a dead node left, in its name, as ``rosnode cleanup`` does.
+
+        Args:
+            node: its name.
+            uri: its address; registrations of a successor of that name stay.
+        """
+        publishers, subscribers, services = self.ask("getSystemState")
+        dead = Master(node, self.uri, self.timeout)
+        for question, topics in (
+            ("unregisterPublisher", publishers),
+            ("unregisterSubscriber", subscribers),
+        ):
+            for topic, nodes in topics:
+                if node in nodes:
+                    dead.ask(question, topic, uri)
+        for service, nodes in services:
+            if node in nodes:
+                dead.ask("unregisterService", service, self.ask("lookupService", service))
 
     def _nodes(self, topic: str, side: int) -> Set[str]:
         state = self.ask("getSystemState")

@@ -32,9 +32,12 @@ from dyknow.nodelet.middleware import Closable
 from dyknow.nodelet.plugins import Plugins
 from dyknow.nodelet.scheduler import WorkerPool
 from dyknow.proxy.proxy import NodeletProxy
+from dyknow.ros.announcements import Announcer
 from dyknow.ros.bonds import Bonds
 from dyknow.ros.exit_codes import DONE, FAILED
+from dyknow.ros.guard_parameters import GuardParameters, caller_of
 from dyknow.ros.middleware import RospyMiddleware
+from dyknow.ros.owner import end_when_orphaned
 from dyknow.ros.packages import plugin_files
 from dyknow.ros.proxy_services import ProxyServices
 
@@ -85,10 +88,14 @@ class NodeletManager:
         """Start without nodelets and without services."""
         sys.setswitchinterval(settings.switch_interval)
         pool = WorkerPool(settings.workers, settings.stuck_after)
-        self._runtime = Runtime.make(RospyMiddleware(pool), pool)
+        self._guards = GuardParameters()
+        self._runtime = Runtime.make(RospyMiddleware(pool), pool, guards=self._guards.current)
         self._bonds = Bonds(names.join(rospy.get_name(), "bond"))
         self._bonded: Dict[str, str] = {}
-        self.loader = Loader(self._runtime, Plugins(plugin_files).load, _attach, self._unloaded)
+        self.loader = Loader(
+            self._runtime, Plugins(plugin_files).load, self._attach, self._unloaded
+        )
+        self._announcer = Announcer(self.loader.list)
         self._services: List[Any] = []
 
     def offer(self) -> None:
@@ -108,8 +115,18 @@ class NodeletManager:
         targets: Sequence[str] = (),
         my_argv: Sequence[str] = (),
         bond_id: str = "",
+        caller: str = "",
     ) -> None:
         """Load a nodelet; names are as in a NodeletLoad request.
+
+        Args:
+            name: of the nodelet.
+            type_name: declared type, ``package/Class``.
+            sources: names to remap.
+            targets: what to remap them to.
+            my_argv: arguments for the nodelet.
+            bond_id: the client's end of a bond, empty for none.
+            caller: node that asks for it, empty when it is this one.
 
         Raises:
             DyKnowError: it could not be loaded, and nothing of it is left.
@@ -117,26 +134,37 @@ class NodeletManager:
         namespace = names.parent(rospy.get_name())
         name = names.resolve(name, namespace, rospy.get_name(), "nodelet name")
         remappings = names.pair_remappings(name, sources, targets, namespace)
+        if caller:
+            self._guards.check_caller(caller, f"loading '{name}'")
+        guards = self._guards.current()
+        guards.check_sizes((type_name, *sources, *targets, *my_argv), len(sources))
+        for target in remappings.values():
+            guards.check_topic(target)
         self.loader.load(name, type_name, remappings, my_argv)
+        self._announcer.tell(name)
         if bond_id:
             self._bond(name, bond_id)
-        rospy.loginfo("loaded nodelet %s of type %s", name, type_name)
+        rospy.loginfo("loaded nodelet %s of type %s%s", name, type_name, _for(caller))
 
-    def unload(self, name: str) -> None:
-        """Unload a nodelet.
+    def unload(self, name: str, caller: str = "") -> None:
+        """Unload a nodelet; ``caller`` is the node that asks for it, empty when it is this one.
 
         Raises:
             UnknownNodelet: there is none of that name.
+            Denied: the mode is read-only.
         """
         name = names.resolve(name, names.parent(rospy.get_name()), rospy.get_name())
+        if caller:
+            self._guards.check_caller(caller, f"unloading '{name}'")
         self.loader.unload(name)
-        rospy.loginfo("unloaded nodelet %s", name)
+        rospy.loginfo("unloaded nodelet %s%s", name, _for(caller))
 
     def close(self) -> None:
         """Unload everything and end."""
         for service in self._services:
             service.shutdown("the nodelet manager ends")
         self.loader.close()
+        self._announcer.close()
         self._bonds.close()
         self._runtime.close()
 
@@ -163,9 +191,16 @@ class NodeletManager:
             rospy.loginfo("%s", error)
 
     def _unloaded(self, name: str) -> None:
+        self._announcer.tell(name)
         bond_id = self._bonded.pop(name, None)
         if bond_id is not None:
             self._bonds.remove(bond_id)
+
+    def _attach(self, context: Context, thing: Any) -> Optional[Closable]:
+        if not isinstance(thing, NodeletProxy):
+            return None
+        thing.on_change = lambda: self._announcer.tell(context.name)
+        return ProxyServices(thing, self._guards)
 
     # Services
 
@@ -178,6 +213,7 @@ class NodeletManager:
                 request.remap_target_args,
                 request.my_argv,
                 request.bond_id,
+                caller_of(request),
             )
         except DyKnowError as error:
             raise _failed("Failed to load nodelet", request.name, error) from error
@@ -185,7 +221,7 @@ class NodeletManager:
 
     def _unload(self, request: Any) -> NodeletUnloadResponse:
         try:
-            self.unload(request.name)
+            self.unload(request.name, caller_of(request))
         except DyKnowError as error:
             raise _failed("Failed to unload nodelet", request.name, error) from error
         return NodeletUnloadResponse(True)
@@ -201,8 +237,19 @@ def _failed(what: str, name: str, error: DyKnowError) -> rospy.ServiceException:
     return rospy.ServiceException(str(error))
 
 
-def _attach(context: Context, thing: Any) -> Optional[Closable]:
-    return ProxyServices(thing) if isinstance(thing, NodeletProxy) else None
+def _for(caller: str) -> str:
+    return f" for {caller}" if caller else ""
+
+
+def _end_without_owner() -> None:
+    """A child of a DyKnow manager ends when that is gone for too long."""
+    lock, timeout = rospy.get_param("~owner_lock", ""), rospy.get_param("~orphan_timeout", 0.0)
+    if lock and timeout > 0:
+        end_when_orphaned(
+            str(lock),
+            float(timeout),
+            lambda: rospy.signal_shutdown(f"its DyKnow manager is gone for {timeout:g} s"),
+        )
 
 
 def _serve(manager: NodeletManager) -> int:
@@ -232,6 +279,7 @@ def run_manager(argv: Sequence[str], node: str = "manager") -> int:
     if manager is None:
         return FAILED
     manager.offer()
+    _end_without_owner()
     return _serve(manager)
 
 

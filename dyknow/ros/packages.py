@@ -10,11 +10,14 @@ from lxml import etree
 
 from dyknow.nodelet.plugins import PluginFile
 
-_TAG = b"<dyknow"
-
 
 def plugin_files() -> Iterator[PluginFile]:
     """List every ``<export><dyknow plugin="…"/>`` of the packages on ROS_PACKAGE_PATH."""
+    return exported_files("dyknow")
+
+
+def exported_files(tag: str) -> Iterator[PluginFile]:
+    """List the files that packages name in ``<export><TAG plugin="…"/>``."""
     rospack = rospkg.RosPack()
     for package in rospack.list():
         directory = Path(rospack.get_path(package))
@@ -22,13 +25,13 @@ def plugin_files() -> Iterator[PluginFile]:
             manifest = (directory / "package.xml").read_bytes()
         except OSError:
             continue
-        if _TAG not in manifest:  # most packages: no need to parse them
+        if b"<" + tag.encode() not in manifest:  # most packages: no need to parse them
             continue
         parser = etree.XMLParser(resolve_entities=False, no_network=True, recover=True)
         root = etree.fromstring(manifest, parser)
         if root is None:
             continue
-        for export in root.iterfind("export/dyknow"):
+        for export in root.iterfind(f"export/{tag}"):
             plugin = export.get("plugin")
             if plugin:
                 file = Path(plugin.replace("${prefix}", str(directory)))

@@ -18,6 +18,7 @@ from dyknow import names
 from dyknow.errors import DyKnowError
 from dyknow.nodelet.middleware import Closable
 from dyknow.proxy.proxy import NodeletProxy
+from dyknow.ros.guard_parameters import GuardParameters, caller_of
 from dyknow.ros.messages import config_pairs, port_messages, statistics_message
 
 
@@ -28,9 +29,10 @@ class ProxyServices(Closable):
     hangs can still be looked at and re-wired.
     """
 
-    def __init__(self, proxy: NodeletProxy) -> None:
-        """Offer the services of ``proxy``."""
+    def __init__(self, proxy: NodeletProxy, guards: GuardParameters) -> None:
+        """Offer the services of ``proxy``; ``guards`` decide who may change it."""
         self._proxy = proxy
+        self._guards = guards
         self._services: List[Any] = []
         try:
             for name, service_class, handler in (
@@ -53,11 +55,20 @@ class ProxyServices(Closable):
         return GetConfigResponse(port_messages(self._proxy.get_config()))
 
     def _set_config(self, request: Any) -> SetConfigResponse:
+        caller, name = caller_of(request), self._proxy.name
+        config = config_pairs(request.config)
         try:
-            self._proxy.set_config(config_pairs(request.config))
+            self._guards.check_caller(caller, f"connecting ports of '{name}'")
+            self._proxy.set_config(config)
         except DyKnowError as error:
-            rospy.logerr("set_config: %s", error)
+            rospy.logerr("%s: set_config of %s: %s", name, caller, error)
             return SetConfigResponse(False, str(error))
+        rospy.loginfo(
+            "%s: %s connected %s",
+            name,
+            caller,
+            ", ".join(f"'{port}' to {topic or 'nothing'}" for port, topic in config),
+        )
         return SetConfigResponse(True, "")
 
     def _get_statistics(self, request: Any) -> GetStatisticsResponse:

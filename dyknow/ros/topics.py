@@ -85,11 +85,19 @@ class RospyPublisher(OutsidePublisher):
     def wait(self, seconds: float) -> None:
         """Wait for the connections of the subscribers that the master knows."""
         deadline = time.monotonic() + seconds
+        master, uri = Master(rospy.get_name()), rospy.core.get_node_uri()
+        implementation = self._implementation
         try:
-            others = Master(rospy.get_name()).subscribers(self._topic) - {rospy.get_name()}
+            # Registering again changes nothing and is answered with the topic's subscribers; the
+            # state of the whole system, the other way to ask, grows with the system.
+            others = set(
+                master.ask("registerPublisher", self._topic, implementation.type, uri)
+            ) - {uri}
+            if self._closed:
+                master.ask("unregisterPublisher", self._topic, uri)
+                return
         except PeerTimeout:
             return
-        implementation = self._implementation
         while len(implementation.connections or ()) < len(others) and time.monotonic() < deadline:
             time.sleep(_STEP)
 

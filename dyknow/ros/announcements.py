@@ -1,0 +1,111 @@
+"""Nodelet managers tell of changes on the topic ``~changes``: the names of nodelets, no more.
+
+A name says that the nodelet was loaded or unloaded, or that its ports or their topics changed;
+who wants to know what it is like now asks. Names that come in quick succession are told once.
+"""
+
+from __future__ import annotations
+
+import threading
+from typing import Any, Callable, Dict, Iterable, List, Set
+
+import rospy
+from std_msgs.msg import String
+
+TOPIC = "changes"
+#: Seconds in which further changes join the first.
+_WINDOW = 0.02
+_QUEUE_SIZE = 5000
+
+
+class Announcer:
+    """The side that tells."""
+
+    def __init__(self, everything: Callable[[], Iterable[str]]) -> None:
+        """Advertise the topic.
+
+        Args:
+            everything: names for those who begin to listen, since they may have missed some.
+        """
+        self._everything = everything
+        self._lock = threading.Condition()
+        self._names: Set[str] = set()
+        self._closed = False
+        self._publisher = rospy.Publisher(
+            f"~{TOPIC}", String, subscriber_listener=_Newcomers(self), queue_size=_QUEUE_SIZE
+        )
+        threading.Thread(target=self._run, name="announcements", daemon=True).start()
+
+    def tell(self, name: str) -> None:
+        """Announce a nodelet; returns at once."""
+        with self._lock:
+            self._names.add(name)
+            self._lock.notify()
+
+    def tell_newcomer(self, publish: Callable[[String], None]) -> None:
+        """Announce everything to a new listener."""
+        for name in self._everything():
+            publish(String(name))
+
+    def close(self) -> None:
+        """Withdraw the topic."""
+        with self._lock:
+            self._closed = True
+            self._lock.notify()
+        self._publisher.unregister()
+
+    def _run(self) -> None:
+        while True:
+            with self._lock:
+                self._lock.wait_for(lambda: self._names or self._closed)
+                self._lock.wait_for(lambda: self._closed, _WINDOW)
+                if self._closed:
+                    return
+                names, self._names = sorted(self._names), set()
+            for name in names:
+                self._publish(name)
+
+    def _publish(self, name: str) -> None:
+        try:
+            self._publisher.publish(String(name))
+        except rospy.ROSException:
+            return  # closed in between
+
+
+class _Newcomers(rospy.SubscribeListener):
+    def __init__(self, announcer: Announcer) -> None:
+        self._announcer = announcer
+
+    def peer_subscribe(
+        self, topic_name: str, topic_publish: Any, peer_publish: Callable[[String], None]
+    ) -> None:
+        """Tell a new listener everything."""
+        self._announcer.tell_newcomer(peer_publish)
+
+
+class Listener:
+    """The side that is told, by any number of nodelet managers."""
+
+    def __init__(self, hear: Callable[[str], None]) -> None:
+        """Listen to nobody yet.
+
+        Args:
+            hear: called with the name of a nodelet, on rospy's threads.
+        """
+        self._hear = hear
+        self._subscribers: Dict[str, Any] = {}
+
+    def follow(self, managers: Iterable[str]) -> None:
+        """Listen to these nodelet managers and no others."""
+        wanted: List[str] = sorted(managers)
+        for manager in [each for each in self._subscribers if each not in wanted]:
+            self._subscribers.pop(manager).unregister()
+        for manager in wanted:
+            if manager not in self._subscribers:
+                self._subscribers[manager] = rospy.Subscriber(
+                    f"{manager}/{TOPIC}", String, lambda message: self._hear(message.data)
+                )
+
+    def close(self) -> None:
+        """Listen to nobody any more."""
+        self.follow(())

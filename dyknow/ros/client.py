@@ -1,0 +1,297 @@
+"""A client of the DyKnow manager: typed, with a time limit for every call, answers as values.
+
+It needs no node: scripts and command lines can use it without ``rospy.init_node``.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from typing import Any, Dict, Mapping, Optional, Tuple
+
+import rosgraph.names
+from dyknow_msgs.msg import Model as ModelMessage
+from dyknow_msgs.msg import Nodelet as NodeletMessage
+from dyknow_msgs.msg import Port as PortMessage
+from dyknow_msgs.msg import PortConfig
+from dyknow_msgs.msg import Transformation as TransformationMessage
+from dyknow_msgs.srv import (
+    AddTransformation,
+    Destroy,
+    GetConfig,
+    GetModel,
+    GetStatistics,
+    RemoveTransformation,
+    SetConfig,
+    SetProtection,
+    Spawn,
+)
+
+from dyknow import names
+from dyknow.errors import Refused
+from dyknow.manager.model import PortState, State
+from dyknow.manager.transformation import IN, OUT, Parameter, Port, Transformation
+from dyknow.ros.master import Master
+from dyknow.ros.service_client import ServiceClient
+
+#: Seconds for calls that only ask.
+ASK_TIMEOUT = 5.0
+#: Seconds for calls that change something; a spawn may start a nodelet manager first.
+CHANGE_TIMEOUT = 60.0
+
+
+@dataclass(frozen=True)
+class NodeletView:
+    """A nodelet as the manager shows it; the fields are those of ``dyknow_msgs/Nodelet``."""
+
+    name: str
+    transformation: str
+    manager: str
+    is_protected: bool
+    isolated: bool
+    rewired_by_reload: bool
+    state: State
+    detail: str
+    ports: Tuple[PortState, ...]
+
+    def port(self, name: str) -> Optional[PortState]:
+        """Return the port of that name, or None."""
+        return next((port for port in self.ports if port.name == name), None)
+
+
+@dataclass(frozen=True)
+class ModelView:
+    """The model as the manager shows it.
+
+    Attributes:
+        revision: grows with every change of the nodelets.
+        library_revision: grows with every change of the transformations.
+        nodelets: by name.
+        transformations: by label; empty on the topic.
+    """
+
+    revision: int
+    library_revision: int
+    nodelets: Tuple[NodeletView, ...]
+    transformations: Tuple[Transformation, ...]
+
+    def nodelet(self, name: str) -> Optional[NodeletView]:
+        """Return the nodelet of that global name, or None."""
+        return next((each for each in self.nodelets if each.name == name), None)
+
+
+@dataclass(frozen=True)
+class Added:
+    """What ``add_transformation`` added.
+
+    Attributes:
+        labels: of what was added or replaced.
+        warnings: what is probably not meant, one a line.
+    """
+
+    labels: Tuple[str, ...]
+    warnings: str
+
+
+@dataclass(frozen=True)
+class PortTraffic:
+    """What went through a port; times in seconds, the rate in Hz."""
+
+    port: str
+    direction: str
+    topic: str
+    messages: int
+    dropped: int
+    rate: float
+    mean_callback: float
+    max_callback: float
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """What a nodelet did since it was loaded; the time in seconds."""
+
+    uptime: float
+    reconfigurations: int
+    callback_errors: int
+    ports: Tuple[PortTraffic, ...]
+
+
+class ManagerClient:
+    """Speaks with one DyKnow manager, and with the proxies of nodelets.
+
+    Every method raises ``Refused`` when the answer is no, ``HostError`` when nobody is there to
+    answer, and ``PeerTimeout`` when no answer comes in time.
+    """
+
+    def __init__(self, manager: str = "dyknow_manager", caller: str = "") -> None:
+        """Prepare calls; nothing is sent yet.
+
+        Args:
+            manager: node name of the manager; a relative one begins in the namespace of the
+                environment.
+            caller: in whose name to call; by default a name of this process.
+        """
+        self.manager: str = rosgraph.names.script_resolve_name("dyknow", manager)
+        self._master = Master(caller or f"/dyknow_client_{os.getpid()}")
+
+    # Transformations
+
+    def add_transformation(self, specification: str) -> Added:
+        """Add what a specification (XML text) says."""
+        answer = self._change(
+            "add_transformation", AddTransformation, specification=specification
+        )
+        return Added(tuple(answer.labels), answer.message)
+
+    def remove_transformation(self, label: str) -> None:
+        """Remove a transformation."""
+        self._change("remove_transformation", RemoveTransformation, label=label)
+
+    # Nodelets
+
+    def spawn(
+        self,
+        label: str,
+        name: str,
+        config: Optional[Mapping[str, str]] = None,
+        is_protected: bool = False,
+        isolated: bool = False,
+        manager: str = "",
+    ) -> None:
+        """Make a nodelet; it runs and is connected when this returns.
+
+        Args:
+            label: of the transformation.
+            name: of the nodelet; a relative one begins in the manager's namespace.
+            config: topics by port.
+            is_protected: refuse to destroy it.
+            isolated: give it a process of its own.
+            manager: nodelet manager; empty for the manager's choice.
+        """
+        self._change(
+            "spawn",
+            Spawn,
+            label=label,
+            name=name,
+            is_protected=is_protected,
+            isolated=isolated,
+            config=_pairs(config or {}),
+            manager=manager,
+        )
+
+    def destroy(self, name: str) -> None:
+        """Destroy a nodelet."""
+        self._change("destroy", Destroy, name=name)
+
+    def set_protection(self, name: str, is_protected: bool) -> None:
+        """Protect a nodelet from being destroyed, or release it."""
+        self._change("set_protection", SetProtection, name=name, is_protected=is_protected)
+
+    def get_model(self, timeout: float = ASK_TIMEOUT) -> ModelView:
+        """Ask what runs and what can run."""
+        service = names.join(self.manager, "get_model")
+        return model_view(self._call(service, GetModel, timeout).model)
+
+    # Proxies
+
+    def get_config(self, nodelet: str) -> Tuple[PortState, ...]:
+        """Ask a nodelet for its ports."""
+        answer = self._call(names.join(nodelet, "get_config"), GetConfig, ASK_TIMEOUT)
+        return tuple(port_view(port) for port in answer.ports)
+
+    def set_config(self, nodelet: str, config: Mapping[str, str]) -> None:
+        """Connect ports of a nodelet, all or none; an empty topic disconnects."""
+        service = names.join(nodelet, "set_config")
+        answer = self._call(service, SetConfig, CHANGE_TIMEOUT, config=_pairs(config))
+        if not answer.success:
+            raise Refused(answer.message)
+
+    def get_statistics(self, nodelet: str) -> Statistics:
+        """Ask a nodelet what it has done."""
+        answer = self._call(names.join(nodelet, "get_statistics"), GetStatistics, ASK_TIMEOUT)
+        return Statistics(
+            answer.uptime.to_sec(),
+            answer.reconfigurations,
+            answer.callback_errors,
+            tuple(
+                PortTraffic(
+                    each.port,
+                    _direction(each),
+                    each.topic,
+                    each.messages,
+                    each.dropped,
+                    each.rate,
+                    each.mean_callback.to_sec(),
+                    each.max_callback.to_sec(),
+                )
+                for each in answer.ports
+            ),
+        )
+
+    # Inside
+
+    def _change(self, service: str, service_class: Any, **fields: Any) -> Any:
+        answer = self._call(
+            names.join(self.manager, service), service_class, CHANGE_TIMEOUT, **fields
+        )
+        if not answer.success:
+            raise Refused(answer.message)
+        return answer
+
+    def _call(self, service: str, service_class: Any, timeout: float, **fields: Any) -> Any:
+        return ServiceClient(self._master, service, service_class).call(timeout, **fields)
+
+
+def model_view(message: ModelMessage) -> ModelView:
+    """Read a model, as ``get_model`` answers or the topic ``~model`` carries it."""
+    return ModelView(
+        message.revision,
+        message.library_revision,
+        tuple(_nodelet_view(each) for each in message.nodelets),
+        tuple(_transformation(each) for each in message.transformations),
+    )
+
+
+def port_view(message: PortMessage) -> PortState:
+    """Read a port."""
+    return PortState(
+        message.name, _direction(message), message.datatype, message.topic, tuple(message.tags)
+    )
+
+
+def _nodelet_view(message: NodeletMessage) -> NodeletView:
+    return NodeletView(
+        message.name,
+        message.transformation,
+        message.manager,
+        message.is_protected,
+        message.isolated,
+        message.rewired_by_reload,
+        State(message.state),
+        message.detail,
+        tuple(port_view(port) for port in message.ports),
+    )
+
+
+def _transformation(message: TransformationMessage) -> Transformation:
+    return Transformation(
+        message.label,
+        message.source,
+        message.type,
+        message.cost,
+        tuple(Parameter(each.name, each.type, each.value) for each in message.parameters),
+        tuple(
+            Port(each.name, _direction(each), each.datatype, tuple(each.tags))
+            for each in message.ports
+        ),
+    )
+
+
+def _direction(message: Any) -> str:
+    return OUT if message.direction == PortMessage.OUT else IN
+
+
+def _pairs(config: Mapping[str, str]) -> "list[PortConfig]":
+    ordered: Dict[str, str] = dict(sorted(config.items()))
+    return [PortConfig(port, topic) for port, topic in ordered.items()]

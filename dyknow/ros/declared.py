@@ -1,0 +1,82 @@
+"""Which nodelet types are declared, in Python and in C++.
+
+Python classes are exported as ``<dyknow plugin=…>``, C++ ones as ``<nodelet plugin=…>``.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from pathlib import Path
+from typing import Iterator, Set
+
+from lxml import etree
+
+from dyknow.errors import HostError
+from dyknow.manager.host import Kind
+from dyknow.nodelet.plugins import Plugins
+from dyknow.ros.packages import exported_files, plugin_files
+
+_BASE_CLASS = "nodelet::Nodelet"
+
+_log = logging.getLogger("rosout.dyknow")
+
+
+def cpp_classes() -> Iterator[str]:
+    """List the C++ nodelets that packages declare; a broken description hides no other."""
+    for plugin_file in exported_files("nodelet"):
+        try:
+            yield from _read(plugin_file.file)
+        except (OSError, etree.XMLSyntaxError) as error:
+            _log.warning("plugin description '%s': %s", plugin_file.file, error)
+
+
+class Declared:
+    """The declared types; the packages are read when a type is not known yet."""
+
+    def __init__(self) -> None:
+        """Know nothing yet."""
+        self._plugins = Plugins(plugin_files)
+        self._lock = threading.Lock()
+        self._python: Set[str] = set()
+        self._cpp: Set[str] = set()
+
+    def kind_of(self, source: str) -> Kind:
+        """Tell the kind of a type; one that is declared in both languages is Python.
+
+        Raises:
+            HostError: no package declares it.
+        """
+        found = self._known(source)
+        if found is None:
+            self._refresh()
+            found = self._known(source)
+        if found is None:
+            raise HostError(
+                f"no package declares a nodelet type '{source}': expected it in a <dyknow plugin> "
+                "or a <nodelet plugin> export of a package on ROS_PACKAGE_PATH"
+            )
+        return found
+
+    def _known(self, source: str) -> "Kind | None":
+        with self._lock:
+            if source in self._python:
+                return Kind.PYTHON
+            return Kind.CPP if source in self._cpp else None
+
+    def _refresh(self) -> None:
+        python = {each.name for each in self._plugins.declared()}
+        cpp = set(cpp_classes())
+        with self._lock:
+            self._python, self._cpp = python, cpp
+
+
+def _read(file: Path) -> Iterator[str]:
+    parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False, recover=True)
+    root = etree.fromstring(file.read_bytes(), parser)
+    if root is None:
+        return
+    for element in root.iter("class"):
+        name = element.get("name") or element.get("type")
+        if name and element.get("base_class_type") == _BASE_CLASS:
+            yield name

@@ -1,0 +1,277 @@
+"""The manager's hands in ROS: loads, unloads and asks nodelets, wherever they run.
+
+Every remote call has a time limit, and a nodelet manager that hangs delays each question to it by
+at most one such limit: as long as its last answer is due it is not asked again.
+"""
+
+from __future__ import annotations
+
+import threading
+from typing import Any, Callable, Dict, List, Mapping, Sequence, Set, Tuple
+
+from dyknow_msgs.msg import Port as PortMessage
+from dyknow_msgs.msg import PortConfig
+from dyknow_msgs.srv import GetConfig, SetConfig
+from nodelet.srv import NodeletLoad, NodeletUnload
+
+from dyknow import names
+from dyknow.errors import HostError, NameTaken, PeerTimeout
+from dyknow.guards import Guards
+from dyknow.manager.host import Host, Kind, LoadRequest, ManagerState
+from dyknow.manager.model import PortState
+from dyknow.manager.transformation import Parameter
+from dyknow.ros.children import Child, Children
+from dyknow.ros.declared import Declared
+from dyknow.ros.guard_parameters import GUARDS, to_parameter
+from dyknow.ros.master import Master
+from dyknow.ros.peers import ListClient, Peer
+from dyknow.ros.service_client import ServiceClient, ServiceFailed
+
+#: Seconds for an unload, which waits up to 1 s for ``on_shutdown``.
+UNLOAD_TIMEOUT = 4.0
+#: Seconds for a proxy to connect ports, which waits up to 0.5 s for peers outside.
+CONNECT_TIMEOUT = 4.0
+#: Seconds for a proxy to say what its ports are.
+PORTS_TIMEOUT = 2.0
+
+
+class RosHost(Host):
+    """Nodelet managers of the ROS graph: children of ours, and others that were named."""
+
+    def __init__(
+        self,
+        master: Master,
+        children: Children,
+        peers: Sequence[str] = (),
+        guards: Guards = Guards(),
+    ) -> None:
+        """Reach nothing yet.
+
+        Args:
+            master: the ROS master.
+            children: nodelet managers that we start.
+            peers: global names of nodelet managers that others start.
+            guards: handed to the nodelet managers that can enforce them.
+        """
+        self._master = master
+        self._children = children
+        self._peers = {name: Peer(master, name) for name in peers}
+        self._guards = to_parameter(guards, master.caller)
+        self._guarded: Dict[str, str] = {}
+        self._declared = Declared()
+        self._lists: Dict[Tuple[str, str], ListClient] = {}
+        self._lock = threading.Lock()
+        self._abandoned: Set[Tuple[str, str]] = set()
+        self._refused: Set[Tuple[str, str]] = set()
+
+    # Nodelet managers
+
+    def kind_of(self, source: str) -> Kind:
+        """Look the type up in the packages' exports."""
+        return self._declared.kind_of(source)
+
+    def managers(self) -> List[ManagerState]:
+        """List our children and the nodelet managers that were named to us."""
+        for peer in self._peers.values():
+            peer.look()
+        states = [self._state_of_child(child) for child in self._children.all()]
+        states += [
+            ManagerState(
+                peer.name,
+                peer.kind,
+                peer.incarnation,
+                own=False,
+                responsive=peer.client.answers,
+            )
+            for peer in self._peers.values()
+        ]
+        for state in states:
+            self._guard(state)
+        return sorted(states, key=lambda state: state.name)
+
+    def ensure(self, kind: Kind, isolated_for: str = "") -> str:
+        """Start a child if need be."""
+        name = self._children.ensure(kind, isolated_for)
+        self.managers()  # hands the guards over
+        return name
+
+    def retire(self, manager: str) -> None:
+        """End a child."""
+        self._children.end(manager)
+
+    def list(self, manager: str) -> List[str]:
+        """Ask over the kept connection."""
+        client = self._client_of(manager)
+        listed = self._asking(manager, client.list)
+        with self._lock:
+            late = [each for each in listed if (manager, each) in self._abandoned]
+        for name in late:
+            self._drop_late(manager, name)
+        return [each for each in listed if each not in late]
+
+    # Nodelets
+
+    def load(self, manager: str, request: LoadRequest, timeout: float) -> None:
+        """Set the parameters and load."""
+        self._children.await_up(manager, timeout)
+        # A manager that hangs would load it when it wakes up: it is asked something else first.
+        if request.name in self.list(manager):
+            raise NameTaken(request.name)
+        self._set_parameters(request.name, request.parameters)
+        with self._lock:
+            self._abandoned.discard((manager, request.name))
+            self._refused.discard((manager, request.name))
+        sources = sorted(request.remappings)
+        try:
+            self._call(
+                f"{manager}/load_nodelet",
+                NodeletLoad,
+                timeout,
+                name=request.name,
+                type=request.source,
+                remap_source_args=sources,
+                remap_target_args=[request.remappings[source] for source in sources],
+            )
+        except PeerTimeout as error:
+            with self._lock:
+                self._abandoned.add((manager, request.name))
+            raise HostError(f"'{request.source}' was not up within {timeout:g} s") from error
+        except ServiceFailed as error:
+            with self._lock:
+                self._refused.add((manager, request.name))
+            text = str(error) or "its nodelet manager gives no reason; its log may have one"
+            raise HostError(text) from error
+
+    def unload(self, manager: str, name: str) -> None:
+        """Unload; there is nothing to be done where the load was refused."""
+        with self._lock:
+            if (manager, name) in self._refused:
+                self._refused.discard((manager, name))
+                raise HostError(f"nodelet '{name}' was not loaded")
+        if not self._client_of(manager).answers:
+            self.list(manager)  # fails at once as long as it hangs
+        service = f"{manager}/unload_nodelet"
+        self._asking(manager, lambda: self._call(service, NodeletUnload, UNLOAD_TIMEOUT, name))
+
+    def forget(self, name: str, parameters: Sequence[Parameter]) -> None:
+        """Delete the parameters, and the namespace if nothing is left in it."""
+        for parameter in parameters:
+            self._delete_parameter(names.join(name, parameter.name))
+        if parameters:
+            try:
+                if self._master.ask("getParam", name) == {}:
+                    self._delete_parameter(name)
+            except (LookupError, PeerTimeout):
+                return
+
+    def ports(self, name: str) -> Tuple[PortState, ...]:
+        """Ask the proxy."""
+        service = names.join(name, "get_config")
+        answer = self._asking(name, lambda: self._call(service, GetConfig, PORTS_TIMEOUT))
+        return tuple(
+            PortState(
+                port.name,
+                "out" if port.direction == PortMessage.OUT else "in",
+                port.datatype,
+                port.topic,
+            )
+            for port in answer.ports
+        )
+
+    def connect(self, name: str, config: Mapping[str, str]) -> None:
+        """Tell the proxy."""
+        service = names.join(name, "set_config")
+        pairs = [PortConfig(port, config[port]) for port in sorted(config)]
+        answer = self._asking(name, lambda: self._call(service, SetConfig, CONNECT_TIMEOUT, pairs))
+        if not answer.success:
+            raise HostError(answer.message)
+
+    def is_published(self, topic: str) -> bool:
+        """Ask the master."""
+        return bool(self._asking("", lambda: self._master.publishers(topic)))
+
+    def close(self) -> None:
+        """Let go of the nodelet managers of others; our children go on."""
+        for client in list(self._lists.values()):
+            client.close()
+        for peer in self._peers.values():
+            peer.client.close()
+
+    def release(self) -> None:
+        """Take the guards off the nodelet managers of others, at an end on purpose."""
+        for name in self._peers:
+            self._delete_parameter(names.join(name, GUARDS))
+
+    # Inside
+
+    def _state_of_child(self, child: Child) -> ManagerState:
+        record, incarnation = child.record, child.incarnation
+        client = self._lists.get((record.name, incarnation))
+        return ManagerState(
+            record.name,
+            record.kind,
+            incarnation,
+            record.isolated_for,
+            responsive=client is None or client.answers,
+        )
+
+    def _guard(self, state: ManagerState) -> None:
+        """Hand the guards to a nodelet manager that is new to us."""
+        if not state.alive or state.kind is not Kind.PYTHON:
+            return
+        with self._lock:
+            if self._guarded.get(state.name) == state.incarnation:
+                return
+            self._guarded[state.name] = state.incarnation
+        self._asking(
+            state.name,
+            lambda: self._master.ask("setParam", names.join(state.name, GUARDS), self._guards),
+        )
+
+    def _client_of(self, manager: str) -> ListClient:
+        if manager in self._peers:
+            return self._peers[manager].client
+        incarnation = next(
+            (c.incarnation for c in self._children.all() if c.record.name == manager), ""
+        )
+        if not incarnation:
+            raise HostError(f"nodelet manager '{manager}' is not running")
+        with self._lock:
+            for key in [key for key in self._lists if key[0] == manager and key[1] != incarnation]:
+                self._lists.pop(key).close()
+            key = (manager, incarnation)
+            if key not in self._lists:
+                self._lists[key] = ListClient(self._master, manager)
+            return self._lists[key]
+
+    def _drop_late(self, manager: str, name: str) -> None:
+        """Unload what came up after everybody had stopped waiting for it."""
+        with self._lock:
+            self._abandoned.discard((manager, name))
+        self.unload(manager, name)
+
+    def _call(
+        self, service: str, service_class: Any, timeout: float, *args: Any, **kwds: Any
+    ) -> Any:
+        return ServiceClient(self._master, service, service_class).call(timeout, *args, **kwds)
+
+    def _set_parameters(self, name: str, parameters: Sequence[Parameter]) -> None:
+        for parameter in parameters:
+            key = names.join(name, parameter.name)
+            try:
+                self._master.ask("setParam", key, parameter.value)
+            except (LookupError, PeerTimeout, OverflowError, TypeError) as error:
+                raise HostError(f"parameter '{key}' cannot be set: {error}") from error
+
+    def _delete_parameter(self, key: str) -> None:
+        try:
+            self._master.ask("deleteParam", key)
+        except (LookupError, PeerTimeout):
+            return  # it was not set, or nobody is there to keep it
+
+    @staticmethod
+    def _asking(whom: str, question: Callable[[], Any]) -> Any:
+        try:
+            return question()
+        except (PeerTimeout, LookupError) as error:
+            raise HostError(f"{whom}: {error}" if whom else str(error)) from error

@@ -1,0 +1,129 @@
+"""Private parameters of the node dyknow_manager."""
+
+from __future__ import annotations
+
+import os
+import re
+from dataclasses import dataclass
+from typing import Any, Dict, Tuple
+
+import rosgraph
+import rospkg
+import rospy
+
+from dyknow import names
+from dyknow.errors import DyKnowError
+from dyknow.guards import Guards
+from dyknow.manager.limits import DEFAULT_LIMITS, Limits
+
+
+@dataclass(frozen=True)
+class ManagerSettings:
+    """What the parameters say.
+
+    Attributes:
+        nodelet_managers: global names of nodelet managers of others to use as well.
+        num_nodelet_managers: nodelet managers of its own.
+        state_dir: folder of the durable state.
+        ontologies: files that templates look concepts up in.
+        transformations: files of specifications to add at the start.
+        spawn_timeout: seconds that a nodelet may take to come up.
+        orphan_timeout: seconds that its nodelet managers go on without it; 0 for ever.
+        guards: what nobody may do.
+        limits: how large specifications may be.
+    """
+
+    nodelet_managers: Tuple[str, ...] = ()
+    num_nodelet_managers: int = 1
+    state_dir: str = ""
+    ontologies: Tuple[str, ...] = ()
+    transformations: Tuple[str, ...] = ()
+    spawn_timeout: float = 10.0
+    orphan_timeout: float = 300.0
+    guards: Guards = Guards()
+    limits: Limits = DEFAULT_LIMITS
+
+    @classmethod
+    def read(cls) -> ManagerSettings:
+        """Read the node's private parameters.
+
+        Raises:
+            DyKnowError: a parameter has no sensible value.
+        """
+        node = rospy.get_name()
+        return cls(
+            nodelet_managers=tuple(
+                names.resolve(name, names.parent(node), node, "name in ~nodelet_managers")
+                for name in _strings("nodelet_managers")
+            ),
+            num_nodelet_managers=_integer("num_nodelet_managers", 1),
+            state_dir=os.path.expanduser(
+                _string("state_dir") or os.path.join(rospkg.get_ros_home(), "dyknow")
+            ),
+            ontologies=_strings("ontologies"),
+            transformations=_strings("transformations"),
+            spawn_timeout=_seconds("spawn_timeout", cls.spawn_timeout, least=0.001),
+            orphan_timeout=_seconds("orphan_timeout", cls.orphan_timeout, least=0.0),
+            guards=Guards(
+                denied_topics=tuple(
+                    pattern if pattern[:1] in "/*" else names.join(names.parent(node), pattern)
+                    for pattern in _strings("denied_topics")
+                ),
+                read_only=_bool("read_only"),
+                **_limits(Guards, "string_length", "array_length", "nodelets"),
+            ),
+            limits=Limits(**_limits(Limits, "text_size", "transformations")),
+        )
+
+    def state_path(self, ending: str) -> str:
+        """File of the durable state: there is one for each master and each name of the node."""
+        host, port = rosgraph.network.parse_http_host_and_port(rosgraph.get_master_uri())
+        key = re.sub(r"[^A-Za-z0-9.]+", "-", f"{host}-{port}{rospy.get_name()}")
+        return os.path.join(self.state_dir, f"{key}.{ending}")
+
+
+def _refuse(name: str, expected: str, value: Any) -> DyKnowError:
+    return DyKnowError(f"~{name}: expected {expected}, not {value!r}")
+
+
+def _string(name: str) -> str:
+    value = rospy.get_param("~" + name, "")
+    if not isinstance(value, str):
+        raise _refuse(name, "a text", value)
+    return value
+
+
+def _strings(name: str) -> Tuple[str, ...]:
+    """A list, or one text with white space between the entries, as launch files write it."""
+    value = rospy.get_param("~" + name, [])
+    if isinstance(value, str):
+        value = value.split()
+    if not isinstance(value, list) or not all(isinstance(each, str) for each in value):
+        raise _refuse(name, "a list of texts", value)
+    return tuple(value)
+
+
+def _bool(name: str) -> bool:
+    value = rospy.get_param("~" + name, False)
+    if not isinstance(value, bool):
+        raise _refuse(name, "true or false", value)
+    return value
+
+
+def _integer(name: str, default: int) -> int:
+    value = rospy.get_param("~" + name, default)
+    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+        raise _refuse(name, "an integer from 0", value)
+    return value
+
+
+def _seconds(name: str, default: float, least: float) -> float:
+    value = rospy.get_param("~" + name, default)
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not value >= least:
+        raise _refuse(name, f"seconds, at least {least:g}", value)
+    return float(value)
+
+
+def _limits(kind: Any, *limits: str) -> Dict[str, int]:
+    """Limits by name, as ``~limits/NAME`` sets them."""
+    return {limit: _integer(f"limits/{limit}", getattr(kind, limit)) for limit in limits}

@@ -1,0 +1,152 @@
+"""The manager's model as messages, serialised once for each thing that changes.
+
+A model may hold hundreds of nodelets and a hundred thousand transformations, and is asked for
+again and again while little of it changes. So the bytes of each nodelet and of each transformation
+are kept for as long as that stays what it is, and a model is put together from them.
+"""
+
+from __future__ import annotations
+
+import struct
+import threading
+from io import BytesIO
+from typing import Any, Dict, Iterable, List, Tuple
+
+import rospy
+from dyknow_msgs.msg import Model as ModelMessage
+from dyknow_msgs.msg import Nodelet, Parameter, Port
+from dyknow_msgs.msg import Transformation as TransformationMessage
+from dyknow_msgs.srv import GetModelResponse
+
+from dyknow.manager.model import Model, PortState, Record
+from dyknow.manager.transformation import OUT, Transformation
+from dyknow.manager.transformation import Port as DeclaredPort
+
+_HEAD = struct.Struct("<QQII")
+_COUNT = struct.Struct("<I")
+
+
+def nodelet_message(record: Record) -> Nodelet:
+    """Convert a nodelet."""
+    return Nodelet(
+        name=record.name,
+        transformation=record.label,
+        manager=record.manager,
+        is_protected=record.is_protected,
+        isolated=record.isolated,
+        rewired_by_reload=record.rewired_by_reload,
+        state=int(record.state),
+        detail=record.detail,
+        ports=[running_port(port) for port in record.ports],
+    )
+
+
+def running_port(port: PortState) -> Port:
+    """Convert a port of a nodelet."""
+    return Port(port.name, _side(port.direction), port.datatype, port.topic, list(port.tags))
+
+
+def transformation_message(transformation: Transformation) -> TransformationMessage:
+    """Convert a transformation."""
+    return TransformationMessage(
+        label=transformation.label,
+        type=transformation.type,
+        source=transformation.source,
+        cost=transformation.cost,
+        parameters=[Parameter(*each) for each in transformation.parameters],
+        ports=[_declared_port(port) for port in transformation.ports],
+        specification=transformation.to_xml(),
+    )
+
+
+class ModelMessages:
+    """Makes messages of models, from kept parts."""
+
+    def __init__(self) -> None:
+        """Begin with nothing kept."""
+        self._lock = threading.Lock()
+        self._nodelets: Dict[str, Tuple[Record, bytes]] = {}
+        self._transformations: Dict[str, Tuple[Transformation, bytes]] = {}
+        self._library: Tuple[int, bytes] = (-1, b"")
+
+    def topic(self, model: Model) -> ModelMessage:
+        """Message for the topic: nodelets only."""
+        return _ReadyModel(self._graph(model) + _COUNT.pack(0))
+
+    def response(self, model: Model) -> GetModelResponse:
+        """Answer of the service: nodelets and transformations."""
+        return _ReadyResponse(self._graph(model) + self._library_of(model))
+
+    def _graph(self, model: Model) -> bytes:
+        now = rospy.Time.now()
+        head = _HEAD.pack(model.revision, model.library_revision, now.secs, now.nsecs)
+        with self._lock:
+            known = self._nodelets
+            kept = {
+                record.name: known[record.name]
+                if known.get(record.name, (None,))[0] is record
+                else (record, _bytes(nodelet_message(record)))
+                for record in model.nodelets
+            }
+            self._nodelets = kept
+        return head + _sequence(part for _, part in kept.values())
+
+    def _library_of(self, model: Model) -> bytes:
+        with self._lock:
+            revision, part = self._library
+            if revision == model.library_revision:
+                return part
+            known = self._transformations
+            kept = {
+                each.label: known[each.label]
+                if known.get(each.label, (None,))[0] is each
+                else (each, _bytes(transformation_message(each)))
+                for each in model.transformations
+            }
+            part = _sequence(part for _, part in kept.values())
+            self._transformations = kept
+            self._library = (model.library_revision, part)
+            return part
+
+
+class _ReadyModel(ModelMessage):  # type: ignore[misc]
+    """A model that is serialised already; its fields are not filled in."""
+
+    def __init__(self, body: bytes) -> None:
+        super().__init__()
+        self._body = body
+
+    def serialize(self, buff: Any) -> None:
+        """Write it."""
+        buff.write(self._body)
+
+
+class _ReadyResponse(GetModelResponse):  # type: ignore[misc]
+    """A response that is serialised already; its fields are not filled in."""
+
+    def __init__(self, body: bytes) -> None:
+        super().__init__()
+        self._body = body
+
+    def serialize(self, buff: Any) -> None:
+        """Write it."""
+        buff.write(self._body)
+
+
+def _declared_port(port: DeclaredPort) -> Port:
+    return Port(port.name, _side(port.direction), port.datatype, "", list(port.tags))
+
+
+def _side(direction: str) -> int:
+    return int(Port.OUT if direction == OUT else Port.IN)
+
+
+def _bytes(message: Any) -> bytes:
+    buffer = BytesIO()
+    message.serialize(buffer)
+    return buffer.getvalue()
+
+
+def _sequence(parts: Iterable[bytes]) -> bytes:
+    gathered: List[bytes] = list(parts)
+    return _COUNT.pack(len(gathered)) + b"".join(gathered)

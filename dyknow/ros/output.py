@@ -1,0 +1,35 @@
+"""Follows the file that a process prints into."""
+
+from __future__ import annotations
+
+import os
+import threading
+from typing import TextIO
+
+_CHUNK = 1 << 16
+
+
+class Follower:
+    """Copies what is appended to a file."""
+
+    def __init__(self, path: str, at_end: bool = False) -> None:
+        """Follow ``path`` from its beginning, or from its end as it is now."""
+        self._path = path
+        self._lock = threading.Lock()
+        self._position = os.path.getsize(path) if at_end and os.path.exists(path) else 0
+
+    def copy(self, target: TextIO) -> None:
+        """Copy what came since the last call."""
+        with self._lock:
+            try:
+                with open(self._path, "rb") as file:
+                    file.seek(self._position)
+                    while True:
+                        chunk = file.read(_CHUNK)
+                        if not chunk:
+                            break
+                        self._position += len(chunk)
+                        target.write(chunk.decode("utf-8", "replace"))
+                target.flush()
+            except (OSError, ValueError):
+                return  # nobody reads, or the file is gone: there is nobody to tell

@@ -1,0 +1,80 @@
+"""Nodelets that count, relay, fail, hang, abort and destroy themselves."""
+
+from __future__ import annotations
+
+import os
+import time
+
+import dyknow
+from dyknow_msgs.srv import Destroy
+from sensor_msgs.msg import Image
+from std_msgs.msg import Header
+
+
+class Counter(dyknow.Nodelet):
+    """Publishes headers, numbered from 1, at ~rate."""
+
+    def on_init(self):
+        self.nh = dyknow.NodeHandle(self.node_handle)
+        self.number = 0
+        self.out = self.nh.Publisher("out", Header, queue_size=1000)
+        period = self.nh.Duration(1.0 / self.nh.get_param("~rate", 20.0))
+        self.timer = self.nh.Timer(period, self.on_timer)
+
+    def on_timer(self, event):
+        self.number += 1
+        self.out.publish(Header(seq=self.number, frame_id=str(self.number)))
+
+
+class Relay(dyknow.Nodelet):
+    """Publishes what it receives."""
+
+    def on_init(self):
+        self.nh = dyknow.NodeHandle(self.node_handle)
+        self.out = self.nh.Publisher("out", Header, queue_size=1000)
+        self.input = self.nh.Subscriber("in", Header, self.out.publish, queue_size=1000)
+
+
+class ImageRelay(dyknow.Nodelet):
+    """Publishes the images that it receives."""
+
+    def on_init(self):
+        self.nh = dyknow.NodeHandle(self.node_handle)
+        self.out = self.nh.Publisher("out", Image, queue_size=2)
+        self.input = self.nh.Subscriber("in", Image, self.out.publish, queue_size=2)
+
+
+class FailsInInit(Relay):
+    """Raises after it has made all its handles."""
+
+    def on_init(self):
+        super().on_init()
+        self.service = self.nh.Service("~left_over", Destroy, lambda request: None)
+        raise RuntimeError("the camera is not plugged in")
+
+
+class HangsInInit(Relay):
+    """Does not return from on_init."""
+
+    def on_init(self):
+        super().on_init()
+        time.sleep(1000.0)
+
+
+class DestroysItself(dyknow.Nodelet):
+    """Asks the manager to destroy it, from within the callback of its first message."""
+
+    def on_init(self):
+        self.nh = dyknow.NodeHandle(self.node_handle)
+        self.input = self.nh.Subscriber("in", Header, self.on_message, queue_size=1)
+
+    def on_message(self, message):
+        self.nh.ServiceProxy("/dyknow_manager/destroy", Destroy)(self.name)
+
+
+class Aborts(Relay):
+    """Takes its whole process down when a message says so."""
+
+    def on_init(self):
+        super().on_init()
+        self.order = self.nh.Subscriber("order", Header, lambda message: os.abort(), queue_size=1)

@@ -1,0 +1,232 @@
+"""What the suites about the DyKnow manager share: the process, its client, looks at the graph.
+
+Importing it makes the packages of test/packages known to this process and those that it starts.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import tempfile
+import time
+import unittest
+from pathlib import Path
+from typing import Any, Callable, Iterator
+
+PACKAGES = Path(__file__).resolve().parent.parent / "packages"
+os.environ["ROS_PACKAGE_PATH"] = os.pathsep.join([os.environ["ROS_PACKAGE_PATH"], str(PACKAGES)])
+
+import rosgraph  # noqa: E402
+import rospy  # noqa: E402
+from roslib.packages import find_node  # noqa: E402
+from std_msgs.msg import Header  # noqa: E402
+
+from dyknow.ros.client import ManagerClient  # noqa: E402
+from dyknow.ros.process import ProcessId  # noqa: E402
+
+MANAGER = "/dyknow_manager"
+CHILD = "/dyknow_nodelet_manager"
+
+
+def specification(label: str, source: str, ports: str, **params: Any) -> str:
+    """Write a transformation; ports are `>name` for in and `name>` for out."""
+    kinds = {float: "double", int: "int", str: "string", bool: "bool"}
+    lines = [f"<transformation><label>{label}</label><source>{source}</source>"]
+    if params:
+        lines.append("<params>")
+        for name, value in params.items():
+            text = str(value).lower() if isinstance(value, bool) else value
+            lines.append(f'<param name="{name}" type="{kinds[type(value)]}">{text}</param>')
+        lines.append("</params>")
+    if ports:
+        lines.append("<ports>")
+        for port in ports.split():
+            side = "in" if port[0] == ">" else "out"
+            lines.append(f'<port type="{side}">{port.strip(">")}</port>')
+        lines.append("</ports>")
+    return "".join([*lines, "</transformation>"])
+
+
+LIBRARY = "".join(
+    [
+        "<transformations>",
+        specification("counter", "dyknow_manager_test/Counter", "out>", rate=50.0),
+        specification("relay", "dyknow_manager_test/Relay", ">in out>"),
+        specification("fails", "dyknow_manager_test/FailsInInit", ">in out>", speed=3),
+        specification("hangs", "dyknow_manager_test/HangsInInit", ">in out>", speed=3),
+        specification("wrong", "dyknow_manager_test/Relay", ">in out> nothing>", speed=3),
+        specification("unknown", "dyknow_manager_test/Nothing", ">in out>"),
+        specification("suicidal", "dyknow_manager_test/DestroysItself", ">in"),
+        specification("aborts", "dyknow_manager_test/Aborts", ">in out> >order"),
+        "</transformations>",
+    ]
+)
+
+
+def eventually(condition: Callable[[], object], timeout: float, what: str) -> float:
+    """Wait until something holds and return how long (s) that took; fail when it does not."""
+    start = time.monotonic()
+    while not condition():
+        if time.monotonic() - start > timeout:
+            raise AssertionError(f"not within {timeout:g} s: {what}")
+        time.sleep(0.02)
+    return time.monotonic() - start
+
+
+class ManagerProcess:
+    """A DyKnow manager in a process of its own, its state, and a client."""
+
+    def __init__(self, state: str, **parameters: Any) -> None:
+        self.state = state
+        self.parameters = {"state_dir": state, "orphan_timeout": 60.0, **parameters}
+        self.client = ManagerClient(MANAGER, rospy.get_name())
+        self.log = os.path.join(state, "output.log")
+        self.process: Any = None
+
+    def start(self, wait: bool = True) -> None:
+        for name, value in self.parameters.items():
+            rospy.set_param(f"{MANAGER}/{name}", value)
+        with open(self.log, "ab") as log:
+            self.process = subprocess.Popen(
+                [find_node("dyknow", "manager")[0]],
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+            )
+        if wait:
+            eventually(self.is_up, 30.0, f"the manager is up\n{self.output}")
+
+    def is_up(self) -> bool:
+        try:
+            self.client.get_model(1.0)
+        except Exception:
+            assert self.process.poll() is None, self.output
+            return False
+        return True
+
+    @property
+    def output(self) -> str:
+        with open(self.log) as log:
+            return log.read()
+
+    def children(self) -> dict[str, ProcessId]:
+        """Nodelet managers that it has on its list."""
+        for file in Path(self.state).glob("*.children.json"):
+            return {
+                each["name"]: ProcessId(each["pid"], each["started"])
+                for each in json.loads(file.read_text())
+            }
+        return {}
+
+    def child(self, name: str = CHILD) -> ProcessId:
+        eventually(lambda: name in self.children(), 10.0, f"{name} is started")
+        return self.children()[name]
+
+    def kill(self) -> None:
+        self.process.kill()
+        self.process.wait()
+
+    def stop(self, number: int = signal.SIGINT) -> float:
+        """End it as a user does; returns how long (s) it took."""
+        begin = time.monotonic()
+        self.process.send_signal(number)
+        self.process.wait(20.0)
+        return time.monotonic() - begin
+
+    def destroy(self) -> None:
+        """Leave nothing, whatever the test did."""
+        if self.process is not None and self.process.poll() is None:
+            self.kill()
+        for process in self.children().values():
+            process.signal(signal.SIGKILL)
+            process.wait(5.0)
+        for name in (MANAGER, CHILD, CHILD + "_2"):
+            if rospy.has_param(name):
+                rospy.delete_param(name)
+        _clean_master()
+
+    def nodelet(self, name: str) -> Any:
+        return self.client.get_model().nodelet(name)
+
+    def topics(self, name: str) -> dict[str, str]:
+        found = self.nodelet(name)
+        return {port.name: port.topic for port in found.ports} if found is not None else {}
+
+
+class ManagerCase(unittest.TestCase):
+    """Each test has a manager that it starts itself."""
+
+    def make(self, **parameters: Any) -> ManagerProcess:
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        manager = ManagerProcess(folder.name, **parameters)
+        self.addCleanup(manager.destroy)
+        return manager
+
+    def started(self, **parameters: Any) -> ManagerProcess:
+        manager = self.make(**parameters)
+        manager.start()
+        manager.client.add_transformation(LIBRARY)
+        return manager
+
+
+class Receiver:
+    """The numbers of the headers that arrive on a topic, in order."""
+
+    def __init__(self, topic: str) -> None:
+        self.numbers: list[int] = []
+        self._subscriber = rospy.Subscriber(topic, Header, self._note, queue_size=10000)
+
+    def _note(self, message: Header) -> None:
+        self.numbers.append(int(message.frame_id))
+
+    def close(self) -> None:
+        self._subscriber.unregister()
+
+    def flows(self, timeout: float = 5.0) -> float:
+        """Wait for further messages; returns how long (s) that took."""
+        count = len(self.numbers)
+        return eventually(lambda: len(self.numbers) > count + 1, timeout, "messages flow")
+
+
+def registrations(prefix: str) -> list[str]:
+    """Topics and services at the master whose name begins so."""
+    state = rosgraph.Master(rospy.get_name()).getSystemState()
+    return sorted(name for part in state for name, _ in part if name.startswith(prefix))
+
+
+def parameters(prefix: str) -> list[str]:
+    return sorted(name for name in rospy.get_param_names() if name.startswith(prefix))
+
+
+def nodes() -> set[str]:
+    state = rosgraph.Master(rospy.get_name()).getSystemState()
+    return {node for part in state for _, names in part for node in names}
+
+
+def gaps(numbers: list[int]) -> list[tuple[int, int]]:
+    """Neighbours in a sequence that do not follow each other."""
+    return [(a, b) for a, b in zip(numbers, numbers[1:]) if b != a + 1]
+
+
+def _clean_master() -> None:
+    """Unregister what killed processes left."""
+    from dyknow.ros.master import Master
+
+    master = Master(rospy.get_name())
+    for node in nodes():
+        if node != rospy.get_name() and node not in ("/rosout",) and "rostest" not in node:
+            uri = master.node(node)
+            try:
+                master.pid(node, uri, 1.0)
+            except Exception:
+                master.purge(node, uri)
+
+
+def each_within(seconds: float) -> Iterator[float]:
+    """Moments, as long as the time lasts."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        yield time.monotonic()

@@ -1,0 +1,387 @@
+#!/usr/bin/env python3
+"""The DyKnow manager's services, model and guards, with real processes."""
+
+from __future__ import annotations
+
+import signal
+import statistics
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+import rosnode
+import rospy
+import rostest
+from dyknow_msgs.msg import Model, PortConfig
+from dyknow_msgs.srv import SetConfig, Spawn
+from manager_suite import (
+    CHILD,
+    LIBRARY,
+    MANAGER,
+    ManagerCase,
+    ManagerProcess,
+    Receiver,
+    eventually,
+    nodes,
+    parameters,
+    registrations,
+    specification,
+)
+from nodelet.srv import NodeletLoad, NodeletUnload
+
+from dyknow.errors import DyKnowError, HostError, Refused
+from dyknow.manager.model import State
+
+
+class ServicesTest(ManagerCase):
+    """One manager for all of these tests."""
+
+    manager: ManagerProcess
+
+    @classmethod
+    def setUpClass(cls):
+        cls.folder = tempfile.TemporaryDirectory()
+        cls.manager = ManagerProcess(cls.folder.name)
+        cls.manager.start()
+        cls.client = cls.manager.client
+        cls.client.add_transformation(LIBRARY)
+        cls.manager.child()
+        cls.models = []
+        cls.topic = rospy.Subscriber(f"{MANAGER}/model", Model, cls.models.append)
+
+    @classmethod
+    def tearDownClass(cls):
+        cls.topic.unregister()
+        cls.manager.destroy()
+        cls.folder.cleanup()
+
+    def tearDown(self):
+        for nodelet in self.client.get_model().nodelets:
+            if nodelet.is_protected:
+                self.client.set_protection(nodelet.name, False)
+            self.client.destroy(nodelet.name)
+
+    def refused(self, *args, **kwds):
+        with self.assertRaises(Refused) as caught:
+            self.client.spawn(*args, **kwds)
+        return str(caught.exception)
+
+    def test_transformations(self):
+        text = specification("extra", "a/B", ">in out>", speed=3, ratio=0.5, on=True, who="me")
+        added = self.client.add_transformation(text)
+        self.assertEqual(added.labels, ("extra",))
+        found = {each.label: each for each in self.client.get_model().transformations}["extra"]
+        self.assertEqual([p.value for p in found.parameters], [3, 0.5, True, "me"])
+        self.assertEqual([(p.name, p.direction) for p in found.ports], [("in", "in"), ("out", "out")])
+        revision = self.client.get_model().library_revision
+        self.client.remove_transformation("extra")
+        self.assertGreater(self.client.get_model().library_revision, revision)
+        with self.assertRaises(Refused) as caught:
+            self.client.remove_transformation("extra")
+        self.assertIn("extra", str(caught.exception))
+
+    def test_a_bad_specification_adds_nothing(self):
+        before = self.client.get_model().transformations
+        with self.assertRaises(Refused) as caught:
+            self.client.add_transformation("<transformation><label>x</label></transformation>")
+        self.assertIn("source", str(caught.exception))
+        self.assertEqual(self.client.get_model().transformations, before)
+
+    def test_a_chain_and_its_model(self):
+        self.client.spawn("counter", "camera/counter", {"out": "raw"}, is_protected=True)
+        self.client.spawn("relay", "/relay", {"in": "/camera/raw", "out": "~copy"})
+        receiver = Receiver("/relay/copy")
+        self.addCleanup(receiver.close)
+        receiver.flows()
+        model = self.client.get_model()
+        counter, relay = model.nodelet("/camera/counter"), model.nodelet("/relay")
+        self.assertEqual((counter.transformation, counter.manager), ("counter", CHILD))
+        self.assertTrue(counter.is_protected)
+        self.assertIs(counter.state, State.RUNNING)
+        self.assertEqual(counter.port("out").topic, "/camera/raw")
+        self.assertEqual(relay.port("in").datatype, "std_msgs/Header")
+        self.assertEqual(rospy.get_param("/camera/counter/rate"), 50.0)
+        with self.assertRaises(Refused) as caught:
+            self.client.destroy("camera/counter")
+        self.assertIn("set_protection", str(caught.exception))
+        self.client.set_protection("camera/counter", False)
+        self.client.destroy("camera/counter")
+        self.client.destroy("/relay")
+        self.assertEqual(registrations("/camera"), [])
+        self.assertEqual(parameters("/camera"), [])
+
+    def test_what_fails_leaves_nothing(self):
+        before = registrations("/"), parameters("/")
+        for label, expected in {
+            "fails": "the camera is not plugged in",
+            "wrong": "nothing",
+            "unknown": "dyknow_manager_test/Nothing",
+            "no such label": "no such label",
+        }.items():
+            message = self.refused(label, "/fail")
+            self.assertIn(expected, message)
+            self.assertNotIn("b'", message)
+            self.assertIsNone(self.manager.nodelet("/fail"))
+            self.assertEqual((registrations("/"), parameters("/")), before, label)
+        self.assertIn("sideways", self.refused("relay", "/fail", {"sideways": "/x", "in": "/y"}))
+        self.assertIn("/nobody", self.refused("relay", "/fail", manager="/nobody"))
+        self.assertIn("?", self.refused("relay", "what?"))
+        doubled = rospy.ServiceProxy(f"{MANAGER}/spawn", Spawn)(
+            "relay", "/fail", False, False, [PortConfig("in", "/a"), PortConfig("in", "/b")], ""
+        )
+        self.assertFalse(doubled.success)
+        self.assertIn("twice", doubled.message)
+        self.assertEqual((registrations("/"), parameters("/")), before)
+        self.client.spawn("relay", "/fail")
+        self.assertIn("/fail", self.refused("relay", "/fail"))
+        self.assertIs(self.manager.nodelet("/fail").state, State.RUNNING)
+
+    def test_an_isolated_nodelet(self):
+        self.client.spawn("counter", "/alone", {"out": "/numbers"}, isolated=True)
+        self.assertEqual(self.manager.nodelet("/alone").manager, "/alone_nodelet_manager")
+        self.assertTrue(self.manager.nodelet("/alone").isolated)
+        process = self.manager.child("/alone_nodelet_manager")
+        self.client.destroy("/alone")
+        self.assertFalse(process.alive)
+        self.assertEqual(registrations("/alone") + parameters("/alone"), [])
+
+    def test_a_nodelet_destroys_itself(self):
+        self.client.spawn("counter", "/counter", {"out": "/numbers"})
+        self.client.spawn("suicidal", "/suicidal", {"in": "/numbers"})
+        eventually(lambda: self.manager.nodelet("/suicidal") is None, 5.0, "it is gone")
+        self.assertEqual(registrations("/suicidal"), [])
+
+    def test_what_others_do_shows_within_a_second(self):
+        load = rospy.ServiceProxy(f"{CHILD}/load_nodelet", NodeletLoad)
+        load("/theirs", "dyknow_manager_test/Relay", ["/in"], ["/a"], [], "")
+        eventually(lambda: self.manager.nodelet("/theirs"), 1.0, "their nodelet is seen")
+        self.assertEqual(self.manager.nodelet("/theirs").transformation, "")
+        self.assertEqual(self.manager.topics("/theirs"), {"in": "/a", "out": ""})
+        self.client.set_config("/theirs", {"out": "/b"})
+        eventually(lambda: self.manager.topics("/theirs")["out"] == "/b", 1.0, "the change")
+        self.client.spawn("relay", "/ours", {"in": "/a"})
+        self.client.set_config("/ours", {"in": "", "out": "/c"})
+        wanted = {"in": "", "out": "/c"}
+        eventually(lambda: self.manager.topics("/ours") == wanted, 1.0, "the change")
+        eventually(
+            lambda: ("/ours", "/c") in self.told_topics(),
+            1.0,
+            "the topic tells",
+        )
+        for name in ("/ours", "/theirs"):
+            rospy.ServiceProxy(f"{CHILD}/unload_nodelet", NodeletUnload)(name)
+            eventually(lambda: self.manager.nodelet(name) is None, 1.0, f"{name} is gone")
+        time.sleep(1.0)  # it is not brought back
+        self.assertIsNone(self.manager.nodelet("/ours"))
+        self.assertEqual(parameters("/ours"), [])
+
+    def told_topics(self):
+        return [(n.name, port.topic) for n in self.models[-1].nodelets for port in n.ports]
+
+    def test_the_topic_carries_every_last_state_and_nothing_in_between_for_long(self):
+        time.sleep(0.2)
+        begin, count = time.monotonic(), len(self.models)
+        self.client.spawn("relay", "/busy")
+        for number in range(40):
+            self.client.set_protection("/busy", number % 2 == 0)
+        self.client.set_protection("/busy", True)
+        revision = self.client.get_model().revision
+        eventually(lambda: self.models[-1].revision >= revision, 1.0, "the last state is told")
+        self.assertLessEqual(len(self.models) - count, 2 + 20 * (time.monotonic() - begin))
+        self.assertEqual(self.models[-1].transformations, [])
+        count = len(self.models)
+        time.sleep(1.5)  # nothing happens: nothing is told
+        self.assertEqual(len(self.models), count)
+        revisions = [(model.revision, model.library_revision) for model in self.models]
+        self.assertEqual(revisions, sorted(set(revisions)))
+
+    def test_many_at_once(self):
+        errors = []
+
+        def work(index):
+            try:
+                for turn in range(5):
+                    self.client.spawn("relay", f"/w{index}", {"in": "/a"})
+                    if turn < 4:
+                        self.client.destroy(f"/w{index}")
+            except DyKnowError as error:
+                errors.append(error)
+
+        threads = [threading.Thread(target=work, args=(i,)) for i in range(6)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        self.assertEqual(errors, [])
+        names = [nodelet.name for nodelet in self.client.get_model().nodelets]
+        self.assertEqual(names, [f"/w{index}" for index in range(6)])
+        time.sleep(0.7)  # a look takes none of them for gone
+        self.assertEqual(len(self.client.get_model().nodelets), 6)
+
+    def test_a_spawn_takes_milliseconds(self):
+        times = []
+        for number in range(30):
+            begin = time.monotonic()
+            self.client.spawn("relay", f"/n{number}", {"in": "/a", "out": f"/b{number}"})
+            times.append(time.monotonic() - begin)
+        print(f"spawn: median {statistics.median(times) * 1000:.1f} ms")
+        self.assertLess(statistics.median(times), 0.1)
+
+
+class GuardsTest(ManagerCase):
+    def test_the_deny_list_holds_in_the_manager_and_in_the_proxy(self):
+        manager = self.started(denied_topics=["/e_stop", "*/cmd_vel"])
+        client = manager.client
+        with self.assertRaisesRegex(Refused, "e_stop"):
+            client.spawn("relay", "/relay", {"out": "/e_stop"})
+        client.spawn("relay", "/robot/relay", {"out": "/fine"})
+        for topic in ("/e_stop", "cmd_vel", "/robot/cmd_vel"):
+            with self.assertRaisesRegex(Refused, "deny list"):
+                client.set_config("/robot/relay", {"in": "/x", "out": topic})
+        self.assertEqual(manager.topics("/robot/relay"), {"in": "", "out": "/fine"})
+        load = rospy.ServiceProxy(f"{CHILD}/load_nodelet", NodeletLoad)
+        with self.assertRaises(rospy.ServiceException):
+            load("/theirs", "dyknow_manager_test/Relay", ["/out"], ["/e_stop"], [], "")
+        self.assertEqual(registrations("/e_stop"), [])
+
+        # A new life with other guards: they reach the nodelets that run.
+        manager.kill()
+        manager.parameters.update(denied_topics=["/fine_no_more"], read_only=True)
+        manager.start()
+        eventually(
+            lambda: "read-only" in self.answer("/robot/relay", "no such port", "").message,
+            2.0,
+            "the new guards",
+        )
+        for change in (
+            lambda: client.spawn("relay", "/another"),
+            lambda: client.destroy("/robot/relay"),
+            lambda: client.set_protection("/robot/relay", True),
+            lambda: client.remove_transformation("relay"),
+            lambda: client.add_transformation(LIBRARY),
+            lambda: client.set_config("/robot/relay", {"in": "/fine_no_more"}),
+        ):
+            with self.assertRaisesRegex(Refused, "read-only"):
+                change()
+        with self.assertRaises(rospy.ServiceException):
+            rospy.ServiceProxy(f"{CHILD}/unload_nodelet", NodeletUnload)("/robot/relay")
+        # What dies is brought back all the same.
+        manager.child().signal(signal.SIGKILL)
+        eventually(lambda: self.is_back(manager, "/robot/relay"), 10.0, "it is back")
+        self.assertEqual(manager.topics("/robot/relay"), {"in": "", "out": "/fine"})
+
+    def answer(self, nodelet, port, topic):
+        call = rospy.ServiceProxy(f"{nodelet}/set_config", SetConfig)
+        return call([PortConfig(port, topic)])
+
+    def is_back(self, manager, name):
+        found = manager.nodelet(name)
+        return found.state is State.RUNNING and found.port("out") and not found.detail
+
+    def test_limits(self):
+        manager = self.started(limits={"nodelets": 2, "string_length": 50, "array_length": 3})
+        manager.client.spawn("relay", "/one")
+        manager.client.spawn("relay", "/two")
+        for arguments in (
+            ("relay", "/three"),
+            ("relay", "/" + "n" * 60),
+            ("relay", "/three", {str(port): "" for port in range(4)}),
+        ):
+            with self.assertRaisesRegex(Refused, "too many"):
+                manager.client.spawn(*arguments)
+        with self.assertRaisesRegex(Refused, "too many"):
+            manager.client.set_config("/one", {"in": "/" + "t" * 60})
+
+
+class StartTest(ManagerCase):
+    def test_an_end_on_purpose_leaves_nothing_but_transformations(self):
+        before = registrations("/"), parameters("/")
+        for number in (signal.SIGINT, signal.SIGTERM, None):
+            manager = self.started()
+            manager.client.spawn("counter", "/counter", {"out": "/numbers"}, is_protected=True)
+            manager.client.spawn("relay", "/alone", {"in": "/numbers"}, isolated=True)
+            children = manager.children()
+            if number is None:
+                rosnode.kill_nodes([MANAGER])
+                manager.process.wait(20.0)
+            else:
+                self.assertLess(manager.stop(number), 8.0)
+            self.assertEqual(manager.process.returncode, 0, manager.output)
+            self.assertFalse([name for name, each in children.items() if each.alive])
+            rospy.delete_param(MANAGER)
+            self.assertEqual((registrations("/"), parameters("/")), before)
+            manager.start()
+            model = manager.client.get_model()
+            self.assertEqual(model.nodelets, ())
+            self.assertIn("counter", [each.label for each in model.transformations])
+            manager.stop()
+
+    def test_several_nodelet_managers_and_those_of_others(self):
+        other = subprocess.Popen(
+            [sys.executable, "-m", "dyknow.cli.nodelet", "manager", "__name:=other"]
+        )
+        self.addCleanup(other.wait)
+        self.addCleanup(other.kill)
+        manager = self.started(num_nodelet_managers=2, nodelet_managers=["/other", "/absent"])
+        children = {CHILD, CHILD + "_2"}
+        eventually(lambda: children <= nodes(), 20.0, "both are up")
+        eventually(lambda: "/other/list" in registrations("/other"), 20.0, "the other one is up")
+        for number in range(6):
+            manager.client.spawn("relay", f"/r{number}", {"in": f"/in{number}"})
+        hosts = {nodelet.manager for nodelet in manager.client.get_model().nodelets}
+        self.assertEqual(hosts, children | {"/other"})
+        manager.client.spawn("relay", "/asked", manager="other")
+        self.assertEqual(manager.nodelet("/asked").manager, "/other")
+        with self.assertRaisesRegex(Refused, "absent"):
+            manager.client.spawn("relay", "/nowhere", manager="/absent")
+        other.send_signal(signal.SIGSTOP)
+        begin = time.monotonic()
+        eventually(lambda: manager.nodelet("/asked").state is State.LOST, 3.0, "it is missed")
+        self.assertLess(time.monotonic() - begin, 3.0)
+        manager.client.spawn("relay", "/elsewhere")
+        self.assertIn(manager.nodelet("/elsewhere").manager, children)
+        other.send_signal(signal.SIGCONT)
+        eventually(lambda: manager.nodelet("/asked").state is State.RUNNING, 3.0, "it is back")
+        manager.stop()
+        self.assertIsNone(other.poll())
+        self.assertEqual(registrations("/asked"), [])
+
+    def test_a_bad_parameter_or_state_is_explained(self):
+        manager = self.make(spawn_timeout="soon")
+        manager.start(wait=False)
+        self.assertEqual(manager.process.wait(20.0), 1)
+        self.assertIn("~spawn_timeout: expected seconds", manager.output)
+        manager.parameters["spawn_timeout"] = 10.0
+        manager.start()
+        manager.stop()
+        [state] = Path(manager.state).glob("*.sqlite3")
+        state.write_bytes(b"not a database" * 1000)
+        manager.start()
+        self.assertEqual(manager.client.get_model().transformations, ())
+        self.assertIn("set aside", manager.output)
+        [aside] = state.parent.glob("*.broken-*")
+        self.assertEqual(aside.read_bytes(), b"not a database" * 1000)
+
+    def test_transformations_of_files(self):
+        manager = self.make()
+        good, bad = f"{manager.state}/good.xml", f"{manager.state}/bad.xml"
+        open(good, "w").write(LIBRARY)
+        open(bad, "w").write("<transformations>")
+        manager.parameters["transformations"] = [good, bad]
+        manager.start()
+        labels = [each.label for each in manager.client.get_model().transformations]
+        self.assertIn("counter", labels)
+        self.assertIn(bad, manager.output)
+
+    def test_nobody_there(self):
+        manager = self.make()
+        with self.assertRaises(HostError):
+            manager.client.get_model()
+
+
+if __name__ == "__main__":
+    rospy.init_node("manager_test")
+    rostest.rosrun("dyknow", "manager", "__main__")

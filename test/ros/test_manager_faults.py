@@ -1,0 +1,265 @@
+#!/usr/bin/env python3
+"""What the DyKnow manager survives: killed, stopped and hanging processes, its own among them."""
+
+from __future__ import annotations
+
+import random
+import signal
+import threading
+import time
+
+import rospy
+import rostest
+from manager_suite import (
+    CHILD,
+    ManagerCase,
+    Receiver,
+    eventually,
+    gaps,
+    parameters,
+    registrations,
+)
+from std_msgs.msg import Header
+
+from dyknow.errors import DyKnowError, Refused
+from dyknow.manager.model import State
+
+
+class NodeletManagerFaultsTest(ManagerCase):
+    def test_kill_9_of_a_nodelet_manager_with_twenty_nodelets(self):
+        manager = self.started()
+        manager.client.spawn("counter", "/counter", {"out": "/s0"}, is_protected=True)
+        for number in range(19):
+            config = {"in": f"/s{number}", "out": f"/s{number + 1}"}
+            manager.client.spawn("relay", f"/relay{number}", config, number % 2 == 0)
+        manager.client.set_config("/relay18", {"out": "/end"})
+        eventually(lambda: manager.topics("/relay18")["out"] == "/end", 1.0, "the change is seen")
+        rospy.set_param("/relay3/of_others", 1)
+        before = {each.name: each for each in manager.client.get_model().nodelets}
+        receiver = Receiver("/end")
+        self.addCleanup(receiver.close)
+        receiver.flows()
+
+        begin = time.monotonic()
+        manager.child().signal(signal.SIGKILL)
+        manager.child().wait(2.0)
+        receiver.numbers.clear()
+        receiver.flows(10.0)
+        took = time.monotonic() - begin
+        print(f"kill -9 of the nodelet manager: all streams back after {took:.2f} s")
+
+        def same():
+            now = {each.name: each for each in manager.client.get_model().nodelets}
+            return now == before
+
+        eventually(same, 2.0, "everything is as it was")
+        self.assertEqual(rospy.get_param("/counter/rate"), 50.0)
+        self.assertEqual(rospy.get_param("/relay3/of_others"), 1)
+        rospy.delete_param("/relay3")
+        self.assertEqual(manager.nodelet("/counter").manager, CHILD)
+        with self.assertRaises(Refused):
+            manager.client.destroy("/counter")
+        self.assertLess(took, 3.0)
+
+    def test_a_stopped_nodelet_manager_blocks_nothing(self):
+        manager = self.started()
+        manager.client.spawn("counter", "/counter", {"out": "/s"})
+        manager.client.spawn("relay", "/healthy", {"in": "/s", "out": "/t"}, isolated=True)
+        child = manager.child()
+        child.signal(signal.SIGSTOP)
+        self.addCleanup(child.signal, signal.SIGCONT)
+        eventually(lambda: manager.nodelet("/counter").state is State.LOST, 3.0, "it is missed")
+        self.assertIn("does not answer", manager.nodelet("/counter").detail)
+        begin = time.monotonic()
+        with self.assertRaises(Refused):
+            manager.client.spawn("relay", "/late", manager=CHILD)
+        with self.assertRaises(Refused):
+            manager.client.destroy("/counter")
+        self.assertLess(time.monotonic() - begin, 4.0)
+        times = []
+        for _ in range(10):
+            begin = time.monotonic()
+            manager.client.get_model()
+            times.append(time.monotonic() - begin)
+        self.assertLess(max(times), 0.5)
+        manager.client.set_config("/healthy", {"out": "/u"})
+        eventually(lambda: manager.topics("/healthy")["out"] == "/u", 1.5, "others are looked at")
+        child.signal(signal.SIGCONT)
+        eventually(
+            lambda: manager.nodelet("/counter") is None
+            or manager.nodelet("/counter").state is State.RUNNING,
+            3.0,
+            "it is back",
+        )
+        time.sleep(0.7)
+        self.assertIsNone(manager.nodelet("/late"))
+        self.assertEqual(registrations("/late"), [])
+
+    def test_an_isolated_nodelet_that_aborts_takes_nobody_along(self):
+        manager = self.started()
+        manager.client.spawn("counter", "/counter", {"out": "/s"})
+        manager.client.spawn("relay", "/relay", {"in": "/s", "out": "/t"})
+        config = {"in": "/t", "out": "/u", "order": "/order"}
+        manager.client.spawn("aborts", "/fragile", config, isolated=True)
+        through, beside = Receiver("/u"), Receiver("/t")
+        self.addCleanup(through.close)
+        self.addCleanup(beside.close)
+        through.flows()
+        beside.flows()
+        process = manager.child("/fragile_nodelet_manager")
+        order = rospy.Publisher("/order", Header, queue_size=1)
+        self.addCleanup(order.unregister)
+        eventually(order.get_num_connections, 5.0, "it listens")
+        count = len(beside.numbers)
+        order.publish(Header())
+        self.assertTrue(process.wait(5.0))
+        through.numbers.clear()
+        through.flows(10.0)
+        self.assertEqual(gaps(beside.numbers), [])
+        self.assertGreater(len(beside.numbers), count)
+        found = manager.nodelet("/fragile")
+        self.assertEqual((found.state, found.isolated), (State.RUNNING, True))
+        self.assertEqual(manager.topics("/fragile"), config)
+
+    def test_a_spawn_that_hangs_fails_in_time_and_leaves_nothing(self):
+        manager = self.started(spawn_timeout=1.0)
+        manager.client.spawn("relay", "/name")
+        manager.client.destroy("/name")
+        before = registrations("/"), parameters("/")
+        begin = time.monotonic()
+        with self.assertRaisesRegex(Refused, "was not up within 1 s"):
+            manager.client.spawn("hangs", "/name", {"in": "/a"})
+        self.assertLess(time.monotonic() - begin, 3.0)
+        self.assertEqual((registrations("/"), parameters("/")), before)
+        manager.client.spawn("relay", "/name", {"in": "/a"})
+        self.assertEqual(manager.nodelet("/name").transformation, "relay")
+
+    def test_kill_9_of_the_nodelet_manager_in_the_middle_of_a_spawn(self):
+        manager = self.started()
+        answers = []
+
+        def spawn():
+            begin = time.monotonic()
+            try:
+                manager.client.spawn("hangs", "/name", {"in": "/a"})
+            except DyKnowError as error:
+                answers.append((str(error), time.monotonic() - begin))
+
+        thread = threading.Thread(target=spawn)
+        thread.start()
+        eventually(lambda: registrations("/name"), 5.0, "on_init has begun")
+        begin = time.monotonic()
+        manager.child().signal(signal.SIGKILL)
+        thread.join()
+        self.assertLess(time.monotonic() - begin, 3.0)
+        self.assertIn("/name", answers[0][0])
+        eventually(lambda: registrations("/name") == [], 1.0, "nothing is registered")
+        self.assertEqual(parameters("/name"), [])
+        self.assertIsNone(manager.nodelet("/name"))
+        manager.client.spawn("relay", "/name", {"in": "/a"})
+
+
+class ManagerFaultsTest(ManagerCase):
+    def test_kill_9_of_the_manager_disturbs_no_stream_and_is_recovered_from(self):
+        manager = self.started()
+        manager.client.spawn("counter", "/counter", {"out": "/s0"}, is_protected=True)
+        manager.client.spawn("relay", "/relay", {"in": "/s0", "out": "/s1"})
+        manager.client.spawn("relay", "/alone", {"in": "/s1", "out": "/s2"}, isolated=True)
+        before = manager.client.get_model()
+        receiver = Receiver("/s2")
+        self.addCleanup(receiver.close)
+        receiver.flows()
+        children = manager.children()
+        for _ in range(3):
+            manager.kill()
+            receiver.flows()
+            manager.start()
+            self.assertEqual(manager.children(), children)
+            self.assertEqual(manager.client.get_model().nodelets, before.nodelets)
+            self.assertGreater(manager.client.get_model().revision, before.revision)
+        receiver.flows()
+        self.assertEqual(gaps(receiver.numbers), [])
+        # What changed while nobody looked is followed; what died meanwhile is brought back.
+        manager.kill()
+        manager.client.set_config("/relay", {"out": "/other"})
+        children["/alone_nodelet_manager"].signal(signal.SIGKILL)
+        children["/alone_nodelet_manager"].wait(2.0)
+        manager.start()
+        eventually(lambda: manager.nodelet("/alone").state is State.RUNNING, 10.0, "it is back")
+        self.assertEqual(manager.topics("/alone"), {"in": "/s1", "out": "/s2"})
+        self.assertEqual(manager.topics("/relay"), {"in": "/s0", "out": "/other"})
+        self.assertTrue(manager.nodelet("/counter").is_protected)
+
+    def test_children_end_when_nobody_looks_after_them(self):
+        manager = self.started(orphan_timeout=1.5)
+        manager.client.spawn("relay", "/relay")
+        child = manager.child()
+        manager.kill()
+        time.sleep(0.5)
+        manager.start()  # in time
+        time.sleep(2.0)
+        self.assertTrue(child.alive)
+        manager.kill()
+        self.assertTrue(child.wait(6.0))
+        self.assertEqual(registrations("/relay") + registrations(CHILD + "/load"), [])
+
+    def test_random_work_with_random_kills_keeps_every_promise(self):
+        seed = random.randrange(1000)
+        print(f"seed {seed}")
+        dice = random.Random(seed)
+        manager = self.started()
+        manager.client.spawn("counter", "/counter", {"out": "/s0"}, is_protected=True)
+        manager.client.spawn("relay", "/steady", {"in": "/s0", "out": "/s1"}, is_protected=True)
+        receiver = Receiver("/s1")
+        self.addCleanup(receiver.close)
+        receiver.flows()
+        promised = {"/counter": {"out": "/s0"}, "/steady": {"in": "/s0", "out": "/s1"}}
+        for _ in range(6):
+            doubtful = self.work_until_killed(manager, dice, promised)
+            manager.start()
+            found = {
+                each.name: {port.name: port.topic for port in each.ports}
+                for each in manager.client.get_model().nodelets
+            }
+            for name, (old, new) in doubtful.items():
+                # What was not acknowledged was done, or was not.
+                self.assertIn(found.get(name), (old, new), name)
+                promised.pop(name, None)
+                if name in found:
+                    promised[name] = found[name]
+            self.assertEqual(found, promised)
+        self.assertEqual(gaps(receiver.numbers), [])
+
+    def work_until_killed(self, manager, dice, promised):
+        """Change things until the manager is dead; returns what was being changed then."""
+        doubtful = {}
+        killer = threading.Timer(dice.uniform(0.05, 1.0), manager.process.kill)
+        killer.start()
+        while manager.process.poll() is None:
+            name = f"/n{dice.randrange(6)}"
+            old = promised.get(name)
+            new = {"in": f"/t{dice.randrange(3)}", "out": ""}
+            try:
+                if old is None:
+                    doubtful = {name: (None, new)}
+                    manager.client.spawn("relay", name, {"in": new["in"]})
+                    promised[name] = new
+                elif dice.random() < 0.5:
+                    doubtful = {name: (old, None)}
+                    manager.client.destroy(name)
+                    promised.pop(name)
+                else:
+                    doubtful = {name: (old, new)}
+                    manager.client.set_config(name, new)
+                    promised[name] = new
+            except DyKnowError:
+                break
+            doubtful = {}
+        killer.join()
+        manager.process.wait()
+        return doubtful
+
+
+if __name__ == "__main__":
+    rospy.init_node("manager_faults_test")
+    rostest.rosrun("dyknow", "manager_faults", "__main__")
