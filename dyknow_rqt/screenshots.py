@@ -1,0 +1,314 @@
+"""``make screenshots``: takes the pictures of the documentation, from a graph that is made up.
+
+It needs neither a screen nor ROS processes.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from typing import Callable, List, Optional
+
+from python_qt_binding.QtCore import QEvent, QPointF, QRect, Qt
+from python_qt_binding.QtGui import QColor, QFontDatabase, QPalette
+from python_qt_binding.QtTest import QTest
+from python_qt_binding.QtWidgets import QApplication, QStyleFactory
+
+from dyknow.manager.model import State
+from dyknow_rqt.graph.snapshot import PortRef
+from dyknow_rqt.simulated import SimulatedRemote
+from dyknow_rqt.window import DyKnowWidget
+
+_IMAGE, _POINT, _JOINTS = (
+    "sensor_msgs/Image",
+    "geometry_msgs/PointStamped",
+    "sensor_msgs/JointState",
+)
+#: Label, source, ports (`>name` for in, `name>` for out) with their types and tags.
+_LIBRARY = (
+    ("camera(nao1, bottom)", "soccer/Camera", (("yuv>", _IMAGE, "RawYUV(nao1, bottom)"),)),
+    ("camera(nao1, top)", "soccer/Camera", (("yuv>", _IMAGE, "RawYUV(nao1, top)"),)),
+    (
+        "ceiling_camera",
+        "soccer/CeilingCamera",
+        (("field_position>", _POINT, "FieldPosition(ball)"),),
+    ),
+    (
+        "subsampler(nao1, bottom)",
+        "soccer/Subsampler",
+        (
+            (">yuv", _IMAGE, "RawYUV(nao1, bottom)"),
+            ("bgr>", _IMAGE, "BGR(nao1, bottom)"),
+            ("hsv>", _IMAGE, "HSV(nao1, bottom)"),
+            ("channels>", _IMAGE, "SubsampledYUV(nao1, bottom)"),
+        ),
+    ),
+    (
+        "ball_detector(nao1)",
+        "soccer/BallDetector",
+        (
+            (">channels", _IMAGE, "SubsampledYUV(nao1, bottom)"),
+            (">joint_states", _JOINTS, "JointStates(nao1)"),
+            ("ball>", _POINT, "BallObject(nao1)"),
+        ),
+    ),
+    (
+        "line_detector(nao1)",
+        "soccer/LineDetector",
+        (
+            (">hsv", _IMAGE, "HSV(nao1, bottom)"),
+            ("lines>", "sensor_msgs/PointCloud2", "Lines(nao1)"),
+        ),
+    ),
+    (
+        "localization(nao1)",
+        "soccer/Localization",
+        (
+            (">objects", _POINT, "WorldObject(nao1)"),
+            (">lines", "sensor_msgs/PointCloud2", "Lines(nao1)"),
+            ("field_position>", _POINT, "FieldPosition(ball)"),
+        ),
+    ),
+    (
+        "tracker",
+        "soccer/Tracker",
+        ((">position", _POINT, "FieldPosition(ball)"), ("track>", "nav_msgs/Path", "Track(ball)")),
+    ),
+    ("resize", "image_proc/resize", ((">image", _IMAGE, ""), ("resized>", _IMAGE, ""))),
+    ("recorder", "dyknow/Sink", ((">in", _IMAGE, ""),)),
+)
+#: Name, label, topics of ports.
+_NODELETS = (
+    ("/nao1/bottom_camera", "camera(nao1, bottom)", {"yuv": "/nao1/bottom_camera/yuv"}),
+    ("/nao1/top_camera", "camera(nao1, top)", {"yuv": "/nao1/top_camera/yuv"}),
+    (
+        "/nao1/subsampler",
+        "subsampler(nao1, bottom)",
+        {
+            "yuv": "/nao1/bottom_camera/yuv",
+            "hsv": "/nao1/subsampler/hsv",
+            "channels": "/nao1/subsampler/channels",
+        },
+    ),
+    (
+        "/nao1/ball_detector",
+        "ball_detector(nao1)",
+        {
+            "channels": "/nao1/subsampler/channels",
+            "joint_states": "/nao1/joint_states",
+            "ball": "/nao1/ball_detector/ball",
+        },
+    ),
+    (
+        "/nao1/line_detector",
+        "line_detector(nao1)",
+        {"hsv": "/nao1/subsampler/hsv", "lines": "/nao1/line_detector/lines"},
+    ),
+    (
+        "/nao1/localization",
+        "localization(nao1)",
+        {
+            "objects": "/nao1/ball_detector/ball",
+            "lines": "/nao1/line_detector/lines",
+            "field_position": "/field/ball",
+        },
+    ),
+    ("/field/ceiling_camera", "ceiling_camera", {}),
+    ("/field/tracker", "tracker", {"position": "/field/ball", "track": "/field/tracker/track"}),
+    ("/nao1/resize", "resize", {"image": "/nao1/top_camera/yuv", "resized": "/nao1/preview"}),
+    ("/nao1/recorder", "recorder", {"in": "/nao1/preview"}),
+)
+
+
+def soccer() -> SimulatedRemote:
+    """A robot on a soccer field: from its cameras to the track of the ball."""
+    remote = SimulatedRemote()
+    remote.add_transformation(_specification())
+    for name, label, topics in _NODELETS:
+        remote.spawn(label, name, topics)
+    remote.alter("/nao1/bottom_camera", is_protected=True)
+    remote.alter("/nao1/resize", rewired_by_reload=True, manager="/dyknow_nodelet_manager_cpp")
+    remote.alter("/nao1/recorder", state=State.LOST, detail="its process is gone")
+    remote.alter("/field/ceiling_camera", state=State.FAILED, detail="no device /dev/video4")
+    for nodelet, port, rate, lost in (
+        ("/nao1/bottom_camera", "yuv", 30.0, 0.0),
+        ("/nao1/top_camera", "yuv", 15.0, 0.0),
+        ("/nao1/subsampler", "hsv", 30.0, 0.0),
+        ("/nao1/subsampler", "channels", 29.9, 0.0),
+        ("/nao1/ball_detector", "ball", 21.4, 0.0),
+        ("/nao1/ball_detector", "channels", 21.4, 8.5),
+        ("/nao1/ball_detector", "joint_states", 50.0, 0.0),
+        ("/nao1/line_detector", "lines", 29.8, 0.0),
+        ("/nao1/localization", "field_position", 21.4, 0.0),
+        ("/field/tracker", "track", 10.0, 0.0),
+        ("/nao1/resize", "resized", 15.0, 0.0),
+    ):
+        remote.rates[PortRef(nodelet, port)] = (rate, lost)
+    remote.publishers = {"/nao1/joint_states": ["/nao1/driver"]}
+    remote.subscribers = {"/field/tracker/track": ["/team_view"]}
+    return remote
+
+
+def dark_palette() -> QPalette:
+    """A palette as dark themes have it."""
+    palette = QPalette(QColor("#31363b"), QColor("#2b2f33"))
+    for role, colour in (
+        (QPalette.Base, "#1f2326"),
+        (QPalette.AlternateBase, "#26292d"),
+        (QPalette.Text, "#e6e8ea"),
+        (QPalette.WindowText, "#e6e8ea"),
+        (QPalette.ButtonText, "#e6e8ea"),
+        (QPalette.Highlight, "#3d8fd1"),
+        (QPalette.HighlightedText, "#ffffff"),
+        (QPalette.ToolTipBase, "#31363b"),
+        (QPalette.ToolTipText, "#e6e8ea"),
+    ):
+        palette.setColor(QPalette.All, role, QColor(colour))
+    return palette
+
+
+def wait(condition: Callable[[], object], seconds: float, what: str) -> None:
+    """Let the window live until something holds.
+
+    Raises:
+        TimeoutError: it does not, in time.
+    """
+    end = time.monotonic() + seconds
+    while not condition():
+        if time.monotonic() > end:
+            raise TimeoutError(f"not within {seconds:g} s: {what}")
+        QTest.qWait(20)
+
+
+def main(argv: Optional[List[str]] = None) -> int:
+    """Take all pictures into the folder that is given; returns the exit code."""
+    words = list(argv if argv is not None else sys.argv)
+    folder = words[1] if words[1:] else os.path.join("doc", "images")
+    os.makedirs(folder, exist_ok=True)
+    application = QApplication(words[:1])
+    application.setStyle(QStyleFactory.create("Fusion"))
+    application.setFont(_font())
+    light = QPalette(application.palette())
+    for name, palette, pose in (
+        ("graph", light, _pose_graph),
+        ("highlight", light, _pose_highlight),
+        ("nodelets_only", light, _pose_nodelets_only),
+        ("library", light, _pose_library),
+        ("create", light, _pose_create),
+        ("connect", light, _pose_connect),
+        ("dark", dark_palette(), _pose_dark),
+    ):
+        application.setPalette(palette)
+        _take(os.path.join(folder, f"gui_{name}.png"), pose)
+        print(f"screenshots: {folder}/gui_{name}.png")
+    return 0
+
+
+def _take(path: str, pose: Callable[[DyKnowWidget], None]) -> None:
+    widget = DyKnowWidget(soccer())
+    widget.resize(1500, 800)
+    widget.show()
+    widget.start()
+    try:
+        wait(lambda: len(widget.graph.drawn.vertices) > 15, 20.0, "the graph is drawn")
+        wait(lambda: widget.monitor.library, 10.0, "the library is there")
+        pose(widget)
+        wait(lambda: _has_rates(widget), 20.0, "the rates are there")
+        QTest.qWait(300)
+        widget.grab(QRect()).save(path)
+    finally:
+        widget.shut_down()
+        widget.close()
+        widget.deleteLater()
+        QTest.qWait(50)
+
+
+def _has_rates(widget: DyKnowWidget) -> bool:
+    return any(item.traffic is not None for item in widget.graph.view.scene().edges.values())
+
+
+def _pose_graph(widget: DyKnowWidget) -> None:
+    widget.graph.bar.nodes.setChecked(True)
+    wait(lambda: len(widget.graph.drawn.vertices) > 20, 10.0, "nodes are shown")
+    widget.graph.tidy()
+    QTest.qWait(500)
+    widget.active.table.choose(["/nao1/ball_detector"])
+
+
+def _pose_highlight(widget: DyKnowWidget) -> None:
+    view = widget.graph.view
+    QTest.qWait(300)
+    view.scene().highlight("n_/nao1/subsampler")
+
+
+def _pose_nodelets_only(widget: DyKnowWidget) -> None:
+    widget.graph.bar.mode.setCurrentIndex(1)
+    QTest.qWait(500)
+    widget.graph.tidy()
+    QTest.qWait(500)
+
+
+def _pose_library(widget: DyKnowWidget) -> None:
+    widget.tabs.setCurrentWidget(widget.library)
+    widget.library.table.choose(["ball_detector(nao1)"])
+
+
+def _pose_create(widget: DyKnowWidget) -> None:
+    widget.tabs.setCurrentWidget(widget.create_)
+    widget.create_.begin("tracker")
+
+
+def _pose_connect(widget: DyKnowWidget) -> None:
+    """A connection half drawn by hand, and the same in the panel."""
+    widget.tabs.setCurrentWidget(widget.connect_)
+    widget.connect_.begin("/field/ceiling_camera", "field_position")
+    widget.connect_.begin("/field/tracker", "position")
+    view = widget.graph.view
+    QTest.qWait(300)
+    start = view.place_of(PortRef("/field/ceiling_camera", "field_position"))
+    end = view.place_of(PortRef("/field/tracker", "position"))
+    if start is not None and end is not None:
+        QTest.mousePress(view.viewport(), Qt.LeftButton, Qt.NoModifier, start)
+        move = _mouse_move(end)
+        QApplication.sendEvent(view.viewport(), move)
+
+
+def _pose_dark(widget: DyKnowWidget) -> None:
+    _pose_highlight(widget)
+    widget.line.report(
+        "connect /field/ceiling_camera:field_position with /nao1/line_detector:hsv: "
+        "/field/ceiling_camera:field_position sends geometry_msgs/PointStamped, "
+        "but /nao1/line_detector:hsv expects sensor_msgs/Image"
+    )
+
+
+def _mouse_move(place: object) -> object:
+    from python_qt_binding.QtGui import QMouseEvent
+
+    return QMouseEvent(QEvent.MouseMove, QPointF(place), Qt.NoButton, Qt.LeftButton, Qt.NoModifier)
+
+
+def _font() -> object:
+    font = QFontDatabase.systemFont(QFontDatabase.GeneralFont)
+    font.setFamily("DejaVu Sans")
+    font.setPointSize(9)
+    return font
+
+
+def _specification() -> str:
+    parts = []
+    for label, source, ports in _LIBRARY:
+        lines = [f"<transformation><label>{label}</label><source>{source}</source><ports>"]
+        tags = []
+        for name, datatype, tag in ports:
+            side, plain = ("in" if name[0] == ">" else "out"), name.strip(">")
+            lines.append(f'<port type="{side}" datatype="{datatype}">{plain}</port>')
+            tags += [f'<tag port="{plain}">{tag}</tag>'] if tag else []
+        lines.append("</ports>" + (f"<tags>{''.join(tags)}</tags>" if tags else ""))
+        parts.append("".join(lines) + "</transformation>")
+    return f"<transformations>{''.join(parts)}</transformations>"
+
+
+if __name__ == "__main__":
+    sys.exit(main())
