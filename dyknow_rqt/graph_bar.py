@@ -149,6 +149,8 @@ class GraphBar(QWidget):
         grid.setContentsMargins(4, 4, 4, 2)
         grid.setVerticalSpacing(3)
         first, second = QHBoxLayout(), QHBoxLayout()
+        first.setSpacing(6)
+        second.setSpacing(6)
         for widget, stretch in (
             (self.refresh, 0),
             (self.mode, 0),
@@ -165,8 +167,16 @@ class GraphBar(QWidget):
         group.setBuddy(self.depth)
         rate.setBuddy(self.period)
         for widget in (
-            *(group, self.depth, QLabel("  Hide:"), self.dead_sinks, self.leaf_topics, self.debug),
-            *(QLabel("  Show:"), self.nodes, self.highlight, rate, self.period),
+            *(
+                group,
+                self.depth,
+                _gap(),
+                QLabel("Hide:"),
+                self.dead_sinks,
+                self.leaf_topics,
+                self.debug,
+            ),
+            *(_gap(), QLabel("Show:"), self.nodes, self.highlight, _gap(), rate, self.period),
         ):
             second.addWidget(widget)
         second.addStretch(1)
@@ -187,3 +197,9 @@ class GraphBar(QWidget):
     @guarded
     def _tell(self) -> None:
         self.options_changed.emit()
+
+
+def _gap() -> QWidget:
+    gap = QWidget()
+    gap.setFixedWidth(8)
+    return gap

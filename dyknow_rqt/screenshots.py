@@ -10,7 +10,7 @@ import sys
 import time
 from typing import Callable, List, Optional
 
-from python_qt_binding.QtCore import QEvent, QPointF, QRect, Qt
+from python_qt_binding.QtCore import QEvent, QPointF, Qt
 from python_qt_binding.QtGui import QColor, QFontDatabase, QPalette
 from python_qt_binding.QtTest import QTest
 from python_qt_binding.QtWidgets import QApplication, QStyleFactory
@@ -165,6 +165,8 @@ def dark_palette() -> QPalette:
         (QPalette.ToolTipText, "#e6e8ea"),
     ):
         palette.setColor(QPalette.All, role, QColor(colour))
+    for role in (QPalette.Text, QPalette.WindowText, QPalette.ButtonText):
+        palette.setColor(QPalette.Disabled, role, QColor("#7b8085"))
     return palette
 
 
@@ -207,7 +209,7 @@ def main(argv: Optional[List[str]] = None) -> int:
 
 def _take(path: str, pose: Callable[[DyKnowWidget], None]) -> None:
     widget = DyKnowWidget(soccer())
-    widget.resize(1500, 800)
+    widget.resize(1600, 760)
     widget.show()
     widget.start()
     try:
@@ -216,7 +218,8 @@ def _take(path: str, pose: Callable[[DyKnowWidget], None]) -> None:
         pose(widget)
         wait(lambda: _has_rates(widget), 20.0, "the rates are there")
         QTest.qWait(300)
-        widget.grab(QRect()).save(path)
+        if not widget.grab().save(path):
+            raise OSError(f"cannot write '{path}'")
     finally:
         widget.shut_down()
         widget.close()
@@ -225,7 +228,8 @@ def _take(path: str, pose: Callable[[DyKnowWidget], None]) -> None:
 
 
 def _has_rates(widget: DyKnowWidget) -> bool:
-    return any(item.traffic is not None for item in widget.graph.view.scene().edges.values())
+    traffic = [item.traffic for item in widget.graph.view.scene().edges.values()]
+    return any(each is not None and each.drop_rate > 0 for each in traffic)
 
 
 def _pose_graph(widget: DyKnowWidget) -> None:

@@ -132,5 +132,10 @@ class EdgeItem(Item):
         lines: List[str] = self.label.split("\n")
         width = max(metrics.horizontalAdvance(line) for line in lines) + 4
         height = metrics.height() * len(lines)
+        # What is dropped stands below the line, all else above it.
+        dropping = self.traffic is not None and self.traffic.drop_rate > 0
+        upper = len(lines) - (1 if dropping else 0)
         middle = self._path.pointAtPercent(0.5)
-        return QRectF(middle.x() - width / 2, middle.y() - height - 1, width, height)
+        return QRectF(
+            middle.x() - width / 2, middle.y() - metrics.height() * upper - 1, width, height
+        )

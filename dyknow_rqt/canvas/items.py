@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Any, Optional, Tuple
 
 from python_qt_binding.QtCore import QPointF, QRectF, Qt
-from python_qt_binding.QtGui import QBrush, QFont, QPainter, QPen
+from python_qt_binding.QtGui import QBrush, QFont, QFontMetricsF, QPainter, QPainterPath, QPen
 from python_qt_binding.QtWidgets import QGraphicsItem
 
+from dyknow.manager.transformation import IN
 from dyknow_rqt.canvas.colours import Colours, Tone
 from dyknow_rqt.graph.geometry import Rectangle
 from dyknow_rqt.graph.snapshot import PortRef
@@ -78,10 +79,11 @@ class BoxItem(Item):
 class PortItem(Item):
     """A port: a dot on the left (in) or on the right (out) of its nodelet."""
 
-    def __init__(self, ref: PortRef, direction: str, parent: Item) -> None:
+    def __init__(self, ref: PortRef, direction: str, font: QFont, parent: Item) -> None:
         super().__init__(parent.colours, parent)
         self.ref = ref
         self.direction = direction
+        self._font = font
         self.is_connected = False
         self.offered: Optional[bool] = None
         self.setCursor(Qt.CrossCursor)
@@ -95,9 +97,14 @@ class PortItem(Item):
         self.update()
 
     def boundingRect(self) -> QRectF:  # noqa: N802
-        """Somewhat larger than the dot, so that it is easily hit."""
-        reach = PORT_RADIUS + 4
-        return QRectF(-reach, -reach, 2 * reach, 2 * reach)
+        """The dot, and its name beside it."""
+        return self.shape().boundingRect().united(self._name_area())
+
+    def shape(self) -> QPainterPath:
+        """Where the pointer is on it: somewhat larger than the dot."""
+        path = QPainterPath()
+        path.addEllipse(QPointF(0, 0), PORT_RADIUS + 4, PORT_RADIUS + 4)
+        return path
 
     @guarded
     def paint(self, painter: QPainter, option: Any, widget: Any = None) -> None:
@@ -108,6 +115,18 @@ class PortItem(Item):
         painter.setPen(QPen(colour, 1.2))
         painter.setBrush(QBrush(colour if self.is_connected or large else self.colours.paper))
         painter.drawEllipse(QPointF(0, 0), radius, radius)
+        if large:
+            painter.setFont(self._font)
+            side = Qt.AlignRight if self.direction == IN else Qt.AlignLeft
+            painter.setPen(self.colours.text)
+            painter.drawText(self._name_area(), side | Qt.AlignBottom, self.ref.port)
+
+    def _name_area(self) -> QRectF:
+        """Outside the nodelet, above the arrow."""
+        metrics = QFontMetricsF(self._font)
+        width = metrics.horizontalAdvance(self.ref.port) + 2
+        left = -width - 8 if self.direction == IN else 8.0
+        return QRectF(left, -metrics.height() - 3, width, metrics.height())
 
     @guarded
     def hoverEnterEvent(self, event: Any) -> None:  # noqa: N802

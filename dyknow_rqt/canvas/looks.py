@@ -33,13 +33,15 @@ def sizes_of(figure: Figure, font: QFont) -> Dict[str, Size]:
     metrics = QFontMetricsF(font)
     sizes = {}
     for vertex in figure.vertices:
-        width, height = metrics.horizontalAdvance(vertex.name), metrics.height()
+        lines = vertex.label.split("\n")
+        width = max(metrics.horizontalAdvance(line) for line in lines)
+        height = metrics.height() * len(lines)
         if vertex.kind is Kind.TOPIC:
-            sizes[vertex.key] = Size(width + 18, height + 10)
+            sizes[vertex.key] = Size(width + 16, height + 8)
         else:
             ports = max(len(vertex.inputs), len(vertex.outputs))
-            tall = max(height + 22, _PORT_PITCH * (ports + 1))
-            sizes[vertex.key] = Size(width * 1.12 + 44, tall)
+            tall = max(height + 26, _PORT_PITCH * (ports + 1))
+            sizes[vertex.key] = Size(width * 1.15 + 26, tall)
     return sizes
 
 
@@ -78,7 +80,8 @@ def port_tip(snapshot: Snapshot, ref: PortRef, traffic: Optional[Traffic]) -> st
     ]
     if traffic is not None:
         verb = "received" if port.direction == IN else "sent"
-        lines.append(f"{traffic.text} ({traffic.messages} {verb}, {traffic.dropped} dropped)")
+        rates = traffic.text.replace("\n", ", ")
+        lines.append(f"{rates} ({traffic.messages} {verb}, {traffic.dropped} dropped)")
     return _tip(*lines)
 
 

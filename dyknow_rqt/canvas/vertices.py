@@ -48,7 +48,7 @@ class VertexItem(Item):
         for side, names in ((IN, vertex.inputs), (OUT, vertex.outputs)):
             for number, name in enumerate(names):
                 if name not in self.ports:
-                    self.ports[name] = PortItem(PortRef(vertex.name, name), side, self)
+                    self.ports[name] = PortItem(PortRef(vertex.name, name), side, self._font, self)
                 self.ports[name].setPos(self._port_place(number, len(names), side))
 
     def set_look(self, look: Look) -> None:
@@ -108,8 +108,11 @@ class VertexItem(Item):
                 painter.drawEllipse(self.area.adjusted(3, 3, -3, -3))
         painter.setFont(self._font)
         painter.setPen(self._text_colour())
-        painter.drawText(self.area, Qt.AlignCenter, self.vertex.name)
-        self._paint_badge(painter)
+        badge = self._badge()
+        area = self.area.adjusted(0, 0, 0, -8 if badge else 0)
+        painter.drawText(area, Qt.AlignCenter, self.vertex.label)
+        if badge:
+            self._paint_badge(painter, badge)
 
     @guarded
     def hoverEnterEvent(self, event: Any) -> None:  # noqa: N802
@@ -161,7 +164,7 @@ class VertexItem(Item):
         quiet = self.vertex.kind is Kind.NODE or self.look.state is State.LOST
         return self.colours.muted if quiet else self.colours.text
 
-    def _paint_badge(self, painter: QPainter) -> None:
+    def _badge(self) -> str:
         words = [
             word
             for word, holds in (
@@ -171,12 +174,15 @@ class VertexItem(Item):
             )
             if holds
         ]
-        if words:
-            font = QFont(self._font)
-            font.setPointSizeF(self._font.pointSizeF() * 0.72)
-            painter.setFont(font)
-            alarm = self.look.state is State.FAILED
-            painter.setPen(self.colours.alarm if alarm else self.colours.muted)
-            below = QFontMetricsF(self._font).height() / 2
-            area = QRectF(self.area.left(), below - 1, self.area.width(), 13)
-            painter.drawText(area, Qt.AlignHCenter | Qt.AlignTop, " · ".join(words))
+        return " · ".join(words)
+
+    def _paint_badge(self, painter: QPainter, text: str) -> None:
+        font = QFont(self._font)
+        font.setPointSizeF(self._font.pointSizeF() * 0.72)
+        painter.setFont(font)
+        alarm = self.look.state is State.FAILED
+        painter.setPen(self.colours.alarm if alarm else self.colours.muted)
+        lines = self.vertex.label.count("\n") + 1
+        top = QFontMetricsF(self._font).height() * lines / 2 - 5
+        area = QRectF(self.area.left(), top, self.area.width(), 13)
+        painter.drawText(area, Qt.AlignHCenter | Qt.AlignTop, text)

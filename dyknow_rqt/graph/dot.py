@@ -28,7 +28,7 @@ def to_dot(figure: Figure, sizes: Mapping[str, Size]) -> str:
     """Write a figure as DOT, vertices in the sizes (pixels) that they are drawn with."""
     lines = [
         "digraph dyknow {",
-        '  graph [rankdir="LR", ranksep="0.75", nodesep="0.3", compound="true"];',
+        '  graph [rankdir="LR", ranksep="0.7", nodesep="0.3", compound="true"];',
         '  node [fixedsize="true", fontname="sans-serif", fontsize="10"];',
         '  edge [fontname="sans-serif", fontsize="8"];',
     ]
@@ -49,7 +49,9 @@ def to_dot(figure: Figure, sizes: Mapping[str, Size]) -> str:
 
 def quote(text: str) -> str:
     """Write a text as a quoted DOT string."""
-    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
+    for character, escaped in (("\\", "\\\\"), ('"', '\\"'), ("\n", "\\n")):
+        text = text.replace(character, escaped)
+    return f'"{text}"'
 
 
 def read_layout(answer: str, figure: Figure) -> Layout:
@@ -94,7 +96,8 @@ def _members(
 
 def _vertex(vertex: Vertex, size: Size) -> str:
     return (
-        f"{quote(vertex.key)} [label={quote(vertex.name)}, shape={_SHAPES[vertex.kind]}, "
+        f"{quote(vertex.key)} [label={quote(vertex.label)}, tooltip={quote(vertex.name)}, "
+        f"shape={_SHAPES[vertex.kind]}, "
         f'width="{size.width / _DPI:.3f}", height="{size.height / _DPI:.3f}"];'
     )
 

@@ -22,6 +22,9 @@ _QUIET = Filter(
     )
 )
 
+#: Letters that stand in one line.
+_LONG = 15
+
 
 class Kind(enum.Enum):
     """What a vertex stands for; the values begin the keys of vertices."""
@@ -50,6 +53,21 @@ class Vertex:
     group: Tuple[str, ...] = ()
     inputs: Tuple[str, ...] = ()
     outputs: Tuple[str, ...] = ()
+
+    @property
+    def label(self) -> str:
+        """The name as it is drawn: without that of its box, a long one in two lines."""
+        text = self.name
+        if self.group:
+            text = text.lstrip("/").split("/", len(self.group))[-1]
+        for mark in "/_":
+            breaks = [place for place, letter in enumerate(text) if letter == mark and place]
+            if breaks:
+                break
+        if len(text) <= _LONG or not breaks:
+            return text
+        place = min(breaks, key=lambda place: abs(place + 1 - len(text) / 2))
+        return f"{text[: place + 1]}\n{text[place + 1 :]}"
 
 
 class Edge(NamedTuple):

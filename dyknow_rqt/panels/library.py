@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Mapping, Optional
 
 from python_qt_binding.QtCore import Qt, Signal
-from python_qt_binding.QtGui import QFontDatabase
+from python_qt_binding.QtGui import QFont
 from python_qt_binding.QtWidgets import (
     QFileDialog,
     QHBoxLayout,
@@ -48,7 +48,9 @@ class LibraryPanel(QWidget):
         self.specification.setReadOnly(True)
         self.specification.setTabChangesFocus(True)
         self.specification.setLineWrapMode(QPlainTextEdit.NoWrap)
-        self.specification.setFont(QFontDatabase.systemFont(QFontDatabase.FixedFont))
+        fixed = QFont("monospace", self.font().pointSize())
+        fixed.setStyleHint(QFont.Monospace)
+        self.specification.setFont(fixed)
         self.specification.setAccessibleName("Specification")
         self.import_ = QPushButton("&Import …")
         self.export = QPushButton("E&xport …")

@@ -7,6 +7,8 @@ from typing import Any, List, Optional, Sequence, Tuple
 from python_qt_binding.QtCore import QAbstractTableModel, QModelIndex, QSortFilterProxyModel, Qt
 from python_qt_binding.QtWidgets import QAbstractItemView, QHeaderView, QTableView, QWidget
 
+#: Rows that decide how wide columns are; a library may have a hundred thousand.
+_SAMPLED = 200
 #: What a row shows, and what it tells when the pointer rests on it.
 Row = Tuple[Tuple[str, ...], str]
 
@@ -70,10 +72,10 @@ class Table(QTableView):
         self.verticalHeader().hide()
         self.verticalHeader().setDefaultSectionSize(self.fontMetrics().height() + 8)
         self.horizontalHeader().setHighlightSections(False)
-        self.horizontalHeader().setSectionResizeMode(0, QHeaderView.Stretch)
-        for column in range(1, len(titles)):
-            mode = QHeaderView.ResizeToContents if column > 1 else QHeaderView.Interactive
-            self.horizontalHeader().setSectionResizeMode(column, mode)
+        self.horizontalHeader().setMinimumSectionSize(24)
+        self.horizontalHeader().setResizeContentsPrecision(_SAMPLED)
+        self.horizontalHeader().setSectionResizeMode(QHeaderView.ResizeToContents)
+        self.setHorizontalScrollMode(QAbstractItemView.ScrollPerPixel)
 
     def show_rows(self, rows: Sequence[Row]) -> None:
         """Show other rows; what is selected stays so, and nothing scrolls."""

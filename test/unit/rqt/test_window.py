@@ -1,0 +1,517 @@
+"""The window, used as a person uses it: clicks, keys, drags; on a manager that is made up."""
+
+from __future__ import annotations
+
+import time
+
+import pydot
+import pytest
+from python_qt_binding.QtCore import QEvent, QPoint, QPointF, Qt, QTimer
+from python_qt_binding.QtGui import QImage, QMouseEvent, QPalette, QWheelEvent
+from python_qt_binding.QtWidgets import QApplication, QMenu, QMessageBox
+
+from dyknow_rqt.graph.snapshot import PortRef
+from dyknow_rqt.layouter import Layouter
+from dyknow_rqt.screenshots import dark_palette
+from dyknow_rqt.simulated import SimulatedRemote
+from dyknow_rqt.window import DyKnowWidget
+
+CEILING = PortRef("/field/ceiling_camera", "field_position")
+TRACKER = PortRef("/field/tracker", "position")
+HSV_IN = PortRef("/nao1/line_detector", "hsv")
+
+
+def topic(remote, ref):
+    nodelet = remote.graph().nodelet(ref.nodelet)
+    return nodelet.port(ref.port).topic
+
+
+def drag(view, start, end):
+    """Press, move and release, as a hand does."""
+    port = view.viewport()
+    for kind, place, button, buttons in (
+        (QEvent.MouseButtonPress, start, Qt.LeftButton, Qt.LeftButton),
+        (QEvent.MouseMove, (start + end) / 2, Qt.NoButton, Qt.LeftButton),
+        (QEvent.MouseMove, end, Qt.NoButton, Qt.LeftButton),
+        (QEvent.MouseButtonRelease, end, Qt.LeftButton, Qt.NoButton),
+    ):
+        event = QMouseEvent(
+            kind, QPointF(place), QPointF(port.mapToGlobal(place)), button, buttons, Qt.NoModifier
+        )
+        QApplication.sendEvent(port, event)
+
+
+def centre_of(view, key):
+    return view.mapFromScene(view.scene().vertices[key].pos())
+
+
+def click(qtbot, button):
+    assert button.isEnabled()
+    qtbot.mouseClick(button, Qt.LeftButton)
+
+
+def no_boxes():
+    return not [w for w in QApplication.topLevelWidgets() if isinstance(w, QMessageBox)]
+
+
+# The graph
+
+
+def test_hovering_lights_up_the_neighbours(qtbot, window):
+    scene = window.graph.view.scene()
+    qtbot.mouseMove(window.graph.view.viewport(), centre_of(window.graph.view, "n_/nao1/resize"))
+    qtbot.waitUntil(lambda: scene.vertices["n_/nao1/resize"].tone.value == "self")
+    assert scene.vertices["t_/nao1/top_camera/yuv"].tone.value == "in"
+    assert scene.vertices["t_/nao1/preview"].tone.value == "out"
+    assert scene.vertices["n_/nao1/recorder"].tone.value == "none"
+
+
+def test_what_is_before_and_behind_is_teal(qtbot, window, remote):
+    remote.set_config("/nao1/resize", {"resized": "/nao1/top_camera/yuv"})
+    scene = window.graph.view.scene()
+    qtbot.waitUntil(lambda: "t_/nao1/preview" in scene.vertices)
+    qtbot.waitUntil(
+        lambda: any(
+            e.tail == "n_/nao1/resize" and e.head == "t_/nao1/top_camera/yuv" for e in scene.edges
+        )
+    )
+    scene.highlight("n_/nao1/resize")
+    assert scene.vertices["t_/nao1/top_camera/yuv"].tone.value == "both"
+
+
+def test_the_wheel_zooms_where_the_pointer_is(qtbot, window):
+    view = window.graph.view
+    place = centre_of(view, "n_/nao1/localization")
+    qtbot.mouseMove(view.viewport(), place)
+    before, zoom = view.mapToScene(place), view.zoom
+    turn = QWheelEvent(
+        QPointF(place),
+        QPointF(view.viewport().mapToGlobal(place)),
+        QPoint(0, 0),
+        QPoint(0, 240),
+        Qt.NoButton,
+        Qt.NoModifier,
+        Qt.NoScrollPhase,
+        False,
+    )
+    QApplication.sendEvent(view.viewport(), turn)
+    assert view.zoom > zoom * 1.3
+    after = view.mapToScene(place)
+    assert abs(after.x() - before.x()) < 3 and abs(after.y() - before.y()) < 3
+
+
+def test_a_drag_on_the_ground_moves_the_view(qtbot, window):
+    view = window.graph.view
+    ground = QPoint(20, view.viewport().height() - 20)
+    before = view.mapToScene(0, 0)
+    drag(view, ground, ground + QPoint(60, -40))
+    after = view.mapToScene(0, 0)
+    assert after.x() < before.x() and after.y() > before.y()
+
+
+def test_filters_hide_and_complain(qtbot, window):
+    edit = window.graph.bar.nodelets
+    qtbot.keyClicks(edit, "/nao1, -/nao1/.*camera")
+    qtbot.waitUntil(lambda: "n_/field/tracker" not in _keys(window))
+    assert "n_/nao1/resize" in _keys(window) and "n_/nao1/top_camera" not in _keys(window)
+    edit.clear()
+    qtbot.waitUntil(lambda: "n_/field/tracker" in _keys(window))
+    qtbot.keyClicks(edit, "/nao[")
+    assert "filter '/nao[' is not a regular expression" in window.line.text
+    assert "n_/field/tracker" in _keys(window)
+
+
+def test_options_change_what_is_drawn(qtbot, window):
+    bar = window.graph.bar
+    bar.dead_sinks.setChecked(True)
+    qtbot.waitUntil(lambda: "t_/field/tracker/track" not in _keys(window))
+    bar.nodes.setChecked(True)  # with its reader the topic is no dead sink
+    qtbot.waitUntil(lambda: "p_/team_view" in _keys(window))
+    bar.mode.setCurrentIndex(1)
+    qtbot.waitUntil(lambda: not any(key.startswith("t_") for key in _keys(window)))
+    bar.depth.setValue(0)
+    qtbot.waitUntil(lambda: window.graph.drawn.groups() == [])
+
+
+def test_find_selects_one_after_the_other(qtbot, window):
+    window.activateWindow()
+    qtbot.keyClick(window.graph.view, Qt.Key_F, Qt.ControlModifier)
+    edit = window.graph.bar.search
+    qtbot.waitUntil(edit.hasFocus)
+    qtbot.keyClicks(edit, "CAMERA")
+    assert window.graph.bar.hits.text() == "5 found"
+    found = []
+    for _ in range(5):
+        qtbot.keyClick(edit, Qt.Key_Return)
+        found += [item.vertex.name for item in window.graph.view.scene().selectedItems()]
+    assert sorted(set(found)) == sorted(found) and len(found) == 5
+
+
+def test_arrow_keys_walk_through_the_graph(qtbot, window):
+    view = window.graph.view
+    view.select(view.scene().vertices["n_/nao1/top_camera"])
+    seen = []
+    for _ in range(2):
+        qtbot.keyClick(view, Qt.Key_Right)
+        seen += [item.vertex.name for item in view.scene().selectedItems()]
+    assert seen == ["/nao1/top_camera/yuv", "/nao1/resize"]
+
+
+def test_the_drawing_can_be_saved(window, tmp_path):
+    for name in ("graph.dot", "graph.svg", "graph.png"):
+        window.graph.save(str(tmp_path / name))
+    (graph,) = pydot.graph_from_dot_file(str(tmp_path / "graph.dot"))
+    assert {box.get_name() for box in graph.get_subgraphs()} == {
+        '"cluster_/field"',
+        '"cluster_/nao1"',
+    }
+    assert len(graph.get_edges()) == len(window.graph.drawn.edges)
+    assert (
+        "ball_detector" in (tmp_path / "graph.svg").read_text()
+        or "<path" in (tmp_path / "graph.svg").read_text()
+    )
+    image = QImage(str(tmp_path / "graph.png"))
+    assert image.width() > image.height() > 100
+    with pytest.raises(OSError):
+        window.graph.save(str(tmp_path / "nowhere" / "graph.png"))
+
+
+def test_rates_stand_on_the_arrows_and_drops_are_red(qtbot, window):
+    scene = window.graph.view.scene()
+    arrow = next(e for e in scene.edges if e.head_port == "channels")
+    qtbot.waitUntil(lambda: "dropped" in scene.edges[arrow].label, timeout=8000)
+    assert "Hz" in scene.edges[arrow].label
+    port = scene.port_item(PortRef("/nao1/subsampler", "hsv"))
+    assert "sensor_msgs/Image" in port.toolTip() and "HSV(nao1, bottom)" in port.toolTip()
+
+
+def test_states_are_told_apart(window):
+    vertices = window.graph.view.scene().vertices
+    badges = {
+        key: vertices[f"n_{key}"]._badge()
+        for key in (
+            "/nao1/bottom_camera",
+            "/nao1/resize",
+            "/nao1/recorder",
+            "/field/ceiling_camera",
+            "/field/tracker",
+        )
+    }
+    assert list(badges.values()) == ["protected", "C++", "lost", "failed", ""]
+    assert "no device /dev/video4" in vertices["n_/field/ceiling_camera"].toolTip()
+
+
+def test_the_view_does_not_jump_when_something_comes(qtbot, window, remote):
+    view = window.graph.view
+    before = {key: item.pos() for key, item in view.scene().vertices.items()}
+    corner, zoom = view.mapToScene(0, 0), view.zoom
+    remote.spawn("tracker", "/nao1/second_tracker", {"position": "/nao1/ball_detector/ball"})
+    qtbot.waitUntil(lambda: "n_/nao1/second_tracker" in _keys(window), timeout=5000)
+    after = view.scene().vertices
+    moved = [k for k, place in before.items() if (after[k].pos() - place).manhattanLength() > 16]
+    assert len(moved) <= 4
+    assert (view.mapToScene(0, 0) - corner).manhattanLength() < 2 and view.zoom == zoom
+
+
+# Gestures
+
+
+def test_a_drag_from_port_to_port_connects_and_undo_takes_it_back(qtbot, window, remote):
+    view = window.graph.view
+    drag(view, view.place_of(CEILING), view.place_of(TRACKER))
+    qtbot.waitUntil(lambda: topic(remote, TRACKER) == "/field/ceiling_camera/field_position")
+    qtbot.waitUntil(window.graph.bar.undo.isEnabled)
+    qtbot.keyClick(view, Qt.Key_Z, Qt.ControlModifier)
+    qtbot.waitUntil(lambda: topic(remote, TRACKER) == "/field/ball")
+    assert topic(remote, CEILING) == ""
+    qtbot.waitUntil(window.graph.bar.redo.isEnabled)
+    click(qtbot, window.graph.bar.redo)
+    qtbot.waitUntil(lambda: topic(remote, TRACKER) == "/field/ceiling_camera/field_position")
+
+
+def test_while_a_connection_is_drawn_only_what_fits_is_offered(window):
+    view = window.graph.view
+    view.drag_began.emit(CEILING)
+    offered = {
+        port.ref
+        for item in view.scene().vertices.values()
+        for port in item.ports.values()
+        if port.offered
+    }
+    assert offered == {CEILING, TRACKER, PortRef("/nao1/localization", "objects")}
+
+
+def test_a_drag_to_a_port_that_does_not_fit_says_why(qtbot, window, remote):
+    view = window.graph.view
+    drag(view, view.place_of(CEILING), view.place_of(HSV_IN))
+    assert "but /nao1/line_detector:hsv expects sensor_msgs/Image" in window.line.text
+    assert topic(remote, CEILING) == "" and no_boxes()
+
+
+def test_a_drag_to_a_topic_connects_to_it(qtbot, window, remote):
+    view = window.graph.view
+    drag(view, view.place_of(CEILING), centre_of(view, "t_/field/ball"))
+    qtbot.waitUntil(lambda: topic(remote, CEILING) == "/field/ball")
+
+
+def test_delete_disconnects_the_selected_arrow(qtbot, window, remote):
+    scene = window.graph.view.scene()
+    arrow = next(e for e in scene.edges if e.head == "n_/field/tracker")
+    scene.edges[arrow].setSelected(True)
+    qtbot.keyClick(window.graph.view, Qt.Key_Delete)
+    qtbot.waitUntil(lambda: topic(remote, TRACKER) == "")
+
+
+def test_delete_destroys_selected_nodelets_after_asking(qtbot, window, remote):
+    window.graph.view.select(window.graph.view.scene().vertices["n_/field/tracker"])
+    qtbot.keyClick(window.graph.view, Qt.Key_Delete)
+    assert window.line.text == "Destroy /field/tracker?"
+    click(qtbot, window.line.no)
+    assert remote.graph().nodelet("/field/tracker") is not None
+    qtbot.keyClick(window.graph.view, Qt.Key_Delete)
+    click(qtbot, window.line.yes)
+    qtbot.waitUntil(lambda: remote.graph().nodelet("/field/tracker") is None)
+    qtbot.waitUntil(window.graph.bar.undo.isEnabled)
+    click(qtbot, window.graph.bar.undo)
+    qtbot.waitUntil(lambda: remote.graph().nodelet("/field/tracker") is not None)
+    assert topic(remote, TRACKER) == "/field/ball"
+
+
+def test_context_menus_offer_what_can_be_done(qtbot, window, remote):
+    view = window.graph.view
+    entries = _menu(qtbot, window, view.scene().vertices["n_/nao1/bottom_camera"])
+    assert not entries["D&estroy …"].isEnabled()
+    entries["&Release from protection"].trigger()
+    qtbot.waitUntil(lambda: not remote.graph().nodelet("/nao1/bottom_camera").is_protected)
+    entries = _menu(qtbot, window, view.scene().port_item(TRACKER))
+    entries["&Disconnect"].trigger()
+    qtbot.waitUntil(lambda: topic(remote, TRACKER) == "")
+    entries = _menu(qtbot, window, None)
+    entries["&Create nodelet …"].trigger()
+    assert window.tabs.currentWidget() is window.create_
+
+
+# The control panel
+
+
+def test_active_lists_and_destroys(qtbot, window, remote):
+    table = window.active.table
+    assert table.names() == sorted(each.name for each in remote.graph().nodelets)
+    row = table.names().index("/nao1/subsampler")
+    cells = [table.model().index(row, column).data() for column in range(6)]
+    assert cells[1:5] == ["subsampler(nao1, bottom)", 1, 3, "running"]
+    table.choose(["/nao1/bottom_camera"])
+    assert not window.active.destroy.isEnabled()
+    click(qtbot, window.active.protect)
+    qtbot.waitUntil(window.active.destroy.isEnabled)
+    click(qtbot, window.active.destroy)
+    click(qtbot, window.line.yes)
+    qtbot.waitUntil(lambda: "/nao1/bottom_camera" not in table.names())
+
+
+def test_active_keeps_the_selection_while_things_change(qtbot, window, remote):
+    window.active.table.choose(["/nao1/resize"])
+    remote.spawn("tracker", "/a_first_one")
+    qtbot.waitUntil(lambda: "/a_first_one" in window.active.table.names())
+    assert window.active.table.chosen() == ["/nao1/resize"]
+
+
+def test_library_shows_imports_exports_and_deletes(qtbot, window, remote, tmp_path):
+    panel = window.library
+    window.tabs.setCurrentWidget(panel)
+    panel.table.choose(["tracker"])
+    assert "<label>tracker</label>" in panel.specification.toPlainText()
+    path = tmp_path / "out.xml"
+    panel.export_file(str(path))
+    click(qtbot, panel.delete)
+    assert window.line.text == "Delete tracker from the library?"
+    click(qtbot, window.line.yes)
+    qtbot.waitUntil(lambda: "tracker" not in panel.table.names())
+    panel.import_file(str(path))
+    qtbot.waitUntil(lambda: "tracker" in panel.table.names())
+    qtbot.keyClicks(panel.search, "CAM")
+    assert panel.table.names() == ["camera(nao1, bottom)", "camera(nao1, top)", "ceiling_camera"]
+
+
+def test_a_refused_import_shows_the_words_of_the_manager(qtbot, window, tmp_path):
+    path = tmp_path / "bad.xml"
+    path.write_text("<transformation>\n<label>x</label>\n<sauce>p/C</sauce></transformation>")
+    window.library.import_file(str(path))
+    qtbot.waitUntil(lambda: bool(window.line.text))
+    assert window.line.text.startswith("import bad.xml: specification:")
+    assert no_boxes()
+    click(qtbot, window.line.dismiss)
+    assert window.line.text == ""
+
+
+def test_create_makes_a_nodelet(qtbot, window, remote):
+    window.tabs.setCurrentWidget(window.create_)
+    panel = window.create_
+    assert not panel.create.isEnabled()
+    panel.begin("tracker")
+    assert panel.name.text() == "/tracker"
+    panel.name.clear()
+    qtbot.keyClicks(panel.name, "/field/second")
+    qtbot.mouseClick(panel.is_protected, Qt.LeftButton, pos=QPoint(8, 8))
+    qtbot.keyClick(panel.name, Qt.Key_Return)
+    qtbot.waitUntil(lambda: "n_/field/second" in _keys(window), timeout=5000)
+    assert remote.graph().nodelet("/field/second").is_protected
+    panel.begin("tracker")
+    panel.name.setText("/field/second")
+    click(qtbot, panel.create)
+    qtbot.waitUntil(lambda: "a nodelet named '/field/second' is already" in window.line.text)
+    panel.name.setText("no name")
+    click(qtbot, panel.create)
+    assert "'no name' is not a valid" in window.line.text
+
+
+def test_connect_offers_only_what_fits(qtbot, window, remote):
+    window.tabs.setCurrentWidget(window.connect_)
+    panel = window.connect_
+    panel.source.nodelet.setCurrentText("/field/ceiling_camera")
+    sinks = {panel.sink.nodelet.itemText(i) for i in range(panel.sink.nodelet.count())}
+    assert sinks == {"/field/tracker", "/nao1/localization"}
+    panel.sink.nodelet.setCurrentText("/field/tracker")
+    assert panel.topic_chosen.text() == "/field/ceiling_camera/field_position"
+    click(qtbot, panel.connect)
+    qtbot.waitUntil(lambda: topic(remote, TRACKER) == "/field/ceiling_camera/field_position")
+    qtbot.waitUntil(lambda: "connected already" in panel.topic_chosen.text())
+    assert not panel.connect.isEnabled()
+
+
+def test_connect_takes_a_topic_by_name(qtbot, window, remote):
+    window.tabs.setCurrentWidget(window.connect_)
+    panel = window.connect_
+    panel.begin("/field/tracker", "position")
+    assert panel.now.text() == "/field/ball"
+    click(qtbot, panel.disconnect_port)
+    qtbot.waitUntil(lambda: panel.now.text() == "not connected")
+    qtbot.keyClicks(panel.topic, "/somewhere")
+    click(qtbot, panel.connect_topic)
+    qtbot.waitUntil(lambda: panel.now.text() == "/somewhere")
+    assert topic(remote, TRACKER) == "/somewhere"
+
+
+# The other side
+
+
+def test_without_a_manager_the_window_waits_for_one(qtbot, window, remote):
+    remote.is_up = False
+    sign = window.graph.sign
+    qtbot.waitUntil(lambda: "does not answer; waiting" in sign.text(), timeout=5000)
+    assert sign.isVisible()
+    remote.is_up = True
+    qtbot.waitUntil(lambda: not sign.isVisible(), timeout=5000)
+
+
+def test_a_slow_manager_does_not_hold_up_the_window(qtbot, window, remote):
+    remote.delay = 1.0
+    window.monitor.set_period(0.1)
+    gaps = _gaps(qtbot, 1500)
+    assert max(gaps) < 0.3
+    remote.delay = 0.0
+
+
+def test_undo_says_when_there_is_no_way_back(qtbot, window, remote):
+    remote.remove_transformation("tracker")
+    qtbot.waitUntil(lambda: "tracker" not in window.monitor.library)
+    window.active.ask_to_destroy(["/field/tracker"])
+    click(qtbot, window.line.yes)
+    qtbot.waitUntil(window.graph.bar.undo.isEnabled)
+    click(qtbot, window.graph.bar.undo)
+    assert "cannot undo 'destroy /field/tracker'" in window.line.text
+    assert not window.graph.bar.undo.isEnabled()
+
+
+def test_a_slot_that_raises_leaves_a_line_and_a_living_window(qtbot, window, monkeypatch):
+    monkeypatch.setattr(window.graph.view.scene(), "find", lambda text: 1 / 0)
+    qtbot.keyClicks(window.graph.bar.search, "x")
+    assert "ZeroDivisionError" in window.line.text
+
+
+def test_colours_follow_the_palette(qtbot, window):
+    scene = window.graph.view.scene()
+    window.setPalette(dark_palette())
+    qtbot.waitUntil(lambda: scene.backgroundBrush().color().lightness() < 80)
+    item = scene.vertices["n_/nao1/resize"]
+    assert item.colours.text.lightness() > 180
+    assert item.ports["image"].colours.line.lightness() > 120
+    window.setPalette(QPalette())
+
+
+def test_settings_are_kept(qtbot, window, remote):
+    window.graph.bar.depth.setValue(1)
+    window.graph.bar.topics.setText("-/x")
+    window.tabs.setCurrentIndex(2)
+    other = DyKnowWidget(remote)
+    qtbot.addWidget(other, before_close_func=lambda w: w.shut_down())
+    other.restore({**window.state(), "period": "nonsense", "tab": "2", "parts": "1,x"})
+    assert other.state()["depth"] == "1" and other.state()["topics"] == "-/x"
+    assert other.state()["period"] == "1.0" and other.tabs.currentIndex() == 2
+
+
+def test_five_hundred_nodelets_stay_usable(qtbot):
+    remote = SimulatedRemote()
+    remote.add_transformation(
+        "<transformation><label>relay</label><source>p/Relay</source><ports>"
+        '<port type="in">in</port><port type="out">out</port></ports></transformation>'
+    )
+    for i in range(500):
+        group, place = divmod(i, 10)
+        before = f"/g{group}/t{place - 1}" if place else f"/g{group - 1}/t9" if group else ""
+        remote.spawn("relay", f"/g{group}/n{place}", {"in": before, "out": f"/g{group}/t{place}"})
+    widget = DyKnowWidget(remote)
+    qtbot.addWidget(widget, before_close_func=lambda w: w.shut_down())
+    widget.resize(1400, 800)
+    widget.show()
+    widget.start()
+    worst = max(_gaps(qtbot, 15000, lambda: len(widget.graph.drawn.vertices) == 1000))
+    assert len(widget.graph.drawn.vertices) == 1000
+    assert worst < 1.5, worst
+    remote.set_config("/g7/n3", {"in": "/elsewhere"})
+    worst = max(_gaps(qtbot, 15000, lambda: "t_/elsewhere" in _keys(widget)))
+    assert "t_/elsewhere" in _keys(widget)
+    assert worst < 1.5, worst
+
+
+def test_without_graphviz_there_is_still_a_drawing(qtbot, window):
+    figure = window.graph.drawn
+    from dyknow_rqt.canvas.looks import sizes_of
+
+    sizes = sizes_of(figure, window.font())
+    for layouter in (Layouter("no_such_program"), Layouter("dot", limit=0.0)):
+        words = []
+        layouter.failed.connect(words.append)
+        with qtbot.waitSignal(layouter.ready, timeout=5000) as signal:
+            layouter.lay_out(figure, sizes)
+        assert set(signal.args[2].centres) == {vertex.key for vertex in figure.vertices}
+        layouter.close()
+    assert len(words) <= 1
+
+
+# Help
+
+
+def _keys(window):
+    return set(window.graph.view.scene().vertices)
+
+
+def _menu(qtbot, window, item):
+    window.graph.view.menu_wanted.emit(item, QPoint(50, 50))
+    menu = next(menu for menu in window.graph.findChildren(QMenu) if menu.isVisible())
+    entries = {action.text(): action for action in menu.actions()}
+    menu.hide()
+    return entries
+
+
+def _gaps(qtbot, most, until=lambda: False):
+    """Pauses (s) between ticks of the window's own clock, for some time (ms)."""
+    ticks = [time.monotonic()]
+    timer = QTimer()
+    timer.timeout.connect(lambda: ticks.append(time.monotonic()))
+    timer.start(10)
+    end = time.monotonic() + most / 1000
+    while time.monotonic() < end and not until():
+        qtbot.wait(20)
+    timer.stop()
+    return [b - a for a, b in zip(ticks, ticks[1:])]
