@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Iterable, Mapping, Optional, Tuple
+from typing import Iterable, Iterator, Mapping, Optional, Tuple
 
 from python_qt_binding.QtCore import QEvent, QPoint, Qt, Signal
 from python_qt_binding.QtGui import QKeySequence
@@ -55,7 +55,7 @@ class GraphPanel(QWidget):
         column.addWidget(self.view, 1)
         self.view.installEventFilter(self)
         self._listen()
-        self._add_actions()
+        self._fill_save_menu()
         self._show_sign()
 
     def report(self, text: str) -> None:
@@ -259,7 +259,8 @@ class GraphPanel(QWidget):
         self._monitor.read_library()
         self._monitor.look()
 
-    def _add_actions(self) -> None:
+    def actions_of(self) -> Iterator[QAction]:
+        """What keys do, wherever in the window the focus is."""
         for keys, function in (
             (("F5", "Ctrl+R"), self._refresh),
             (("Ctrl+0",), self.view.fit),
@@ -273,7 +274,9 @@ class GraphPanel(QWidget):
             action.setShortcuts([QKeySequence(key) for key in keys])
             action.setShortcutContext(Qt.WidgetWithChildrenShortcut)
             action.triggered.connect(function)
-            self.addAction(action)
+            yield action
+
+    def _fill_save_menu(self) -> None:
         for kind in _KINDS:
             action = self.bar.save_menu.addAction(kind.split()[0] + " …")
             action.triggered.connect(lambda checked=False, kind=kind: self._ask_where(kind))

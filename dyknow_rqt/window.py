@@ -89,6 +89,7 @@ class DyKnowWidget(QWidget):
         self.graph.failed.connect(self.line.report)
         self.active.chosen.connect(self._show_chosen)
         self.library.create_wanted.connect(self._begin_create)
+        self.addActions(list(self.graph.actions_of()))
         self._deeds.destroy = self.active.ask_to_destroy
         self._deeds.create = lambda: self._begin_create("")
         self._deeds.begin_connection = self._begin_connection

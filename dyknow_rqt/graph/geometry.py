@@ -106,8 +106,8 @@ def boxes_around(
     groups: Mapping[str, Tuple[str, ...]],
     centres: Mapping[str, Point],
     sizes: Mapping[str, Size],
-    margin: float = 12.0,
-    title: float = 18.0,
+    margin: float = 8.0,
+    title: float = 20.0,
 ) -> Dict[Tuple[str, ...], Rectangle]:
     """Draw boxes around the vertices of namespaces, inner ones first.
 

@@ -24,7 +24,7 @@ class Traffic:
     def text(self) -> str:
         """For the label of an arrow."""
         if self.drop_rate > 0:
-            return f"{_number(self.rate)} Hz\n{_number(self.drop_rate)}/s dropped"
+            return f"{_number(self.rate)} Hz\n−{_number(self.drop_rate)}/s"
         return f"{_number(self.rate)} Hz"
 
 

@@ -8,13 +8,12 @@ its neighbours.
 from __future__ import annotations
 
 from statistics import median
-from typing import Dict, List, Mapping
+from typing import Dict, List, Mapping, Sequence, Tuple
 
-from dyknow_rqt.graph.figure import Figure
+from dyknow_rqt.graph.figure import Edge, Figure, Vertex
 from dyknow_rqt.graph.geometry import (
     Layout,
     Point,
-    Rectangle,
     Size,
     around,
     boxes_around,
@@ -26,7 +25,9 @@ MOST_MOVED = 4
 #: Pixels that nobody takes for a move.
 STILL = 8.0
 _GAP = 14.0
-_TRIES = 200
+#: Steps up and down that are tried for something new, and pixels to the sides.
+_TRIES = 10
+_SIDESTEPS = (0.0, -30.0, 30.0, -60.0)
 
 
 def settle(
@@ -55,9 +56,9 @@ def settle(
     free = [key for key in common if not connected[key] and after.neighbours()[key]]
     kept = {key: old.centres[key] for key in common if key not in free}
     centres = _place(kept, fresh, after, sizes)
-    boxes = boxes_around({v.key: v.group for v in after.vertices}, centres, sizes)
-    if _strangers(after, centres, sizes, boxes):
+    if _strangers(after.vertices, centres, sizes):
         return fresh
+    boxes = boxes_around({v.key: v.group for v in after.vertices}, centres, sizes)
     return Layout(centres, _curves(fresh, centres, after, sizes), boxes)
 
 
@@ -75,8 +76,8 @@ def _place(
 ) -> Dict[str, Point]:
     """Find free places for what is not kept, from left to right."""
     centres = dict(kept)
-    taken = {key: around(place, sizes[key]) for key, place in centres.items()}
     neighbours = after.neighbours()
+    vertices = {vertex.key: vertex for vertex in after.vertices}
     for key in sorted(set(fresh.centres) - set(kept), key=lambda key: (fresh.centres[key], key)):
         placed = sorted(neighbours[key] & set(centres))
         wish = fresh.centres[key]
@@ -88,33 +89,43 @@ def _place(
                     sum(o.y for o in offsets) / len(offsets),
                 )
             )
-        centres[key] = _free_place(wish, sizes[key], list(taken.values()))
-        taken[key] = around(centres[key], sizes[key])
+        centres[key] = _free_place(vertices[key], wish, centres, vertices, sizes)
     return centres
 
 
-def _free_place(wish: Point, size: Size, taken: List[Rectangle]) -> Point:
-    step = size.height / 2 + _GAP
-    for attempt in range(_TRIES):
-        way = (attempt + 1) // 2 * step * (1 if attempt % 2 else -1)
-        place = Point(wish.x, wish.y + way)
-        if not any(around(place, size).grown(_GAP / 2).meets(other) for other in taken):
+def _free_place(
+    vertex: Vertex,
+    wish: Point,
+    centres: Mapping[str, Point],
+    vertices: Mapping[str, Vertex],
+    sizes: Mapping[str, Size],
+) -> Point:
+    """Look around for a place that is free, in a box that does not grow into others."""
+    taken = [around(place, sizes[key]) for key, place in centres.items()]
+    step = sizes[vertex.key].height / 2 + _GAP
+    some = [vertices[key] for key in centres] + [vertex]
+    nearest = None
+    ways = [Point(x, y * step) for x in _SIDESTEPS for y in range(-_TRIES, _TRIES + 1)]
+    for way in sorted(ways, key=lambda way: (abs(way.x) + abs(way.y), way)):
+        place = wish.plus(way)
+        if any(around(place, sizes[vertex.key]).grown(_GAP / 2).meets(each) for each in taken):
+            continue
+        nearest = nearest or place
+        if not _strangers(some, {**centres, vertex.key: place}, sizes):
             return place
-    return wish
+    return nearest or wish
 
 
 def _strangers(
-    after: Figure,
-    centres: Mapping[str, Point],
-    sizes: Mapping[str, Size],
-    boxes: Mapping[tuple, Rectangle],  # type: ignore[type-arg]
+    vertices: Sequence[Vertex], centres: Mapping[str, Point], sizes: Mapping[str, Size]
 ) -> bool:
     """Whether something stands in the box of a namespace that it does not belong to."""
+    boxes = boxes_around({v.key: v.group for v in vertices}, centres, sizes)
     groups = sorted(boxes)
     return any(
         boxes[group].meets(around(centres[v.key], sizes[v.key]))
         for group in groups
-        for v in after.vertices
+        for v in vertices
         if v.group[: len(group)] != group
     ) or any(
         boxes[one].meets(boxes[other])
@@ -126,9 +137,9 @@ def _strangers(
 
 def _curves(
     fresh: Layout, centres: Mapping[str, Point], after: Figure, sizes: Mapping[str, Size]
-) -> dict:  # type: ignore[type-arg]
+) -> Dict[Edge, Tuple[Point, ...]]:
     """Take over the curves whose two ends moved alike; lead the others anew."""
-    curves = {}
+    curves: Dict[Edge, Tuple[Point, ...]] = {}
     for edge in after.edges:
         tail = centres[edge.tail].minus(fresh.centres[edge.tail])
         head = centres[edge.head].minus(fresh.centres[edge.head])

@@ -20,7 +20,9 @@ def window(qtbot, remote):
     widget = DyKnowWidget(remote)
     qtbot.addWidget(widget, before_close_func=lambda w: w.shut_down())
     widget.resize(1400, 800)
-    widget.show()
+    with qtbot.waitActive(widget):
+        widget.show()
+        widget.activateWindow()
     widget.start()
     qtbot.waitUntil(lambda: len(widget.graph.drawn.vertices) > 15, timeout=15000)
     qtbot.waitUntil(lambda: bool(widget.monitor.library), timeout=5000)

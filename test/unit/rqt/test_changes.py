@@ -182,7 +182,7 @@ def test_rates_are_differences():
     assert meter.traffic[ref].rate == 7.0  # nothing to compare with: what the proxy says
     meter.note("/n", _Counts(12, 160, 10), 52.0)
     assert (meter.traffic[ref].rate, meter.traffic[ref].drop_rate) == (30.0, 5.0)
-    assert meter.traffic[ref].text == "30.0 Hz\n5.0/s dropped"
+    assert meter.traffic[ref].text == "30.0 Hz\n−5.0/s"
     meter.note("/n", _Counts(1, 3, 0), 54.0)  # loaded anew
     assert (meter.traffic[ref].rate, meter.traffic[ref].drop_rate) == (7.0, 0.0)
     meter.keep(["/other"])
