@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Callable, Optional
+from typing import Any, Callable, Optional
 
 from python_qt_binding.QtGui import QGuiApplication
 from python_qt_binding.QtWidgets import QMenu, QWidget
@@ -19,9 +19,17 @@ class Deeds:
     """What menus can have done; the graph panel fills it in."""
 
     def __init__(self) -> None:
-        nothing: Callable[..., None] = lambda *args: None  # noqa: E731
-        self.destroy = self.protect = self.disconnect = self.begin_connection = nothing
-        self.create = self.refresh = self.fit = self.tidy = self.find = nothing
+        """Begin with deeds that do nothing."""
+        nothing: Callable[..., Any] = lambda *args: None  # noqa: E731
+        self.destroy: Callable[..., Any] = nothing
+        self.protect: Callable[..., Any] = nothing
+        self.disconnect: Callable[..., Any] = nothing
+        self.begin_connection: Callable[..., Any] = nothing
+        self.create: Callable[..., Any] = nothing
+        self.refresh: Callable[..., Any] = nothing
+        self.fit: Callable[..., Any] = nothing
+        self.tidy: Callable[..., Any] = nothing
+        self.find: Callable[..., Any] = nothing
 
 
 def menu_for(item: Optional[Item], snapshot: Snapshot, deeds: Deeds, parent: QWidget) -> QMenu:
@@ -82,7 +90,7 @@ def _add_copy(menu: QMenu, text: str) -> None:
     _add(menu, "Copy &name", lambda: QGuiApplication.clipboard().setText(text))
 
 
-def _add(menu: QMenu, text: str, function: Callable[[], object]) -> object:
+def _add(menu: QMenu, text: str, function: Callable[[], object]) -> Any:
     action = menu.addAction(text)
     action.triggered.connect(lambda checked=False: function())
     return action

@@ -69,7 +69,8 @@ class GraphPanel(QWidget):
     @property
     def drawn(self) -> Figure:
         """What is on the screen."""
-        return self.view.scene().figure
+        figure: Figure = self.view.scene().figure
+        return figure
 
     # Drawing
 

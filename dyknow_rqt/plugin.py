@@ -12,7 +12,7 @@ from dyknow_rqt.window import DyKnowWidget
 _KEY = "dyknow"
 
 
-class DyKnowPlugin(Plugin):  # type: ignore[misc]
+class DyKnowPlugin(Plugin):
     """Docks the window into rqt, which has made the process a node already."""
 
     def __init__(self, context: Any) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import sys
 import time
-from typing import Callable, List, Optional
+from typing import Callable, Dict, List, Optional, Tuple
 
 from python_qt_binding.QtCore import QEvent, QPointF, Qt
 from python_qt_binding.QtGui import QColor, QFontDatabase, QPalette
@@ -79,7 +79,7 @@ _LIBRARY = (
     ("recorder", "dyknow/Sink", ((">in", _IMAGE, ""),)),
 )
 #: Name, label, topics of ports.
-_NODELETS = (
+_NODELETS: Tuple[Tuple[str, str, Dict[str, str]], ...] = (
     ("/nao1/bottom_camera", "camera(nao1, bottom)", {"yuv": "/nao1/bottom_camera/yuv"}),
     ("/nao1/top_camera", "camera(nao1, top)", {"yuv": "/nao1/top_camera/yuv"}),
     (

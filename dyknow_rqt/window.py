@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Dict, Optional
+from typing import Any, Dict, List, Optional
 
 from python_qt_binding.QtCore import Qt
 from python_qt_binding.QtWidgets import QSplitter, QTabWidget, QVBoxLayout, QWidget
@@ -104,7 +104,7 @@ class DyKnowWidget(QWidget):
         self.connect_.begin(nodelet, port)
 
     @guarded
-    def _show_chosen(self, names: object) -> None:
+    def _show_chosen(self, names: List[str]) -> None:
         """Select in the graph what is selected in the table."""
         if self.active.table.hasFocus():
             self.graph.select_nodelets(names)

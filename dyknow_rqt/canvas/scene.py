@@ -14,7 +14,7 @@ from dyknow_rqt.canvas.colours import Tone, colours_of
 from dyknow_rqt.canvas.items import BoxItem, Item, PortItem
 from dyknow_rqt.canvas.looks import edge_refs, edge_traffic, looks_of, port_tip
 from dyknow_rqt.canvas.vertices import VertexItem
-from dyknow_rqt.graph.figure import Edge, Figure, Kind
+from dyknow_rqt.graph.figure import Edge, Figure, Kind, Vertex
 from dyknow_rqt.graph.geometry import Layout, Size
 from dyknow_rqt.graph.rates import Traffic
 from dyknow_rqt.graph.snapshot import PortRef, Snapshot
@@ -211,7 +211,7 @@ class GraphScene(QGraphicsScene):
                 items[key] = make(value)
                 self.addItem(items[key])
 
-    def _new_vertex(self, vertex: object) -> Item:
+    def _new_vertex(self, vertex: Vertex) -> Item:
         return VertexItem(vertex, self._colours, self._font)
 
     def _new_edge(self, edge: Edge) -> Item:

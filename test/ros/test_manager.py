@@ -75,7 +75,9 @@ class ServicesTest(ManagerCase):
         self.assertEqual(added.labels, ("extra",))
         found = {each.label: each for each in self.client.get_model().transformations}["extra"]
         self.assertEqual([p.value for p in found.parameters], [3, 0.5, True, "me"])
-        self.assertEqual([(p.name, p.direction) for p in found.ports], [("in", "in"), ("out", "out")])
+        self.assertEqual(
+            [(p.name, p.direction) for p in found.ports], [("in", "in"), ("out", "out")]
+        )
         revision = self.client.get_model().library_revision
         self.client.remove_transformation("extra")
         self.assertGreater(self.client.get_model().library_revision, revision)
