@@ -20,16 +20,19 @@ class Deeds:
 
     def __init__(self) -> None:
         """Begin with deeds that do nothing."""
-        nothing: Callable[..., Any] = lambda *args: None  # noqa: E731
-        self.destroy: Callable[..., Any] = nothing
-        self.protect: Callable[..., Any] = nothing
-        self.disconnect: Callable[..., Any] = nothing
-        self.begin_connection: Callable[..., Any] = nothing
-        self.create: Callable[..., Any] = nothing
-        self.refresh: Callable[..., Any] = nothing
-        self.fit: Callable[..., Any] = nothing
-        self.tidy: Callable[..., Any] = nothing
-        self.find: Callable[..., Any] = nothing
+        self.destroy: Callable[..., Any] = _nothing
+        self.protect: Callable[..., Any] = _nothing
+        self.disconnect: Callable[..., Any] = _nothing
+        self.begin_connection: Callable[..., Any] = _nothing
+        self.create: Callable[..., Any] = _nothing
+        self.refresh: Callable[..., Any] = _nothing
+        self.fit: Callable[..., Any] = _nothing
+        self.tidy: Callable[..., Any] = _nothing
+        self.find: Callable[..., Any] = _nothing
+
+
+def _nothing(*args: Any) -> None:
+    """What is done as long as nobody says what to do."""
 
 
 def menu_for(item: Optional[Item], snapshot: Snapshot, deeds: Deeds, parent: QWidget) -> QMenu:
