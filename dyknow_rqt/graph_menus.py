@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, Callable, Optional
 
 from python_qt_binding.QtGui import QGuiApplication
@@ -43,7 +44,7 @@ def menu_for(item: Optional[Item], snapshot: Snapshot, deeds: Deeds, parent: QWi
     elif isinstance(item, EdgeItem):
         refs = edge_refs(item.edge)
         for ref in refs:
-            _add(menu, f"&Disconnect {ref}", lambda ref=ref: deeds.disconnect((ref,)))
+            _add(menu, f"&Disconnect {ref}", partial(deeds.disconnect, (ref,)))
         _add_copy(menu, item.edge.topic)
     elif isinstance(item, VertexItem):
         _add_vertex(menu, item, snapshot, deeds)
