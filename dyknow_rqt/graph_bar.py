@@ -42,6 +42,8 @@ class GraphBar(QWidget):
         self.mode.setAccessibleName("What to draw")
         self.nodelets = FilterEdit("nodelets")
         self.topics = FilterEdit("topics")
+        for edit in (self.nodelets, self.topics):
+            edit.setMinimumWidth(60)
         self.depth = QSpinBox()
         self.depth.setRange(0, 5)
         self.depth.setValue(2)

@@ -9,7 +9,7 @@ from python_qt_binding.QtGui import QKeySequence
 from python_qt_binding.QtWidgets import QAction, QFileDialog, QLabel, QVBoxLayout, QWidget
 
 from dyknow_rqt.canvas.items import Item
-from dyknow_rqt.canvas.looks import edge_refs, sizes_of
+from dyknow_rqt.canvas.looks import edge_refs, gap_of, sizes_of
 from dyknow_rqt.canvas.view import GraphView
 from dyknow_rqt.graph.changes import Protect
 from dyknow_rqt.graph.dot import to_dot
@@ -84,7 +84,8 @@ class GraphPanel(QWidget):
         self.view.scene().set_snapshot(snapshot)
         if figure != self._figure or self._wants_tidy:
             self._figure = figure
-            self.layouter.lay_out(figure, sizes_of(figure, self.view.font()))
+            font = self.view.font()
+            self.layouter.lay_out(figure, sizes_of(figure, font), gap_of(font))
         self._show_sign()
 
     @guarded

@@ -36,6 +36,7 @@ class Layouter(QObject):
         self._program = program
         self._current: Optional[_Order] = None
         self._next: Optional[_Order] = None
+        self._gap = 0.0
         self._complaint = ""
         self._process = QProcess(self)
         self._process.finished.connect(self._finished)
@@ -45,9 +46,9 @@ class Layouter(QObject):
         self._limit.setInterval(int(limit * 1000))
         self._limit.timeout.connect(self._too_slow)
 
-    def lay_out(self, figure: Figure, sizes: Mapping[str, Size]) -> None:
+    def lay_out(self, figure: Figure, sizes: Mapping[str, Size], gap: float = 52.0) -> None:
         """Have a figure laid out; ``ready`` tells when it is."""
-        self._next = figure, sizes
+        self._next, self._gap = (figure, sizes), gap
         if self._current is None:
             self._begin()
 
@@ -74,7 +75,7 @@ class Layouter(QObject):
         self._complaint = ""
         self._process.start(self._program, ["-Tjson0"])
         self._limit.start()
-        self._process.write(to_dot(figure, sizes).encode())
+        self._process.write(to_dot(figure, sizes, self._gap).encode())
         self._process.closeWriteChannel()
 
     @guarded

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Callable, Dict, Mapping, Optional, Tuple,
 from python_qt_binding.QtCore import QObject, QTimer, Signal
 
 from dyknow.errors import DyKnowError, HostError, PeerTimeout
+from dyknow.manager.model import State
 from dyknow.manager.transformation import Transformation
 from dyknow_rqt.graph.changes import CannotUndo, Change
 from dyknow_rqt.graph.history import History, Step
@@ -24,7 +25,7 @@ from dyknow_rqt.remote import Remote
 from dyknow_rqt.workers import Workers
 
 if TYPE_CHECKING:
-    from dyknow.ros.client import ModelView, Statistics
+    from dyknow.ros.views import ModelView, Statistics
 
 _LOG = logging.getLogger("rosout.dyknow_rqt")
 #: Nodelets that are asked for statistics in one look; the others have their turn in the next.
@@ -109,7 +110,10 @@ class Monitor(QObject):
         if not self._looking:
             self._looking = True
             names, self._turn = in_turns(
-                (each.name for each in self.snapshot.nodelets), self._turn, _ASKED
+                # One that is lost would only hold up the others.
+                (n.name for n in self.snapshot.nodelets if n.state is State.RUNNING),
+                self._turn,
+                _ASKED,
             )
             self._workers.run(lambda: self._looked(names), self._take_look, self._take_failure)
 

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Callable, Mapping, Optional, Tuple
 from dyknow_rqt.graph.snapshot import Side
 
 if TYPE_CHECKING:
-    from dyknow.ros.client import Added, ModelView, Statistics
+    from dyknow.ros.client import Added
+    from dyknow.ros.views import ModelView, Statistics
 
 
 class Remote(ABC):

@@ -14,8 +14,9 @@ from dyknow_msgs.msg import Model as ModelMessage
 
 from dyknow import names
 from dyknow.errors import DyKnowError, HostError
-from dyknow.ros.client import Added, ManagerClient, ModelView, Statistics, model_view
+from dyknow.ros.client import Added, ManagerClient
 from dyknow.ros.master import Master
+from dyknow.ros.views import ModelView, Statistics, model_view
 from dyknow_rqt.graph.snapshot import Side
 from dyknow_rqt.remote import Remote
 

@@ -27,7 +27,8 @@ from dyknow.errors import (
 from dyknow.manager.model import PortState, State
 from dyknow.manager.specification import parse
 from dyknow.manager.transformation import OUT, TOPIC, Transformation
-from dyknow.ros.client import Added, ModelView, NodeletView, PortTraffic, Statistics
+from dyknow.ros.client import Added
+from dyknow.ros.views import ModelView, NodeletView, PortTraffic, Statistics
 from dyknow_rqt.graph.snapshot import PortRef, Side
 from dyknow_rqt.remote import Remote
 

@@ -14,7 +14,7 @@ from typing import Sequence
 from processes import run_logged
 
 IN_WORKSPACE = ("bash", str(Path(__file__).resolve().parent / "in-workspace.sh"))
-SUITE_TIMEOUT = 240.0  # s
+SUITE_TIMEOUT = 420.0  # s
 SUMMARY = re.compile(r" \* (TESTS|ERRORS|FAILURES): (\d+)")
 
 

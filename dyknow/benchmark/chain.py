@@ -135,7 +135,10 @@ def measure(plan: Plan, controls: Dict[str, ChainControl]) -> Dict[str, Block]:
 
 
 def pair(plan: Plan, controls: Dict[str, ChainControl]) -> Dict[int, List[float]]:
-    """Differences of the mean times, dyknow minus nodelet, by hops."""
+    """Differences of the median times, dyknow minus nodelet, by hops.
+
+    Medians, because one message that the machine delays would outweigh all that is measured.
+    """
     differences: Dict[int, List[float]] = {hops: [] for hops in plan.hops}
     order = Order(WARM_UP, plan.pair_messages, plan.frequency)
     for index in progress.steps(range(plan.pairs), "pairs", plan.pairs, "pair"):
@@ -145,7 +148,7 @@ def pair(plan: Plan, controls: Dict[str, ChainControl]) -> Dict[int, List[float]
         for hops in plan.hops:
             ours, plain = (of[kind].latencies[hops] for kind in ("dyknow", "nodelet"))
             if ours and plain:
-                differences[hops].append(Summary.of(ours).mean - Summary.of(plain).mean)
+                differences[hops].append(median(ours) - median(plain))
     return differences
 
 

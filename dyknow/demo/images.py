@@ -19,8 +19,9 @@ if TYPE_CHECKING:
 else:
     Pixels = np.ndarray  # the numpy of Ubuntu 20.04 has no numpy.typing
 
-#: Channels of the encodings with 8 bits a channel that the demonstration uses.
-CHANNELS = {"bgr8": 3, "rgb8": 3, "mono8": 1, "8UC1": 1, "8UC3": 3}
+#: Channels of the encodings with 8 bits a channel that the demonstration uses; a pixel of yuv422
+#: has Y and one of U and V.
+CHANNELS = {"bgr8": 3, "rgb8": 3, "mono8": 1, "8UC1": 1, "8UC3": 3, "yuv422": 2}
 
 
 def channels_of(encoding: str) -> int:

@@ -76,7 +76,7 @@ class Lifecycle:
         if count > self._guards.nodelets:
             raise TooMuch("nodelets", count, self._guards.nodelets)
         config = self._resolved(transformation, request.name, request.config)
-        with self._graph.changing(request.name, new=True):
+        with self._graph.changing(request.name, new=True, patience=PATIENCE):
             kind = self._host.kind_of(transformation.source)
             manager = placement.choose(
                 self._host,
@@ -249,9 +249,7 @@ class Lifecycle:
         ports = self._checked_ports(record)
         if wiring:
             self._host.connect(record.name, wiring)
-            ports = tuple(
-                replace(port, topic=wiring.get(port.name, port.topic)) for port in ports
-            )
+            ports = tuple(replace(port, topic=wiring.get(port.name, port.topic)) for port in ports)
         return replace(record, ports=seen_ports(record, ports))
 
     def _checked_ports(self, record: Record) -> Tuple[PortState, ...]:

@@ -18,7 +18,7 @@ from dyknow.manager.host import Host
 from dyknow.manager.library import Library
 from dyknow.manager.lifecycle import PATIENCE, Lifecycle, SpawnRequest
 from dyknow.manager.model import Model, Record
-from dyknow.manager.observer import Observer
+from dyknow.manager.observer import Observer, at_once
 from dyknow.manager.specification import Specifications
 from dyknow.manager.store import Store
 from dyknow.manager.transformation import Transformation
@@ -51,8 +51,18 @@ class Manager:
         library: Library,
         guards: Guards = NO_GUARDS,
         settings: Settings = DEFAULT_SETTINGS,
+        run: Callable[[Callable[[], None]], None] = at_once,
     ) -> None:
-        """Put the parts together; nothing is touched before ``start``."""
+        """Put the parts together; nothing is touched before ``start``.
+
+        Args:
+            host: reaches the nodelet managers.
+            store: durable state.
+            library: transformations.
+            guards: what nobody may do.
+            settings: how to behave.
+            run: does the work of bringing back what died, which may take its time.
+        """
         self.library = library
         self.guards = guards
         self._host = host
@@ -60,7 +70,7 @@ class Manager:
         self._settings = settings
         self.graph = Graph(store)
         self.lifecycle = Lifecycle(host, self.graph, guards, settings.spawn_timeout)
-        self.observer = Observer(host, self.graph, self.lifecycle)
+        self.observer = Observer(host, self.graph, self.lifecycle, run=run)
 
     @property
     def on_change(self) -> Callable[[], None]:

@@ -27,6 +27,11 @@ FORGIVEN_AFTER = 60.0
 _log = logging.getLogger("rosout.dyknow")
 
 
+def at_once(work: Callable[[], None]) -> None:
+    """Do it now, in the thread of the caller."""
+    work()
+
+
 class _Patience:
     """How long to wait before the next attempt, for each nodelet."""
 
@@ -57,13 +62,26 @@ class Observer:
         graph: Graph,
         lifecycle: Lifecycle,
         clock: Callable[[], float] = time.monotonic,
+        run: Callable[[Callable[[], None]], None] = at_once,
     ) -> None:
-        """Observe; nothing happens before ``adopt`` or ``look``."""
+        """Observe; nothing happens before ``adopt`` or ``look``.
+
+        Args:
+            host: who is asked.
+            graph: the picture.
+            lifecycle: brings nodelets back.
+            clock: seconds, steady.
+            run: does the work of bringing nodelets back; a look does not wait for it.
+        """
         self._host = host
         self._graph = graph
         self._lifecycle = lifecycle
         self._turn = threading.Lock()  # one look at a time; nobody else waits for it
         self._patience = _Patience(clock)
+        self._run = run
+        self._lock = threading.Lock()
+        self._dead: Set[str] = set()  # found by this look
+        self._returning: Set[str] = set()  # being brought back
 
     def adopt(self, records: Iterable[Record]) -> None:
         """Take over the records of an earlier life.
@@ -95,14 +113,17 @@ class Observer:
                     _log.warning("nodelet manager %s: %s", state.name, error)
             by_name = {state.name: state for state in states}
             for record in self._graph.all():
-                state = by_name.get(record.manager)
-                if record.name in changed or not _as_it_was(record, state, listed):
-                    self._check(record, state, listed, changed)
+                host = by_name.get(record.manager)
+                if record.name in changed or not _as_it_was(record, host, listed):
+                    self._check(record, host, listed, changed)
             known = {record.name for record in self._graph.all()}
             for manager in sorted(listed):
                 for name in sorted(listed[manager] - known):
                     if not self._graph.is_busy(name):
                         self._meet(name, manager)
+            dead, self._dead = sorted(self._dead), set()
+        for name in dead:
+            self._bring_back_soon(name)
 
     def _check(
         self,
@@ -138,10 +159,10 @@ class Observer:
                 _log.info("%s was unloaded by others; it is not brought back", record.name)
                 self._lifecycle.forget(record)
             else:  # it failed, or the manager was killed while it brought it back
-                self._bring_back(record)
+                self._dead.add(record.name)
         elif alive or state is None or (state.own and not state.alive):
             self._lose(record, "its nodelet manager has died")
-            self._bring_back(record)
+            self._dead.add(record.name)
         else:
             self._lose(record, f"nodelet manager {record.manager} does not answer")
 
@@ -180,10 +201,27 @@ class Observer:
             _log.warning("%s is lost: %s", record.name, why)
             self._graph.put(replace(record, state=State.LOST, detail=why))
 
-    def _bring_back(self, record: Record) -> None:
-        if not self._patience.allows(record.name):
-            return
-        self._patience.attempt(record.name)
+    def _bring_back_soon(self, name: str) -> None:
+        with self._lock:
+            if name in self._returning or not self._patience.allows(name):
+                return
+            self._returning.add(name)
+        self._run(lambda: self._bring_back(name))
+
+    def _bring_back(self, name: str) -> None:
+        try:
+            with self._graph.changing(name) as record:
+                if record is not None and record.state is not State.RUNNING:
+                    with self._lock:
+                        self._patience.attempt(name)
+                    self._restore(record)
+        except Busy:
+            return  # somebody works on it; the next look sees the outcome
+        finally:
+            with self._lock:
+                self._returning.discard(name)
+
+    def _restore(self, record: Record) -> None:
         try:
             if not record.isolated:
                 self._revive(record.manager)
@@ -223,9 +261,7 @@ class Observer:
             return []
 
 
-def _as_it_was(
-    record: Record, state: "ManagerState | None", listed: Dict[str, Set[str]]
-) -> bool:
+def _as_it_was(record: Record, state: ManagerState | None, listed: Dict[str, Set[str]]) -> bool:
     """Whether a nodelet runs on in the process that was seen last: the look is done with it."""
     return (
         state is not None

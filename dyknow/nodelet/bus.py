@@ -24,8 +24,11 @@ from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple, Union
 
 from dyknow.errors import HandleClosed, TypeMismatch
 from dyknow.nodelet.endpoints import NOTHING, Connection, Publication, Subscription
-from dyknow.nodelet.middleware import Middleware, OutsidePublisher, OutsideSubscriber, Receive
+from dyknow.nodelet.middleware import Middleware, OutsidePublisher, OutsideSubscriber
 from dyknow.nodelet.scheduler import Clock
+
+#: Seconds that a registration outlives a switch at most, while its messages are being sent.
+_LONGEST_DRAIN = 30.0
 
 Endpoint = Union[Publication, Subscription]
 Move = Tuple[Endpoint, str]
@@ -44,8 +47,8 @@ class _Topic:
         return [*self.publications, *self.connections]
 
     @property
-    def route(self) -> Tuple[Receive, ...]:
-        return tuple(connection.push for connection in self.connections)
+    def route(self) -> Tuple[Connection, ...]:
+        return tuple(self.connections)
 
 
 @dataclass(eq=False)
@@ -69,6 +72,7 @@ class Bus:
         self._lock = threading.Lock()
         self._topics: Dict[str, _Topic] = {}
         self._making: List[_Plan] = []
+        self._leaving: List[Tuple[Endpoint, OutsidePublisher]] = []
 
     def datatype_of(self, topic: str) -> str:
         """Type name of a topic that is alive, in this process or outside; empty if it is not."""
@@ -115,6 +119,8 @@ class Bus:
         halves: List[Union[OutsidePublisher, OutsideSubscriber, None]] = []
         with self._lock:
             halves += [plan.half for plan in self._making if plan.endpoint in endpoints]
+            halves += [half for endpoint, half in self._leaving if endpoint in endpoints]
+            self._leaving = [each for each in self._leaving if each[0] not in endpoints]
             for endpoint in endpoints:
                 if isinstance(endpoint, Publication):
                     halves.append(endpoint.outside)
@@ -211,10 +217,27 @@ class Bus:
 
     def _break(self, plans: List[_Plan], deadline: float) -> None:
         for plan in plans:
-            if isinstance(plan.old, OutsidePublisher):
-                plan.old.drain(max(0.0, deadline - self._clock()))
-            if plan.old is not None:
+            left = max(0.0, deadline - self._clock())
+            if isinstance(plan.old, OutsidePublisher) and not plan.old.drain(left):
+                self._leave_later(plan.endpoint, plan.old)
+            elif plan.old is not None:
                 plan.old.close()
+
+    def _leave_later(self, endpoint: Endpoint, half: OutsidePublisher) -> None:
+        """Withdraw a registration once a slow network has taken what was published there."""
+        leaving = (endpoint, half)
+        with self._lock:
+            self._leaving.append(leaving)
+
+        def leave() -> None:
+            half.drain(_LONGEST_DRAIN)
+            with self._lock:
+                if leaving not in self._leaving:
+                    return  # the endpoint was released, and this with it
+                self._leaving.remove(leaving)
+            half.close()
+
+        threading.Thread(target=leave, name="dyknow-drain", daemon=True).start()
 
     def _undo(self, plans: List[_Plan]) -> None:
         with self._lock:
@@ -277,7 +300,7 @@ class Bus:
     def _link(self, topic: _Topic, connection: Connection) -> None:
         topic.connections.append(connection)
         for publication in topic.publications:
-            publication.reroute(topic.route, newcomers=(connection.push,))
+            publication.reroute(topic.route, newcomers=(connection,))
 
     def _unlink(self, connection: Connection, discard: bool) -> None:
         topic = self._topics.get(connection.topic)

@@ -29,17 +29,17 @@ class Connection:
     """One subscription's link to one topic.
 
     Held, it collects messages; open, it delivers them on the strand; closed, it takes no more.
+    It is itself the task that delivers its oldest message: nothing else is touched on the way.
     """
 
     __slots__ = (
         "_arrived",
         "_limit",
         "_lock",
-        "_post",
         "_queue",
         "_state",
+        "_strand",
         "_subscription",
-        "_task",
         "outside",
         "topic",
     )
@@ -52,8 +52,7 @@ class Connection:
         self._lock = threading.Lock()
         self._queue: Deque[Any] = collections.deque()
         self._state = _HELD
-        self._post = subscription.strand.post
-        self._task = self._deliver
+        self._strand = subscription.strand
         self._arrived: Optional[threading.Event] = None
 
     @property
@@ -72,7 +71,7 @@ class Connection:
                     self._subscription.traffic.dropped += 1
                 else:
                     queue.append(message)
-                    self._post(self._task)
+                    self._strand.post(self)
             elif self._state is _HELD:
                 if len(queue) == self._limit:
                     queue.popleft()
@@ -81,7 +80,8 @@ class Connection:
                 if self._arrived is not None:
                     self._arrived.set()
 
-    def _deliver(self) -> None:
+    def __call__(self) -> None:
+        """Deliver the oldest message, if there is one."""
         with self._lock:
             if not self._queue:
                 return
@@ -110,7 +110,7 @@ class Connection:
             if self._state is _HELD:
                 self._state = _OPEN
                 for _ in self._queue:
-                    self._post(self._task)
+                    self._strand.post(self)
 
     def close(self, discard: bool) -> None:
         """Take no more; what is queued is still delivered unless it is to be discarded."""
@@ -228,7 +228,7 @@ class Publication:
         self._middleware = middleware
         self._what = what
         self._lock = threading.Lock()
-        self._route: Optional[Tuple[Receive, ...]] = None
+        self._route: Optional[Tuple[Connection, ...]] = None
         self._outside: Optional[OutsidePublisher] = None
         self._closed = False
 
@@ -250,14 +250,20 @@ class Publication:
             self.traffic.sent()
             if self.latch:
                 self.latched = message
-            for push in self._route:
-                push(message)
+            for connection in self._route:
+                connection.push(message)
             outside = self._outside
-        if outside is not None:
+            if outside is None or not (self.latch or outside.heard):
+                return
+            outside.in_flight += 1
+        try:
             if self.latch:
                 outside.latch(message)
-            elif outside.peers.connections:
+            else:
                 outside.publish(message)
+        finally:
+            with self._lock:
+                outside.in_flight -= 1
 
     def _unrouted(self, message: Any) -> None:
         if self._closed:
@@ -282,13 +288,15 @@ class Publication:
             self._outside = outside
             return self.latched
 
-    def reroute(self, route: Tuple[Receive, ...], newcomers: Tuple[Receive, ...] = ()) -> None:
+    def reroute(
+        self, route: Tuple[Connection, ...], newcomers: Tuple[Connection, ...] = ()
+    ) -> None:
         """Publish to ``route`` from now on; ``newcomers`` get a latched message first."""
         with self._lock:
             self._route = route
             if self.latched is not NOTHING:
-                for push in newcomers:
-                    push(self.latched)
+                for connection in newcomers:
+                    connection.push(self.latched)
 
     def disconnect(self, closed: bool = False) -> None:
         """Publish to nobody; for good, if ``closed``."""
@@ -301,4 +309,4 @@ class Publication:
     def get_num_connections(self) -> int:
         """Listeners: one for each outside, and one for all of this process, as in roscpp."""
         route, outside = self._route, self._outside
-        return (1 if route else 0) + (len(outside.peers.connections) if outside else 0)
+        return (1 if route else 0) + (outside.listeners() if outside else 0)

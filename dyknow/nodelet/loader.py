@@ -10,8 +10,9 @@ from __future__ import annotations
 import enum
 import logging
 import threading
+import time
 import traceback
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Type
 
 from dyknow.errors import LoadFailed, NameTaken, UnknownNodelet, UnloadedMeanwhile
@@ -21,6 +22,8 @@ from dyknow.nodelet.nodelet import Nodelet
 
 #: Seconds that an unload waits for ``on_shutdown``.
 SHUTDOWN_PATIENCE = 1.0
+#: Seconds that a nodelet has for itself when all are unloaded, before the next one's turn.
+_HEAD_START = 0.05
 
 _log = logging.getLogger("rosout.dyknow")
 
@@ -162,9 +165,27 @@ class Loader:
         Raises:
             UnknownNodelet: no nodelet of that name is loaded.
         """
-        self._unload(name, None)
+        self._finish(self._begin(name, None))
 
-    def _unload(self, name: str, only: Optional[_Entry]) -> None:
+    def close(self) -> None:
+        """Unload everything, the newest first.
+
+        Each has its time for ``on_shutdown``, but those that take long take it together.
+        """
+        with self._lock:
+            loaded = list(self._entries)
+        unloads = []
+        for name in reversed(loaded):
+            try:
+                unload = self._begin(name, None)
+            except UnknownNodelet:
+                continue  # somebody else was faster
+            unload.wait(_HEAD_START)
+            unloads.append(unload)
+        for unload in unloads:
+            self._finish(unload)
+
+    def _begin(self, name: str, only: Optional[_Entry]) -> _Unload:
         with self._lock:
             entry = self._entries.get(name)
             known = [each for each, one in self._entries.items() if one.state is _State.RUNNING]
@@ -172,26 +193,24 @@ class Loader:
                 raise UnknownNodelet(name, known)
             was_running = entry.state is _State.RUNNING
             entry.state = _State.UNLOADING
-        context = entry.context
-        context.stop()
-        if was_running:
-            self._shut_down(entry)
-            if context.running:
-                _log.info("%s: unloaded while a callback runs; it is not waited for", name)
+        entry.context.stop()
+        return _Unload(name, entry, self._shut_down(entry) if was_running else None)
+
+    def _finish(self, unload: _Unload) -> None:
+        name, context = unload.name, unload.entry.context
+        if not unload.wait(SHUTDOWN_PATIENCE):
+            _log.warning(
+                "%s: on_shutdown has not returned after %g s; it is not waited for any longer",
+                name,
+                SHUTDOWN_PATIENCE,
+            )
+        was_running = unload.shutdown is not None
+        if was_running and context.running:
+            _log.info("%s: unloaded while a callback runs; it is not waited for", name)
         context.close()
-        self._free(name, entry)
+        self._free(name, unload.entry)
         if was_running:
             self._on_unloaded(name)
-
-    def close(self) -> None:
-        """Unload everything, the newest first."""
-        with self._lock:
-            loaded = list(self._entries)
-        for name in reversed(loaded):
-            try:
-                self.unload(name)
-            except UnknownNodelet:
-                continue  # somebody else was faster
 
     @staticmethod
     def _start(entry: _Entry, nodelet_class: Type[Nodelet]) -> None:
@@ -208,12 +227,12 @@ class Loader:
     def _unload_self(self, name: str, entry: _Entry) -> None:
         # By its entry: another nodelet may have the name by now.
         try:
-            self._unload(name, entry)
+            self._finish(self._begin(name, entry))
         except UnknownNodelet:
             _log.info("%s: asked to be unloaded twice", name)
 
     @staticmethod
-    def _shut_down(entry: _Entry) -> None:
+    def _shut_down(entry: _Entry) -> _Run:
         nodelet, context = entry.nodelet, entry.context
         assert nodelet is not None
 
@@ -224,13 +243,23 @@ class Loader:
                 except BaseException:  # the boundary: the other hooks and the unload go on
                     _log.error("%s: on_shutdown raised\n%s", context.name, traceback.format_exc())
 
-        run = _Run(hooks, f"{context.name} on_shutdown")
-        if not run.done.wait(SHUTDOWN_PATIENCE):
-            _log.warning(
-                "%s: on_shutdown has not returned after %g s; it is not waited for any longer",
-                context.name,
-                SHUTDOWN_PATIENCE,
-            )
+        return _Run(hooks, f"{context.name} on_shutdown")
+
+
+@dataclass
+class _Unload:
+    """An unload that has begun."""
+
+    name: str
+    entry: _Entry
+    #: What ``on_shutdown`` is doing; None for a nodelet that did not run yet.
+    shutdown: Optional[_Run]
+    began: float = field(default_factory=time.monotonic)
+
+    def wait(self, seconds: float) -> bool:
+        """Wait for ``on_shutdown`` until so many seconds after it began."""
+        left = max(0.0, self.began + seconds - time.monotonic())
+        return self.shutdown is None or self.shutdown.done.wait(left)
 
 
 class _Signal(Closable):

@@ -62,9 +62,18 @@ class LocalPublisher(OutsidePublisher):
         self.middleware = middleware
         self.topic = topic
         self.datatype = datatype
-        self.peers = self
         self.connections: List[Callable[[Any], None]] = middleware.listeners.setdefault(topic, [])
         self.open = True
+        self.in_flight = 0
+
+    @property
+    def heard(self) -> bool:
+        """Whether somebody listens."""
+        return bool(self.connections)
+
+    def listeners(self) -> int:
+        """Count who listens."""
+        return len(self.connections)
 
     def publish(self, message: Any) -> None:
         """Hand the message to every listener."""
@@ -78,8 +87,9 @@ class LocalPublisher(OutsidePublisher):
     def wait(self, seconds: float) -> None:
         """Return at once: listeners are there or not."""
 
-    def drain(self, seconds: float) -> None:
+    def drain(self, seconds: float) -> bool:
         """Return at once: there is no network."""
+        return True
 
     def close(self) -> None:
         """Withdraw the registration."""

@@ -10,24 +10,28 @@ does not reach by reference.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any, Callable, Dict, Optional, Protocol, Sequence, Sized
+from typing import Any, Callable, Dict, Optional, Sequence
 
 Receive = Callable[[Any], None]
 Handler = Callable[[Any], Any]
 
 
-class Peers(Protocol):
-    """Who listens outside; looked at on every publish, so an attribute and not a call."""
-
-    @property
-    def connections(self) -> Sized:
-        """Empty as long as nobody listens."""
-
-
 class OutsidePublisher(ABC):
     """The outside half of one publication on one topic: an ordinary registration in ROS."""
 
-    peers: Peers
+    __slots__ = ("in_flight",)
+
+    #: Messages that its publication is just handing over; a switch waits for them too.
+    in_flight: int
+
+    @property
+    @abstractmethod
+    def heard(self) -> bool:
+        """Whether somebody listens; looked at on every publish, so it must be quick."""
+
+    @abstractmethod
+    def listeners(self) -> int:
+        """Count who listens outside."""
 
     @abstractmethod
     def publish(self, message: Any) -> None:
@@ -42,8 +46,8 @@ class OutsidePublisher(ABC):
         """Return when the outside subscribers of the topic are connected, or time is up."""
 
     @abstractmethod
-    def drain(self, seconds: float) -> None:
-        """Return when everything published is handed to the network, or time is up."""
+    def drain(self, seconds: float) -> bool:
+        """Wait until everything published is handed to the network; False when time is up."""
 
     @abstractmethod
     def close(self) -> None:

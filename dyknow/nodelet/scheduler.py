@@ -288,7 +288,7 @@ class WorkerPool(Executor):
                 oldest = min(
                     (w for w in stuck if not w.replaced), key=lambda w: seen[w][2], default=None
                 )
-                if oldest is not None:
+                if oldest is not None and oldest.strand is seen[oldest][0]:
                     oldest.replaced = True
                     self._hire()
 

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import collections
 from dataclasses import dataclass
-from typing import Deque
 
 from dyknow.nodelet.scheduler import Clock
 
-#: Messages over which a rate is taken, as in ``rostopic hz`` but fewer, so that it follows.
-_WINDOW = 64
+#: A rate is taken over the last one to two stretches of so many messages, so that it follows.
+_STRETCH = 32
 
 
 @dataclass(frozen=True)
@@ -32,30 +30,47 @@ class TrafficSnapshot:
 
 
 class Traffic:
-    """Running counts; ``sent`` and ``received`` are called by one thread at a time."""
+    """Running counts; ``sent`` and ``received`` are called by one thread at a time.
 
-    __slots__ = ("_busy", "_clock", "_longest", "_stamps", "dropped", "messages")
+    They are called for every message of every port, mostly with cold caches, so they touch as
+    little memory as they can: no window of time stamps is kept, only where two stretches began.
+    """
+
+    __slots__ = (
+        "_before",
+        "_begin",
+        "_busy",
+        "_clock",
+        "_last",
+        "_longest",
+        "dropped",
+        "messages",
+    )
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
-        self._stamps: Deque[float] = collections.deque(maxlen=_WINDOW)
         self._busy = 0.0
         self._longest = 0.0
+        self._last = 0.0
+        #: Number and time of the first message of this stretch and of the one before.
+        self._begin = self._before = (0, 0.0)
         self.messages = 0
         self.dropped = 0
 
     def sent(self) -> None:
         """Count one message that goes out now."""
-        self.messages += 1
-        self._stamps.append(self._clock())
+        self.received(self._clock(), 0.0)
 
     def received(self, start: float, took: float) -> None:
         """Count one message whose callback began at ``start`` and ``took`` so many seconds."""
-        self.messages += 1
-        self._stamps.append(start)
+        self.messages = number = self.messages + 1
+        self._last = start
         self._busy += took
         if took > self._longest:
             self._longest = took
+        if number % _STRETCH == 1:
+            self._before = self._begin if number > 1 else (1, start)
+            self._begin = (number, start)
 
     def snapshot(self) -> TrafficSnapshot:
         """Values for the reader, who may be any thread."""
@@ -69,13 +84,13 @@ class Traffic:
         )
 
     def _rate(self) -> float:
-        stamps = self._stamps.copy()
-        if len(stamps) < 2:
+        number, last, (first, since) = self.messages, self._last, self._before
+        intervals = number - first
+        if intervals < 1 or first == 0:
             return 0.0
-        span = stamps[-1] - stamps[0]
-        silence = self._clock() - stamps[-1]
-        period = span / (len(stamps) - 1)
-        # Until one is overdue the rate is that of the window; then the silence counts with it.
-        if silence > 2 * period:
+        span = last - since
+        silence = self._clock() - last
+        # Until one is overdue the rate is that of the stretch; then the silence counts with it.
+        if silence > 2 * span / intervals:
             span += silence
-        return (len(stamps) - 1) / span if span > 0 else 0.0
+        return intervals / span if span > 0 else 0.0

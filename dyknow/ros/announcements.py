@@ -93,18 +93,20 @@ class Listener:
             hear: called with the name of a nodelet, on rospy's threads.
         """
         self._hear = hear
+        self._turn = threading.Lock()
         self._subscribers: Dict[str, Any] = {}
 
     def follow(self, managers: Iterable[str]) -> None:
         """Listen to these nodelet managers and no others."""
         wanted: List[str] = sorted(managers)
-        for manager in [each for each in self._subscribers if each not in wanted]:
-            self._subscribers.pop(manager).unregister()
-        for manager in wanted:
-            if manager not in self._subscribers:
-                self._subscribers[manager] = rospy.Subscriber(
-                    f"{manager}/{TOPIC}", String, lambda message: self._hear(message.data)
-                )
+        with self._turn:
+            for manager in [each for each in self._subscribers if each not in wanted]:
+                self._subscribers.pop(manager).unregister()
+            for manager in wanted:
+                if manager not in self._subscribers:
+                    self._subscribers[manager] = rospy.Subscriber(
+                        f"{manager}/{TOPIC}", String, lambda message: self._hear(message.data)
+                    )
 
     def close(self) -> None:
         """Listen to nobody any more."""

@@ -8,27 +8,20 @@ that is killed; the next life finds it in a file (``child_records``) or, failing
 from __future__ import annotations
 
 import logging
-import os
-import re
 import sys
 import threading
 import time
 from dataclasses import dataclass, field, replace
-from typing import Any, Callable, Dict, List, Mapping, Optional, Tuple
-
-import rosgraph.network
-import rospkg
-from roslib.packages import find_node
+from typing import Callable, Dict, List, Optional
 
 from dyknow import names
 from dyknow.errors import HostError, PeerTimeout
 from dyknow.manager.host import Kind
-from dyknow.ros import child_records, process
+from dyknow.ros import child_records
 from dyknow.ros.child_records import ChildRecord
-from dyknow.ros.master import Master
+from dyknow.ros.launcher import Launcher
+from dyknow.ros.os_process import ProcessId
 from dyknow.ros.output import Follower
-from dyknow.ros.owner import OwnerLock
-from dyknow.ros.process import ProcessId
 
 #: Seconds that a child may take to offer its services.
 START_TIMEOUT = 20.0
@@ -38,7 +31,6 @@ _STEP = 0.02
 #: A child that lived for less is started again after a pause, doubling each time.
 _SHORT_LIFE = 10.0
 _LONGEST_PAUSE = 30.0
-_ANSWER_TIMEOUT = 1.0
 #: Seconds that a child of an earlier life may take to show itself: it may have just been started.
 _ADOPTION_TIMEOUT = 5.0
 _BASES = {Kind.PYTHON: "dyknow_nodelet_manager", Kind.CPP: "dyknow_cpp_nodelet_manager"}
@@ -57,6 +49,7 @@ class Child:
     gone: threading.Event = field(default_factory=threading.Event)
     trouble: str = ""
     uri: str = ""
+    stale: str = ""
     follower: Optional[Follower] = None
 
     @property
@@ -71,40 +64,26 @@ class Children:
 
     def __init__(
         self,
-        master: Master,
+        launcher: Launcher,
+        namespace: str,
         path: str,
-        owner: OwnerLock,
-        orphan_timeout: float,
-        parameters: Mapping[str, Any],
         on_change: Callable[[], None] = lambda: None,
     ) -> None:
         """Start without children.
 
         Args:
-            master: also says whose children they are.
+            launcher: starts them.
+            namespace: that of the DyKnow manager, and of its shared children.
             path: file of the records.
-            owner: lock that tells the children that we live.
-            orphan_timeout: seconds after which they end without us; 0 for never.
-            parameters: further private parameters of each.
             on_change: called when a child is up or has ended.
         """
-        self._master = master
+        self._launcher = launcher
+        self._namespace = namespace
         self._path = path
-        self._owner = owner
-        self._orphan_timeout = orphan_timeout
-        self._parameters = {
-            "owner": master.caller,
-            "owner_lock": owner.path,
-            "orphan_timeout": orphan_timeout,
-            **parameters,
-        }
         self._on_change = on_change
-        self._namespace = names.parent(master.caller)
         self._lock = threading.Condition()
         self._children: Dict[str, Child] = {}
         self._ending = False
-        self._log_folder = rospkg.get_log_dir()
-        os.makedirs(self._log_folder, exist_ok=True)
 
     def adopt(self) -> List[str]:
         """Take over the children of an earlier life that still run, and return their names."""
@@ -116,8 +95,8 @@ class Children:
         known = {record.name for record in records}
         for kind in Kind:
             name = names.join(self._namespace, _BASES[kind])
-            found = None if name in known else self._living(name)
-            if found is not None and self._is_ours(name):
+            found = None if name in known else self._launcher.living(name)
+            if found is not None and self._launcher.is_ours(name):
                 records.append(ChildRecord(name, kind, process=found))
         children = [self._add(Child(record, adopted=True)) for record in records]
         deadline = time.monotonic() + _ADOPTION_TIMEOUT
@@ -158,7 +137,7 @@ class Children:
         if up:
             return min(child.record.name for child in up)
         if not fitting:
-            name = self._isolated_name(isolated_for) if isolated_for else self._free_name(kind)
+            name = f"{isolated_for}_nodelet_manager" if isolated_for else self._free_name(kind)
             fitting = [self._add(Child(ChildRecord(name, kind, isolated_for)))]
         return self._wait_up(fitting[0], deadline)
 
@@ -206,7 +185,9 @@ class Children:
             if present is not None:
                 return present
             self._children[name] = child
-        threading.Thread(target=self._keep, args=(child,), name=f"child {name}", daemon=True).start()
+        threading.Thread(
+            target=self._keep, args=(child,), name=f"child {name}", daemon=True
+        ).start()
         return child
 
     def _free_name(self, kind: Kind) -> str:
@@ -216,13 +197,10 @@ class Children:
         while True:
             with self._lock:
                 taken = name in self._children
-            if not taken and self._living(name) is None:
+            if not taken and self._launcher.living(name) is None:
                 return name
             number += 1
             name = f"{base}_{number}"
-
-    def _isolated_name(self, nodelet: str) -> str:
-        return f"{nodelet}_nodelet_manager"
 
     def _wait_up(self, child: Child, deadline: float) -> str:
         with self._lock:
@@ -238,7 +216,7 @@ class Children:
 
     def _keep(self, child: Child) -> None:
         """Run one child, life after life; an isolated one has only one."""
-        pause = 0.0
+        deaths = 0  # in quick succession
         while child.wanted:
             begin = time.monotonic()
             try:
@@ -248,8 +226,8 @@ class Children:
                 _log.error("nodelet manager %s: %s", child.record.name, error)
             if not child.wanted or child.record.isolated_for:
                 break
-            long_life = time.monotonic() - begin > _SHORT_LIFE
-            pause = 0.0 if long_life else min(_LONGEST_PAUSE, max(0.25, 2 * pause))
+            deaths = 1 if time.monotonic() - begin > _SHORT_LIFE else deaths + 1
+            pause = min(_LONGEST_PAUSE, 0.25 * 2 ** (deaths - 2)) if deaths > 1 else 0.0
             with self._lock:
                 self._lock.wait_for(lambda: not child.wanted, pause)
         with self._lock:
@@ -277,33 +255,28 @@ class Children:
         if child.wanted:
             _log.warning("nodelet manager %s (process %d) has died", name, found.pid)
         self.echo()
-        self._purge(name, child.uri)
+        if not child.wanted or child.record.isolated_for:
+            self._launcher.tidy(name, child.uri)
         self._on_change()
 
     def _launch(self, child: Child) -> None:
-        name, kind = child.record.name, child.record.kind
-        living = self._living(name)
+        name = child.record.name
+        living = self._launcher.living(name)
         if living is not None:
             self._take_over(child, living)
             return
-        self._purge(name, self._master.node(name))
-        for key, value in self._parameters.items():
-            self._master.ask("setParam", names.join(name, key), value)
-        output = self._output(name)
-        found = process.start(_command(kind, name), output, rospkg.get_ros_home())
-        child.follower = Follower(output)
+        child.stale = self._launcher.registered(name)
+        found, child.follower = self._launcher.launch(child.record.kind, name)
         with self._lock:
             child.record = replace(child.record, process=found)
         self._write()
-        if kind is Kind.CPP and self._orphan_timeout > 0:
-            _watch(found, self._owner.path, self._orphan_timeout, output + ".owner")
 
     def _take_over(self, child: Child, living: ProcessId) -> None:
         """Adopt a process that an earlier life started, but could not write down any more."""
-        if living.pid < 0 or not self._is_ours(child.record.name):
+        if living.pid < 0 or not self._launcher.is_ours(child.record.name):
             raise HostError("another node has that name")
         with self._lock:
-            child.adopted = True
+            child.adopted, child.stale = True, ""
             child.record = replace(child.record, process=living)
         self._write()
 
@@ -311,9 +284,10 @@ class Children:
         """Wait until the services are there; a late one that we started is given up."""
         name = child.record.name
         if child.adopted:
-            child.follower = Follower(self._output(name), at_end=True)
+            child.follower = self._launcher.follow(name)
         deadline = time.monotonic() + START_TIMEOUT
-        while not self._is_offered(f"{name}/list"):
+        uri = self._launcher.address(name, child.stale)
+        while not uri:
             if not found.alive or not child.wanted:
                 child.trouble = "it ended at its start"
                 return
@@ -321,9 +295,10 @@ class Children:
                 found.end(PATIENCE)
                 raise HostError(f"it has not come up within {START_TIMEOUT:g} s")
             time.sleep(_STEP)
-        child.uri = self._master.node(name)
+            uri = self._launcher.address(name, child.stale)
+        child.uri = uri
         with self._lock:
-            child.up = True
+            child.up = child.wanted
             self._lock.notify_all()
         self._on_change()
 
@@ -341,49 +316,7 @@ class Children:
             ender.join(2 * PATIENCE)
         for child in children:
             child.gone.wait(PATIENCE)
-            for key in self._parameters:
-                try:
-                    self._master.ask("deleteParam", names.join(child.record.name, key))
-                except (LookupError, PeerTimeout):
-                    continue
-
-    def _purge(self, name: str, uri: str) -> None:
-        if not uri:
-            return
-        try:
-            self._master.purge(name, uri)
-        except (LookupError, PeerTimeout) as error:
-            _log.warning("what nodelet manager %s left at the master: %s", name, error)
-
-    # Looking
-
-    def _living(self, name: str) -> Optional[ProcessId]:
-        """The process of a node that answers; an id of -1 if it runs on another machine."""
-        uri = self._master.node(name)
-        if not uri:
-            return None
-        try:
-            pid = self._master.pid(name, uri, _ANSWER_TIMEOUT)
-        except (PeerTimeout, LookupError):
-            return None
-        host, _ = rosgraph.network.parse_http_host_and_port(uri)
-        here = rosgraph.network.is_local_address(host)
-        return ProcessId.of(pid) if here else ProcessId(-1, -1)
-
-    def _is_ours(self, name: str) -> bool:
-        try:
-            return bool(self._master.ask("getParam", f"{name}/owner") == self._master.caller)
-        except LookupError:
-            return False
-
-    def _is_offered(self, service: str) -> bool:
-        try:
-            return bool(self._master.ask("lookupService", service))
-        except (LookupError, PeerTimeout):
-            return False
-
-    def _output(self, name: str) -> str:
-        return os.path.join(self._log_folder, re.sub(r"\W+", "-", name).strip("-") + "-output.log")
+            self._launcher.forget(child.record.name)
 
     def _write(self) -> None:
         with self._lock:
@@ -392,18 +325,3 @@ class Children:
                 child_records.write(self._path, records)
             except OSError as error:
                 _log.error("'%s' cannot be written: %s", self._path, error)
-
-
-def _command(kind: Kind, name: str) -> Tuple[str, ...]:
-    node = (f"__name:={name.rpartition('/')[2]}", f"__ns:={names.parent(name)}")
-    if kind is Kind.PYTHON:
-        return (sys.executable, "-m", "dyknow.cli.nodelet", "manager", *node)
-    found = find_node("nodelet", "nodelet")
-    if not found:
-        raise HostError("C++ nodelets need the package 'nodelet', which is not installed")
-    return (found[0], "manager", *node)
-
-
-def _watch(found: ProcessId, lock: str, timeout: float, output: str) -> None:
-    command = (sys.executable, "-m", "dyknow.ros.owner", lock, str(timeout), str(found.pid))
-    process.start(command, output, rospkg.get_ros_home())

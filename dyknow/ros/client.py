@@ -10,11 +10,7 @@ from dataclasses import dataclass
 from typing import Any, Dict, Mapping, Optional, Tuple
 
 import rosgraph.names
-from dyknow_msgs.msg import Model as ModelMessage
-from dyknow_msgs.msg import Nodelet as NodeletMessage
-from dyknow_msgs.msg import Port as PortMessage
 from dyknow_msgs.msg import PortConfig
-from dyknow_msgs.msg import Transformation as TransformationMessage
 from dyknow_msgs.srv import (
     AddTransformation,
     Destroy,
@@ -29,55 +25,15 @@ from dyknow_msgs.srv import (
 
 from dyknow import names
 from dyknow.errors import Refused
-from dyknow.manager.model import PortState, State
-from dyknow.manager.transformation import IN, OUT, Parameter, Port, Transformation
+from dyknow.manager.model import PortState
 from dyknow.ros.master import Master
 from dyknow.ros.service_client import ServiceClient
+from dyknow.ros.views import ModelView, Statistics, model_view, port_view, statistics_view
 
 #: Seconds for calls that only ask.
 ASK_TIMEOUT = 5.0
 #: Seconds for calls that change something; a spawn may start a nodelet manager first.
 CHANGE_TIMEOUT = 60.0
-
-
-@dataclass(frozen=True)
-class NodeletView:
-    """A nodelet as the manager shows it; the fields are those of ``dyknow_msgs/Nodelet``."""
-
-    name: str
-    transformation: str
-    manager: str
-    is_protected: bool
-    isolated: bool
-    rewired_by_reload: bool
-    state: State
-    detail: str
-    ports: Tuple[PortState, ...]
-
-    def port(self, name: str) -> Optional[PortState]:
-        """Return the port of that name, or None."""
-        return next((port for port in self.ports if port.name == name), None)
-
-
-@dataclass(frozen=True)
-class ModelView:
-    """The model as the manager shows it.
-
-    Attributes:
-        revision: grows with every change of the nodelets.
-        library_revision: grows with every change of the transformations.
-        nodelets: by name.
-        transformations: by label; empty on the topic.
-    """
-
-    revision: int
-    library_revision: int
-    nodelets: Tuple[NodeletView, ...]
-    transformations: Tuple[Transformation, ...]
-
-    def nodelet(self, name: str) -> Optional[NodeletView]:
-        """Return the nodelet of that global name, or None."""
-        return next((each for each in self.nodelets if each.name == name), None)
 
 
 @dataclass(frozen=True)
@@ -91,30 +47,6 @@ class Added:
 
     labels: Tuple[str, ...]
     warnings: str
-
-
-@dataclass(frozen=True)
-class PortTraffic:
-    """What went through a port; times in seconds, the rate in Hz."""
-
-    port: str
-    direction: str
-    topic: str
-    messages: int
-    dropped: int
-    rate: float
-    mean_callback: float
-    max_callback: float
-
-
-@dataclass(frozen=True)
-class Statistics:
-    """What a nodelet did since it was loaded; the time in seconds."""
-
-    uptime: float
-    reconfigurations: int
-    callback_errors: int
-    ports: Tuple[PortTraffic, ...]
 
 
 class ManagerClient:
@@ -139,9 +71,7 @@ class ManagerClient:
 
     def add_transformation(self, specification: str) -> Added:
         """Add what a specification (XML text) says."""
-        answer = self._change(
-            "add_transformation", AddTransformation, specification=specification
-        )
+        answer = self._change("add_transformation", AddTransformation, specification=specification)
         return Added(tuple(answer.labels), answer.message)
 
     def remove_transformation(self, label: str) -> None:
@@ -210,24 +140,7 @@ class ManagerClient:
     def get_statistics(self, nodelet: str) -> Statistics:
         """Ask a nodelet what it has done."""
         answer = self._call(names.join(nodelet, "get_statistics"), GetStatistics, ASK_TIMEOUT)
-        return Statistics(
-            answer.uptime.to_sec(),
-            answer.reconfigurations,
-            answer.callback_errors,
-            tuple(
-                PortTraffic(
-                    each.port,
-                    _direction(each),
-                    each.topic,
-                    each.messages,
-                    each.dropped,
-                    each.rate,
-                    each.mean_callback.to_sec(),
-                    each.max_callback.to_sec(),
-                )
-                for each in answer.ports
-            ),
-        )
+        return statistics_view(answer)
 
     # Inside
 
@@ -243,55 +156,6 @@ class ManagerClient:
         return ServiceClient(self._master, service, service_class).call(timeout, **fields)
 
 
-def model_view(message: ModelMessage) -> ModelView:
-    """Read a model, as ``get_model`` answers or the topic ``~model`` carries it."""
-    return ModelView(
-        message.revision,
-        message.library_revision,
-        tuple(_nodelet_view(each) for each in message.nodelets),
-        tuple(_transformation(each) for each in message.transformations),
-    )
-
-
-def port_view(message: PortMessage) -> PortState:
-    """Read a port."""
-    return PortState(
-        message.name, _direction(message), message.datatype, message.topic, tuple(message.tags)
-    )
-
-
-def _nodelet_view(message: NodeletMessage) -> NodeletView:
-    return NodeletView(
-        message.name,
-        message.transformation,
-        message.manager,
-        message.is_protected,
-        message.isolated,
-        message.rewired_by_reload,
-        State(message.state),
-        message.detail,
-        tuple(port_view(port) for port in message.ports),
-    )
-
-
-def _transformation(message: TransformationMessage) -> Transformation:
-    return Transformation(
-        message.label,
-        message.source,
-        message.type,
-        message.cost,
-        tuple(Parameter(each.name, each.type, each.value) for each in message.parameters),
-        tuple(
-            Port(each.name, _direction(each), each.datatype, tuple(each.tags))
-            for each in message.ports
-        ),
-    )
-
-
-def _direction(message: Any) -> str:
-    return OUT if message.direction == PortMessage.OUT else IN
-
-
-def _pairs(config: Mapping[str, str]) -> "list[PortConfig]":
+def _pairs(config: Mapping[str, str]) -> list[PortConfig]:
     ordered: Dict[str, str] = dict(sorted(config.items()))
     return [PortConfig(port, topic) for port, topic in ordered.items()]

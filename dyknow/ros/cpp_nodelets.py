@@ -88,8 +88,9 @@ class CppNodelet:
             uptime=rospy.Duration.from_sec(time.monotonic() - self._since),
             reconfigurations=self._reconfigurations,
             ports=[
-                PortStatistics(port=port.name, direction=running_port(port).direction,
-                               topic=port.topic)
+                PortStatistics(
+                    port=port.name, direction=running_port(port).direction, topic=port.topic
+                )
                 for port in self._record().ports
             ],
         )

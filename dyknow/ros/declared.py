@@ -58,7 +58,7 @@ class Declared:
             )
         return found
 
-    def _known(self, source: str) -> "Kind | None":
+    def _known(self, source: str) -> Kind | None:
         with self._lock:
             if source in self._python:
                 return Kind.PYTHON

@@ -16,7 +16,7 @@ from nodelet.srv import NodeletLoad, NodeletUnload
 
 from dyknow import names
 from dyknow.errors import HostError, NameTaken, PeerTimeout
-from dyknow.guards import Guards
+from dyknow.guards import NO_GUARDS, Guards
 from dyknow.manager.host import Host, Kind, LoadRequest, ManagerState
 from dyknow.manager.model import PortState
 from dyknow.manager.transformation import Parameter
@@ -43,7 +43,7 @@ class RosHost(Host):
         master: Master,
         children: Children,
         peers: Sequence[str] = (),
-        guards: Guards = Guards(),
+        guards: Guards = NO_GUARDS,
     ) -> None:
         """Reach nothing yet.
 

@@ -28,6 +28,7 @@ from rospy.impl.transport import INBOUND, Transport
 
 from dyknow.nodelet.endpoints import NOTHING, Connection
 from dyknow.nodelet.scheduler import Executor, Strand
+from dyknow.ros.anymsg import TypedReceiver
 
 Callback = Tuple[Callable[..., Any], Any]
 
@@ -57,12 +58,6 @@ class IntraProcessTransport(Transport):
             self._closed()
 
 
-class Always:
-    """Listeners that the bus has to reach through ``publish`` although no connection shows it."""
-
-    connections = (None,)
-
-
 def twin(message: Any) -> Any:
     """Copy a message the way the network does."""
     buffer = BytesIO()
@@ -76,10 +71,11 @@ class LocalTopic:
     def __init__(self, name: str, uri: str, executor: Executor) -> None:
         self.name = name
         self.halves: Set[Any] = set()
-        self.latched: Any = NOTHING
+        self._latches: Dict[Any, Any] = {}
         self._uri = uri
         self._strand = Strand(executor, f"rospy subscribers of {name}")
         self._adopted: Any = None
+        self._refreshing = threading.Lock()
         self._listening: Any = None
 
     @property
@@ -89,6 +85,21 @@ class LocalTopic:
         if implementation is None:
             return []
         return [each for each in list(implementation.callbacks) if not _ours(each[0])]
+
+    @property
+    def latched(self) -> Any:
+        """The message that was latched last, by who is still there."""
+        return (list(self._latches.values()) or [NOTHING])[-1]
+
+    def latch(self, half: Any, message: Any) -> None:
+        """Keep what a publication has latched, the latest last."""
+        self._latches.pop(half, None)
+        self._latches[half] = message
+
+    def unlatch(self, half: Any) -> Any:
+        """Forget a publication's message; returns whose is the latest now, or None."""
+        self._latches.pop(half, None)
+        return (list(self._latches) or [None])[-1]
 
     def adopt(self, implementation: Any) -> None:
         """Pass on what ordinary publishers of this process publish on the topic."""
@@ -103,6 +114,19 @@ class LocalTopic:
             return outwards(message, connection_override)
 
         implementation.publish = publish
+        self._follow(implementation, "remove_connection")
+        add = implementation.add_connection
+
+        def add_connection(connection: Any) -> Any:
+            with self._refreshing:
+                for half in list(self.halves):
+                    half.heard = True  # first: whoever sees the connection is heard already
+            try:
+                return add(connection)
+            finally:
+                self.refresh()
+
+        implementation.add_connection = add_connection
         self.outwards: Callable[[Any], Any] = outwards
         subscriber = rospy.impl.registration.get_topic_manager().get_subscriber_impl(self.name)
         if subscriber is not None and subscriber.has_connection(self._uri):
@@ -110,34 +134,36 @@ class LocalTopic:
 
     def link(self, subscriber: Any) -> None:
         """Show the link on rospy's subscriber and follow its ordinary callbacks."""
+        new = self._listening is not subscriber
+        if new:
+            self._listen_with(subscriber)  # first: whoever sees the connection is heard already
         present = [c for c in subscriber.connections if isinstance(c, IntraProcessTransport)]
         if not present:
             subscriber.add_connection(
                 IntraProcessTransport(self.name, self._uri, lambda: self._unlinked(subscriber))
             )
-        if self._listening is subscriber:
-            return
+        if new and self.latched is not NOTHING:
+            self._hand_over(self.latched, self.foreign)
+
+    def _listen_with(self, subscriber: Any) -> None:
         self._listening = subscriber
-        add, remove = subscriber.add_callback, subscriber.remove_callback
+        self._follow(subscriber, "add_callback", "remove_callback")
+        add = subscriber.add_callback
 
         def add_callback(callback: Any, args: Any) -> None:
             add(callback, args)
-            self.refresh()
             if not _ours(callback) and self.latched is not NOTHING:
                 self._hand_over(self.latched, [(callback, args)])
 
-        def remove_callback(callback: Any, args: Any) -> None:
-            remove(callback, args)
-            self.refresh()
-
-        subscriber.add_callback, subscriber.remove_callback = add_callback, remove_callback
+        subscriber.add_callback = add_callback
         self.refresh()
 
     def refresh(self) -> None:
-        """Let the publications of the bus know whether ordinary subscribers are there."""
-        listeners = Always if self.foreign else self._adopted
-        for half in list(self.halves):
-            half.peers = listeners
+        """Let the publications of the bus know whether somebody outside of it listens."""
+        with self._refreshing:  # whoever comes last has seen all changes
+            heard = bool(self.foreign) or bool(self._adopted and self._adopted.connections)
+            for half in list(self.halves):
+                half.heard = heard
 
     def deliver(self, message: Any) -> None:
         """Hand a message of the bus to the ordinary subscribers."""
@@ -147,9 +173,25 @@ class LocalTopic:
         """Take the link off rospy's subscriber: nobody publishes here any more."""
         subscriber = self._listening
         if subscriber is not None:
+            vars(subscriber).pop("add_callback", None)
+            vars(subscriber).pop("remove_callback", None)
             for connection in list(subscriber.connections or ()):
                 if isinstance(connection, IntraProcessTransport):
                     subscriber.remove_connection(connection)
+
+    def _follow(self, implementation: Any, *changes: str) -> None:
+        """Refresh after every call of these methods of rospy's object."""
+        for name in changes:
+            setattr(implementation, name, self._refreshing_after(getattr(implementation, name)))
+
+    def _refreshing_after(self, change: Callable[..., Any]) -> Callable[..., Any]:
+        def changed(*args: Any) -> Any:
+            try:
+                return change(*args)
+            finally:
+                self.refresh()
+
+        return changed
 
     def _unlinked(self, subscriber: Any) -> None:
         if self._listening is subscriber and subscriber.closed:
@@ -235,4 +277,4 @@ class _Departures(rospy.impl.registration.RegistrationListener):
 
 
 def _ours(callback: Any) -> bool:
-    return isinstance(getattr(callback, "__self__", None), Connection)
+    return isinstance(getattr(callback, "__self__", None), (Connection, TypedReceiver))

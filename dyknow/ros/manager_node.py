@@ -1,49 +1,55 @@
 """The node dyknow_manager: the paper's manager, with all that it needs from ROS.
 
 Who owns what: ``ManagerNode`` owns the store, the children, the host, the manager and what speaks
-for it: services, the topic of the model, the watch. The main thread only waits to be told to end.
-Being told (SIGINT, SIGTERM, rosnode kill) is an end on purpose: nodelets and nodelet managers end
+for it: services, the topic of the model, the watch, the workers that bring back what died. Being
+told to end (SIGINT, SIGTERM, rosnode kill) is an end on purpose: nodelets and nodelet managers end
 too. A manager that is killed leaves them running, and its next life takes them over.
 """
 
 from __future__ import annotations
 
-import queue
-import signal
 import sys
-import threading
-from typing import TYPE_CHECKING, Sequence
+from typing import TYPE_CHECKING, Optional, Sequence
 
+import rosgraph.names
 import rospy
 
 from dyknow import names
-from dyknow.errors import DyKnowError
+from dyknow.errors import DyKnowError, PeerTimeout
 from dyknow.manager.host import Kind
 from dyknow.manager.library import Library
 from dyknow.manager.manager import Manager, Settings
 from dyknow.manager.store import Store
+from dyknow.nodelet.middleware import Closable
 from dyknow.ros.announcements import Listener
 from dyknow.ros.children import Children
 from dyknow.ros.cpp_nodelets import CppNodelets
+from dyknow.ros.exit_codes import FAILED
 from dyknow.ros.guard_parameters import GUARDS, to_parameter
 from dyknow.ros.host import RosHost
+from dyknow.ros.launcher import Launcher
 from dyknow.ros.manager_services import ManagerServices
 from dyknow.ros.manager_settings import ManagerSettings
 from dyknow.ros.master import Master
 from dyknow.ros.model_messages import ModelMessages
 from dyknow.ros.model_publisher import ModelPublisher
 from dyknow.ros.owner import OwnerLock
+from dyknow.ros.process import NodeProcess
 from dyknow.ros.watch import Watch
+from dyknow.ros.workers import Workers
 
 if TYPE_CHECKING:
     from dyknow.manager.ontology import Ontology
 
-#: Seconds that rosnode kill is held up for an orderly end.
-_LONGEST_END = 15.0
-_SHUTDOWN_TIMEOUT = 2.0
+#: Nodelets that are brought back at the same time.
+_WORKERS = 4
+#: Seconds to wait, at the end, for those that are being brought back.
+_WORKERS_PATIENCE = 3.0
+_ANSWER_TIMEOUT = 1.0
+_NAME = "dyknow_manager"
 
 
-class ManagerNode:
+class ManagerNode(Closable):
     """The manager and its surroundings; the node must be initialised."""
 
     def __init__(self, settings: ManagerSettings) -> None:
@@ -60,13 +66,17 @@ class ManagerNode:
             rospy.logerr("%s", self._store.complaint)
         master = Master(node)
         self._children = Children(
-            master,
+            Launcher(
+                master,
+                self._owner,
+                settings.orphan_timeout,
+                {GUARDS: to_parameter(settings.guards, node)},
+            ),
+            names.parent(node),
             settings.state_path("children.json"),
-            self._owner,
-            settings.orphan_timeout,
-            {GUARDS: to_parameter(settings.guards, node)},
             self._on_child,
         )
+        self._workers = Workers(_WORKERS)
         self._host = RosHost(master, self._children, settings.nodelet_managers, settings.guards)
         self.manager = Manager(
             self._host,
@@ -74,6 +84,7 @@ class ManagerNode:
             Library(self._store, _ontology(settings.ontologies), settings.limits),
             settings.guards,
             Settings(names.parent(node), settings.spawn_timeout),
+            self._workers.run,
         )
         self._messages = ModelMessages()
         self._cpp = CppNodelets(self.manager)
@@ -91,20 +102,21 @@ class ManagerNode:
         self.manager.on_change = self._publisher.note_change
         self.manager.start()
         self._retire_empty()
-        self._cpp.follow()
-        self._listener.follow(self._python_managers())
-        self._services = ManagerServices(self.manager, self._messages, self._cpp.follow)
+        self._after_change()
+        self._services = ManagerServices(self.manager, self._messages, self._after_change)
         self._publisher.note_change()
         self._watch.start()
 
-    def end(self) -> None:
+    def close(self) -> None:
         """End on purpose, with all nodelets and nodelet managers."""
+        rospy.loginfo("the manager %s ends, and its nodelets with it", rospy.get_name())
         self._services.close()
         self._listener.close()
         self._watch.close(1.0)
         self._publisher.close()
         self._cpp.close()
         self._children.end_all()
+        self._workers.close(_WORKERS_PATIENCE)
         self.manager.end()
         self._host.release()
         self._host.close()
@@ -140,12 +152,35 @@ class ManagerNode:
     def _on_child(self) -> None:
         self._watch.hurry()
 
-    def _after_look(self) -> None:
+    def _after_change(self) -> None:
+        self._cpp.follow()
         self._listener.follow(self._python_managers())
+
+    def _after_look(self) -> None:
+        self._after_change()
         self._children.echo()
 
 
-def _ontology(paths: Sequence[str]) -> "Ontology | None":
+def _is_running(argv: Sequence[str]) -> bool:
+    """Whether a manager of that name runs already.
+
+    The master would tell it to end, and with it all its nodelets would end.
+    """
+    mappings = rosgraph.names.load_mappings(argv)
+    namespace = mappings.get("__ns", rosgraph.names.get_ros_namespace(argv=[]))
+    name = names.join(str(namespace), str(mappings.get("__name", _NAME)))
+    master = Master(name)
+    try:
+        uri = master.node(name)
+        pid = master.pid(name, uri, _ANSWER_TIMEOUT) if uri else 0
+    except (PeerTimeout, LookupError):
+        return False  # rospy waits for the master; what does not answer is dead or about to be
+    if pid:
+        print(f"{name} runs already (process {pid}); end it first: rosnode kill {name}")
+    return bool(pid)
+
+
+def _ontology(paths: Sequence[str]) -> Ontology | None:
     if not paths:
         return None
     from dyknow.manager.ontology import load_ontology  # rdflib takes its time to import
@@ -155,31 +190,15 @@ def _ontology(paths: Sequence[str]) -> "Ontology | None":
 
 def main(argv: Sequence[str] = ()) -> int:
     """Run the node until it is told to end; returns the exit code."""
-    rospy.init_node("dyknow_manager", argv=list(argv or sys.argv), disable_signals=True)
-    told: "queue.SimpleQueue[str]" = queue.SimpleQueue()  # a signal handler may put into it
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda number, frame: told.put(signal.Signals(number).name))
-    ended, shut_down = threading.Event(), threading.Event()
+    argv = list(argv or sys.argv)
+    return FAILED if _is_running(argv) else NodeProcess(_NAME, argv, _start).run()
 
-    def hold_up() -> None:
-        told.put("rosnode kill")
-        ended.wait(_LONGEST_END)
 
-    rospy.on_shutdown(hold_up)
-    rospy.core.add_shutdown_hook(lambda reason: shut_down.set())
+def _start() -> Optional[ManagerNode]:
     try:
         node = ManagerNode(ManagerSettings.read())
     except DyKnowError as error:
         rospy.logfatal("%s", error)
-        ended.set()
-        return 1
-    try:
-        node.start()
-        rospy.loginfo("the manager of %s is told to end by %s", rospy.get_name(), told.get())
-        node.end()
-    finally:
-        ended.set()
-        rospy.signal_shutdown("the manager ends")
-        # It returns at once if another thread (rosnode kill) is at it; that one has to finish.
-        shut_down.wait(_SHUTDOWN_TIMEOUT)
-    return 0
+        return None
+    node.start()
+    return node

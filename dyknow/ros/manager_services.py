@@ -42,7 +42,7 @@ class ManagerServices:
         Args:
             manager: does it.
             messages: makes the answers of get_model.
-            after_change: called after a successful change, before it is answered.
+            after_change: called after each attempt to change something, before it is answered.
         """
         self._manager = manager
         self._messages = messages
@@ -126,13 +126,11 @@ class ManagerServices:
     def _check_sizes(self, *texts: str, entries: int = 0) -> None:
         self._manager.guards.check_sizes(texts, entries)
 
-    def _try(
-        self, request: Any, what: str, action: Callable[[], "str | None"]
-    ) -> Tuple[bool, str]:
+    def _try(self, request: Any, what: str, action: Callable[[], str | None]) -> Tuple[bool, str]:
         """Do what a request asks for; the answer says whether it worked, and why not."""
         caller = caller_of(request)
         try:
-            message = action() or ""
+            message = self._followed_up(action) or ""
         except DyKnowError as error:
             rospy.logwarn("%s for %s: refused: %s", what, caller, error)
             return False, str(error)
@@ -140,8 +138,13 @@ class ManagerServices:
             _log.exception("%s for %s failed", what, caller)
             return False, f"internal error: {type(error).__name__}: {error}"
         rospy.loginfo("%s for %s: done", what, caller)
-        self._after_change()
         return True, message
+
+    def _followed_up(self, action: Callable[[], str | None]) -> str | None:
+        try:
+            return action()
+        finally:
+            self._after_change()
 
 
 def _mapping(name: str, pairs: Sequence[Tuple[str, str]]) -> Dict[str, str]:

@@ -13,7 +13,7 @@ import rospy
 
 from dyknow import names
 from dyknow.errors import DyKnowError
-from dyknow.guards import Guards
+from dyknow.guards import NO_GUARDS, Guards
 from dyknow.manager.limits import DEFAULT_LIMITS, Limits
 
 
@@ -40,7 +40,7 @@ class ManagerSettings:
     transformations: Tuple[str, ...] = ()
     spawn_timeout: float = 10.0
     orphan_timeout: float = 300.0
-    guards: Guards = Guards()
+    guards: Guards = NO_GUARDS
     limits: Limits = DEFAULT_LIMITS
 
     @classmethod
@@ -114,7 +114,7 @@ def _integer(name: str, default: int) -> int:
     value = rospy.get_param("~" + name, default)
     if isinstance(value, bool) or not isinstance(value, int) or value < 0:
         raise _refuse(name, "an integer from 0", value)
-    return value
+    return int(value)
 
 
 def _seconds(name: str, default: float, least: float) -> float:

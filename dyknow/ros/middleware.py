@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from io import BytesIO
 from typing import Any, Dict, Optional, Sequence
 
 import rospy
@@ -12,7 +11,7 @@ import rospy.timer
 from dyknow.errors import PeerTimeout
 from dyknow.nodelet.middleware import Closable, Handler, Middleware, Receive
 from dyknow.nodelet.scheduler import Executor
-from dyknow.ros import members
+from dyknow.ros import anymsg, members
 from dyknow.ros.errors import ClosedHandle, Interrupted, MessageTimeout
 from dyknow.ros.intraprocess import IntraProcess
 from dyknow.ros.master import Master
@@ -64,7 +63,7 @@ class RospyMiddleware(Middleware):
             return receive
 
         def receive_any(message: Any) -> None:
-            receive(message if message._md5sum == "*" else _serialised(datatype, message))
+            receive(message if message._md5sum == "*" else anymsg.serialised(datatype, message))
 
         return receive_any
 
@@ -129,18 +128,3 @@ class RospyService(Closable):
         if self._service is not None:
             service, self._service = self._service, None
             service.shutdown("closed")
-
-
-def _serialised(any_class: Any, message: Any) -> Any:
-    buffer = BytesIO()
-    message.serialize(buffer)
-    wrapped = any_class()
-    wrapped._buff = buffer.getvalue()
-    wrapped._connection_header = {
-        "type": message._type,
-        "md5sum": message._md5sum,
-        "message_definition": message._full_text,
-        "callerid": rospy.get_name(),
-        "latching": "0",
-    }
-    return wrapped

@@ -109,7 +109,7 @@ class ModelMessages:
             return part
 
 
-class _ReadyModel(ModelMessage):  # type: ignore[misc]
+class _ReadyModel(ModelMessage):
     """A model that is serialised already; its fields are not filled in."""
 
     def __init__(self, body: bytes) -> None:
@@ -121,7 +121,7 @@ class _ReadyModel(ModelMessage):  # type: ignore[misc]
         buff.write(self._body)
 
 
-class _ReadyResponse(GetModelResponse):  # type: ignore[misc]
+class _ReadyResponse(GetModelResponse):
     """A response that is serialised already; its fields are not filled in."""
 
     def __init__(self, body: bytes) -> None:

@@ -144,8 +144,7 @@ class _LoadClient:
         if event is _Event.REFUSED:
             return FAILED
         if event is _Event.STOP:
-            self._abandon_load()
-            return INTERRUPTED
+            return self._abandon_load()
         bonds: Bonds | None = None
         if self._bond_id:
             bonds = Bonds(f"{self._manager}/bond")
@@ -158,16 +157,20 @@ class _LoadClient:
             bonds.close(_BOND_TIMEOUT_AT_EXIT if unloaded else _LAST_WORD)
         return DONE
 
-    def _abandon_load(self) -> None:
-        """Leave no nodelet behind that the manager is just initialising."""
+    def _abandon_load(self) -> int:
+        """Leave no nodelet behind that the manager is just initialising; gives the exit code.
+
+        A nodelet that came up while we were stopped is one that was loaded and then unloaded.
+        """
         if not self._requested:
-            return
+            return INTERRUPTED
         try:
             event = self._events.get(timeout=_LOAD_TIMEOUT_AT_EXIT)
         except queue.Empty:
             event = _Event.STOP
         if event is not _Event.REFUSED:
             unload(self._name, self._manager, _UNLOAD_TIMEOUT_AT_EXIT)
+        return DONE if event is _Event.LOADED else INTERRUPTED
 
     def _listen_for_stop(self) -> None:
         for number in (signal.SIGINT, signal.SIGTERM):

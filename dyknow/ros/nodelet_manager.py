@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import os
 import sys
-import threading
 import traceback
 from dataclasses import dataclass
 from typing import Any, Dict, List, Optional, Sequence
@@ -34,11 +33,11 @@ from dyknow.nodelet.scheduler import WorkerPool
 from dyknow.proxy.proxy import NodeletProxy
 from dyknow.ros.announcements import Announcer
 from dyknow.ros.bonds import Bonds
-from dyknow.ros.exit_codes import DONE, FAILED
 from dyknow.ros.guard_parameters import GuardParameters, caller_of
 from dyknow.ros.middleware import RospyMiddleware
 from dyknow.ros.owner import end_when_orphaned
 from dyknow.ros.packages import plugin_files
+from dyknow.ros.process import NodeProcess
 from dyknow.ros.proxy_services import ProxyServices
 
 
@@ -81,7 +80,7 @@ class Settings:
         return self.num_worker_threads or max(4, os.cpu_count() or 1)
 
 
-class NodeletManager:
+class NodeletManager(Closable):
     """Hosts nodelets in this process; the node must be initialised."""
 
     def __init__(self, settings: Settings) -> None:
@@ -131,8 +130,8 @@ class NodeletManager:
         Raises:
             DyKnowError: it could not be loaded, and nothing of it is left.
         """
+        name = _resolved(name)
         namespace = names.parent(rospy.get_name())
-        name = names.resolve(name, namespace, rospy.get_name(), "nodelet name")
         remappings = names.pair_remappings(name, sources, targets, namespace)
         if caller:
             self._guards.check_caller(caller, f"loading '{name}'")
@@ -153,7 +152,7 @@ class NodeletManager:
             UnknownNodelet: there is none of that name.
             Denied: the mode is read-only.
         """
-        name = names.resolve(name, names.parent(rospy.get_name()), rospy.get_name())
+        name = _resolved(name)
         if caller:
             self._guards.check_caller(caller, f"unloading '{name}'")
         self.loader.unload(name)
@@ -230,6 +229,11 @@ class NodeletManager:
         return NodeletListResponse(self.loader.list())
 
 
+def _resolved(name: str) -> str:
+    name = names.check(name, "nodelet name")  # resolved, an empty one would be the namespace
+    return names.resolve(name, names.parent(rospy.get_name()), rospy.get_name())
+
+
 def _failed(what: str, name: str, error: DyKnowError) -> rospy.ServiceException:
     cause = error.__cause__
     lines = traceback.format_exception(type(cause), cause, cause.__traceback__) if cause else []
@@ -252,20 +256,7 @@ def _end_without_owner() -> None:
         )
 
 
-def _serve(manager: NodeletManager) -> int:
-    ended = threading.Event()
-
-    def end() -> None:
-        manager.close()
-        ended.set()
-
-    rospy.on_shutdown(end)
-    ended.wait()  # rospy.spin() would wake up twice a second for nothing
-    return DONE
-
-
-def _start(node: str, argv: Sequence[str]) -> Optional[NodeletManager]:
-    rospy.init_node(node, argv=list(argv))
+def _make() -> Optional[NodeletManager]:
     try:
         return NodeletManager(Settings.read())
     except DyKnowError as error:
@@ -275,30 +266,36 @@ def _start(node: str, argv: Sequence[str]) -> Optional[NodeletManager]:
 
 def run_manager(argv: Sequence[str], node: str = "manager") -> int:
     """Run a nodelet manager until it is told to end; returns the exit code."""
-    manager = _start(node, argv)
-    if manager is None:
-        return FAILED
-    manager.offer()
-    _end_without_owner()
-    return _serve(manager)
+
+    def start() -> Optional[NodeletManager]:
+        manager = _make()
+        if manager is not None:
+            manager.offer()
+            _end_without_owner()
+        return manager
+
+    return NodeProcess(node, argv, start).run()
 
 
 def run_standalone(type_name: str, my_argv: Sequence[str], argv: Sequence[str]) -> int:
     """Run one nodelet in a process of its own, under the name of the node."""
-    manager = _start(type_name.replace("/", "_"), argv)
-    if manager is None:
-        return FAILED
-    remappings = {
-        source: target
-        for source, target in rospy.names.get_resolved_mappings().items()
-        if source.startswith("/") and not source.startswith("/__")
-    }
-    try:
-        manager.load(
-            rospy.get_name(), type_name, list(remappings), list(remappings.values()), my_argv
-        )
-    except DyKnowError as error:
-        rospy.logfatal("Failed to load nodelet [%s]: %s", rospy.get_name(), error)
-        manager.close()
-        return FAILED
-    return _serve(manager)
+
+    def start() -> Optional[NodeletManager]:
+        manager = _make()
+        if manager is None:
+            return None
+        remappings = {
+            source: target
+            for source, target in rospy.names.get_resolved_mappings().items()
+            if source.startswith("/") and not source.startswith("/__")
+        }
+        sources, targets = list(remappings), list(remappings.values())
+        try:
+            manager.load(rospy.get_name(), type_name, sources, targets, my_argv)
+        except DyKnowError as error:
+            rospy.logfatal("Failed to load nodelet [%s]: %s", rospy.get_name(), error)
+            manager.close()
+            return None
+        return manager
+
+    return NodeProcess(type_name.replace("/", "_"), argv, start).run()

@@ -3,8 +3,10 @@
 A DyKnow manager holds a lock on a file as long as it lives; the kernel gives the lock back
 whatever kills it. Each of its nodelet managers waits for that lock: as long as the owner lives
 the wait costs nothing, and its end is noticed at once. An owner that returns in time takes the
-lock again. So there is no heartbeat, a stopped owner is not a dead one, and one file has one
-owner.
+lock again. So there is no heartbeat, and a stopped owner is not a dead one.
+
+Those who wait get the lock for a moment when the owner dies, and one that is stopped just then
+keeps it. So that there is one owner is what a second file is for, which owners alone lock.
 """
 
 from __future__ import annotations
@@ -15,12 +17,12 @@ import signal
 import sys
 import threading
 import time
-from typing import Callable, Sequence
+from typing import Callable, Sequence, TextIO
 
 from dyknow.errors import StoreError
-from dyknow.ros.process import ProcessId
+from dyknow.ros.os_process import ProcessId
 
-#: Seconds that an owner waits for those who just find out that its predecessor is gone.
+#: Seconds that an owner waits for its predecessor to be gone altogether.
 _CONTENTION = 1.0
 _STEP = 0.02
 #: Seconds that a nodelet manager without an owner has to end by itself.
@@ -33,53 +35,71 @@ class OwnerLock:
     def __init__(self, path: str) -> None:
         """Take the lock.
 
+        Args:
+            path: the file that those who wait are told of.
+
         Raises:
             StoreError: another owner has it, or the file cannot be made.
         """
         self.path = path
         try:
             os.makedirs(os.path.dirname(path), exist_ok=True)
-            self._file = open(path, "a")  # noqa: SIM115
+            self._owners = open(path + ".owner", "a")  # noqa: SIM115
+            self._waiting = open(path, "a")  # noqa: SIM115
         except OSError as error:
             raise StoreError(path, error) from error
         deadline = time.monotonic() + _CONTENTION
-        while True:
-            try:
-                fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                return
-            except OSError as error:
-                if time.monotonic() > deadline:
-                    self._file.close()
-                    raise StoreError(path, "another manager of that name uses it") from error
-                time.sleep(_STEP)
+        while not _lock(self._owners, fcntl.LOCK_EX | fcntl.LOCK_NB):
+            if time.monotonic() > deadline:
+                self.release()
+                raise StoreError(path, "another manager of that name uses it")
+            time.sleep(_STEP)
+        if not _lock(self._waiting, fcntl.LOCK_EX | fcntl.LOCK_NB):
+            threading.Thread(target=self._take_later, name="owner", daemon=True).start()
 
     def release(self) -> None:
         """Give the lock back."""
-        self._file.close()
+        self._owners.close()
+        self._waiting.close()
+
+    def _take_later(self) -> None:
+        """Wait for those who just find out that the predecessor is gone."""
+        try:
+            _lock(self._waiting, fcntl.LOCK_EX)
+        except ValueError:
+            return  # released before
 
 
 def wait_until_orphaned(path: str, timeout: float) -> None:
-    """Return when the lock was free for ``timeout`` seconds."""
+    """Return when the lock was free, or the file gone, for ``timeout`` seconds."""
     while True:
-        with open(path) as file:
-            fcntl.flock(file, fcntl.LOCK_SH)  # blocks as long as there is an owner
+        try:
+            with open(path) as file:
+                _lock(file, fcntl.LOCK_SH)  # blocks as long as there is an owner
+        except FileNotFoundError:
+            pass
         time.sleep(timeout)
-        with open(path) as file:
-            try:
-                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-                return
-            except OSError:
-                continue  # the owner is back
+        try:
+            with open(path) as file:
+                if _lock(file, fcntl.LOCK_SH | fcntl.LOCK_NB):
+                    return
+        except FileNotFoundError:
+            return
+
+
+def _lock(file: TextIO, operation: int) -> bool:
+    try:
+        fcntl.flock(file, operation)
+    except BlockingIOError:
+        return False
+    return True
 
 
 def end_when_orphaned(path: str, timeout: float, end: Callable[[], None]) -> None:
     """Call ``end`` from a thread of its own once nobody has looked after us for ``timeout`` s."""
 
     def watch() -> None:
-        try:
-            wait_until_orphaned(path, timeout)
-        except OSError:
-            return  # the file is gone: there is nobody to wait for
+        wait_until_orphaned(path, timeout)
         end()
 
     threading.Thread(target=watch, name="owner", daemon=True).start()

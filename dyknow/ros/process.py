@@ -1,135 +1,91 @@
-"""Processes of this machine, known for certain: by their id and the moment of their start.
+"""The life of a node's process: started, told to end, closed, gone.
 
-An id alone may belong to somebody else by now. The end of a process is noticed at once, whether
-it is a child of this process or was started in an earlier life of it.
+rospy's own signal handler runs its whole shutdown in the main thread, in the middle of whatever
+that is doing: when it is calling the master, the shutdown waits for ever for the lock that the
+call holds. So here the main thread only waits, and everything else has another one.
 """
 
 from __future__ import annotations
 
-import os
-import select
+import queue
 import signal
-import subprocess
-import time
-from dataclasses import dataclass
-from typing import Optional, Sequence
+import threading
+from typing import Callable, Optional, Sequence
 
-#: Seconds between two looks, where the kernel cannot tell of the end of a process.
-_PERIOD = 0.1
+import rospy
 
+from dyknow.nodelet.middleware import Closable
+from dyknow.ros.exit_codes import DONE, FAILED, INTERRUPTED
 
-@dataclass(frozen=True)
-class ProcessId:
-    """One process.
-
-    Attributes:
-        pid: its id.
-        started: clock ticks between the start of the machine and its own.
-    """
-
-    pid: int
-    started: int
-
-    @classmethod
-    def of(cls, pid: int) -> Optional[ProcessId]:
-        """Look a process up; None if there is none, or only the memory of one."""
-        try:
-            with open(f"/proc/{pid}/stat", "rb") as file:
-                # The second field is the program's name, in brackets, with anything in it.
-                fields = file.read().rpartition(b")")[2].split()
-        except OSError:
-            return None
-        return None if fields[0] in (b"Z", b"X") else cls(pid, int(fields[19]))
-
-    @property
-    def alive(self) -> bool:
-        """Whether it still runs; a stopped process does."""
-        return ProcessId.of(self.pid) == self
-
-    def signal(self, number: int) -> None:
-        """Send a signal, unless it has ended."""
-        if self.alive:
-            try:
-                os.kill(self.pid, number)
-            except ProcessLookupError:
-                return
-
-    def wait(self, timeout: Optional[float] = None) -> bool:
-        """Wait for its end.
-
-        Args:
-            timeout: seconds; None waits as long as it takes.
-
-        Returns:
-            Whether it has ended.
-        """
-        _reap(self.pid)
-        descriptor = _pidfd(self.pid)
-        if descriptor is None:
-            return self._poll(timeout)
-        try:
-            if self.alive:
-                poll = select.poll()
-                poll.register(descriptor, select.POLLIN)
-                poll.poll(None if timeout is None else max(0.0, timeout) * 1000)
-        finally:
-            os.close(descriptor)
-        _reap(self.pid)
-        return not self.alive
-
-    def end(self, patience: float) -> None:
-        """End it: ask it first, and force it when it has not ended after ``patience`` seconds."""
-        self.signal(signal.SIGTERM)
-        if not self.wait(patience):
-            self.signal(signal.SIGKILL)
-            self.wait()
-
-    def _poll(self, timeout: Optional[float]) -> bool:
-        deadline = None if timeout is None else time.monotonic() + timeout
-        while self.alive:
-            if deadline is not None and time.monotonic() >= deadline:
-                return False
-            time.sleep(_PERIOD)
-            _reap(self.pid)
-        return True
+#: Seconds that what is just being started may take to be complete, so that it can be closed.
+_START_PATIENCE = 2.0
+#: Seconds for closing, when it is rosnode kill that ends the process.
+_CLOSE_PATIENCE = 10.0
+#: Seconds for rospy to take back its registrations.
+_SHUTDOWN_PATIENCE = 2.0
 
 
-def start(command: Sequence[str], output: str, folder: str) -> ProcessId:
-    """Start a process in a session of its own, so that it may outlive this one.
+class NodeProcess:
+    """Runs one thing in a node of its own until SIGINT, SIGTERM or rosnode kill.
 
     Args:
-        command: program and arguments.
-        output: file that gets what it prints. It is not given our own output: who waits for
-            the end of that would wait for a process that is meant to go on.
-        folder: working directory, made if need be.
-
-    Raises:
-        OSError: it cannot be started.
+        node: default name of the node.
+        argv: the command line with ROS's own arguments, program name first.
+        start: called once the node is initialised; returns what is to be closed at the end, or
+            None if it failed and has said so.
     """
-    os.makedirs(folder, exist_ok=True)
-    with open(output, "wb") as file:
-        process = subprocess.Popen(
-            command,
-            stdin=subprocess.DEVNULL,
-            stdout=file,
-            stderr=subprocess.STDOUT,
-            start_new_session=True,
-            cwd=folder,
-        )
-    process.returncode = 0  # who waits for it is ``ProcessId.wait``
-    found = ProcessId.of(process.pid)
-    return found if found is not None else ProcessId(process.pid, -1)
 
+    def __init__(
+        self, node: str, argv: Sequence[str], start: Callable[[], Optional[Closable]]
+    ) -> None:
+        self._node = node
+        self._argv = list(argv)
+        self._start = start
+        self._running: Optional[Closable] = None
+        # A SimpleQueue, since a signal handler may put into it while this very thread waits on it.
+        self._told: queue.SimpleQueue[bool] = queue.SimpleQueue()
+        self._closed = threading.Event()
+        self._shut_down = threading.Event()
+        self._shut_down.set()
 
-def _pidfd(pid: int) -> Optional[int]:
-    try:
-        return os.pidfd_open(pid)
-    except (AttributeError, OSError):  # before Python 3.9, or no such process
-        return None
+    def run(self) -> int:
+        """Run, and return the exit code."""
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, lambda *_: self._told.put(True))
+        starting = threading.Thread(target=self._begin, name="start", daemon=True)
+        starting.start()
+        to_end = self._told.get()
+        if not rospy.core.is_initialized():
+            rospy.signal_shutdown("told to end")  # ends the wait for a master, too
+        starting.join(_START_PATIENCE)
+        if self._running is not None:
+            self._running.close()
+        self._closed.set()
+        rospy.signal_shutdown("told to end")
+        # It returns at once if another thread (rosnode kill) is at it; that one has to finish.
+        self._shut_down.wait(_SHUTDOWN_PATIENCE)
+        if not to_end:
+            return FAILED
+        return DONE if self._running is not None else INTERRUPTED
 
+    def _begin(self) -> None:
+        try:
+            rospy.init_node(self._node, argv=self._argv, disable_signals=True)
+            self._shut_down.clear()
+            rospy.core.add_shutdown_hook(lambda reason: self._shut_down.set())
+            rospy.on_shutdown(self._on_shutdown)
+            self._running = self._start()
+        except rospy.ROSInitException:
+            if not rospy.is_shutdown():
+                self._told.put(False)
+                raise
+        except BaseException:
+            self._told.put(False)
+            raise
+        if self._running is None:
+            self._told.put(False)
 
-def _reap(pid: int) -> None:
-    try:
-        os.waitpid(pid, os.WNOHANG)
-    except ChildProcessError:
-        return  # not a child of this process
+    def _on_shutdown(self) -> None:
+        """Hold up a shutdown by rosnode kill until everything is closed in order."""
+        self._told.put(True)
+        self._closed.wait(_CLOSE_PATIENCE)

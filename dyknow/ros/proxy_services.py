@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, List
+from typing import Any, Callable, List
 
 import rospy
 from dyknow_msgs.srv import (
@@ -34,6 +34,7 @@ class ProxyServices(Closable):
         self._proxy = proxy
         self._guards = guards
         self._services: List[Any] = []
+        self._closed = False
         try:
             for name, service_class, handler in (
                 ("get_config", GetConfig, self._get_config),
@@ -41,15 +42,28 @@ class ProxyServices(Closable):
                 ("get_statistics", GetStatistics, self._get_statistics),
             ):
                 full_name = names.join(proxy.name, name)
-                self._services.append(rospy.Service(full_name, service_class, handler))
+                self._services.append(
+                    rospy.Service(full_name, service_class, self._while_open(handler))
+                )
         except BaseException:
             self.close()
             raise
 
     def close(self) -> None:
         """Withdraw the services."""
+        self._closed = True
         while self._services:
             self._services.pop().shutdown("the nodelet is unloaded")
+
+    def _while_open(self, handler: Callable[[Any], Any]) -> Callable[[Any], Any]:
+        """Refuse persistent connections too, which rospy keeps open when a service ends."""
+
+        def answer(request: Any) -> Any:
+            if self._closed:
+                raise rospy.ServiceException(f"nodelet {self._proxy.name} is unloaded")
+            return handler(request)
+
+        return answer
 
     def _get_config(self, request: Any) -> GetConfigResponse:
         return GetConfigResponse(port_messages(self._proxy.get_config()))

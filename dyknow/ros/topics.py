@@ -7,11 +7,12 @@ import time
 import warnings
 from typing import Any, Callable, Dict, Optional
 
+import genpy
 import rospy
 
 from dyknow.errors import PeerTimeout, RemappedTopic
-from dyknow.nodelet.endpoints import NOTHING
 from dyknow.nodelet.middleware import OutsidePublisher, OutsideSubscriber, Receive
+from dyknow.ros.anymsg import TypedReceiver
 from dyknow.ros.intraprocess import IntraProcess
 from dyknow.ros.master import Master
 
@@ -32,6 +33,19 @@ def _unremapped(topic: str) -> str:
 class RospyPublisher(OutsidePublisher):
     """A rospy.Publisher that only speaks when somebody outside listens."""
 
+    __slots__ = (
+        "_closed",
+        "_implementation",
+        "_intraprocess",
+        "_local",
+        "_publisher",
+        "_sent",
+        "_topic",
+        "heard",
+    )
+
+    heard: bool
+
     def __init__(
         self,
         intraprocess: IntraProcess,
@@ -51,7 +65,10 @@ class RospyPublisher(OutsidePublisher):
             )
             queue_size = DEFAULT_QUEUE_SIZE
         self._topic = _unremapped(topic)
+        self.heard = False
+        self.in_flight = 0
         self._closed = False
+        self._sent: Any = None
         self._intraprocess = intraprocess
         self._local = intraprocess.publishing(topic)
         self._local.halves.add(self)
@@ -64,9 +81,12 @@ class RospyPublisher(OutsidePublisher):
             intraprocess.retire(topic)
             raise
         self._implementation = self._publisher.impl
-        self.peers = self._implementation
         self._local.adopt(self._implementation)
         self._local.refresh()
+
+    def listeners(self) -> int:
+        """Connections, and one for all ordinary subscribers of this process."""
+        return len(self._implementation.connections or ()) + bool(self._local.foreign)
 
     def publish(self, message: Any) -> None:
         """Serialise once for everyone outside; ordinary subscribers in here get the object."""
@@ -77,7 +97,7 @@ class RospyPublisher(OutsidePublisher):
 
     def latch(self, message: Any) -> None:
         """Publish, and keep the message for those who come."""
-        self._local.latched = message
+        self._local.latch(self, message)
         if self._local.foreign:
             self._local.deliver(message)
         self._outwards(message)
@@ -101,13 +121,16 @@ class RospyPublisher(OutsidePublisher):
         while len(implementation.connections or ()) < len(others) and time.monotonic() < deadline:
             time.sleep(_STEP)
 
-    def drain(self, seconds: float) -> None:
+    def drain(self, seconds: float) -> bool:
         """Wait until rospy's sending threads have written everything."""
         deadline = time.monotonic() + seconds
-        while not all(map(_idle, list(self._implementation.connections or ()))):
+        while not self._closed and (
+            self.in_flight or not all(map(_idle, list(self._implementation.connections or ())))
+        ):
             if time.monotonic() >= deadline:
-                return
+                return False
             time.sleep(_STEP)
+        return True
 
     def close(self) -> None:
         """Unregister."""
@@ -115,9 +138,9 @@ class RospyPublisher(OutsidePublisher):
             return
         self._closed = True
         self._local.halves.discard(self)
-        if self._implementation.is_latch:
-            self._implementation.latch = None
-            self._local.latched = NOTHING
+        successor = self._local.unlatch(self)
+        if self._sent is not None and self._implementation.latch is self._sent:
+            self._implementation.latch = successor._sent if successor is not None else None
         self._publisher.unregister()
         _put_away(self._implementation)
         self._intraprocess.retire(self._topic)
@@ -127,13 +150,22 @@ class RospyPublisher(OutsidePublisher):
         if getattr(message.__class__, "_has_header", False):
             message = copy.copy(message)
             message.header = copy.copy(message.header)
+        if self._implementation.is_latch:
+            self._sent = message
         implementation = self._implementation
         implementation.acquire()
         try:
             self._local.outwards(message)
-        except rospy.ROSException:
-            if not self._closed:
-                raise
+        except Exception as error:
+            if self._closed:
+                return
+            if implementation.buff is not None:
+                # rospy leaves what it wrote so far in front of the next message.
+                implementation.buff.seek(0)
+                implementation.buff.truncate(0)
+            if isinstance(error, genpy.SerializationError):
+                raise rospy.ROSSerializationException(str(error)) from error
+            raise
         finally:
             implementation.release()
 
@@ -146,6 +178,8 @@ class RospySubscriber(OutsideSubscriber):
     ) -> None:
         """Register the subscriber; the arguments are those of ``Middleware.subscribe``."""
         self._topic = _unremapped(topic)
+        if datatype._md5sum != "*":
+            receive = TypedReceiver(topic, datatype, receive).push
         self._subscriber = rospy.Subscriber(topic, datatype, receive, tcp_nodelay=True, **options)
         self._implementation = self._subscriber.impl
 

@@ -1,4 +1,4 @@
-"""Keeps the manager's picture true: a look twice a second, and at once where something happened."""
+"""Keeps the manager's picture true: two looks a second, and one when something happens."""
 
 from __future__ import annotations
 

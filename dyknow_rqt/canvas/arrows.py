@@ -20,6 +20,7 @@ from python_qt_binding.QtWidgets import QGraphicsItem
 
 from dyknow_rqt.canvas.colours import Colours, Tone
 from dyknow_rqt.canvas.items import PORT_RADIUS, Item
+from dyknow_rqt.canvas.looks import RATE_SCALE
 from dyknow_rqt.graph.figure import Edge
 from dyknow_rqt.graph.geometry import Point
 from dyknow_rqt.graph.rates import Traffic
@@ -37,7 +38,7 @@ class EdgeItem(Item):
         self.traffic: Optional[Traffic] = None
         self.shows_name = False
         self._font = QFont(font)
-        self._font.setPointSizeF(font.pointSizeF() * 0.78)
+        self._font.setPointSizeF(font.pointSizeF() * RATE_SCALE)
         self._path = QPainterPath()
         self._tip_direction = QPointF(1, 0)
         self.setFlag(QGraphicsItem.ItemIsSelectable)

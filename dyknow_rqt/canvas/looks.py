@@ -14,9 +14,11 @@ from dyknow_rqt.graph.rates import Traffic
 from dyknow_rqt.graph.snapshot import PortRef, Snapshot
 
 if TYPE_CHECKING:
-    from dyknow.ros.client import NodeletView
+    from dyknow.ros.views import NodeletView
 
 _PORT_PITCH = 15.0
+#: Size of the letters on arrows, as a share of the others.
+RATE_SCALE = 0.78
 
 
 class Look(NamedTuple):
@@ -43,6 +45,13 @@ def sizes_of(figure: Figure, font: QFont) -> Dict[str, Size]:
             tall = max(height + 26, _PORT_PITCH * (ports + 1))
             sizes[vertex.key] = Size(width * 1.15 + 26, tall)
     return sizes
+
+
+def gap_of(font: QFont) -> float:
+    """Room for a rate on an arrow, in pixels."""
+    small = QFont(font)
+    small.setPointSizeF(font.pointSizeF() * RATE_SCALE)
+    return float(QFontMetricsF(small).horizontalAdvance("000.0 Hz")) + 10
 
 
 def looks_of(snapshot: Snapshot, figure: Figure) -> Dict[str, Look]:

@@ -14,7 +14,7 @@ from dyknow.manager.transformation import Transformation
 from dyknow_rqt.graph.snapshot import PortRef, Snapshot
 
 if TYPE_CHECKING:
-    from dyknow.ros.client import NodeletView
+    from dyknow.ros.views import NodeletView
     from dyknow_rqt.remote import Remote
 
 Library = Mapping[str, Transformation]

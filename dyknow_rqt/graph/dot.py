@@ -24,11 +24,17 @@ class BadLayout(ValueError):
     """What came back from graphviz is not the layout of the figure."""
 
 
-def to_dot(figure: Figure, sizes: Mapping[str, Size]) -> str:
-    """Write a figure as DOT, vertices in the sizes (pixels) that they are drawn with."""
+def to_dot(figure: Figure, sizes: Mapping[str, Size], gap: float = 52.0) -> str:
+    """Write a figure as DOT.
+
+    Args:
+        figure: what to write.
+        sizes: of the vertices, as they are drawn.
+        gap: room for the words on an arrow, in pixels.
+    """
     lines = [
         "digraph dyknow {",
-        '  graph [rankdir="LR", ranksep="0.7", nodesep="0.3", compound="true"];',
+        f'  graph [rankdir="LR", ranksep="{gap / _DPI:.2f}", nodesep="0.3", compound="true"];',
         '  node [fixedsize="true", fontname="sans-serif", fontsize="10"];',
         '  edge [fontname="sans-serif", fontsize="8"];',
     ]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Dict, Iterable, Tuple
 from dyknow_rqt.graph.snapshot import PortRef
 
 if TYPE_CHECKING:
-    from dyknow.ros.client import Statistics
+    from dyknow.ros.views import Statistics
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from dyknow.manager.model import PortState
 from dyknow.manager.transformation import IN
 
 if TYPE_CHECKING:
-    from dyknow.ros.client import NodeletView
+    from dyknow.ros.views import NodeletView
 
 #: One side of the master's system state: topics and the nodes that use them.
 Side = Sequence[Tuple[str, Sequence[str]]]

@@ -24,7 +24,7 @@ from roslib.packages import find_node  # noqa: E402
 from std_msgs.msg import Header  # noqa: E402
 
 from dyknow.ros.client import ManagerClient  # noqa: E402
-from dyknow.ros.process import ProcessId  # noqa: E402
+from dyknow.ros.os_process import ProcessId  # noqa: E402
 
 MANAGER = "/dyknow_manager"
 CHILD = "/dyknow_nodelet_manager"
@@ -113,7 +113,7 @@ class ManagerProcess:
 
     def children(self) -> dict[str, ProcessId]:
         """Nodelet managers that it has on its list."""
-        for file in Path(self.state).glob("*.children.json"):
+        for file in Path(self.state).glob("*-dyknow-manager.children.json"):
             return {
                 each["name"]: ProcessId(each["pid"], each["started"])
                 for each in json.loads(file.read_text())

@@ -66,8 +66,8 @@ class BondsTest(unittest.TestCase):
         process = self.sisters("one")
         other = self.sisters("two")
         process.stop()
-        self.assert_broken("one", within=1.0)
-        self.assertEqual(process.exit_code(5.0), 0)
+        self.assert_broken("one", within=3)
+        self.assertEqual(process.exit_code(20.0), 0)
         self.bonds.remove("two")
         other.wait_for("broken two", 1.0)
         self.assertTrue(self.broken.empty())
@@ -77,20 +77,20 @@ class BondsTest(unittest.TestCase):
         process = self.sisters("one")
         process.stop(signal.SIGKILL)
         start = time.monotonic()
-        self.assert_broken("one", within=4.5)
+        self.assert_broken("one", within=13.5)
         self.assertGreater(time.monotonic() - start, 2.5)
 
     def test_a_suspended_sister_learns_that_she_was_given_up(self):
         self.add("one", bonds=self.make(HASTY))
         process = self.sisters("one")
         process.stop(signal.SIGSTOP)
-        self.assert_broken("one", within=2.5)
+        self.assert_broken("one", within=7.5)
         process.stop(signal.SIGCONT)
         process.wait_for("broken one", 1.0)
 
     def test_a_sister_that_never_comes(self):
         self.add("one", bonds=self.make(dataclasses.replace(STOCK_TIMINGS, connect_timeout=0.3)))
-        self.assert_broken("one", within=1.0)
+        self.assert_broken("one", within=3)
 
     def test_removing_before_the_sister_is_there_tells_her_when_she_comes(self):
         late = self.make(dataclasses.replace(STOCK_TIMINGS, disconnect_timeout=20.0))
@@ -119,7 +119,7 @@ class BondsTest(unittest.TestCase):
         second = self.sisters("one")
         self.assertTrue(self.broken.empty())
         second.stop()
-        self.assert_broken("one", within=1.0)
+        self.assert_broken("one", within=3)
 
     def test_forty_bonds_cost_no_more_threads_than_one(self):
         first, *others = bond_ids = [f"bond{number}" for number in range(40)]
@@ -149,8 +149,8 @@ class BondsTest(unittest.TestCase):
         self.add("one")
         process = self.sisters("one")
         process.stop()
-        self.assert_broken("one", within=1.0)
-        process.exit_code(5.0)
+        self.assert_broken("one", within=3)
+        process.exit_code(20.0)
         eventually(lambda: not bond_threads(), 5.0, "the thread ends")
         eventually(lambda: not registered(), 5.0, "the topic is gone")
         self.add("two")
@@ -165,7 +165,7 @@ class BondsTest(unittest.TestCase):
         with self.assertRaises(queue.Empty):
             self.broken.get(timeout=4.0)
         rospy.set_param(Constants.DISABLE_HEARTBEAT_TIMEOUT_PARAM, False)
-        self.assert_broken("one", within=2.5)
+        self.assert_broken("one", within=7.5)
 
     def test_a_slow_or_failing_callback_holds_up_nobody(self):
         release = threading.Event()
@@ -177,7 +177,7 @@ class BondsTest(unittest.TestCase):
         lasting = self.sisters("lasting")
         for bond_id in ("slow", "failing", "other"):
             self.sisters(bond_id).stop()
-        self.assert_broken("other", within=2.0)
+        self.assert_broken("other", within=6)
         with self.assertRaises(queue.Empty):
             self.broken.get(timeout=4.5)
         self.assertNotIn("broken", lasting.output)
@@ -187,7 +187,7 @@ class BondsTest(unittest.TestCase):
         process = self.sisters("one", "two")
         start = time.monotonic()
         self.bonds.close(5.0)
-        self.assertLess(time.monotonic() - start, 1.0)
+        self.assertLess(time.monotonic() - start, 3)
         process.wait_for("broken one", 1.0)
         process.wait_for("broken two", 1.0)
         self.assertTrue(self.broken.empty())
@@ -236,7 +236,7 @@ class StockClientTest(unittest.TestCase):
             self.events.get(timeout=12.0)
         self.client.stop()
         self.assertEqual(self.event("unloaded", 1.0), "/some_Class")
-        self.assertEqual(self.client.exit_code(2.0), 0)
+        self.assertEqual(self.client.exit_code(20.0), 0)
         self.assertTrue(self.events.empty())
 
     def test_the_client_is_killed(self):
@@ -248,7 +248,7 @@ class StockClientTest(unittest.TestCase):
         self.let_the_bond_form()
         self.bonds.remove(self.bond_id)
         self.client.wait_for("Bond broken, exiting", 2.5)
-        self.assertEqual(self.client.exit_code(2.0), 0)
+        self.assertEqual(self.client.exit_code(20.0), 0)
         self.assertTrue(self.events.empty())
 
 

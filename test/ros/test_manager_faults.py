@@ -59,7 +59,7 @@ class NodeletManagerFaultsTest(ManagerCase):
         self.assertEqual(manager.nodelet("/counter").manager, CHILD)
         with self.assertRaises(Refused):
             manager.client.destroy("/counter")
-        self.assertLess(took, 3.0)
+        self.assertLess(took, 9)
 
     def test_a_stopped_nodelet_manager_blocks_nothing(self):
         manager = self.started()
@@ -75,13 +75,13 @@ class NodeletManagerFaultsTest(ManagerCase):
             manager.client.spawn("relay", "/late", manager=CHILD)
         with self.assertRaises(Refused):
             manager.client.destroy("/counter")
-        self.assertLess(time.monotonic() - begin, 4.0)
+        self.assertLess(time.monotonic() - begin, 12)
         times = []
         for _ in range(10):
             begin = time.monotonic()
             manager.client.get_model()
             times.append(time.monotonic() - begin)
-        self.assertLess(max(times), 0.5)
+        self.assertLess(max(times), 1.5)
         manager.client.set_config("/healthy", {"out": "/u"})
         eventually(lambda: manager.topics("/healthy")["out"] == "/u", 1.5, "others are looked at")
         child.signal(signal.SIGCONT)
@@ -129,7 +129,7 @@ class NodeletManagerFaultsTest(ManagerCase):
         begin = time.monotonic()
         with self.assertRaisesRegex(Refused, "was not up within 1 s"):
             manager.client.spawn("hangs", "/name", {"in": "/a"})
-        self.assertLess(time.monotonic() - begin, 3.0)
+        self.assertLess(time.monotonic() - begin, 9)
         self.assertEqual((registrations("/"), parameters("/")), before)
         manager.client.spawn("relay", "/name", {"in": "/a"})
         self.assertEqual(manager.nodelet("/name").transformation, "relay")
@@ -151,9 +151,9 @@ class NodeletManagerFaultsTest(ManagerCase):
         begin = time.monotonic()
         manager.child().signal(signal.SIGKILL)
         thread.join()
-        self.assertLess(time.monotonic() - begin, 3.0)
+        self.assertLess(time.monotonic() - begin, 9)
         self.assertIn("/name", answers[0][0])
-        eventually(lambda: registrations("/name") == [], 1.0, "nothing is registered")
+        eventually(lambda: registrations("/name") == [], 3.0, "nothing is registered")
         self.assertEqual(parameters("/name"), [])
         self.assertIsNone(manager.nodelet("/name"))
         manager.client.spawn("relay", "/name", {"in": "/a"})
@@ -190,17 +190,31 @@ class ManagerFaultsTest(ManagerCase):
         self.assertEqual(manager.topics("/relay"), {"in": "/s0", "out": "/other"})
         self.assertTrue(manager.nodelet("/counter").is_protected)
 
+    def test_a_stopped_nodelet_manager_is_adopted_too(self):
+        manager = self.started()
+        manager.client.spawn("counter", "/counter", {"out": "/s"})
+        manager.kill()
+        child = manager.child()
+        child.signal(signal.SIGSTOP)
+        self.addCleanup(child.signal, signal.SIGCONT)
+        begin = time.monotonic()
+        manager.start()
+        self.assertLess(time.monotonic() - begin, 18)
+        eventually(lambda: manager.nodelet("/counter").state is State.LOST, 3.0, "it is missed")
+        child.signal(signal.SIGCONT)
+        eventually(lambda: manager.nodelet("/counter").state is State.RUNNING, 3.0, "it is back")
+        self.assertEqual(manager.child(), child)
+        self.assertEqual(manager.topics("/counter"), {"out": "/s"})
+
     def test_children_end_when_nobody_looks_after_them(self):
-        manager = self.started(orphan_timeout=1.5)
+        manager = self.started(orphan_timeout=5.0)
         manager.client.spawn("relay", "/relay")
         child = manager.child()
         manager.kill()
-        time.sleep(0.5)
         manager.start()  # in time
-        time.sleep(2.0)
-        self.assertTrue(child.alive)
+        self.assertFalse(child.wait(6.0))
         manager.kill()
-        self.assertTrue(child.wait(6.0))
+        self.assertTrue(child.wait(10.0))
         self.assertEqual(registrations("/relay") + registrations(CHILD + "/load"), [])
 
     def test_random_work_with_random_kills_keeps_every_promise(self):

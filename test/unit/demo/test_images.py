@@ -21,7 +21,9 @@ def test_an_array_is_a_view_of_the_message():
     assert np.shares_memory(images.array_of(image), np.frombuffer(image.data, np.uint8))
 
 
-@pytest.mark.parametrize(("encoding", "shape"), [("bgr8", (4, 6, 3)), ("mono8", (4, 6))])
+@pytest.mark.parametrize(
+    ("encoding", "shape"), [("bgr8", (4, 6, 3)), ("mono8", (4, 6)), ("yuv422", (4, 6, 2))]
+)
 def test_pixels_survive_the_way_to_another_process(encoding, shape):
     pixels = np.arange(np.prod(shape), dtype=np.uint8).reshape(shape)
     sent = images.image_of(pixels, encoding)

@@ -170,7 +170,7 @@ def test_history_is_a_pair_of_stacks():
 
 class _Counts:
     def __init__(self, uptime, messages, dropped):
-        from dyknow.ros.client import PortTraffic
+        from dyknow.ros.views import PortTraffic
 
         self.uptime = uptime
         self.ports = (PortTraffic("out", "out", "/t", messages, dropped, 7.0, 0.0, 0.0),)

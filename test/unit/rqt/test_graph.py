@@ -8,7 +8,7 @@ import pydot
 import pytest
 
 from dyknow.manager.model import PortState, State
-from dyknow.ros.client import NodeletView
+from dyknow.ros.views import NodeletView
 from dyknow_rqt.graph.dot import BadLayout, read_layout, to_dot
 from dyknow_rqt.graph.figure import Kind, Options, figure_of
 from dyknow_rqt.graph.filters import BadFilter, completions, parse

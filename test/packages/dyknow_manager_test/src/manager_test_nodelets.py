@@ -5,10 +5,11 @@ from __future__ import annotations
 import os
 import time
 
-import dyknow
 from dyknow_msgs.srv import Destroy
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
+
+import dyknow
 
 
 class Counter(dyknow.Nodelet):

@@ -1,0 +1,117 @@
+"""The arguments of commands: what a word must look like, and how to complete it."""
+
+from __future__ import annotations
+
+import argparse
+import enum
+import math
+import sys
+from dataclasses import dataclass
+from typing import NoReturn, Optional, Tuple
+
+from dyknow import names
+from dyknow.errors import InvalidName
+
+
+class Kind(enum.Enum):
+    """What an argument names, which tells how to complete it."""
+
+    NODELET = "nodelet"
+    LABEL = "label"
+    SPAWNABLE = "label of a nodelet"
+    OUT_PORT = "out-port"
+    IN_PORT = "in-port"
+    PORT = "port"
+    PORT_OF_LABEL = "port of the label, and topic"
+    TOPIC = "topic"
+    NAMESPACE = "namespace"
+    NODELET_MANAGER = "nodelet manager"
+    MANAGER = "DyKnow manager"
+    FILE = "file"
+
+
+def takes(action: argparse.Action, kind: Kind) -> None:
+    """Note what an argument names."""
+    action.kind = kind  # type: ignore[attr-defined]
+
+
+def kind_of(action: argparse.Action) -> Optional[Kind]:
+    """Tell what an argument names, if that was noted."""
+    return getattr(action, "kind", None)
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser that tells an error in one line and ends with exit code 2."""
+
+    def error(self, message: str) -> NoReturn:
+        """Print the error and exit."""
+        sys.stderr.write(f"{self.prog}: {message} (see '{self.prog} --help')\n")
+        raise SystemExit(2)
+
+
+@dataclass(frozen=True)
+class PortReference:
+    """A port of a nodelet, written `NODELET:PORT`."""
+
+    nodelet: str
+    port: str
+
+    def __str__(self) -> str:
+        """Write it as it is read."""
+        return f"{self.nodelet}:{self.port}"
+
+
+def graph_name(text: str) -> str:
+    """Read the name of a nodelet, a topic or a node."""
+    try:
+        if text.startswith("~"):
+            raise argparse.ArgumentTypeError(
+                f"'{text}' is private to nobody here; expected a name such as camera or /robot/x"
+            )
+        return names.check(text)
+    except InvalidName as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
+
+
+def namespace(text: str) -> str:
+    """Read a namespace; `/` is one too."""
+    return text if text == "/" else graph_name(text)
+
+
+def port_reference(text: str) -> PortReference:
+    """Read `NODELET:PORT`."""
+    nodelet, colon, port = text.rpartition(":")
+    if not colon or not nodelet or not port:
+        raise argparse.ArgumentTypeError(f"'{text}': expected NODELET:PORT, such as camera:image")
+    return PortReference(graph_name(nodelet), port)
+
+
+def port_topic(text: str) -> Tuple[str, str]:
+    """Read `PORT:TOPIC`."""
+    port, colon, topic = text.partition(":")
+    if not colon or not port or not topic:
+        raise argparse.ArgumentTypeError(
+            f"'{text}': expected PORT:TOPIC, such as in:/camera/image"
+        )
+    try:
+        return port, names.check(topic, "topic name")
+    except InvalidName as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
+
+
+def seconds(text: str) -> float:
+    """Read a time that is longer than none."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"'{text}': expected seconds, such as 0.5")
+    return value
+
+
+def positive(text: str) -> int:
+    """Read a number from 1 on."""
+    if not text.isdecimal() or not int(text):
+        raise argparse.ArgumentTypeError(f"'{text}': expected a number from 1 on")
+    return int(text)

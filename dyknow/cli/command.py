@@ -1,0 +1,30 @@
+"""What a command of `dyknow` is: its words for people, its arguments, and what it does."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+from typing import Callable, Optional
+
+from dyknow.cli.shell import Shell
+
+
+@dataclass(frozen=True)
+class Command:
+    """One command.
+
+    Attributes:
+        name: what the user types.
+        summary: half a line for the list of commands.
+        description: what it does, for its own help.
+        examples: command lines, one a line.
+        add_arguments: declares its arguments, besides those that all commands have.
+        run: does it; returns the exit code, None for success. Raises DyKnowError.
+    """
+
+    name: str
+    summary: str
+    description: str
+    examples: str
+    add_arguments: Callable[[argparse.ArgumentParser], None]
+    run: Callable[[argparse.Namespace, Shell], Optional[int]]

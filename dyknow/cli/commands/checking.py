@@ -1,0 +1,103 @@
+"""`check`: specification files, without a manager."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import Any, Dict, List, Optional, Sequence, Tuple
+
+from dyknow.cli.arguments import Kind, takes
+from dyknow.cli.command import Command
+from dyknow.cli.shell import FAILED, Shell
+from dyknow.cli.tables import count
+from dyknow.errors import Problem
+
+STDIN = "-"
+
+
+def _check_arguments(parser: argparse.ArgumentParser) -> None:
+    takes(
+        parser.add_argument(
+            "files", nargs="+", metavar="FILE", help=f"specifications; {STDIN} for standard input"
+        ),
+        Kind.FILE,
+    )
+    takes(
+        parser.add_argument(
+            "--ontology",
+            metavar="OWL",
+            action="append",
+            default=[],
+            help="file in which templates find the individuals of a concept; may be repeated",
+        ),
+        Kind.FILE,
+    )
+
+
+def _check(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
+    reports = [(file, _report(file, arguments.ontology)) for file in arguments.files]
+    bad = False
+    lines: List[str] = []
+    for file, (labels, problems, warnings) in reports:
+        bad = bad or bool(problems)
+        lines.extend(str(problem) for problem in problems)
+        lines.extend(_with_warning(problem) for problem in warnings)
+        if not problems:
+            lines.append(f"{file}: {count(len(labels), 'transformation')}: {', '.join(labels)}")
+    shell.show(
+        {
+            "files": [
+                {
+                    "file": file,
+                    "labels": list(labels),
+                    "problems": [_problem_shape(problem) for problem in problems],
+                    "warnings": [_problem_shape(problem) for problem in warnings],
+                }
+                for file, (labels, problems, warnings) in reports
+            ]
+        },
+        lines,
+    )
+    return FAILED if bad else None
+
+
+def _report(
+    file: str, ontologies: Sequence[str]
+) -> Tuple[Sequence[str], Sequence[Problem], Sequence[Problem]]:
+    from dyknow.errors import SpecificationError
+    from dyknow.manager.specification import parse, parse_file
+
+    ontology = None
+    if ontologies:
+        from dyknow.manager.ontology import load_ontology
+
+        ontology = load_ontology(ontologies)
+    try:
+        if file == STDIN:
+            found = parse(sys.stdin.buffer.read(), "standard input", ontology)
+        else:
+            found = parse_file(file, ontology)
+    except SpecificationError as error:
+        return (), error.problems, error.warnings
+    return [each.label for each in found.transformations], (), found.warnings
+
+
+def _with_warning(problem: Problem) -> str:
+    return str(problem._replace(message=f"warning: {problem.message}"))
+
+
+def _problem_shape(problem: Problem) -> Dict[str, Any]:
+    return {"file": problem.file, "line": problem.line, "message": problem.message}
+
+
+COMMANDS = (
+    Command(
+        "check",
+        "check specification files without a manager",
+        "Find everything that is wrong with specification files, with file and line. No manager "
+        "and no master is needed. Ends with 1 if there are problems; warnings are no problems.",
+        "dyknow check cameras.xml\ndyknow check --ontology soccer.owl *.xml",
+        _check_arguments,
+        _check,
+    ),
+)

@@ -1,0 +1,93 @@
+"""`graph`: the computation graph as text or as a drawing."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from dyknow.cli.arguments import Kind, namespace, takes
+from dyknow.cli.command import Command
+from dyknow.cli.drawing import render, to_dot
+from dyknow.cli.files import write_file
+from dyknow.cli.shapes import nodelet_shape
+from dyknow.cli.shell import Shell
+from dyknow.cli.topics import Topic, list_topics, topics_of
+
+if TYPE_CHECKING:
+    from dyknow.ros.views import ModelView
+
+
+def _arguments(parser: argparse.ArgumentParser) -> None:
+    form = parser.add_mutually_exclusive_group()
+    form.add_argument("--dot", action="store_true", help="print it in graphviz's DOT language")
+    for kind in ("svg", "png"):
+        takes(
+            form.add_argument(
+                f"--{kind}", metavar="FILE", default=None, help=f"draw it into a file ({kind})"
+            ),
+            Kind.FILE,
+        )
+    takes(
+        parser.add_argument(
+            "--namespace",
+            metavar="NS",
+            type=namespace,
+            default=None,
+            help="only nodelets of this namespace, with the topics that they are connected to",
+        ),
+        Kind.NAMESPACE,
+    )
+
+
+def _graph(arguments: argparse.Namespace, shell: Shell) -> None:
+    snapshot = shell.client.nodelets()
+    if arguments.namespace:
+        snapshot = _inside(snapshot, shell.resolve(arguments.namespace))
+    drawing = arguments.svg or arguments.png
+    if drawing:
+        kind = "svg" if arguments.svg else "png"
+        write_file(drawing, render(to_dot(snapshot), kind))
+        shell.show({"file": drawing}, [f"drew {drawing}"])
+    elif arguments.dot:
+        dot = to_dot(snapshot)
+        shell.show({"dot": dot}, [dot.rstrip("\n")])
+    else:
+        topics = topics_of(snapshot)
+        shell.show(
+            {
+                "revision": snapshot.revision,
+                "nodelets": [nodelet_shape(each) for each in snapshot.nodelets],
+                "topics": [_topic_shape(topic) for topic in topics],
+            },
+            list_topics(snapshot, topics),
+        )
+
+
+def _inside(snapshot: ModelView, wanted: str) -> ModelView:
+    inside = wanted.rstrip("/") + "/"
+    nodelets = tuple(each for each in snapshot.nodelets if each.name.startswith(inside))
+    return replace(snapshot, nodelets=nodelets)
+
+
+def _topic_shape(topic: Topic) -> dict[str, object]:
+    return {
+        "topic": topic.name,
+        "datatype": topic.datatype,
+        "out": [{"nodelet": end.nodelet, "port": end.port} for end in topic.sources],
+        "in": [{"nodelet": end.nodelet, "port": end.port} for end in topic.targets],
+    }
+
+
+COMMANDS = (
+    Command(
+        "graph",
+        "show or draw the computation graph",
+        "Show which ports are connected by which topics, or draw it: nodelets as ovals, topics as "
+        "rectangles, from left to right, with boxes around namespaces. SVG and PNG need graphviz.",
+        "dyknow graph\ndyknow graph --svg graph.svg\ndyknow graph --namespace /robot --dot | "
+        "dot -Tpdf -o robot.pdf",
+        _arguments,
+        _graph,
+    ),
+)

@@ -1,0 +1,206 @@
+"""`library`, `import`, `export` and `remove`: what can run."""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import re
+import sys
+from typing import Any, Dict, Iterable, List, Optional, Sequence
+
+from dyknow.cli.arguments import Kind, takes
+from dyknow.cli.command import Command
+from dyknow.cli.files import write_file
+from dyknow.cli.shapes import transformation_shape
+from dyknow.cli.shell import FAILED, Shell
+from dyknow.cli.tables import columns, count
+from dyknow.errors import DyKnowError, Refused, UnknownTransformation
+from dyknow.manager.transformation import IN, OUT, Transformation
+from dyknow.ros.client_errors import Unreachable
+
+STDIN = "-"
+
+
+def _labels(parser: argparse.ArgumentParser, nargs: str, text: str) -> None:
+    takes(parser.add_argument("labels", nargs=nargs, metavar="LABEL", help=text), Kind.LABEL)
+
+
+def _files(parser: argparse.ArgumentParser) -> None:
+    takes(
+        parser.add_argument(
+            "files", nargs="+", metavar="FILE", help=f"specifications; {STDIN} for standard input"
+        ),
+        Kind.FILE,
+    )
+
+
+def _library_arguments(parser: argparse.ArgumentParser) -> None:
+    _labels(parser, "*", "show the specification (default: list the labels)")
+    parser.add_argument("-l", "--long", action="store_true", help="show source, ports and cost")
+
+
+def _library(arguments: argparse.Namespace, shell: Shell) -> None:
+    chosen = _chosen(shell, arguments.labels)
+    if arguments.long:
+        lines: Iterable[str] = _long_list(chosen)
+    elif arguments.labels:
+        lines = (each.to_xml().rstrip("\n") for each in chosen)
+    else:
+        lines = (each.label for each in chosen)
+    shell.show({"transformations": [transformation_shape(each) for each in chosen]}, lines)
+
+
+def _long_list(transformations: Sequence[Transformation]) -> List[str]:
+    rows = [("LABEL", "TYPE", "SOURCE", "COST", "IN", "OUT")]
+    for each in transformations:
+        directions = [port.direction for port in each.ports]
+        ins, outs = directions.count(IN), directions.count(OUT)
+        rows.append((each.label, each.type, each.source, str(each.cost), str(ins), str(outs)))
+    return columns(rows, right=(3, 4, 5))
+
+
+def _chosen(shell: Shell, labels: Sequence[str]) -> List[Transformation]:
+    known = {each.label: each for each in shell.client.model().transformations}
+    if not labels:
+        return list(known.values())
+    unknown = [label for label in labels if label not in known]
+    for label in unknown[1:]:
+        shell.error(UnknownTransformation(label, difflib.get_close_matches(label, known)))
+    if unknown:
+        raise UnknownTransformation(unknown[0], difflib.get_close_matches(unknown[0], known))
+    return [known[label] for label in dict.fromkeys(labels)]
+
+
+def _import(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
+    imported: List[Dict[str, Any]] = []
+    failed: List[Dict[str, Any]] = []
+    for file in arguments.files:
+        try:
+            added = shell.client.add_transformation(_read(file))
+        except Unreachable:
+            raise
+        except (OSError, UnicodeDecodeError, Refused) as error:
+            message = _explain(file, error)
+            failed.append({"file": file, "message": message})
+            for line in message.splitlines():
+                shell.error(line)
+        else:
+            warnings = _named(file, added.warnings).splitlines()
+            imported.append({"file": file, "labels": list(added.labels), "warnings": warnings})
+            for warning in warnings:
+                shell.warn(warning)
+    shell.show(
+        {"imported": imported, "failed": failed},
+        [f"{each['file']}: {label}" for each in imported for label in each["labels"]],
+    )
+    return FAILED if failed else None
+
+
+def _read(file: str) -> str:
+    if file == STDIN:
+        return sys.stdin.buffer.read().decode("utf-8")
+    with open(file, encoding="utf-8") as opened:
+        return opened.read()
+
+
+def _explain(file: str, error: Exception) -> str:
+    """Say what is wrong with a file."""
+    if isinstance(error, OSError):
+        return f"{file}: cannot be read: {error.strerror}"
+    if isinstance(error, UnicodeDecodeError):
+        return f"{file}: is not UTF-8; expected XML in UTF-8"
+    return _named(file, str(error))
+
+
+def _named(file: str, words: str) -> str:
+    """Put the file's name where the manager, which does not know it, says `specification`."""
+    return re.sub(r"^specification(?=:)", lambda _: file, words, flags=re.MULTILINE)
+
+
+def _export_arguments(parser: argparse.ArgumentParser) -> None:
+    _labels(parser, "*", "what to export (default: all)")
+    takes(
+        parser.add_argument(
+            "-o", "--output", metavar="FILE", default=None, help="write here (default: print)"
+        ),
+        Kind.FILE,
+    )
+
+
+def _export(arguments: argparse.Namespace, shell: Shell) -> None:
+    chosen = _chosen(shell, arguments.labels)
+    text = specification_text(chosen)
+    labels = [each.label for each in chosen]
+    if arguments.output:
+        write_file(arguments.output, text.encode("utf-8"))
+        shell.show(
+            {"file": arguments.output, "labels": labels},
+            [f"wrote {count(len(chosen), 'transformation')} to {arguments.output}"],
+        )
+    else:
+        shell.show({"labels": labels, "specification": text}, [text.rstrip("\n")])
+
+
+def specification_text(transformations: Iterable[Transformation]) -> str:
+    """Write transformations as one specification."""
+    inside = "".join(each.to_xml() for each in transformations)
+    return f"<transformations>\n{inside}</transformations>\n"
+
+
+def _remove_arguments(parser: argparse.ArgumentParser) -> None:
+    _labels(parser, "+", "what to remove; nodelets made from it run on")
+
+
+def _remove(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
+    removed: List[str] = []
+    failed: List[Dict[str, Any]] = []
+    for label in arguments.labels:
+        try:
+            shell.client.remove_transformation(label)
+        except Unreachable:
+            raise
+        except DyKnowError as error:
+            shell.error(error)
+            failed.append({"label": label, "message": str(error)})
+        else:
+            removed.append(label)
+    shell.show({"removed": removed, "failed": failed}, [f"removed {label}" for label in removed])
+    return FAILED if failed else None
+
+
+COMMANDS = (
+    Command(
+        "library",
+        "list the transformations, or show specifications",
+        "List the labels of the transformations, one a line, or show the specifications of some.",
+        "dyknow library\ndyknow library -l\ndyknow library 'undistort(cam1)'",
+        _library_arguments,
+        _library,
+    ),
+    Command(
+        "import",
+        "add transformations from specification files",
+        "Add the transformations that files specify. One under an existing label replaces it; "
+        "nodelets keep the one that they were made from. A file with a problem adds nothing.",
+        "dyknow import cameras.xml\ndyknow export | ROS_MASTER_URI=http://other:11311 dyknow "
+        "import -",
+        _files,
+        _import,
+    ),
+    Command(
+        "export",
+        "write transformations as a specification file",
+        "Write transformations as one specification, which 'import' reads.",
+        "dyknow export > library.xml\ndyknow export 'undistort(cam1)' relay -o some.xml",
+        _export_arguments,
+        _export,
+    ),
+    Command(
+        "remove",
+        "remove transformations",
+        "Remove transformations from the library. Nodelets that were made from them run on.",
+        "dyknow remove 'undistort(cam1)'",
+        _remove_arguments,
+        _remove,
+    ),
+)

@@ -1,0 +1,169 @@
+"""`spawn`, `destroy`, `protect` and `unprotect`."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING, Any, Callable, Dict, List, Optional, Sequence
+
+from dyknow.cli.arguments import Kind, graph_name, port_topic, takes
+from dyknow.cli.command import Command
+from dyknow.cli.shapes import nodelet_shape
+from dyknow.cli.shell import FAILED, Shell
+from dyknow.cli.views import connections_of, state_of
+from dyknow.errors import DuplicatePort, DyKnowError
+from dyknow.ros.client_errors import Unreachable
+
+if TYPE_CHECKING:
+    from dyknow.ros.views import ModelView
+
+
+def _spawn_arguments(parser: argparse.ArgumentParser) -> None:
+    takes(
+        parser.add_argument("label", metavar="LABEL", help="the transformation to make it from"),
+        Kind.SPAWNABLE,
+    )
+    parser.add_argument("name", metavar="NAME", type=graph_name, help="its name")
+    parser.add_argument(
+        "--protected", action="store_true", help="let nobody destroy it before 'unprotect'"
+    )
+    parser.add_argument("--isolated", action="store_true", help="give it a process of its own")
+    takes(
+        parser.add_argument(
+            "--manager",
+            metavar="M",
+            type=graph_name,
+            default=None,
+            help="the nodelet manager to load it into (default: the DyKnow manager's choice)",
+        ),
+        Kind.NODELET_MANAGER,
+    )
+    takes(
+        parser.add_argument(
+            "--connect",
+            metavar="PORT:TOPIC",
+            type=port_topic,
+            nargs="+",
+            action="extend",
+            default=[],
+            help="connect its ports from the start; relative topics begin in its own namespace",
+        ),
+        Kind.PORT_OF_LABEL,
+    )
+
+
+def _spawn(arguments: argparse.Namespace, shell: Shell) -> None:
+    config: Dict[str, str] = {}
+    for port, topic in arguments.connect:
+        if port in config:
+            raise DuplicatePort(port)
+        config[port] = topic
+    name = shell.resolve(arguments.name)
+    shell.client.spawn(
+        arguments.label,
+        name,
+        config,
+        arguments.protected,
+        arguments.isolated,
+        shell.resolve(arguments.manager) if arguments.manager else "",
+    )
+    shell.client.wait_for_model(lambda model: _runs(model, name))
+    nodelet = shell.client.nodelets().nodelet(name)
+    if nodelet is None:  # destroyed by somebody else in the meantime
+        shell.show({"name": name}, [f"spawned {name}"])
+        return
+    connections = [f"  {port} - {topic}" for port, topic in connections_of(nodelet).items()]
+    shell.show(
+        nodelet_shape(nodelet),
+        [f"spawned {name} from {nodelet.transformation} in {nodelet.manager}", *connections],
+    )
+
+
+def _runs(model: ModelView, name: str) -> bool:
+    nodelet = model.nodelet(name)
+    return nodelet is not None and state_of(nodelet) != "starting"
+
+
+def _names_argument(parser: argparse.ArgumentParser) -> None:
+    takes(
+        parser.add_argument("names", nargs="+", metavar="NAME", type=graph_name, help="a nodelet"),
+        Kind.NODELET,
+    )
+
+
+def _destroy(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
+    return _each(shell, arguments.names, shell.client.destroy, "destroyed")
+
+
+def _protect(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
+    return _each(
+        shell, arguments.names, lambda name: shell.client.set_protection(name, True), "protected"
+    )
+
+
+def _unprotect(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
+    return _each(
+        shell,
+        arguments.names,
+        lambda name: shell.client.set_protection(name, False),
+        "unprotected",
+    )
+
+
+def _each(
+    shell: Shell, names: Sequence[str], act: Callable[[str], None], done: str
+) -> Optional[int]:
+    """Act on every nodelet; one that is refused does not keep the others from it."""
+    acted: List[str] = []
+    failed: List[Dict[str, Any]] = []
+    for name in map(shell.resolve, names):
+        try:
+            act(name)
+        except Unreachable:
+            raise
+        except DyKnowError as error:
+            shell.error(error)
+            failed.append({"nodelet": name, "message": str(error)})
+        else:
+            acted.append(name)
+    shell.show({done: acted, "failed": failed}, [f"{done} {name}" for name in acted])
+    return FAILED if failed else None
+
+
+COMMANDS = (
+    Command(
+        "spawn",
+        "make a nodelet of a transformation",
+        "Make a nodelet of a transformation. When the command ends with 0 the nodelet runs and "
+        "is connected; otherwise nothing is left of it.",
+        "dyknow spawn relay slow\n"
+        "dyknow spawn 'undistort(cam1)' /cam1/undistort --protected\n"
+        "dyknow spawn relay slow --connect in:/camera/image out:/slow/image\n"
+        "dyknow spawn detector ball --isolated",
+        _spawn_arguments,
+        _spawn,
+    ),
+    Command(
+        "destroy",
+        "destroy nodelets",
+        "Destroy nodelets. A protected one is refused.",
+        "dyknow destroy slow\ndyknow destroy $(dyknow list /cam1)",
+        _names_argument,
+        _destroy,
+    ),
+    Command(
+        "protect",
+        "protect nodelets from being destroyed",
+        "Protect nodelets from being destroyed.",
+        "dyknow protect camera",
+        _names_argument,
+        _protect,
+    ),
+    Command(
+        "unprotect",
+        "let protected nodelets be destroyed again",
+        "Let protected nodelets be destroyed again.",
+        "dyknow unprotect camera",
+        _names_argument,
+        _unprotect,
+    ),
+)

@@ -1,0 +1,157 @@
+"""`stats`: what goes through the ports."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING, Dict, List, Optional, Sequence, Tuple, Union
+
+from dyknow.cli.arguments import Kind, graph_name, positive, seconds, takes
+from dyknow.cli.command import Command
+from dyknow.cli.shapes import statistics_shape
+from dyknow.cli.shell import FAILED, Shell
+from dyknow.cli.tables import columns
+from dyknow.cli.views import unknown_nodelet
+from dyknow.cli.watching import Screen
+from dyknow.errors import DyKnowError, Refused
+from dyknow.ros.client_errors import Silent
+
+if TYPE_CHECKING:
+    from dyknow.ros.views import Statistics
+
+_WORKERS = 16
+_PERIOD = 1.0
+
+#: What a nodelet has done, or why it does not say.
+Answer = Union["Statistics", DyKnowError]
+
+
+def _arguments(parser: argparse.ArgumentParser) -> None:
+    takes(
+        parser.add_argument(
+            "names", nargs="*", metavar="NAME", type=graph_name, help="nodelets (default: all)"
+        ),
+        Kind.NODELET,
+    )
+    parser.add_argument(
+        "-w",
+        "--watch",
+        metavar="SECONDS",
+        type=seconds,
+        nargs="?",
+        const=_PERIOD,
+        help=f"show again and again, every {_PERIOD:g} s unless told otherwise, until Ctrl-C",
+    )
+    parser.add_argument(
+        "-n", "--count", metavar="N", type=positive, help="with --watch: show so often, then end"
+    )
+
+
+def _stats(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
+    names = [shell.resolve(name) for name in arguments.names]
+    if arguments.watch is None:
+        return _show_once(shell, names)
+    screen = Screen(shell, arguments.watch)
+    shown = 0
+    while True:
+        begin = time.monotonic()
+        answers = _ask(shell, _present(shell, names))
+        screen.show(_shape(answers), table(answers))
+        shown += 1
+        if arguments.count is not None and shown >= arguments.count:
+            return None
+        screen.wait(begin)
+
+
+def _show_once(shell: Shell, names: Sequence[str]) -> Optional[int]:
+    snapshot = shell.client.nodelets()
+    present = [name for name in names if snapshot.nodelet(name) is not None]
+    for name in names:
+        if name not in present:
+            shell.error(unknown_nodelet(name, snapshot))
+    if names and not present:
+        return FAILED
+    answers = _ask(shell, present or [each.name for each in snapshot.nodelets])
+    for answer in answers.values():
+        if isinstance(answer, DyKnowError):
+            shell.error(answer)
+    shell.show(_shape(answers), table(answers))
+    silent = any(isinstance(answer, DyKnowError) for answer in answers.values())
+    return FAILED if silent or len(present) < len(names) else None
+
+
+def _present(shell: Shell, names: Sequence[str]) -> List[str]:
+    return list(names) or [each.name for each in shell.client.nodelets().nodelets]
+
+
+def _ask(shell: Shell, names: Sequence[str]) -> Dict[str, Answer]:
+    """Ask all nodelets at once: one that hangs does not delay the others' answers."""
+
+    def ask(name: str) -> Tuple[str, Answer]:
+        try:
+            return name, shell.client.get_statistics(name)
+        except (Refused, Silent) as error:
+            return name, error
+
+    unique = list(dict.fromkeys(names))
+    with ThreadPoolExecutor(max_workers=min(_WORKERS, max(1, len(unique)))) as pool:
+        return dict(pool.map(ask, unique))
+
+
+def _shape(answers: Dict[str, Answer]) -> dict[str, object]:
+    return {
+        "nodelets": [
+            statistics_shape(name, answer)
+            for name, answer in answers.items()
+            if not isinstance(answer, DyKnowError)
+        ],
+        "silent": [name for name, answer in answers.items() if isinstance(answer, DyKnowError)],
+    }
+
+
+def table(answers: Dict[str, Answer]) -> List[str]:
+    """Write what went through each port, a line for each; times in milliseconds."""
+    rows = [("NODELET", "PORT", "", "HZ", "MESSAGES", "DROPPED", "MEAN", "MAX", "ERRORS", "TOPIC")]
+    for name, answer in answers.items():
+        if isinstance(answer, DyKnowError):
+            rows.append((name, "(does not answer)", "", "", "", "", "", "", "", ""))
+            continue
+        errors = str(answer.callback_errors)
+        if not answer.ports:
+            rows.append((name, "(no ports)", "", "", "", "", "", "", errors, ""))
+        for port in sorted(answer.ports, key=lambda port: port.port):
+            rows.append(
+                (
+                    name,
+                    port.port,
+                    port.direction,
+                    f"{port.rate:.1f}",
+                    str(port.messages),
+                    str(port.dropped),
+                    _milliseconds(port.mean_callback),
+                    _milliseconds(port.max_callback),
+                    errors,
+                    port.topic or "-",
+                )
+            )
+    return columns(rows, right=(3, 4, 5, 6, 7, 8))
+
+
+def _milliseconds(duration: float) -> str:
+    return f"{duration * 1000:.2f}" if duration else "-"
+
+
+COMMANDS = (
+    Command(
+        "stats",
+        "show the rates of the ports",
+        "Show what goes through the ports: rate in Hz, messages and drops since the nodelet was "
+        "loaded, mean and longest time of an in-port's callbacks in ms, and errors of the "
+        "nodelet's callbacks.",
+        "dyknow stats\ndyknow stats camera undistort\ndyknow stats --watch\n"
+        "dyknow stats --watch 0.5 --count 10 --json",
+        _arguments,
+        _stats,
+    ),
+)

@@ -1,0 +1,197 @@
+"""`save` and `load`: a whole wiring in one file."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import Any, Dict, Iterator, List, Optional
+
+from dyknow.cli.arguments import Kind, takes
+from dyknow.cli.command import Command
+from dyknow.cli.files import write_file
+from dyknow.cli.shell import FAILED, Shell
+from dyknow.cli.tables import count
+from dyknow.cli.views import shows
+from dyknow.cli.wiring import Wiring, wiring_of
+from dyknow.cli.wiring_load import carry_out, steps_of
+from dyknow.cli.wiring_plan import Plan, plan_load
+from dyknow.cli.wiring_reader import read_wiring
+from dyknow.errors import Problem, SpecificationError
+
+STDIO = "-"
+
+
+def _save_arguments(parser: argparse.ArgumentParser) -> None:
+    takes(
+        parser.add_argument(
+            "file", metavar="FILE", help=f"where to write it; {STDIO} for standard output"
+        ),
+        Kind.FILE,
+    )
+
+
+def _save(arguments: argparse.Namespace, shell: Shell) -> None:
+    wiring, left_out = wiring_of(shell.client.model())
+    for nodelet in left_out:
+        shell.warn(f"'{nodelet.name}' is not saved: others loaded it, from no transformation")
+    text = wiring.to_xml()
+    if arguments.file == STDIO and not shell.as_json:
+        shell.out.write(text)
+        return
+    if arguments.file != STDIO:
+        write_file(arguments.file, text.encode("utf-8"))
+    shell.show(
+        {
+            "file": arguments.file,
+            "nodelets": [nodelet.name for nodelet in wiring.nodelets],
+            "transformations": [each.label for each in wiring.transformations],
+            "left_out": [nodelet.name for nodelet in left_out],
+            **({"wiring": text} if arguments.file == STDIO else {}),
+        },
+        [
+            f"saved {count(len(wiring.nodelets), 'nodelet')} and "
+            f"{count(len(wiring.transformations), 'transformation')} to {arguments.file}"
+        ],
+    )
+
+
+def _load_arguments(parser: argparse.ArgumentParser) -> None:
+    takes(
+        parser.add_argument(
+            "file", metavar="FILE", help=f"what 'save' wrote; {STDIO} for standard input"
+        ),
+        Kind.FILE,
+    )
+    parser.add_argument(
+        "--dry-run", action="store_true", help="check, and show what would be changed"
+    )
+    parser.add_argument(
+        "--keep-going",
+        action="store_true",
+        help="go on when a step fails, and keep what was done (default: undo everything)",
+    )
+    parser.add_argument(
+        "--replace",
+        action="store_true",
+        help="replace transformations that the library has otherwise (default: refuse)",
+    )
+    parser.add_argument(
+        "--any-manager",
+        action="store_true",
+        help="where a nodelet manager is not running, let the DyKnow manager choose another",
+    )
+
+
+def _load(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
+    try:
+        wiring = _read(arguments.file)
+    except SpecificationError as error:
+        for each in error.problems:
+            shell.error(each)
+        return FAILED
+    client = shell.client
+    plan = plan_load(
+        wiring,
+        client.model(),
+        client.nodelet_managers(),
+        client.is_own_manager,
+        arguments.replace,
+        arguments.any_manager,
+    )
+    if plan.problems:
+        for problem in plan.problems:
+            shell.error(f"{arguments.file}: {problem}")
+        return FAILED
+    failed = []
+    if not arguments.dry_run:
+        failed = carry_out(steps_of(plan, client), arguments.keep_going)
+        for step, cause in failed:
+            shell.error(f"{step.what}: {cause}")
+        _wait(shell, plan)
+    subjects = [step.subject for step, _ in failed]
+    shape = _shape(plan, subjects)
+    shape["file"] = arguments.file
+    shape["dry_run"] = arguments.dry_run
+    shape["failed"] = [
+        {"subject": step.subject, "step": step.what, "message": str(cause)}
+        for step, cause in failed
+    ]
+    shell.show(shape, _lines(plan, subjects, arguments.dry_run))
+    return FAILED if failed else None
+
+
+def _read(file: str) -> Wiring:
+    if file == STDIO:
+        return read_wiring(sys.stdin.buffer.read(), "standard input")
+    try:
+        with open(file, "rb") as opened:
+            return read_wiring(opened.read(), file)
+    except OSError as error:
+        problem = Problem(file, 0, f"cannot be read: {error.strerror}")
+        raise SpecificationError([problem]) from error
+
+
+def _wait(shell: Shell, plan: Plan) -> None:
+    """Let the manager see what was re-wired, so that the next command does too."""
+    moved = {kept.wanted.name: kept.moves for kept in plan.kept if kept.moves}
+    if moved and not shell.client.wait_for_model(lambda model: shows(model, moved)):
+        shell.warn("done, but the manager's model does not show all of it yet")
+
+
+def _shape(plan: Plan, failed: List[str]) -> Dict[str, Any]:
+    return {
+        "transformations": {
+            "added": [each.label for each in plan.added if each.label not in failed],
+            "replaced": [each.label for each in plan.replacing if each.label not in failed],
+            "kept": plan.same,
+        },
+        "nodelets": {
+            "spawned": [each.name for each in plan.spawned if each.name not in failed],
+            "changed": [
+                kept.wanted.name
+                for kept in plan.kept
+                if not kept.is_as_wanted and kept.wanted.name not in failed
+            ],
+            "kept": [kept.wanted.name for kept in plan.kept if kept.is_as_wanted],
+        },
+    }
+
+
+def _lines(plan: Plan, failed: List[str], dry_run: bool) -> Iterator[str]:
+    shape = _shape(plan, failed)
+    empty = True
+    for thing in ("transformations", "nodelets"):
+        for what, subjects in shape[thing].items():
+            words = {"kept": "exists already", "spawned": "spawned"}.get(what, what)
+            if dry_run and what != "kept":
+                words = f"would be {what}"
+            for subject in subjects:
+                empty = False
+                yield f"{thing[:-1]} {subject}: {words}"
+    if empty:
+        yield "nothing to load" if not failed else "nothing was loaded"
+
+
+COMMANDS = (
+    Command(
+        "save",
+        "save the whole wiring in a file",
+        "Save what runs in one XML file: the nodelets, their connections, and the transformations "
+        "that they are made from.",
+        "dyknow save robot.xml\ndyknow save - | less",
+        _save_arguments,
+        _save,
+    ),
+    Command(
+        "load",
+        "load a saved wiring",
+        "Make what runs as a saved wiring says. The file is checked completely before anything is "
+        "changed. Nodelets that run already are kept, and connected and protected as the file "
+        "says; those that it does not name are left alone. When a step fails, what was done is "
+        "undone.",
+        "dyknow load robot.xml\ndyknow load robot.xml --dry-run\n"
+        "dyknow load robot.xml --keep-going --any-manager",
+        _load_arguments,
+        _load,
+    ),
+)

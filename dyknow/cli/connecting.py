@@ -1,0 +1,189 @@
+"""Connects an out-port to an in-port: both ends on one topic, or both as they were."""
+
+from __future__ import annotations
+
+import difflib
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Dict, List, Sequence, Tuple
+
+from dyknow import names
+from dyknow.cli.arguments import PortReference
+from dyknow.cli.views import state_of, unknown_nodelet
+from dyknow.errors import DyKnowError
+from dyknow.manager.model import PortState
+from dyknow.manager.transformation import IN, OUT
+from dyknow.ros.client_errors import Silent
+
+if TYPE_CHECKING:
+    from dyknow.ros.shell_client import ShellClient
+
+ANY = "*"
+
+
+class CannotConnect(DyKnowError):
+    """Two ports cannot be connected, or a port cannot be moved; the text says why."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """A port and the topics that it leaves and goes to; empty for none."""
+
+    port: PortReference
+    before: str
+    after: str
+
+
+def ports_of(client: ShellClient, nodelet: str) -> Tuple[PortState, ...]:
+    """Ask a nodelet for its ports.
+
+    Raises:
+        CannotConnect: there is no such nodelet, or it has no proxy.
+        Silent: it does not answer.
+    """
+    try:
+        return client.get_config(nodelet)
+    except Silent as silence:
+        model = client.nodelets()
+        present = model.nodelet(nodelet)
+        if present is None:
+            raise CannotConnect(unknown_nodelet(nodelet, model)) from None
+        if not present.transformation:
+            raise CannotConnect(
+                f"nodelet '{nodelet}' was loaded by others and has no proxy: its ports cannot be "
+                "connected elsewhere"
+            ) from silence
+        raise Silent(f"{silence}; it is {state_of(present)}") from silence
+
+
+def find_port(reference: PortReference, ports: Sequence[PortState]) -> PortState:
+    """Return the port that a reference means.
+
+    Raises:
+        CannotConnect: the nodelet has no such port; its ports are named.
+    """
+    for port in ports:
+        if port.name == reference.port:
+            return port
+    known = ", ".join(f"{port.name} ({port.direction})" for port in ports) or "none"
+    similar = difflib.get_close_matches(reference.port, [port.name for port in ports], 1)
+    hint = f"; did you mean '{similar[0]}'?" if similar else ""
+    raise CannotConnect(
+        f"nodelet '{reference.nodelet}' has no port '{reference.port}'; its ports: {known}{hint}"
+    )
+
+
+def check_ends(
+    source: PortReference, out: PortState, target: PortReference, into: PortState
+) -> None:
+    """Refuse ports whose directions or types do not fit.
+
+    Raises:
+        CannotConnect: with everything that does not fit.
+    """
+    problems: List[str] = []
+    if out.direction != OUT:
+        problems.append(f"'{source}' is an in-port, expected an out-port first")
+    if into.direction != IN:
+        problems.append(f"'{target}' is an out-port, expected an in-port second")
+    if len(problems) == 2:
+        problems = [f"'{source}' is an in-port and '{target}' an out-port; swap the two"]
+    if not types_fit(out.datatype, into.datatype):
+        problems.append(f"'{source}' carries {out.datatype}, '{target}' expects {into.datatype}")
+    if problems:
+        raise CannotConnect(f"cannot connect: {'; '.join(problems)}")
+
+
+def types_fit(one: str, other: str) -> bool:
+    """Whether streams of two types may be connected; an unknown type fits every one."""
+    return one == other or not one or not other or ANY in (one, other)
+
+
+def choose_topic(source: PortReference, out: PortState, into: PortState, is_fed: bool) -> str:
+    """Choose a topic so that the in-port hears the out-port, and only that.
+
+    The out-port's topic; else the in-port's, unless `is_fed` says that somebody publishes there
+    already; else `/NODELET/PORT` of the out-port.
+    """
+    if out.topic:
+        return out.topic
+    if into.topic and not is_fed:
+        return into.topic
+    return names.join(source.nodelet, source.port.lstrip("~/"))
+
+
+def _is_fed(client: ShellClient, topic: str) -> bool:
+    return any(
+        port.direction == OUT and port.topic == topic
+        for nodelet in client.nodelets().nodelets
+        for port in nodelet.ports
+    )
+
+
+def connect(
+    client: ShellClient, source: PortReference, target: PortReference, topic: str = ""
+) -> Tuple[str, List[Change]]:
+    """Connect an out-port to an in-port.
+
+    Returns:
+        The topic, and what had to be changed.
+
+    Raises:
+        CannotConnect: it was refused, and both ports are as they were.
+    """
+    out = find_port(source, ports_of(client, source.nodelet))
+    into = find_port(target, ports_of(client, target.nodelet))
+    check_ends(source, out, target, into)
+    if not topic:
+        is_fed = not out.topic and bool(into.topic) and _is_fed(client, into.topic)
+        topic = choose_topic(source, out, into, is_fed)
+    # The reader first: whatever is published on the topic from then on finds it.
+    changes = [
+        Change(reference, port.topic, topic)
+        for reference, port in ((target, into), (source, out))
+        if port.topic != topic
+    ]
+    apply(client, changes)
+    return topic, changes
+
+
+def apply(client: ShellClient, changes: Sequence[Change]) -> None:
+    """Make changes one nodelet after the other; when one fails, those before are undone.
+
+    Raises:
+        CannotConnect: one was refused; the text says so too if an undoing was.
+    """
+    done: Dict[str, List[Change]] = {}
+    try:
+        for nodelet, own in _by_nodelet(changes).items():
+            # Noted before the call: one that is not answered in time may have been done.
+            done[nodelet] = own
+            client.set_config(nodelet, {each.port.port: each.after for each in own})
+    except BaseException as error:
+        troubles = _undo(client, done)
+        if not isinstance(error, DyKnowError):
+            raise
+        raise CannotConnect("; ".join([f"cannot connect: {error}", *troubles])) from error
+
+
+def _by_nodelet(changes: Sequence[Change]) -> Dict[str, List[Change]]:
+    grouped: Dict[str, List[Change]] = {}
+    for change in changes:
+        grouped.setdefault(change.port.nodelet, []).append(change)
+    return grouped
+
+
+def _undo(client: ShellClient, done: Dict[str, List[Change]]) -> List[str]:
+    troubles = []
+    for nodelet, changes in reversed(list(done.items())):
+        try:
+            present = {port.name: port.topic for port in client.get_config(nodelet)}
+            back = {
+                each.port.port: each.before
+                for each in changes
+                if present.get(each.port.port) == each.after
+            }
+            if back:
+                client.set_config(nodelet, back)
+        except DyKnowError as error:
+            troubles.append(f"and '{nodelet}' could not be set back: {error}")
+    return troubles

@@ -1,0 +1,139 @@
+"""The command line of `dyknow` as a whole."""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import os
+from typing import Dict, List, Sequence, Tuple
+
+from dyknow import names
+from dyknow.cli.arguments import Kind, Parser, graph_name, seconds, takes
+from dyknow.cli.command import Command
+from dyknow.cli.commands import GROUPS
+
+DEFAULT_MANAGER = "/dyknow_manager"
+
+_COMMON = """\
+Relative names of nodelets and topics begin in the namespace of the manager.
+Exit codes: 0 done, 1 refused or failed, 2 wrong usage, 3 no manager or master.
+"""
+
+
+def all_commands() -> Dict[str, Command]:
+    """Return every command by its name."""
+    return {command.name: command for _, commands in GROUPS for command in commands}
+
+
+def build_parser() -> Tuple[Parser, Dict[str, Parser]]:
+    """Build the parser, and those of the commands by their names."""
+    parser = Parser(
+        prog="dyknow",
+        usage="dyknow COMMAND [ARGUMENT ...]",
+        description="Look at and change what runs under a DyKnow manager.",
+        epilog=_epilog(),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    _add_common(parser)
+    chosen = parser.add_subparsers(dest="command", metavar="COMMAND", parser_class=Parser)
+    chosen.required = True
+    parsers = {}
+    for command in all_commands().values():
+        parsers[command.name] = _add(chosen, command)
+    return parser, parsers
+
+
+def parse(words: Sequence[str]) -> argparse.Namespace:
+    """Understand the words of a command line; ROS's own (`a:=b`) are left out.
+
+    Raises:
+        SystemExit: help was asked for (0), or the usage is wrong (2).
+    """
+    words = [word for word in words if ":=" not in word]
+    parser, _ = build_parser()
+    if not words:
+        parser.error("a command is missing: dyknow COMMAND [ARGUMENT ...]")
+    _check_command(parser, words)
+    arguments = parser.parse_args(words)
+    arguments.json = getattr(arguments, "json", False)
+    arguments.timeout = getattr(arguments, "timeout", None)
+    arguments.manager_node = getattr(arguments, "manager_node", None) or _default_manager(parser)
+    return arguments
+
+
+def _check_command(parser: Parser, words: Sequence[str]) -> None:
+    known = all_commands()
+    first = words[0]
+    if first.startswith("-") or first in known:
+        return
+    similar = difflib.get_close_matches(first, known, 3)
+    hint = f"; did you mean {' or '.join(similar)}?" if similar else ""
+    parser.error(f"there is no command '{first}'{hint}")
+
+
+def _default_manager(parser: Parser) -> str:
+    text = os.environ.get("DYKNOW_MANAGER") or DEFAULT_MANAGER
+    try:
+        return manager_node(text)
+    except argparse.ArgumentTypeError as error:
+        parser.error(f"$DYKNOW_MANAGER: {error}")
+
+
+def manager_node(text: str) -> str:
+    """Read the name of the manager's node; relative ones begin in ROS_NAMESPACE."""
+    return names.resolve(graph_name(text), os.environ.get("ROS_NAMESPACE") or "/", "/")
+
+
+def _add(chosen: argparse._SubParsersAction[Parser], command: Command) -> Parser:
+    epilog = "Examples:\n" + "".join(f"  {line}\n" for line in command.examples.splitlines())
+    parser = chosen.add_parser(
+        command.name,
+        prog=f"dyknow {command.name}",
+        description=command.description,
+        epilog=epilog,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    command.add_arguments(parser)
+    _add_common(parser)
+    return parser
+
+
+def _add_common(parser: argparse.ArgumentParser) -> None:
+    # Without defaults, so that an option before the command is not undone behind it.
+    group = parser.add_argument_group("options of every command")
+    group.add_argument(
+        "--json",
+        action="store_true",
+        default=argparse.SUPPRESS,
+        help="print the result as JSON",
+    )
+    takes(
+        group.add_argument(
+            "--manager-node",
+            metavar="NAME",
+            type=manager_node,
+            default=argparse.SUPPRESS,
+            help=f"the manager's node (default: $DYKNOW_MANAGER, else {DEFAULT_MANAGER})",
+        ),
+        Kind.MANAGER,
+    )
+    group.add_argument(
+        "--timeout",
+        metavar="SECONDS",
+        type=seconds,
+        default=argparse.SUPPRESS,
+        help="how long each answer may take (default: 5, changes 60)",
+    )
+
+
+def _epilog() -> str:
+    lines: List[str] = []
+    for title, commands in GROUPS:
+        if title:
+            lines.append(f"{title}:")
+            lines.extend(f"  {command.name:<12}{command.summary}" for command in commands)
+            lines.append("")
+    lines.append("'dyknow COMMAND --help' shows the arguments of a command, with examples.")
+    return "\n".join(lines) + "\n" + _COMMON

@@ -1,0 +1,87 @@
+"""The shapes of what `--json` prints. Programs rely on them: keys may be added, never changed."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Dict
+
+from dyknow.cli.views import by_name, state_of
+from dyknow.manager.model import PortState
+from dyknow.manager.transformation import Transformation
+
+if TYPE_CHECKING:
+    from dyknow.ros.views import NodeletView, Statistics
+
+Shape = Dict[str, Any]
+
+
+def port_shape(port: PortState) -> Shape:
+    """A port of a running nodelet."""
+    return {
+        "name": port.name,
+        "direction": port.direction,
+        "datatype": port.datatype,
+        "topic": port.topic,
+        "tags": list(port.tags),
+    }
+
+
+def nodelet_shape(nodelet: NodeletView) -> Shape:
+    """A running nodelet."""
+    return {
+        "name": nodelet.name,
+        "transformation": nodelet.transformation,
+        "manager": nodelet.manager,
+        "protected": nodelet.is_protected,
+        "isolated": nodelet.isolated,
+        "rewired_by_reload": nodelet.rewired_by_reload,
+        "state": state_of(nodelet),
+        "detail": nodelet.detail,
+        "ports": [port_shape(port) for port in by_name(nodelet.ports)],
+    }
+
+
+def transformation_shape(transformation: Transformation) -> Shape:
+    """A transformation of the library."""
+    return {
+        "label": transformation.label,
+        "type": transformation.type,
+        "source": transformation.source,
+        "cost": transformation.cost,
+        "parameters": [
+            {"name": each.name, "type": each.type, "value": each.text}
+            for each in transformation.parameters
+        ],
+        "ports": [
+            {
+                "name": port.name,
+                "direction": port.direction,
+                "datatype": port.datatype,
+                "tags": list(port.tags),
+            }
+            for port in transformation.ports
+        ],
+        "specification": transformation.to_xml(),
+    }
+
+
+def statistics_shape(name: str, statistics: Statistics) -> Shape:
+    """What a nodelet has done; times in seconds, the rate in Hz."""
+    return {
+        "nodelet": name,
+        "uptime": statistics.uptime,
+        "reconfigurations": statistics.reconfigurations,
+        "callback_errors": statistics.callback_errors,
+        "ports": [
+            {
+                "name": port.port,
+                "direction": port.direction,
+                "topic": port.topic,
+                "messages": port.messages,
+                "dropped": port.dropped,
+                "rate": port.rate,
+                "mean_callback": port.mean_callback,
+                "max_callback": port.max_callback,
+            }
+            for port in sorted(statistics.ports, key=lambda port: port.port)
+        ],
+    }

@@ -1,0 +1,76 @@
+"""What a command of the shell works with: the manager's client, and where its words go."""
+
+from __future__ import annotations
+
+import json
+import sys
+from typing import TYPE_CHECKING, Any, Callable, Iterable, Optional, TextIO
+
+from dyknow import names
+
+if TYPE_CHECKING:
+    from dyknow.ros.shell_client import ShellClient
+
+DONE = 0
+FAILED = 1
+USAGE = 2
+UNREACHABLE = 3
+INTERRUPTED = 130
+BROKEN_PIPE = 141
+
+
+class Shell:
+    """The surroundings of one command.
+
+    Results go to `out`, as lines or as one JSON value; everything else to `err`, in lines that
+    begin with the program's name.
+    """
+
+    def __init__(
+        self,
+        connect: Callable[[], ShellClient],
+        as_json: bool = False,
+        out: Optional[TextIO] = None,
+        err: Optional[TextIO] = None,
+    ) -> None:
+        """Prepare; nobody is asked before a command needs an answer.
+
+        Args:
+            connect: makes the client, when it is first needed.
+            as_json: print results as JSON.
+            out: where results go; by default standard output.
+            err: where errors and warnings go; by default standard error.
+        """
+        self.as_json = as_json
+        self.out = sys.stdout if out is None else out
+        self.err = sys.stderr if err is None else err
+        self._connect = connect
+        self._client: Optional[ShellClient] = None
+
+    @property
+    def client(self) -> ShellClient:
+        """The client of the manager."""
+        if self._client is None:
+            self._client = self._connect()
+        return self._client
+
+    def resolve(self, name: str) -> str:
+        """Make a name global: relative ones begin in the manager's namespace."""
+        return name if name == "/" else names.resolve(name, self.client.namespace, "/")
+
+    def show(self, value: Any, lines: Iterable[str]) -> None:
+        """Print a result: the value as JSON, or else the lines."""
+        if self.as_json:
+            self.out.write(json.dumps(value, indent=2) + "\n")
+        else:
+            for line in lines:
+                self.out.write(line + "\n")
+
+    def error(self, message: object) -> None:
+        """Tell what went wrong."""
+        self.out.flush()
+        self.err.write(f"dyknow: {message}\n")
+
+    def warn(self, message: object) -> None:
+        """Tell what may not be meant."""
+        self.error(f"warning: {message}")

@@ -1,0 +1,82 @@
+"""The computation graph seen from its topics, and as text."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Dict, Iterator, List, Sequence, Tuple
+
+from dyknow.cli.arguments import PortReference
+from dyknow.cli.views import by_name, state_of
+from dyknow.manager.transformation import OUT
+
+if TYPE_CHECKING:
+    from dyknow.ros.views import ModelView, NodeletView
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic that ports are connected to.
+
+    Attributes:
+        name: global name.
+        datatype: ROS type, empty when no port knows it.
+        sources: out-ports on it, sorted.
+        targets: in-ports on it, sorted.
+    """
+
+    name: str
+    datatype: str
+    sources: Tuple[PortReference, ...]
+    targets: Tuple[PortReference, ...]
+
+
+def topics_of(snapshot: ModelView) -> List[Topic]:
+    """List the topics that nodelets are connected to, by name."""
+    sources: Dict[str, List[PortReference]] = {}
+    targets: Dict[str, List[PortReference]] = {}
+    types: Dict[str, str] = {}
+    for nodelet in sorted(snapshot.nodelets, key=lambda each: each.name):
+        for port in by_name(nodelet.ports):
+            if port.topic:
+                ends = sources if port.direction == OUT else targets
+                ends.setdefault(port.topic, []).append(PortReference(nodelet.name, port.name))
+                if port.datatype not in ("", "*"):
+                    types.setdefault(port.topic, port.datatype)
+    return [
+        Topic(
+            name,
+            types.get(name, ""),
+            tuple(sources.get(name, ())),
+            tuple(targets.get(name, ())),
+        )
+        for name in sorted({*sources, *targets})
+    ]
+
+
+def list_topics(snapshot: ModelView, topics: Sequence[Topic]) -> Iterator[str]:
+    """Write the graph as lines: each topic with its ends, then what is not connected."""
+    for topic in topics:
+        yield f"{topic.name} [{topic.datatype or 'unknown type'}]"
+        for source in topic.sources:
+            yield f"    from {source}"
+        for target in topic.targets:
+            yield f"    to   {target}"
+    loose = [
+        f"    {port.direction:<4} {PortReference(nodelet.name, port.name)}"
+        for nodelet in snapshot.nodelets
+        for port in by_name(nodelet.ports)
+        if not port.topic
+    ]
+    loose.extend(
+        f"    {nodelet.name} ({_why_without_ports(nodelet)})"
+        for nodelet in snapshot.nodelets
+        if not nodelet.ports
+    )
+    if loose:
+        yield "(disconnected)"
+        yield from loose
+
+
+def _why_without_ports(nodelet: NodeletView) -> str:
+    state = state_of(nodelet)
+    return "no ports" if state == "running" else state

@@ -1,0 +1,120 @@
+"""A whole wiring as a value and as XML: what runs, how it is connected, and what it is made of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, List, Tuple
+from xml.sax.saxutils import quoteattr
+
+from dyknow.cli.views import connections_of
+from dyknow.errors import DyKnowError
+from dyknow.manager.transformation import Transformation
+
+if TYPE_CHECKING:
+    from dyknow.ros.views import ModelView, NodeletView
+
+VERSION = "1"
+
+
+class CannotSave(DyKnowError):
+    """A wiring cannot be written so that it could be read again."""
+
+
+@dataclass(frozen=True)
+class WiredNodelet:
+    """A nodelet of a wiring.
+
+    Attributes:
+        name: global name.
+        label: the transformation to make it from.
+        is_protected: whether destroying it is refused.
+        isolated: whether it has a process of its own.
+        manager: nodelet manager that hosts it; empty for any.
+        connections: ports and global names of their topics, by port.
+    """
+
+    name: str
+    label: str
+    is_protected: bool = False
+    isolated: bool = False
+    manager: str = ""
+    connections: Tuple[Tuple[str, str], ...] = ()
+
+
+@dataclass(frozen=True)
+class Wiring:
+    """Nodelets, by name, and the transformations that they are made from, by label."""
+
+    transformations: Tuple[Transformation, ...] = ()
+    nodelets: Tuple[WiredNodelet, ...] = ()
+
+    def to_xml(self) -> str:
+        """Write the wiring as canonical XML: the same text for equal wirings."""
+        lines = ['<?xml version="1.0" encoding="UTF-8"?>', f'<wiring version="{VERSION}">']
+        lines.append("<transformations>")
+        lines.extend(each.to_xml().rstrip("\n") for each in self.transformations)
+        lines.append("</transformations>")
+        lines.append("<nodelets>")
+        for nodelet in self.nodelets:
+            lines.extend(_nodelet_xml(nodelet))
+        lines.append("</nodelets>")
+        lines.append("</wiring>\n")
+        return "\n".join(lines)
+
+
+def wiring_of(snapshot: ModelView) -> Tuple[Wiring, List[NodeletView]]:
+    """Take the wiring out of a model.
+
+    Returns:
+        The wiring, and the nodelets that it leaves out because others loaded them: nobody knows
+        what they are made from.
+
+    Raises:
+        CannotSave: a transformation is gone that a nodelet was made from.
+    """
+    known = {each.label: each for each in snapshot.transformations}
+    own = [nodelet for nodelet in snapshot.nodelets if nodelet.transformation]
+    gone = [
+        f"'{each.transformation}' of '{each.name}'"
+        for each in own
+        if each.transformation not in known
+    ]
+    if gone:
+        raise CannotSave(
+            f"the library has no more {', '.join(gone)}; expected the transformation of every "
+            "nodelet (import it again, or destroy the nodelet)"
+        )
+    used = {nodelet.transformation for nodelet in own}
+    wiring = Wiring(
+        tuple(known[label] for label in sorted(used)),
+        tuple(
+            WiredNodelet(
+                nodelet.name,
+                nodelet.transformation,
+                nodelet.is_protected,
+                nodelet.isolated,
+                "" if nodelet.isolated else nodelet.manager,
+                tuple(connections_of(nodelet).items()),
+            )
+            for nodelet in sorted(own, key=lambda each: each.name)
+        ),
+    )
+    return wiring, [nodelet for nodelet in snapshot.nodelets if not nodelet.transformation]
+
+
+def _nodelet_xml(nodelet: WiredNodelet) -> List[str]:
+    attributes = [("name", nodelet.name), ("transformation", nodelet.label)]
+    attributes.extend([("manager", nodelet.manager)] if nodelet.manager else [])
+    attributes.extend([("protected", "true")] if nodelet.is_protected else [])
+    attributes.extend([("isolated", "true")] if nodelet.isolated else [])
+    opening = "  <nodelet" + "".join(f" {key}={quoteattr(value)}" for key, value in attributes)
+    if not nodelet.connections:
+        return [opening + "/>"]
+    return [
+        opening + ">",
+        *(
+            f"    <connection port={quoteattr(port)} topic={quoteattr(topic)}/>"
+            for port, topic in nodelet.connections
+        ),
+        "  </nodelet>",
+    ]

@@ -1,0 +1,58 @@
+"""Annotated frames: images with a text file beside each, as the YOLO detectors read them.
+
+A line is ``class x_center y_center width height``, the last four as parts of the image's size.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import List, Tuple
+
+#: The class of balls.
+BALL = 0
+
+_SUFFIXES = (".jpg", ".jpeg", ".png")
+
+
+@dataclass(frozen=True)
+class AnnotatedFrame:
+    """An image file and where the balls in it are.
+
+    Attributes:
+        image: the file.
+        balls: x and y of the centre, width, height, as parts of the image's.
+    """
+
+    image: Path
+    balls: Tuple[Tuple[float, float, float, float], ...]
+
+
+def read_frames(folder: Path) -> List[AnnotatedFrame]:
+    """Find the annotated images of a folder, sorted by name.
+
+    Raises:
+        ValueError: an annotation is not of that form; the message names file and line.
+    """
+    images = sorted(each for each in folder.iterdir() if each.suffix.lower() in _SUFFIXES)
+    return [
+        AnnotatedFrame(image, tuple(_balls(image.with_suffix(".txt"))))
+        for image in images
+        if image.with_suffix(".txt").is_file()
+    ]
+
+
+def _balls(file: Path) -> List[Tuple[float, float, float, float]]:
+    balls = []
+    for number, line in enumerate(file.read_text().splitlines(), 1):
+        words = line.split()
+        if not words:
+            continue
+        try:
+            kind, (x, y, width, height) = int(words[0]), map(float, words[1:])
+        except ValueError:
+            expected = "class x_center y_center width height"
+            raise ValueError(f"{file}:{number}: '{line}': expected '{expected}'") from None
+        if kind == BALL:
+            balls.append((x, y, width, height))
+    return balls

@@ -1,0 +1,53 @@
+"""Messages of any type: between ``rospy.AnyMsg`` and the classes of messages.
+
+rospy has one subscriber for each topic of a process, and its first user decides about the class
+of what it delivers. Whoever comes later has to make the best of that.
+"""
+
+from __future__ import annotations
+
+from io import BytesIO
+from typing import Any
+
+import rospy
+
+from dyknow.nodelet.middleware import Receive
+
+
+def serialised(any_class: Any, message: Any) -> Any:
+    """Make what a subscriber of any type expects from a message of this process."""
+    buffer = BytesIO()
+    message.serialize(buffer)
+    wrapped = any_class()
+    wrapped._buff = buffer.getvalue()
+    wrapped._connection_header = {
+        "type": message._type,
+        "md5sum": message._md5sum,
+        "message_definition": message._full_text,
+        "callerid": rospy.get_name(),
+        "latching": "0",
+    }
+    return wrapped
+
+
+class TypedReceiver:
+    """Feeds a connection of a definite type from a rospy subscriber that may be of any type."""
+
+    def __init__(self, topic: str, datatype: Any, receive: Receive) -> None:
+        self._topic = topic
+        self._datatype = datatype
+        self._receive = receive
+
+    def push(self, message: Any) -> None:
+        """Hand a message on, with its class."""
+        if message._md5sum == "*":
+            present = message._connection_header
+            if present["md5sum"] != self._datatype._md5sum:
+                rospy.logwarn_throttle(
+                    10.0,
+                    f"{self._topic} carries {present['type']}, but {self._datatype._type} was "
+                    "asked for: dropping it",
+                )
+                return
+            message = self._datatype().deserialize(message._buff)
+        self._receive(message)

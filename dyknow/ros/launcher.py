@@ -1,0 +1,154 @@
+"""Starts one nodelet manager as a process, finds one that runs, and tidies up after it."""
+
+from __future__ import annotations
+
+import logging
+import os
+import re
+import sys
+from typing import Any, Mapping, Optional, Tuple
+
+import rosgraph.network
+import rospkg
+from roslib.packages import find_node
+
+from dyknow import names
+from dyknow.errors import HostError, PeerTimeout
+from dyknow.manager.host import Kind
+from dyknow.ros import os_process
+from dyknow.ros.master import Master
+from dyknow.ros.os_process import ProcessId
+from dyknow.ros.output import Follower
+from dyknow.ros.owner import OwnerLock
+
+_ANSWER_TIMEOUT = 1.0
+
+_log = logging.getLogger("rosout.dyknow")
+
+
+class Launcher:
+    """What all children of one DyKnow manager have in common."""
+
+    def __init__(
+        self,
+        master: Master,
+        owner: OwnerLock,
+        orphan_timeout: float,
+        parameters: Mapping[str, Any],
+    ) -> None:
+        """Prepare; nothing is started yet.
+
+        Args:
+            master: also says whose children they are.
+            owner: lock that tells the children that we live.
+            orphan_timeout: seconds after which they end without us; 0 for never.
+            parameters: further private parameters of each.
+        """
+        self._master = master
+        self._owner = owner
+        self._orphan_timeout = orphan_timeout
+        self._parameters = {
+            "owner": master.caller,
+            "owner_lock": owner.path,
+            "orphan_timeout": orphan_timeout,
+            **parameters,
+        }
+        self._log_folder = rospkg.get_log_dir()
+        os.makedirs(self._log_folder, exist_ok=True)
+
+    def launch(self, kind: Kind, name: str) -> Tuple[ProcessId, Follower]:
+        """Start a nodelet manager.
+
+        What a dead one of that name left at the master goes when this one registers there.
+
+        Raises:
+            OSError: the program cannot be started.
+            HostError: the program is not installed.
+        """
+        for key, value in self._parameters.items():
+            self._master.ask("setParam", names.join(name, key), value)
+        output = self._output(name)
+        found = os_process.start(_command(kind, name), output, rospkg.get_ros_home())
+        if kind is Kind.CPP and self._orphan_timeout > 0:
+            self._watch(found, output + ".owner")
+        return found, Follower(output)
+
+    def follow(self, name: str) -> Follower:
+        """Follow what one prints that runs already."""
+        return Follower(self._output(name), at_end=True)
+
+    def tidy(self, name: str, uri: str) -> None:
+        """Unregister what a dead one left at the master."""
+        if not uri:
+            return
+        try:
+            self._master.purge(name, uri)
+        except (LookupError, PeerTimeout) as error:
+            _log.warning("what nodelet manager %s left at the master: %s", name, error)
+
+    def forget(self, name: str) -> None:
+        """Delete the parameters that ``launch`` set."""
+        for key in self._parameters:
+            try:
+                self._master.ask("deleteParam", names.join(name, key))
+            except (LookupError, PeerTimeout):
+                continue
+
+    def living(self, name: str) -> Optional[ProcessId]:
+        """The process of a node that answers; an id of -1 if it runs on another machine."""
+        uri = self._master.node(name)
+        if not uri:
+            return None
+        try:
+            pid = self._master.pid(name, uri, _ANSWER_TIMEOUT)
+        except (PeerTimeout, LookupError):
+            return None
+        host, _ = rosgraph.network.parse_http_host_and_port(uri)
+        here = rosgraph.network.is_local_address(host)
+        return ProcessId.of(pid) if here else ProcessId(-1, -1)
+
+    def is_ours(self, name: str) -> bool:
+        """Whether a nodelet manager of that name was started by a manager of our name."""
+        try:
+            return bool(self._master.ask("getParam", f"{name}/owner") == self._master.caller)
+        except LookupError:
+            return False
+
+    def registered(self, name: str) -> str:
+        """Address that the master has of a node, dead or alive; empty if it has none."""
+        return self._master.node(name)
+
+    def address(self, name: str, stale: str) -> str:
+        """Address of a nodelet manager whose services are there; empty if they are not.
+
+        Args:
+            name: its name.
+            stale: address of a dead predecessor, which does not count.
+        """
+        try:
+            found = self._master.node(name)
+            if found == stale:
+                return ""
+            self._master.ask("lookupService", f"{name}/list")
+            return found
+        except (LookupError, PeerTimeout):
+            return ""
+
+    def _watch(self, found: ProcessId, output: str) -> None:
+        """Let another process end it without us, since the stock program would not."""
+        lock, timeout = self._owner.path, str(self._orphan_timeout)
+        command = (sys.executable, "-m", "dyknow.ros.owner", lock, timeout, str(found.pid))
+        os_process.start(command, output, rospkg.get_ros_home())
+
+    def _output(self, name: str) -> str:
+        return os.path.join(self._log_folder, re.sub(r"\W+", "-", name).strip("-") + "-output.log")
+
+
+def _command(kind: Kind, name: str) -> Tuple[str, ...]:
+    node = (f"__name:={name.rpartition('/')[2]}", f"__ns:={names.parent(name)}")
+    if kind is Kind.PYTHON:
+        return (sys.executable, "-m", "dyknow.cli.nodelet", "manager", *node)
+    found = find_node("nodelet", "nodelet")
+    if not found:
+        raise HostError("C++ nodelets need the package 'nodelet', which is not installed")
+    return (found[0], "manager", *node)

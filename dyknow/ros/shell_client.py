@@ -1,0 +1,171 @@
+"""The manager, the proxies and the master as a command of the shell asks them: without a node.
+
+Each call is a connection of its own with a time limit. Nothing registers with the master, so a
+command starts fast and leaves no trace in the graph.
+"""
+
+from __future__ import annotations
+
+import http.client
+import os
+import re
+import socket
+import time
+import xmlrpc.client
+from typing import Any, Callable, List, Optional, TypeVar
+from xml.parsers.expat import ExpatError
+
+from dyknow_msgs.msg import Model
+
+from dyknow import names
+from dyknow.errors import PeerTimeout, Refused
+from dyknow.ros import client
+from dyknow.ros.client import ManagerClient
+from dyknow.ros.client_errors import Silent, Unreachable
+from dyknow.ros.latched import read_latched
+from dyknow.ros.master import TIMEOUT, Master
+from dyknow.ros.service_client import ServiceClient, ServiceFailed, ServiceLost
+from dyknow.ros.views import ModelView, model_view
+
+T = TypeVar("T")
+
+#: Seconds within which the manager's model follows a change that was made on a proxy.
+FOLLOW_TIMEOUT = 2.0
+_FOLLOW_PERIOD = 0.02
+_OWN_MANAGER = re.compile(r".*/dyknow_(cpp_)?nodelet_manager(_[0-9]+)?\Z")
+
+
+class ShellClient(ManagerClient):
+    """Asks one DyKnow manager and its nodelets.
+
+    Every method raises `Refused` when the manager or the nodelet says no, `Silent` when the
+    nodelet does not answer, and `Unreachable` when the manager or the master does not.
+    """
+
+    def __init__(self, manager: str, timeout: Optional[float] = None) -> None:
+        """Prepare questions; nothing is sent yet.
+
+        Args:
+            manager: global name of the manager's node.
+            timeout: seconds for each answer; None for what suits the question.
+        """
+        caller = f"/dyknow_{os.getpid()}"
+        super().__init__(manager, caller)
+        #: Where relative names of nodelets begin.
+        self.namespace = names.parent(manager)
+        self._timeout = timeout
+        self._asked = Master(caller, timeout=min(timeout or TIMEOUT, TIMEOUT))
+        self._master_seen = False
+
+    def model(self) -> ModelView:
+        """Return the model with its transformations."""
+        return self.get_model()
+
+    def nodelets(self) -> ModelView:
+        """Return the model without its transformations, which may be many."""
+        topic = f"{self.manager}/model"
+        seconds = self._timeout or client.ASK_TIMEOUT
+        self._find_master()
+        try:
+            return model_view(read_latched(self._asked, self.manager, topic, Model, seconds))
+        except LookupError:
+            raise self._no_manager("is not running") from None
+        except (PeerTimeout, OSError) as error:
+            raise self._no_manager(_why_silent(error, seconds)) from error
+
+    def wait_for_model(self, condition: Callable[[ModelView], bool]) -> bool:
+        """Wait until the manager's model shows a change, so that the next command sees it.
+
+        Returns:
+            Whether it does within the time that the model needs at most.
+        """
+        deadline = time.monotonic() + FOLLOW_TIMEOUT
+        while not condition(self.nodelets()):
+            if time.monotonic() > deadline:
+                return False
+            time.sleep(_FOLLOW_PERIOD)
+        return True
+
+    def nodelet_managers(self) -> List[str]:
+        """Names of all nodelet managers of the ROS graph that are registered now."""
+        return self._nodes_with("/load_nodelet")
+
+    def managers(self) -> List[str]:
+        """Names of all DyKnow managers of the ROS graph that are registered now."""
+        return self._nodes_with("/add_transformation")
+
+    def topics(self) -> List[str]:
+        """Names of all topics that the master knows."""
+        known = self._on_master(lambda: self._asked.ask("getTopicTypes"))
+        return sorted(name for name, _ in known)
+
+    def is_own_manager(self, name: str) -> bool:
+        """Whether a nodelet manager is one that the DyKnow manager starts when it is needed."""
+        return names.parent(name) == self.namespace and bool(_OWN_MANAGER.match(name))
+
+    # Inside
+
+    def _call(self, service: str, service_class: Any, timeout: float, **fields: Any) -> Any:
+        self._find_master()
+        seconds = self._timeout or timeout
+        owner = names.parent(service)
+        try:
+            return ServiceClient(self._asked, service, service_class).call(seconds, **fields)
+        except ServiceFailed as error:
+            raise Refused(f"'{owner}': {error}") from error
+        except ServiceLost as error:
+            if owner != self.manager:
+                raise Silent(f"nodelet '{owner}' does not answer: {error}") from error
+            raise self._no_manager(_why_silent(error, seconds)) from error
+        except PeerTimeout as error:
+            if owner != self.manager:
+                raise Silent(f"nodelet '{owner}' did not answer within {seconds:g} s") from error
+            raise self._no_manager(f"did not answer within {seconds:g} s") from error
+
+    def _nodes_with(self, suffix: str) -> List[str]:
+        _, _, services = self._on_master(lambda: self._asked.ask("getSystemState"))
+        return sorted(name[: -len(suffix)] for name, _ in services if name.endswith(suffix))
+
+    def _find_master(self) -> None:
+        if not self._master_seen:
+            self._on_master(lambda: self._asked.ask("getPid"))
+            self._master_seen = True
+
+    def _on_master(self, ask: Callable[[], T]) -> T:
+        try:
+            return ask()
+        except (
+            PeerTimeout,
+            OSError,
+            LookupError,
+            ValueError,
+            TypeError,
+            ExpatError,
+            http.client.HTTPException,
+            xmlrpc.client.Error,
+        ) as error:
+            raise Unreachable(
+                f"no ROS master at {self._asked.uri} ({_words(error)}): is roscore running, and "
+                "ROS_MASTER_URI right?"
+            ) from error
+
+    def _no_manager(self, why: str) -> Unreachable:
+        return Unreachable(
+            f"DyKnow manager '{self.manager}' {why}: start one with 'rosrun dyknow manager', or "
+            "name another with --manager-node or $DYKNOW_MANAGER"
+        )
+
+
+def _why_silent(error: BaseException, seconds: float) -> str:
+    cause = error.__cause__ or error
+    if isinstance(cause, LookupError):
+        return "is not running"
+    if isinstance(cause, (PeerTimeout, socket.timeout)):
+        return f"did not answer within {seconds:g} s"
+    return f"is registered, but does not answer ({_words(error)})"
+
+
+def _words(error: BaseException) -> str:
+    """The words of an error of the system, without its number."""
+    cause = error.__cause__ or error
+    return re.sub(r"^\[Errno -?\d+\] ", "", str(cause)) or type(cause).__name__

@@ -1,0 +1,1 @@
+"""Nodelets for the tests of DyKnow."""

@@ -1,0 +1,142 @@
+"""Nodelets that use libraries made for rospy's nodes."""
+
+from __future__ import annotations
+
+import diagnostic_msgs.msg
+import diagnostic_updater
+import message_filters
+import rospy
+import tf2_ros
+from dynamic_reconfigure.server import Server
+from geometry_msgs.msg import TransformStamped
+from sensor_msgs.msg import Image
+
+from dyknow_test.puppet import Puppet
+
+
+class Synchroniser(Puppet):
+    """Puts the images of two ports together by their stamps."""
+
+    def set_up(self):
+        self.pairs = []
+        self.synchroniser = message_filters.TimeSynchronizer(
+            [self.nh.Subscriber("left", Image), self.nh.Subscriber("right", Image)], 10
+        )
+        self.synchroniser.registerCallback(self.note)
+
+    def note(self, left, right):
+        self.pairs.append([left.height, right.height])
+
+    def received(self):
+        return self.pairs
+
+
+class Frames(Puppet):
+    """Sends transforms and looks them up."""
+
+    def set_up(self):
+        self.buffer = tf2_ros.Buffer()
+        self.listener = tf2_ros.TransformListener(self.buffer)
+        self.broadcaster = tf2_ros.TransformBroadcaster()
+        self.static_broadcaster = tf2_ros.StaticTransformBroadcaster()
+
+    def on_shutdown(self):
+        self.listener.unregister()
+        super().on_shutdown()
+
+    def send(self, parent, child, x):
+        self.broadcaster.sendTransform(self._transform(parent, child, x))
+
+    def send_static(self, parent, child, x):
+        self.static_broadcaster.sendTransform(self._transform(parent, child, x))
+
+    def look_up(self, parent, child, timeout):
+        try:
+            found = self.buffer.lookup_transform(
+                parent, child, rospy.Time(0), rospy.Duration(timeout)
+            )
+        except tf2_ros.TransformException as error:
+            return str(error)
+        return found.transform.translation.x
+
+    @staticmethod
+    def _transform(parent, child, x):
+        transform = TransformStamped()
+        transform.header.stamp = rospy.Time.now()
+        transform.header.frame_id = parent
+        transform.child_frame_id = child
+        transform.transform.translation.x = x
+        transform.transform.rotation.w = 1.0
+        return transform
+
+
+class Diagnosed(Puppet):
+    """Tells how it is, from a timer."""
+
+    def set_up(self):
+        self.updater = diagnostic_updater.Updater()
+        self.updater.setHardwareID(self.name)
+        self.updater.add("state", self.diagnose)
+        self.timer = self.nh.Timer(
+            self.nh.Duration(0.05), lambda event: self.updater.force_update()
+        )
+
+    @staticmethod
+    def diagnose(status):
+        status.summary(diagnostic_msgs.msg.DiagnosticStatus.WARN, "a little warm")
+        status.add("temperature", "71")
+        return status
+
+
+def _described(name, kind, default, level):
+    return {
+        "name": name,
+        "type": kind,
+        "default": default,
+        "level": level,
+        "description": "",
+        "edit_method": "",
+    }
+
+
+class ConfigType:
+    """What dynamic_reconfigure would generate from a .cfg file with these two parameters."""
+
+    defaults = {"gain": 1.0, "size": 3}
+    min = {"gain": 0.0, "size": 1}
+    max = {"gain": 10.0, "size": 9}
+    level = {"gain": 1, "size": 2}
+    all_level = 3
+    config_description = {
+        "name": "Default",
+        "type": "",
+        "id": 0,
+        "parent": 0,
+        "state": True,
+        "groups": [],
+        "parameters": [
+            _described("gain", "double", 1.0, 1),
+            _described("size", "int", 3, 2),
+        ],
+    }
+
+
+class Reconfigurable(Puppet):
+    """Has parameters of dynamic_reconfigure in its own namespace."""
+
+    def set_up(self):
+        self.configs = []
+        self.server = Server(ConfigType, self.configure, namespace=self.name)
+
+    def on_shutdown(self):
+        self.server.set_service.shutdown()
+        self.server.descr_topic.unregister()
+        self.server.update_topic.unregister()
+        super().on_shutdown()
+
+    def configure(self, config, level):
+        self.configs.append([config["gain"], config["size"]])
+        return config
+
+    def seen(self):
+        return self.configs

@@ -1,0 +1,53 @@
+"""A nodelet with ordinary handles of rospy beside those of the bus."""
+
+from __future__ import annotations
+
+import functools
+
+import rospy
+from std_msgs.msg import Header
+
+from dyknow_test.puppet import Puppet
+
+
+class Ordinary(Puppet):
+    """Makes, uses and removes handles on one topic, of the bus and of rospy."""
+
+    def set_up(self):
+        self.handles = {}
+        self.notes = {}
+        self.makers = {
+            "bus": self.node_handle,
+            "rospy": rospy,
+        }
+
+    def on_shutdown(self):
+        for label in list(self.handles):
+            self.remove(label)
+        super().on_shutdown()
+
+    def make_publisher(self, label, kind, topic, latch=False):
+        self.handles[label] = self.makers[kind].Publisher(
+            topic, Header, queue_size=10, latch=latch
+        )
+
+    def make_subscriber(self, label, kind, topic):
+        self.notes[label] = []
+        callback = functools.partial(self.note, label)
+        self.handles[label] = self.makers[kind].Subscriber(topic, Header, callback)
+
+    def note(self, label, message):
+        self.notes[label].append(message.seq)
+
+    def remove(self, label):
+        self.handles.pop(label).unregister()
+
+    def publish(self, label, numbers):
+        for number in numbers:
+            self.handles[label].publish(Header(seq=number))
+
+    def connections(self, label):
+        return self.handles[label].get_num_connections()
+
+    def received(self, label):
+        return self.notes[label]

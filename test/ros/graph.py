@@ -1,0 +1,184 @@
+"""What the suites about the ROS graph share: the test package, managers, and looks at the master.
+
+Importing it makes the packages of test/packages known to this process and those that it starts.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import sys
+import xmlrpc.client
+from pathlib import Path
+from typing import Any, Mapping, Sequence
+
+PACKAGES = Path(__file__).resolve().parent.parent / "packages"
+os.environ["ROS_PACKAGE_PATH"] = os.pathsep.join([os.environ["ROS_PACKAGE_PATH"], str(PACKAGES)])
+sys.path.insert(0, str(PACKAGES / "dyknow_test" / "src"))
+
+import rosgraph  # noqa: E402
+import rospy  # noqa: E402
+from dyknow_msgs.msg import PortConfig  # noqa: E402
+from dyknow_msgs.srv import GetConfig, GetStatistics, SetConfig  # noqa: E402
+from dyknow_test.puppet import Call  # noqa: E402
+from nodelet.srv import NodeletList, NodeletLoad, NodeletUnload  # noqa: E402
+from processes import NODELET, Running, eventually  # noqa: E402
+from std_msgs.msg import String  # noqa: E402
+
+PEER = [sys.executable, str(Path(__file__).resolve().parent / "peer.py")]
+
+
+class Ended(Running):
+    """A process that is asked to end before it is killed, so it unregisters and ends children."""
+
+    def __exit__(self, *unused: object) -> None:
+        if not self.has_ended:
+            self.stop(signal.SIGCONT)
+            self.stop()
+            with contextlib.suppress(AssertionError):
+                self.exit_code(10.0)
+        super().__exit__()
+
+
+class Manager(Ended):
+    """A nodelet manager in a process of its own, and its nodelets' services."""
+
+    def __init__(self, name: str = "/manager", *arguments: str, wait: bool = True) -> None:
+        namespace, _, base = name.rpartition("/")
+        self.name = name
+        super().__init__(
+            *NODELET, "manager", f"__name:={base}", f"__ns:={namespace or '/'}", *arguments
+        )
+        if wait:
+            eventually(self._answers, 20.0, f"{name} is up")
+
+    def load(
+        self,
+        type_name: str,
+        name: str,
+        remappings: Mapping[str, str] | None = None,
+        my_argv: Sequence[str] = (),
+        bond_id: str = "",
+        **parameters: Any,
+    ) -> None:
+        """Load a nodelet of the test package; the parameters are set before."""
+        for key, value in parameters.items():
+            rospy.set_param(f"{name}/{key}", value)
+        remappings = remappings or {}
+        self.load_nodelet(
+            name=name,
+            type=type_name if "/" in type_name else f"dyknow_test/{type_name}",
+            remap_source_args=list(remappings),
+            remap_target_args=list(remappings.values()),
+            my_argv=list(my_argv),
+            bond_id=bond_id,
+        )
+
+    def load_nodelet(self, **request: Any) -> Any:
+        return rospy.ServiceProxy(f"{self.name}/load_nodelet", NodeletLoad)(**request)
+
+    def unload(self, name: str) -> Any:
+        return rospy.ServiceProxy(f"{self.name}/unload_nodelet", NodeletUnload)(name)
+
+    def unload_all(self) -> None:
+        """Unload what is loaded, and delete its parameters."""
+        for name in self.list():
+            self.unload(name)
+            if rospy.has_param(name):
+                rospy.delete_param(name)
+
+    def list(self) -> list[str]:
+        return list(rospy.ServiceProxy(f"{self.name}/list", NodeletList)().nodelets)
+
+    def is_free(self, name: str) -> bool:
+        """Whether a nodelet can be loaded under a name; what is loaded for that goes again."""
+        try:
+            self.load("dyknow_test/Introspector", name)
+        except rospy.ServiceException:
+            return False
+        self.unload(name)
+        return True
+
+    def _answers(self) -> bool:
+        try:
+            return self.list() == [] and f"{self.name}/load_nodelet" in services_of(self.name)
+        except rospy.ServiceException:
+            return False
+
+    @property
+    def pid(self) -> int:
+        return self._process.pid
+
+    def threads(self) -> int:
+        return len(os.listdir(f"/proc/{self.pid}/task"))
+
+    def descriptors(self) -> int:
+        return len(os.listdir(f"/proc/{self.pid}/fd"))
+
+
+def call(nodelet: str, method: str, *args: Any) -> Any:
+    """Call a method of a puppet."""
+    answer = rospy.ServiceProxy(f"{nodelet}/call", Call)(String(json.dumps([method, args])))
+    return json.loads(answer.data)
+
+
+def set_config(nodelet: str, **ports: str) -> Any:
+    """Connect ports to topics."""
+    return set_config_pairs(nodelet, *ports.items())
+
+
+def set_config_pairs(nodelet: str, *pairs: tuple[str, str]) -> Any:
+    return rospy.ServiceProxy(f"{nodelet}/set_config", SetConfig)(
+        [PortConfig(port, topic) for port, topic in pairs]
+    )
+
+
+def topics_of_ports(nodelet: str) -> dict[str, str]:
+    return {port.name: port.topic for port in get_config(nodelet)}
+
+
+def get_config(nodelet: str) -> Any:
+    return rospy.ServiceProxy(f"{nodelet}/get_config", GetConfig)().ports
+
+
+def get_statistics(nodelet: str) -> Any:
+    return rospy.ServiceProxy(f"{nodelet}/get_statistics", GetStatistics)()
+
+
+def port_statistics(nodelet: str, port: str) -> Any:
+    return next(each for each in get_statistics(nodelet).ports if each.port == port)
+
+
+def registrations(node: str) -> dict[str, list[str]]:
+    """What the master has of a node: topics that it publishes, subscribes to, and services."""
+    state = rosgraph.Master(rospy.get_name()).getSystemState()
+    kinds = ("publishers", "subscribers", "services")
+    return {
+        kind: sorted(name for name, nodes in part if node in nodes)
+        for kind, part in zip(kinds, state)
+    }
+
+
+def services_of(node: str) -> list[str]:
+    return registrations(node)["services"]
+
+
+def nodes_on(topic: str) -> tuple[set[str], set[str]]:
+    """The nodes that publish on a topic and those that subscribe to it, for the master."""
+    state = rosgraph.Master(rospy.get_name()).getSystemState()
+    publishers, subscribers = ({*dict(part).get(topic, ())} for part in state[:2])
+    return publishers, subscribers
+
+
+def bus_info(node: str) -> list[Any]:
+    """The connections of a node, as `rosnode info` gets them."""
+    uri = rosgraph.Master(rospy.get_name()).lookupNode(node)
+    return xmlrpc.client.ServerProxy(uri).getBusInfo(rospy.get_name())[2]
+
+
+def parameters() -> dict[str, Any]:
+    """All parameters but those that roslaunch and rosout keep for themselves."""
+    every = rospy.get_param("/")
+    return {key: value for key, value in every.items() if key not in ("roslaunch", "run_id")}

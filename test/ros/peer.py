@@ -1,0 +1,53 @@
+#!/usr/bin/env python3
+"""A node of the outside: `peer.py talk RATE TOPIC...` or `peer.py listen TOPIC...`.
+
+A talker publishes headers, numbered, each number on every topic, the topics in turn. A listener
+prints "TOPIC NUMBER" for each header, and the number of bytes for each image.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+
+import rospy
+from sensor_msgs.msg import Image
+from std_msgs.msg import Header
+
+
+def talk(rate: str, *topics: str) -> None:
+    # Without a queue: what is published is sent, so the topics keep in step.
+    publishers = [rospy.Publisher(topic, Header, queue_size=None) for topic in topics]
+    number = 0
+    due = time.monotonic()
+    while not rospy.is_shutdown():
+        for topic, publisher in zip(topics, publishers):
+            publisher.publish(Header(seq=number, frame_id=topic))
+        number += 1
+        due += 1.0 / float(rate)
+        time.sleep(max(0.0, due - time.monotonic()))
+
+
+def listen(*topics: str) -> None:
+    def note(message: Header, topic: str) -> None:
+        print(topic, message.seq)
+
+    for topic in topics:
+        rospy.Subscriber(topic, Header, note, topic)
+    rospy.spin()
+
+
+def watch(*topics: str) -> None:
+    def note(message: Image, topic: str) -> None:
+        print(topic, message.height, len(message.data))
+
+    for topic in topics:
+        rospy.Subscriber(topic, Image, note, topic, buff_size=1 << 24)
+    rospy.spin()
+
+
+if __name__ == "__main__":
+    sys.stdout.reconfigure(line_buffering=True)
+    rospy.init_node("peer", anonymous=True)
+    command, *arguments = rospy.myargv()[1:]
+    {"talk": talk, "listen": listen, "watch": watch}[command](*arguments)

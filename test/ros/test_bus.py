@@ -1,0 +1,377 @@
+#!/usr/bin/env python3
+"""The bus under the ROS graph: by reference inside, ordinary topics for everybody else."""
+
+from __future__ import annotations
+
+import itertools
+import signal
+import unittest
+
+import graph  # first: it makes the test package known
+import rospy
+import rostest
+from graph import PEER, Manager, call, port_statistics, set_config
+from processes import Running, eventually, finished
+from sensor_msgs.msg import Image
+from std_msgs.msg import Header
+
+
+class BusTest(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.manager = Manager("/manager")
+        cls.before = graph.registrations("/manager")
+
+    @classmethod
+    def tearDownClass(cls):
+        cls.manager.__exit__()
+
+    def tearDown(self):
+        self.manager.unload_all()
+        self.assertEqual(graph.registrations("/manager"), self.before, "something is left")
+
+    def start(self, *command):
+        process = Running(*command)
+        self.addCleanup(process.__exit__)
+        return process
+
+    def listen(self, topic, message_class=Header):
+        """A list that fills with the messages of a topic, once this process is connected."""
+        heard = []
+        subscriber = rospy.Subscriber(topic, message_class, heard.append, tcp_nodelay=True)
+        self.addCleanup(subscriber.unregister)
+        eventually(subscriber.get_num_connections, 5.0, f"connected to {topic}")
+        return heard
+
+    def wait_for_numbers(self, numbers, nodelet):
+        numbers = list(numbers)
+        eventually(lambda: len(call(nodelet, "received")) >= len(numbers), 10.0, "all arrive")
+        self.assertEqual(call(nodelet, "received"), numbers)
+
+
+class InsideTest(BusTest):
+    def test_messages_travel_by_reference(self):
+        self.manager.load("Talker", "/talker", {"/out": "/a"})
+        self.manager.load("Relay", "/relay", {"/in": "/a", "/out": "/b"})
+        self.manager.load("Listener", "/first", {"/in": "/a"})
+        self.manager.load("Listener", "/last", {"/in": "/b"})
+        before = call("/talker", "serialisations")
+        call("/talker", "publish", 0, 100)
+        eventually(lambda: call("/last", "count") == 100, 5.0, "all arrive")
+        self.assertEqual(call("/last", "identities"), call("/talker", "identities"))
+        self.assertEqual(call("/first", "identities"), call("/talker", "identities"))
+        self.assertEqual(call("/talker", "serialisations"), before)
+
+    def test_every_message_on_every_hop_once(self):
+        hops = [f"/hop{number}" for number in range(6)]
+        self.manager.load("Talker", "/talker", {"/out": hops[0]})
+        for number, (source, target) in enumerate(zip(hops, hops[1:])):
+            self.manager.load("Relay", f"/relay{number}", {"/in": source, "/out": target})
+        self.manager.load("Listener", "/last", {"/in": hops[-1]})
+        heard = {hop: self.listen(hop) for hop in (hops[0], hops[3], hops[5])}
+        for first in range(0, 2500, 100):
+            call("/talker", "publish", first, 100)
+            # Outside, a queue of ten holds what the network is slow to take.
+            eventually(
+                lambda first=first: call("/last", "count") == first + 100, 5.0, "a hundred more"
+            )
+        self.wait_for_numbers(range(2500), "/last")
+        for number in range(5):
+            self.assertEqual(call(f"/relay{number}", "count"), 2500)
+        for hop, messages in heard.items():
+            numbers = [message.seq for message in messages]
+            self.assertEqual(sorted(set(numbers)), numbers, f"{hop}: twice or out of order")
+        statistics = port_statistics("/last", "in")
+        self.assertEqual((statistics.messages, statistics.dropped), (2500, 0))
+
+    def test_the_oldest_goes_when_a_queue_is_full_and_is_counted(self):
+        self.manager.load("Talker", "/talker", {"/out": "/a"})
+        self.manager.load("Listener", "/small", {"/in": "/a"}, queue_size=10)
+        self.manager.load("Listener", "/unbounded", {"/in": "/a"})
+        for name in ("/small", "/unbounded"):
+            call(name, "hold")
+        call("/talker", "publish", 0, 1)
+        for name in ("/small", "/unbounded"):
+            eventually(lambda name=name: call(name, "count") == 1, 5.0, "the callback is held")
+        call("/talker", "publish", 1, 99)
+        for name in ("/small", "/unbounded"):
+            call(name, "let_go")
+        self.wait_for_numbers([0, *range(90, 100)], "/small")
+        self.wait_for_numbers(range(100), "/unbounded")
+        eventually(lambda: port_statistics("/small", "in").messages == 11, 2.0, "eleven calls")
+        self.assertEqual(port_statistics("/small", "in").dropped, 89)
+        self.assertEqual(port_statistics("/unbounded", "in").dropped, 0)
+
+    def test_latched_inside(self):
+        self.manager.load("Talker", "/talker", {"/out": "/a"}, latch=True)
+        call("/talker", "publish", 7, 1)
+        self.manager.load("Listener", "/late", {"/in": "/a"})
+        self.wait_for_numbers([7], "/late")
+        call("/talker", "publish", 8, 1)
+        self.wait_for_numbers([7, 8], "/late")
+        set_config("/late", **{"in": ""})
+        set_config("/late", **{"in": "/a"})
+        self.wait_for_numbers([7, 8, 8], "/late")
+
+    def test_what_nobody_is_connected_to_counts_as_dropped(self):
+        self.manager.load("Talker", "/talker")
+        call("/talker", "publish", 0, 5)
+        statistics = port_statistics("/talker", "out")
+        self.assertEqual((statistics.messages, statistics.dropped), (0, 5))
+
+
+class OutsideTest(BusTest):
+    def test_serialised_once_and_only_if_somebody_listens(self):
+        self.manager.load("Talker", "/talker", {"/out": "/a"})
+        self.manager.load("Listener", "/inside", {"/in": "/a"})
+        before = call("/talker", "serialisations")
+        call("/talker", "publish", 0, 10)
+        self.wait_for_numbers(range(10), "/inside")
+        self.assertEqual(call("/talker", "serialisations"), before)
+        heard = [self.listen("/a")]
+        peers = [self.start(*PEER, "listen", "/a") for _ in range(2)]
+        eventually(lambda: call("/talker", "connections") == 4, 10.0, "one inside, three outside")
+        call("/talker", "publish", 10, 10)
+        for peer in peers:
+            peer.wait_for("/a 19\n")
+        eventually(lambda: [m.seq for m in heard[0]] == list(range(10, 20)), 5.0, "all arrive")
+        self.assertEqual(call("/talker", "serialisations"), before + 10)
+
+    def test_a_message_that_cannot_be_serialised(self):
+        self.manager.load("Talker", "/talker", {"/out": "/a"})
+        heard = self.listen("/a")
+        eventually(lambda: call("/talker", "connections") == 1, 5.0, "connected")
+        self.assertIn("rospy.ROSSerializationException", call("/talker", "publish_nonsense"))
+        call("/talker", "publish", 1, 3)
+        eventually(lambda: [m.seq for m in heard] == [1, 2, 3], 5.0, "the next ones arrive whole")
+
+    def test_the_command_line_tools(self):
+        self.manager.load("Talker", "/talker", {"/out": "/a"})
+        self.manager.load("Listener", "/listener", {"/in": "/a"})
+        self.assertIn("/a\n", finished(["rostopic", "list"])[1])
+        info = finished(["rostopic", "info", "/a"])[1]
+        self.assertIn("Type: std_msgs/Header", info)
+        self.assertEqual(info.count(" * /manager ("), 2, info)
+        self.assertIn("INTRAPROCESS", finished(["rosnode", "info", "/manager"])[1])
+        links = [info for info in graph.bus_info("/manager") if info[4] == "/a"]
+        self.assertEqual([link[3] for link in links], ["INTRAPROCESS"])
+        call("/talker", "start", 100.0)
+        hz = self.start("rostopic", "hz", "/a")
+        hz.wait_for("average rate: ")
+        echo = self.start("rostopic", "echo", "-n", "2", "/a")
+        self.assertEqual(echo.exit_code(10.0), 0)
+        self.assertIn('frame_id: "/talker"', echo.output)
+        call("/talker", "stop")
+
+    def test_a_late_echo_of_a_latched_topic(self):
+        self.manager.load("Talker", "/talker", {"/out": "/a"}, latch=True)
+        self.manager.load("Listener", "/listener", {"/in": "/a"})
+        call("/talker", "publish", 41, 2)
+        code, output = finished(["rostopic", "echo", "-n", "1", "/a"])
+        self.assertEqual(code, 0)
+        self.assertIn("seq: 42", output)
+        self.wait_for_numbers([41, 42], "/listener")
+
+    def test_of_two_latched_publishers_one_goes(self):
+        for number, name in enumerate(("/one", "/two", "/three")):
+            self.manager.load("Talker", name, {"/out": "/a"}, latch=True)
+            call(name, "publish", number, 1)
+        self.manager.unload("/one")
+        self.assertIn("\n2\n", self.latched("/a"))
+        self.manager.unload("/three")
+        self.assertIn("\n1\n", self.latched("/a"))
+
+    @staticmethod
+    def latched(topic):
+        """What somebody who comes late gets."""
+        code, output = finished(["rostopic", "echo", "-n", "1", f"{topic}/seq"], 10.0)
+        assert code == 0, output
+        return f"\n{output}"
+
+    def test_a_latch_of_the_outside_reaches_every_new_connection(self):
+        publisher = rospy.Publisher("/a", Header, queue_size=1, latch=True)
+        self.addCleanup(publisher.unregister)
+        publisher.publish(Header(seq=5))
+        self.manager.load("Listener", "/one", {"/in": "/a"})
+        self.wait_for_numbers([5], "/one")
+        self.manager.load("Listener", "/two", {"/in": "/a"})
+        self.wait_for_numbers([5], "/two")
+        self.wait_for_numbers([5], "/one")
+
+    def test_outside_listeners_do_not_change_what_the_inside_has(self):
+        self.manager.load("Stamper", "/stamper", {"/out": "/a"})
+        heard = self.listen("/a", Image)
+        call("/stamper", "publish", 3)
+        eventually(lambda: len(heard) == 3, 5.0, "all arrive")
+        self.assertEqual([message.header.seq for message in heard], [1, 2, 3])
+        self.assertEqual(call("/stamper", "headers"), [[4711, None]] * 3)
+
+    def test_an_outside_publisher_that_is_killed_and_comes_back(self):
+        self.manager.load("Listener", "/listener", {"/in": "/a"})
+        for _ in range(2):
+            talker = self.start(*PEER, "talk", "100", "/a")
+            before = call("/listener", "count")
+            eventually(
+                lambda before=before: call("/listener", "count") > before + 10, 10.0, "it is heard"
+            )
+            talker.stop(signal.SIGKILL)
+            talker.exit_code(5.0)
+            eventually(lambda: call("/listener", "connections") == 0, 5.0, "it is missed")
+        numbers = call("/listener", "received")
+        restarts = sum(later <= earlier for earlier, later in zip(numbers, numbers[1:]))
+        self.assertEqual(restarts, 1, "in order, but for the second start")
+
+    def test_an_outside_subscriber_that_is_killed_and_comes_back(self):
+        self.manager.load("Talker", "/talker", {"/out": "/a"})
+        self.manager.load("Listener", "/inside", {"/in": "/a"})
+        call("/talker", "start", 200.0)
+        for _ in range(2):
+            peer = self.start(*PEER, "listen", "/a")
+            peer.wait_for("/a ")
+            peer.stop(signal.SIGKILL)
+            peer.exit_code(5.0)
+            eventually(lambda: call("/talker", "connections") == 1, 5.0, "the inside is left")
+        sent = call("/talker", "stop")
+        self.wait_for_numbers(range(sent), "/inside")
+
+    def test_a_slow_outside_subscriber_holds_up_nobody(self):
+        self.manager.load("ImageTalker", "/talker", {"/out": "/a"}, queue_size=5)
+        peer = self.start(*PEER, "watch", "/a")
+        eventually(lambda: graph.nodes_on("/a")[1], 10.0, "it has registered")
+        heard = self.listen("/a", Image)
+        call("/talker", "publish", 1, 100)
+        peer.wait_for("/a 0 100\n")
+        peer.stop(signal.SIGSTOP)
+        # 40 messages of a megabyte: more than the sockets and the queue of five hold.
+        took = call("/talker", "publish", 40, 1 << 20)
+        self.assertLess(took, 6)
+        eventually(lambda: heard[-1].height == 39, 10.0, "the last one arrives elsewhere")
+        peer.stop(signal.SIGCONT)
+        peer.wait_for("/a 39 1048576\n")
+
+    def test_a_subscriber_of_any_type(self):
+        self.manager.load("AnyListener", "/any", {"/in": "/a"})
+        self.manager.load("Talker", "/talker", {"/out": "/a"})
+        call("/talker", "publish", 0, 3)
+        self.wait_for_numbers(range(3), "/any")
+        publisher = rospy.Publisher("/a", Header, queue_size=10)
+        self.addCleanup(publisher.unregister)
+        eventually(publisher.get_num_connections, 5.0, "connected from outside")
+        publisher.publish(Header(seq=3))
+        self.wait_for_numbers(range(4), "/any")
+        self.assertEqual(call("/any", "seen_types"), ["std_msgs/Header"])
+
+    def test_subscribers_of_any_type_and_of_the_topics_type_together(self):
+        for names in (("AnyListener", "Listener"), ("Listener", "AnyListener")):
+            with self.subTest(names):
+                for name in names:
+                    self.manager.load(name, f"/{name}", {"/in": "/a"})
+                publisher = rospy.Publisher("/a", Header, queue_size=10)
+                eventually(publisher.get_num_connections, 5.0, "connected from outside")
+                for number in range(3):
+                    publisher.publish(Header(seq=number))
+                for name in names:
+                    self.wait_for_numbers(range(3), f"/{name}")
+                publisher.unregister()
+                self.manager.unload_all()
+
+
+class OrdinaryHandleTest(BusTest):
+    """rospy's own publishers and subscribers inside a nodelet, on a topic of the bus."""
+
+    def setUp(self):
+        self.manager.load("Ordinary", "/n")
+
+    def make(self, label):
+        kind, role = label.split("_")
+        call("/n", f"make_{role}", label, kind, "/a")
+
+    def wait_for(self, label, numbers):
+        eventually(
+            lambda: len(call("/n", "received", label)) >= len(numbers),
+            5.0,
+            f"{label} receives {numbers}",
+        )
+        self.assertEqual(sorted(call("/n", "received", label)), numbers, label)
+
+    def settle(self, labels):
+        """Wait until rospy has connected the ordinary handles, which takes the master's call."""
+        for label in labels:
+            eventually(lambda label=label: call("/n", "connections", label) > 0, 5.0, label)
+
+    def test_all_combinations_in_every_order(self):
+        labels = ("bus_publisher", "rospy_publisher", "bus_subscriber", "rospy_subscriber")
+        for order in itertools.permutations(labels):
+            with self.subTest(order):
+                for label in order:
+                    self.make(label)
+                self.settle(label for label in order if "subscriber" in label)
+                numbers = iter(range(100))
+                expected = {label: [] for label in order if "subscriber" in label}
+                present = list(order)
+                # Remove one after another; what is left goes on, each message once.
+                for removed in order:
+                    for publisher in [label for label in present if "publisher" in label]:
+                        sent = [next(numbers) for _ in range(2)]
+                        call("/n", "publish", publisher, sent)
+                        for subscriber in expected:
+                            if subscriber in present:
+                                expected[subscriber] += sent
+                    for subscriber in expected:
+                        if subscriber in present:
+                            self.wait_for(subscriber, sorted(expected[subscriber]))
+                    call("/n", "remove", removed)
+                    present.remove(removed)
+                self.assertEqual(graph.nodes_on("/a"), (set(), set()))
+
+    def test_with_peers_outside(self):
+        labels = ("rospy_subscriber", "bus_publisher", "rospy_publisher", "bus_subscriber")
+        for label in labels:
+            self.make(label)
+        heard = self.listen("/a")
+        speaker = rospy.Publisher("/a", Header, queue_size=10)
+        self.addCleanup(speaker.unregister)
+        eventually(speaker.get_num_connections, 5.0, "connected")
+        eventually(
+            lambda: call("/n", "connections", "rospy_publisher") >= 1, 5.0, "it is heard outside"
+        )
+        call("/n", "publish", "bus_publisher", [0, 1])
+        eventually(lambda: len(heard) == 2, 5.0, "heard outside")
+        call("/n", "publish", "rospy_publisher", [2, 3])
+        eventually(lambda: len(heard) == 4, 5.0, "heard outside")
+        speaker.publish(Header(seq=4))
+        for label in ("bus_subscriber", "rospy_subscriber"):
+            self.wait_for(label, [0, 1, 2, 3, 4])
+        eventually(lambda: [message.seq for message in heard] == [0, 1, 2, 3, 4], 5.0, "each once")
+
+    def test_latched_on_the_bus_for_an_ordinary_subscriber(self):
+        call("/n", "make_publisher", "publisher", "bus", "/a", True)
+        call("/n", "publish", "publisher", [6])
+        call("/n", "make_subscriber", "late", "rospy", "/a")
+        self.wait_for("late", [6])
+        call("/n", "remove", "publisher")
+        call("/n", "remove", "late")
+
+    def test_an_ordinary_subscriber_outlives_many_publishers_of_the_bus(self):
+        call("/n", "make_subscriber", "rospy_subscriber", "rospy", "/a")
+        for _ in range(1200):  # more than Python nests calls
+            call("/n", "make_publisher", "bus_publisher", "bus", "/a")
+            call("/n", "remove", "bus_publisher")
+        call("/n", "make_publisher", "bus_publisher", "bus", "/a")
+        call("/n", "make_subscriber", "second", "rospy", "/a")
+        self.settle(["rospy_subscriber", "second"])
+        call("/n", "publish", "bus_publisher", [1, 2])
+        for label in ("rospy_subscriber", "second"):
+            self.wait_for(label, [1, 2])
+
+    def test_latched_by_an_ordinary_publisher_for_the_bus(self):
+        call("/n", "make_publisher", "publisher", "rospy", "/a", True)
+        call("/n", "publish", "publisher", [6])
+        call("/n", "make_subscriber", "late", "bus", "/a")
+        self.wait_for("late", [6])
+        call("/n", "remove", "publisher")
+
+
+if __name__ == "__main__":
+    rospy.init_node("bus_test")
+    rostest.rosrun("dyknow", "bus", "__main__")

@@ -1,0 +1,153 @@
+#!/usr/bin/env python3
+"""Libraries made for rospy's nodes, in nodelets: filters, tf2, diagnostics, parameters."""
+
+from __future__ import annotations
+
+import unittest
+
+import dynamic_reconfigure.client
+import graph  # first: it makes the test package known
+import rospy
+import rostest
+import tf2_ros
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import TransformStamped
+from graph import Manager, call
+from processes import eventually
+from sensor_msgs.msg import Image
+
+
+class CompanionTest(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.manager = Manager("/manager")
+
+    @classmethod
+    def tearDownClass(cls):
+        cls.manager.__exit__()
+
+    def tearDown(self):
+        self.manager.unload_all()
+
+
+class FilterTest(CompanionTest):
+    def test_a_time_synchroniser_on_ports(self):
+        self.manager.load("Synchroniser", "/n", {"/left": "/a", "/right": "/b"})
+        publishers = {}
+        for topic in ("/a", "/b", "/c"):
+            publishers[topic] = rospy.Publisher(topic, Image, queue_size=10)
+            self.addCleanup(publishers[topic].unregister)
+
+        def publish(topic, stamp):
+            image = Image(height=stamp)
+            image.header.stamp = rospy.Time(stamp)
+            publishers[topic].publish(image)
+
+        for topic in ("/a", "/b"):
+            eventually(publishers[topic].get_num_connections, 5.0, "connected")
+        for topic, stamp in (("/a", 1), ("/a", 2), ("/b", 2), ("/b", 3), ("/a", 3)):
+            publish(topic, stamp)
+        eventually(lambda: sorted(call("/n", "received")) == [[2, 2], [3, 3]], 5.0, "two pairs")
+        graph.set_config("/n", right="/c")
+        publish("/a", 4)
+        publish("/c", 4)
+        eventually(lambda: call("/n", "received")[-1] == [4, 4], 5.0, "across the re-wiring")
+
+
+class TransformTest(CompanionTest):
+    def setUp(self):
+        for name in ("/one", "/two"):
+            self.manager.load("Frames", name)
+
+    def test_between_nodelets_of_one_manager(self):
+        for number in range(3):
+            call("/one", "send", "map", "robot", float(number))
+            eventually(
+                lambda number=number: call("/two", "look_up", "map", "robot", 1.0) == number,
+                5.0,
+                "the transform",
+            )
+
+    def test_static_transforms(self):
+        call("/one", "send_static", "robot", "camera", 4.0)
+        self.assertEqual(call("/two", "look_up", "robot", "camera", 5.0), 4.0)
+        self.manager.load("Frames", "/late")
+        self.assertEqual(call("/late", "look_up", "robot", "camera", 5.0), 4.0)
+
+    def test_across_processes(self):
+        buffer = tf2_ros.Buffer()
+        listener = tf2_ros.TransformListener(buffer)
+        self.addCleanup(listener.unregister)
+        eventually(
+            lambda: "/manager" in graph.nodes_on("/tf")[0]
+            and listener.tf_sub.get_num_connections() > 0,
+            5.0,
+            "connected",
+        )
+
+        def heard():
+            call("/one", "send", "map", "robot", 7.0)
+            return buffer.can_transform("map", "robot", rospy.Time(0))
+
+        eventually(heard, 5.0, "from the nodelet")
+        broadcaster = tf2_ros.TransformBroadcaster()
+        self.addCleanup(broadcaster.pub_tf.unregister)
+        transform = TransformStamped()
+        transform.header.frame_id, transform.child_frame_id = "robot", "hand"
+        transform.transform.rotation.w = 1.0
+        transform.transform.translation.x = 2.0
+
+        def answered():
+            transform.header.stamp = rospy.Time.now()
+            broadcaster.sendTransform(transform)
+            return call("/two", "look_up", "robot", "hand", 0.2) == 2.0
+
+        eventually(answered, 5.0, "to the nodelet")
+
+    def test_an_unloaded_listener_leaves_the_others(self):
+        self.manager.unload("/one")
+        self.manager.load("Frames", "/one")
+        call("/two", "send", "map", "robot", 1.0)
+        eventually(lambda: call("/one", "look_up", "map", "robot", 1.0) == 1.0, 5.0, "new")
+        self.manager.unload("/one")
+        call("/two", "send", "map", "robot", 2.0)
+        eventually(lambda: call("/two", "look_up", "map", "robot", 1.0) == 2.0, 5.0, "old")
+
+
+class DiagnosticsTest(CompanionTest):
+    def test_an_updater(self):
+        heard = []
+        subscriber = rospy.Subscriber("/diagnostics", DiagnosticArray, heard.append)
+        self.addCleanup(subscriber.unregister)
+        self.manager.load("Diagnosed", "/n")
+        eventually(
+            lambda: any(s.message == "a little warm" for array in heard for s in array.status),
+            5.0,
+            "a report",
+        )
+        status = next(s for array in heard for s in array.status if s.message == "a little warm")
+        self.assertEqual(status.hardware_id, "/n")
+        self.assertEqual(status.values[0].value, "71")
+
+
+class ReconfigureTest(CompanionTest):
+    def test_a_server_in_the_nodelets_namespace(self):
+        rospy.set_param("/robot/n/gain", 2.5)
+        self.manager.load("Reconfigurable", "/robot/n")
+        self.assertEqual(call("/robot/n", "seen"), [[2.5, 3]])
+        client = dynamic_reconfigure.client.Client("/robot/n", timeout=5.0)
+        self.addCleanup(client.close)
+        self.assertEqual(client.update_configuration({"size": 7, "gain": 100.0})["gain"], 10.0)
+        self.assertEqual(call("/robot/n", "seen")[-1], [10.0, 7])
+        self.assertEqual(rospy.get_param("/robot/n/size"), 7)
+        client.close()
+        # What the nodelet itself has shut down is gone, and can be there again.
+        self.manager.unload("/robot/n")
+        self.assertFalse(graph.nodes_on("/robot/n/parameter_updates")[0])
+        self.manager.load("Reconfigurable", "/robot/n")
+        self.assertEqual(call("/robot/n", "seen"), [[10.0, 7]])
+
+
+if __name__ == "__main__":
+    rospy.init_node("companions_test")
+    rostest.rosrun("dyknow", "companions", "__main__")

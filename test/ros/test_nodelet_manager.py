@@ -1,0 +1,428 @@
+#!/usr/bin/env python3
+"""The nodelet manager and its clients, each a real process: names, bonds, launch files."""
+
+from __future__ import annotations
+
+import collections
+import signal
+import tempfile
+import time
+import unittest
+
+import graph  # first: it makes the test package known
+import rosgraph
+import rospy
+import rostest
+from bond.msg import Status
+from graph import Ended, Manager, call, registrations
+from processes import NODELET, STOCK_NODELET, eventually, finished
+from std_msgs.msg import Header
+
+CLIENTS = {"stock": STOCK_NODELET, "own": NODELET}
+
+
+def nodes() -> set[str]:
+    state = rosgraph.Master(rospy.get_name()).getSystemState()
+    return {node for kind in state for _, nodes in kind for node in nodes}
+
+
+class Started(unittest.TestCase):
+    def start(self, *command):
+        process = Ended(*command)
+        self.addCleanup(process.__exit__)
+        return process
+
+    def start_manager(self, *arguments, **options):
+        manager = Manager(*arguments, **options)
+        self.addCleanup(manager.__exit__)
+        return manager
+
+
+class StartTest(Started):
+    def test_services_are_up_within_two_seconds(self):
+        # Everything is in the page cache for the second one, as on a machine that runs.
+        self.start_manager("/warm").stop()
+        begin = time.monotonic()
+        self.start_manager("/quick")
+        self.assertLess(time.monotonic() - begin, 6)
+
+    def test_every_command_that_starts_a_manager(self):
+        for command in (
+            ["rosrun", "dyknow", "nodelet_manager"],
+            ["rosrun", "dyknow", "nodelet", "manager"],
+        ):
+            process = self.start(*command, "__name:=started")
+            rospy.wait_for_service("/started/list", 10.0)
+            process.stop()
+            self.assertEqual(process.exit_code(20.0), 0, process.output)
+            self.assertNotIn("/started", nodes())
+
+    def test_num_worker_threads(self):
+        def workers(manager):
+            names = []
+            for task in graph.Path(f"/proc/{manager.pid}/task").iterdir():
+                names.append((task / "comm").read_text())
+            return len(names)
+
+        rospy.set_param("/eleven/num_worker_threads", 11)
+        rospy.set_param("/five/num_worker_threads", 5)
+        eleven, five = self.start_manager("/eleven"), self.start_manager("/five")
+        eventually(
+            lambda: workers(eleven) - workers(five) == 6, 5.0, "six threads more in the one"
+        )
+
+    def test_a_parameter_without_sense(self):
+        for value in (-1, "many", 1.5, True):
+            rospy.set_param("/confused/num_worker_threads", value)
+            process = self.start_manager("/confused", wait=False)
+            self.assertEqual(process.exit_code(20.0), 255, process.output)
+            self.assertIn("num_worker_threads", process.output)
+            self.assertIn("expected an integer", process.output)
+            self.assertNotIn("Traceback", process.output)
+
+    def test_sigint_at_any_moment_of_the_start(self):
+        for tenth in range(1, 8):
+            process = self.start_manager("/hasty", wait=False)
+            process._process.poll()
+            try:
+                process.exit_code(tenth / 10)
+            except AssertionError:
+                process.stop()
+            self.assertIn(process.exit_code(20.0), (0, 130, -signal.SIGINT), process.output)
+            self.assertNotIn("/hasty", nodes())
+
+
+class ServiceTest(Started):
+    @classmethod
+    def setUpClass(cls):
+        cls.manager = Manager("/robot/manager")
+
+    @classmethod
+    def tearDownClass(cls):
+        cls.manager.__exit__()
+
+    def tearDown(self):
+        self.manager.unload_all()
+
+    def test_load_list_unload(self):
+        before = registrations("/robot/manager")
+        self.assertEqual(self.manager.list(), [])
+        self.manager.load("Talker", "/b", {"out": "/topic"})
+        self.manager.load("Listener", "/a", {"in": "/topic"})
+        self.assertEqual(self.manager.list(), ["/a", "/b"])
+        self.assertIn("/a/get_config", registrations("/robot/manager")["services"])
+        self.assertTrue(self.manager.unload("/b").success)
+        self.assertEqual(self.manager.list(), ["/a"])
+        self.manager.unload("/a")
+        self.assertEqual(registrations("/robot/manager"), before)
+
+    def test_a_name_can_be_loaded_again_at_once(self):
+        for _ in range(5):
+            self.manager.load("Talker", "/again", {"/out": "/topic"})
+            self.manager.unload("/again")
+
+    def test_names_and_namespaces(self):
+        self.manager.load("Introspector", "relative")
+        self.manager.load("Introspector", "/absolute")
+        self.manager.load("Introspector", "/deep/er/down")
+        self.manager.load("Introspector", "~private")
+        self.assertEqual(
+            self.manager.list(),
+            ["/absolute", "/deep/er/down", "/robot/manager/private", "/robot/relative"],
+        )
+        description = call("/deep/er/down", "describe")
+        self.assertEqual(description["name"], "/deep/er/down")
+        self.assertEqual(description["get_name"], "/deep/er/down")
+        self.assertEqual(description["namespace"], "/deep/er/")
+        public = ["/deep/er/topic", "/topic", "/deep/er/down/topic"]
+        private = ["/deep/er/down/topic", "/topic", "/deep/er/down/topic"]
+        self.assertEqual(
+            description["names"],
+            {
+                "node_handle": public,
+                "private_node_handle": private,
+                "mt_node_handle": public,
+                "mt_private_node_handle": private,
+                "proxy": public,
+            },
+        )
+
+    def test_my_argv(self):
+        self.manager.load("Introspector", "/n", my_argv=["--fast", "a b", "", "x:=y"])
+        self.assertEqual(call("/n", "describe")["argv"], ["--fast", "a b", "", "x:=y"])
+
+    def test_remappings_of_the_request(self):
+        remappings = {
+            "topic": "/relative/to/the/manager",
+            "/cam/topic": "/absolute",
+            "~topic": "/private",
+            "/cam/n/other": "where",
+        }
+        self.manager.load("Introspector", "/cam/n", remappings)
+        for name, target in {
+            "topic": "/absolute",
+            "/cam/topic": "/absolute",
+            "/robot/topic": "/relative/to/the/manager",
+            "~topic": "/private",
+            "/cam/n/topic": "/private",
+            "~other": "/robot/where",
+            "else": "/cam/else",
+        }.items():
+            self.assertEqual(call("/cam/n", "resolve", name), target, name)
+
+    def test_remappings_reach_no_neighbour(self):
+        self.manager.load("Introspector", "/one", {"/topic": "/elsewhere"})
+        self.manager.load("Introspector", "/two")
+        self.assertEqual(call("/two", "resolve", "topic"), "/topic")
+
+    def test_ports_are_connected_by_the_request_alone(self):
+        self.manager.load("Relay", "/ns/relay", {"/ns/in": "/source"})
+        self.assertEqual(graph.topics_of_ports("/ns/relay"), {"in": "/source", "out": ""})
+        self.assertEqual(graph.nodes_on("/source"), (set(), {"/robot/manager"}))
+
+    def test_a_slow_on_init_holds_up_nobody(self):
+        rospy.set_param("/go_on", False)
+        slow = self.start(
+            *NODELET, "load", "dyknow_test/WaitsInInit", "/robot/manager", "__name:=slow"
+        )
+        eventually(
+            lambda: "/slow/get_config" in registrations("/robot/manager")["services"],
+            10.0,
+            "on_init has begun",
+        )
+        begin = time.monotonic()
+        self.manager.load("Introspector", "/quick")
+        self.assertEqual(self.manager.list(), ["/quick"])
+        self.assertLess(time.monotonic() - begin, 6)
+        rospy.set_param("/go_on", True)
+        eventually(lambda: "/slow" in self.manager.list(), 5.0, "the slow one is loaded")
+        slow.stop()
+        slow.exit_code(20.0)
+
+
+class ProcessRemappingTest(Started):
+    def test_the_requests_remappings_come_first_then_the_processes(self):
+        manager = self.start_manager("/manager", "topic:=/by_process", "other:=/by_process_too")
+        manager.load("Introspector", "/n", {"topic": "/by_request"})
+        self.assertEqual(call("/n", "resolve", "topic"), "/by_request")
+        self.assertEqual(call("/n", "resolve", "other"), "/by_process_too")
+        self.assertEqual(call("/n", "publish_plain", "topic"), "/by_request")
+        self.assertEqual(call("/n", "publish_plain", "other"), "/by_process_too")
+        self.assertEqual(graph.nodes_on("/by_process_too")[0], {"/manager"})
+
+    def test_a_topic_that_the_process_remaps_is_out_of_a_ports_reach(self):
+        manager = self.start_manager("/manager", "topic:=/by_process")
+        manager.load("Listener", "/n")
+        answer = graph.set_config("/n", **{"in": "/topic"})
+        self.assertFalse(answer.success)
+        self.assertIn("/by_process", answer.message)
+        self.assertEqual(graph.topics_of_ports("/n"), {"in": ""})
+
+    def test_two_managers(self):
+        one, two = self.start_manager("/one"), self.start_manager("/two")
+        one.load("Talker", "/talker", {"/out": "/topic"})
+        two.load("Listener", "/listener", {"/in": "/topic"})
+        self.assertEqual((one.list(), two.list()), (["/talker"], ["/listener"]))
+        eventually(lambda: call("/talker", "connections") == 1, 5.0, "they are connected")
+        call("/talker", "publish", 0, 5)
+        eventually(lambda: call("/listener", "received") == [0, 1, 2, 3, 4], 5.0, "all arrive")
+        two.unload("/listener")
+        eventually(lambda: call("/talker", "connections") == 0, 5.0, "it is told")
+
+
+class ClientTest(Started):
+    """`nodelet load`, the stock one and our own, against our manager."""
+
+    def setUp(self):
+        self.manager = self.start_manager("/robot/manager")
+
+    def load(self, client, *arguments):
+        process = self.start(
+            *CLIENTS[client],
+            "load",
+            "dyknow_test/Relay",
+            "manager",
+            *arguments,
+            "__name:=relay",
+            "__ns:=/robot",
+        )
+        eventually(
+            lambda: "/robot/relay" in self.manager.list() or process.has_ended,
+            15.0,
+            "the nodelet is loaded",
+        )
+        self.assertEqual(self.manager.list(), ["/robot/relay"], process.output)
+        return process
+
+    def test_remappings_arrive(self):
+        for client in CLIENTS:
+            with self.subTest(client):
+                process = self.load(client, "in:=a", "out:=/b", "_size:=3")
+                self.assertEqual(
+                    graph.topics_of_ports("/robot/relay"), {"in": "/robot/a", "out": "/b"}
+                )
+                self.assertEqual(rospy.get_param("/robot/relay/size"), 3)
+                process.stop()
+                self.assertEqual(process.exit_code(20.0), 0, process.output)
+
+    def test_ctrl_c_unloads(self):
+        for client in CLIENTS:
+            with self.subTest(client):
+                process = self.load(client)
+                process.stop(signal.SIGINT)
+                self.assertEqual(process.exit_code(20.0), 0, process.output)
+                eventually(lambda: self.manager.list() == [], 2.0, "it is unloaded")
+                eventually(lambda: "/robot/relay" not in nodes(), 2.0, "the client is gone")
+
+    def test_kill_9_of_the_client_unloads(self):
+        for client in CLIENTS:
+            with self.subTest(client):
+                process = self.load(client)
+                self.let_the_bond_form()
+                process.stop(signal.SIGKILL)
+                eventually(lambda: self.manager.list() == [], 6.0, "the manager misses it")
+                self.assertIn("bond", self.manager.output)
+
+    def let_the_bond_form(self):
+        """Wait until both ends have spoken twice: then they have heard each other."""
+        heard = collections.Counter()
+        watch = rospy.Subscriber(
+            f"{self.manager.name}/bond", Status, lambda status: heard.update([status.instance_id])
+        )
+        eventually(lambda: len(heard) == 2 and min(heard.values()) >= 2, 8.0, "both are heard")
+        watch.unregister()
+
+    def test_a_service_unload_ends_the_client(self):
+        for client in CLIENTS:
+            with self.subTest(client):
+                process = self.load(client)
+                self.manager.unload("/robot/relay")
+                self.assertEqual(process.exit_code(20.0), 0, process.output)
+
+    def test_without_bond_the_nodelet_outlives_the_client(self):
+        process = self.load("own", "--no-bond")
+        process.stop(signal.SIGKILL)
+        process.exit_code(20.0)
+        for client in ("own", "stock"):
+            self.assertEqual(self.manager.list(), ["/robot/relay"])
+            code, output = finished([*CLIENTS[client], "unload", "/robot/relay", "/robot/manager"])
+            self.assertEqual(code, 0, output)
+            self.assertEqual(self.manager.list(), [])
+            self.manager.load("Relay", "/robot/relay")
+
+    def test_what_the_manager_refuses_ends_the_client(self):
+        for client in CLIENTS:
+            with self.subTest(client):
+                code, output = finished(
+                    [*CLIENTS[client], "load", "dyknow_test/Nothing", "/robot/manager"]
+                )
+                self.assertEqual(code, 255, output)
+                self.assertIn("dyknow_test/Nothing", output)
+                self.assertIn("dyknow_test/Relay", self.manager.output)  # what there is
+
+
+class StandaloneTest(Started):
+    def test_one_nodelet_under_the_name_of_its_node(self):
+        process = self.start(
+            *NODELET,
+            "standalone",
+            "dyknow_test/Introspector",
+            "one",
+            "two",
+            "topic:=/by_node",
+            "~topic:=mine",
+            "__name:=alone",
+            "__ns:=/robot",
+            "_answer:=42",
+        )
+        rospy.wait_for_service("/robot/alone/call", 10.0)
+        description = call("/robot/alone", "describe")
+        self.assertEqual(description["name"], "/robot/alone")
+        self.assertEqual(description["argv"], ["one", "two"])
+        self.assertEqual(call("/robot/alone", "resolve", "topic"), "/by_node")
+        self.assertEqual(call("/robot/alone", "resolve", "~topic"), "/robot/mine")
+        self.assertEqual(rospy.get_param("/robot/alone/answer"), 42)
+        process.stop()
+        self.assertEqual(process.exit_code(20.0), 0, process.output)
+
+    def test_its_ports_are_connected_by_the_command_line(self):
+        process = self.start(
+            *NODELET, "standalone", "dyknow_test/Relay", "in:=/a", "out:=/b", "__name:=relay"
+        )
+        rospy.wait_for_service("/relay/call", 10.0)
+        self.assertEqual(graph.topics_of_ports("/relay"), {"in": "/a", "out": "/b"})
+        process.stop(signal.SIGTERM)
+        self.assertEqual(process.exit_code(20.0), 0, process.output)
+
+    def test_a_nodelet_that_cannot_be_loaded_ends_it(self):
+        code, output = finished([*NODELET, "standalone", "dyknow_test/FailsInInit"])
+        self.assertEqual(code, 255, output)
+        self.assertIn("the camera is not plugged in", output)
+
+
+LAUNCH = """
+<launch>
+  <arg name="rate" default="5"/>
+  <group ns="robot">
+    <remap from="image" to="camera/image"/>
+    <node pkg="nodelet" type="nodelet" name="manager" args="manager" output="screen">
+      <param name="num_worker_threads" value="3"/>
+    </node>
+    <node pkg="nodelet" type="nodelet" name="relay"
+          args="load dyknow_test/Relay manager --no-bond first second" output="screen">
+      <remap from="in" to="source"/>
+      <remap from="~out" to="unused"/>
+      <remap from="out" to="/result"/>
+      <param name="rate" value="$(arg rate)"/>
+      <rosparam>gains: [1, 2]</rosparam>
+    </node>
+    <node pkg="nodelet" type="nodelet" name="alone"
+          args="standalone dyknow_test/Introspector third" output="screen"/>
+    <node pkg="nodelet" type="nodelet" name="introspector"
+          args="load dyknow_test/Introspector manager" output="screen"/>
+  </group>
+</launch>
+"""
+
+
+class LaunchTest(Started):
+    def test_a_launch_file_with_the_package_replaced(self):
+        with tempfile.NamedTemporaryFile("w", suffix=".launch") as file:
+            file.write(LAUNCH.replace('pkg="nodelet"', 'pkg="dyknow"'))
+            file.flush()
+            launch = self.start("roslaunch", file.name, "rate:=7")
+            for nodelet in ("relay", "alone", "introspector"):
+                rospy.wait_for_service(f"/robot/{nodelet}/call", 20.0)
+            self.assertEqual(
+                graph.topics_of_ports("/robot/relay"), {"in": "/robot/source", "out": "/result"}
+            )
+            self.assertEqual(rospy.get_param("/robot/relay/rate"), 7)
+            self.assertEqual(rospy.get_param("/robot/relay/gains"), [1, 2])
+            self.assertEqual(call("/robot/alone", "describe")["argv"], ["third"])
+            self.assertEqual(call("/robot/introspector", "describe")["argv"], [])
+            self.assertEqual(
+                call("/robot/introspector", "resolve", "image"), "/robot/camera/image"
+            )
+            heard = rospy.Subscriber("/result", Header, self.note)
+            speaker = rospy.Publisher("/robot/source", Header, queue_size=1)
+            self.heard = []
+            eventually(
+                lambda: heard.get_num_connections() and speaker.get_num_connections(),
+                5.0,
+                "the relay is connected",
+            )
+            speaker.publish(Header(seq=9))
+            eventually(lambda: self.heard == [9], 5.0, "the relay relays")
+            heard.unregister()
+            speaker.unregister()
+            launch.stop()
+            self.assertEqual(launch.exit_code(15.0), 0, launch.output)
+        self.assertFalse({node for node in nodes() if node.startswith("/robot")})
+
+    def note(self, message):
+        self.heard.append(message.seq)
+
+
+if __name__ == "__main__":
+    rospy.init_node("nodelet_manager_test")
+    rostest.rosrun("dyknow", "nodelet_manager", "__main__")

@@ -1,0 +1,103 @@
+#!/usr/bin/env python3
+"""Nodelets on simulated time: timers follow /clock, statistics and time limits do not."""
+
+from __future__ import annotations
+
+import threading
+import time
+import unittest
+
+import graph
+import rospy
+import rostest
+from graph import Manager, call, set_config
+from processes import eventually
+from rosgraph_msgs.msg import Clock
+
+CLOCK = None
+
+
+class SimTimeTest(unittest.TestCase):
+    def setUp(self):
+        self.manager = Manager("/manager")
+        self.addCleanup(self.manager.__exit__)
+        eventually(
+            lambda: "/manager" in graph.nodes_on("/clock")[1], 5.0, "the manager has a clock"
+        )
+        self.manager.load("Metronome", "/n")
+        self.manager.load("Features", "/features")
+        eventually(
+            lambda: self.set(100.0) or call("/features", "clock") == [100.0] * 3,
+            5.0,
+            "the manager knows the time",
+        )
+
+    @staticmethod
+    def set(seconds):
+        CLOCK.publish(Clock(rospy.Time.from_sec(seconds)))
+
+    def run_clock(self, begin, seconds, step=0.01):
+        for number in range(round(seconds / step) + 1):
+            self.set(begin + number * step)
+            time.sleep(0.0005)  # ten or twenty times real time
+
+    def wait_for(self, count):
+        eventually(lambda: call("/n", "count") >= count, 5.0, f"{count} calls")
+
+    def test_timers_follow_the_clock(self):
+        call("/n", "start", 1.0)
+        self.run_clock(100.0, 10.0)
+        self.wait_for(10)
+        times = call("/n", "times")
+        self.assertEqual(len(times), 10)
+        for number, at in enumerate(times):
+            self.assertAlmostEqual(at, 101.0 + number, delta=0.2)
+        # While the clock stands, nothing happens; real time shows that by a call of our own.
+        call("/n", "start_once", 0.5)
+        self.assertEqual(call("/n", "count_shots"), 0)
+        self.run_clock(110.0, 0.9)
+        eventually(lambda: call("/n", "count_shots") == 1, 5.0, "the shot")
+        self.assertEqual(call("/n", "count"), 10)
+
+    def test_a_clock_that_jumps_ahead_makes_no_burst(self):
+        call("/n", "start", 1.0)
+        self.run_clock(100.0, 1.5)
+        self.wait_for(1)
+        self.set(1000.0)
+        self.wait_for(2)
+        self.run_clock(1000.0, 2.0)
+        self.wait_for(3)
+        self.assertLessEqual(call("/n", "count"), 5)
+
+    def test_a_clock_that_goes_back(self):
+        call("/n", "start", 1.0)
+        self.run_clock(100.0, 2.5)
+        self.wait_for(2)
+        self.run_clock(10.0, 2.5)
+        self.wait_for(4)
+
+    def test_sleep_and_rate_follow_the_clock(self):
+        answers = []
+        thread = threading.Thread(target=lambda: answers.append(call("/features", "sleep", 5.0)))
+        thread.start()
+        now = 100.0
+        while thread.is_alive():
+            self.set(now)
+            now += 0.05
+            thread.join(0.005)
+        self.assertAlmostEqual(answers[0], 5.0, delta=0.5)
+
+    def test_statistics_and_time_limits_do_not(self):
+        uptime = graph.get_statistics("/n").uptime
+        eventually(lambda: graph.get_statistics("/n").uptime > uptime, 2.0, "it goes on")
+        self.manager.load("Listener", "/listener")
+        begin = time.monotonic()
+        self.assertTrue(set_config("/listener", **{"in": "/nobody"}).success)
+        self.manager.unload("/n")
+        self.assertLess(time.monotonic() - begin, 6)
+
+
+if __name__ == "__main__":
+    rospy.init_node("sim_time_test")
+    CLOCK = rospy.Publisher("/clock", Clock, queue_size=100)
+    rostest.rosrun("dyknow", "sim_time", "__main__")

@@ -1,0 +1,182 @@
+"""The client of the command line on a manager without ROS, and a way to run commands with it."""
+
+from __future__ import annotations
+
+import io
+import json
+import shlex
+from dataclasses import dataclass
+from typing import Any, Callable, Mapping
+
+from unit.manager.world import World
+
+from dyknow.cli.main import execute
+from dyknow.cli.parser import parse
+from dyknow.cli.shell import Shell
+from dyknow.errors import DyKnowError, HostError, Refused
+from dyknow.manager.lifecycle import SpawnRequest
+from dyknow.manager.model import Record
+from dyknow.ros.client import Added
+from dyknow.ros.client_errors import Silent
+from dyknow.ros.views import ModelView, NodeletView, PortTraffic, Statistics
+
+
+class FakeClient:
+    """Does what `ShellClient` does, with the manager of a `World`.
+
+    Attributes:
+        calls: the changes that were asked for, in order.
+        fail: called before each of them with its name and subject; may raise.
+        hung: nodelets that do not answer.
+    """
+
+    namespace = "/"
+
+    def __init__(self, world: World) -> None:
+        self.world = world
+        self.calls: list[tuple[str, str]] = []
+        self.fail: Callable[[str, str], None] = lambda call, subject: None
+        self.hung: set[str] = set()
+
+    def nodelets(self) -> ModelView:
+        model = self.world.manager.graph_model()
+        return ModelView(
+            model.revision, model.library_revision, tuple(map(_view, model.nodelets)), ()
+        )
+
+    def model(self) -> ModelView:
+        model = self.world.manager.get_model()
+        return ModelView(
+            model.revision,
+            model.library_revision,
+            tuple(map(_view, model.nodelets)),
+            model.transformations,
+        )
+
+    def add_transformation(self, specification: str) -> Added:
+        self._note("add_transformation", specification)
+        found = _answered(lambda: self.world.manager.add_transformation(specification))
+        return Added(
+            tuple(sorted(each.label for each in found.transformations)),
+            "\n".join(map(str, found.warnings)),
+        )
+
+    def remove_transformation(self, label: str) -> None:
+        self._note("remove_transformation", label)
+        _answered(lambda: self.world.manager.remove_transformation(label))
+
+    def spawn(
+        self,
+        label: str,
+        name: str,
+        config: Mapping[str, str] | None = None,
+        is_protected: bool = False,
+        isolated: bool = False,
+        manager: str = "",
+    ) -> None:
+        self._note("spawn", name)
+        request = SpawnRequest(label, name, is_protected, isolated, config or {}, manager)
+        _answered(lambda: self.world.manager.spawn(request))
+
+    def destroy(self, name: str) -> None:
+        self._note("destroy", name)
+        _answered(lambda: self.world.manager.destroy(name))
+
+    def set_protection(self, name: str, is_protected: bool) -> None:
+        self._note("set_protection", name)
+        _answered(lambda: self.world.manager.set_protection(name, is_protected))
+
+    def get_config(self, nodelet: str) -> Any:
+        return self._asked(nodelet, lambda: self.world.host.ports(nodelet))
+
+    def set_config(self, nodelet: str, config: Mapping[str, str]) -> None:
+        self._note("set_config", nodelet)
+        self._asked(nodelet, lambda: self.world.host.ports(nodelet))
+        _answered(lambda: self.world.host.connect(nodelet, config))
+        self.world.manager.look({nodelet})
+
+    def get_statistics(self, nodelet: str) -> Statistics:
+        ports = self._asked(nodelet, lambda: self.world.host.ports(nodelet))
+        return Statistics(
+            60.0,
+            1,
+            2,
+            tuple(
+                PortTraffic(port.name, port.direction, port.topic, 300, 4, 5.0, 0.001, 0.0025)
+                for port in ports
+            ),
+        )
+
+    def wait_for_model(self, condition: Callable[[ModelView], bool]) -> bool:
+        return condition(self.nodelets())
+
+    def nodelet_managers(self) -> list[str]:
+        return sorted(self.world.host.processes)
+
+    def managers(self) -> list[str]:
+        return ["/dyknow_manager"]
+
+    def topics(self) -> list[str]:
+        return ["/rosout"]
+
+    def is_own_manager(self, name: str) -> bool:
+        return name.startswith("/fake_")
+
+    def _note(self, call: str, subject: str) -> None:
+        self.calls.append((call, subject))
+        self.fail(call, subject)
+
+    def _asked(self, nodelet: str, ask: Callable[[], Any]) -> Any:
+        if nodelet in self.hung:
+            raise Silent(f"nodelet '{nodelet}' did not answer within 5 s")
+        try:
+            return ask()
+        except HostError as error:
+            raise Silent(f"nodelet '{nodelet}' does not answer") from error
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a command came to."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def lines(self) -> list[str]:
+        return self.out.splitlines()
+
+    @property
+    def json(self) -> Any:
+        return json.loads(self.out)
+
+
+def run(client: FakeClient, line: str) -> Outcome:
+    """Run a command line that parses; without `dyknow` at its beginning."""
+    arguments = parse(shlex.split(line))
+    out, err = io.StringIO(), io.StringIO()
+    shell = Shell(lambda: client, arguments.json, out, err)  # type: ignore[arg-type,return-value]
+    code = execute(arguments, shell)
+    return Outcome(code, out.getvalue(), err.getvalue())
+
+
+def _answered(act: Callable[[], Any]) -> Any:
+    try:
+        return act()
+    except DyKnowError as error:
+        raise Refused(str(error)) from error
+
+
+def _view(record: Record) -> NodeletView:
+    return NodeletView(
+        record.name,
+        record.label,
+        record.manager,
+        record.is_protected,
+        record.isolated,
+        record.rewired_by_reload,
+        record.state,
+        record.detail,
+        record.ports,
+    )

@@ -1,0 +1,171 @@
+"""What TAB offers, and how it reaches bash."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from unit.cli.fake_client import FakeClient
+from unit.manager.world import World
+
+from dyknow.cli.completion import complete
+from dyknow.cli.shell_words import split
+
+ROOT = Path(__file__).resolve().parents[3]
+needs_bash = pytest.mark.skipif(shutil.which("bash") is None, reason="bash is missing")
+
+
+@pytest.fixture
+def client() -> FakeClient:
+    client = FakeClient(World())
+    client.world.spawn("camera", "cam", config={"image": "raw"})
+    client.world.spawn("relay", "/robot/relay")
+    return client
+
+
+def offered(client: FakeClient, text: str) -> list[str]:
+    """What is offered at the end of a command line, as it is inserted."""
+    line = split("dyknow " + text)
+    found = complete(line.words[1:], line.last, lambda manager: client)
+    return [line.written(each) for each in found]
+
+
+@pytest.mark.parametrize(
+    ("text", "candidates"),
+    [
+        ("sp", ["spawn"]),
+        ("com", []),
+        ("--man", ["--manager-node"]),
+        ("--json li", ["library", "list"]),
+        ("--timeout ", []),
+        ("nonsense ", []),
+        ("info ", ["/cam", "/robot/relay"]),
+        ("info c", ["cam"]),
+        ("info cam ", ["/robot/relay"]),
+        ("info --", ["--help", "--json", "--manager-node", "--timeout"]),
+        ("info -- /r", ["/robot/relay"]),
+        ("list ", ["/robot"]),
+        ("list --manager-node ", ["/dyknow_manager"]),
+        ("spawn ca", ["camera"]),
+        ("spawn joi", []),
+        ("library joi", ["joints"]),
+        ("library wr", ["wrong\\ ports", "wrong\\ type"]),
+        ("library 'wrong p", ["wrong ports"]),
+        ("library wrong\\ p", ["wrong\\ ports"]),
+        ("spawn relay ", []),
+        ("spawn relay r --connect ", ["in:", "out:"]),
+        ("spawn relay r --connect in:/r", ["/raw", "/rosout"]),
+        ("spawn relay r --connect in:/raw o", ["out:"]),
+        ("spawn relay r --manager ", ["/fake_0"]),
+        ("connect ", ["/cam:", "/robot/relay:"]),
+        ("connect cam:", ["image"]),
+        ("connect /cam:im", ["image"]),
+        ("connect cam:image ", ["/robot/relay:"]),
+        ("connect cam:image robot/relay:", ["in"]),
+        ("connect cam:image robot/relay:in --topic=/ra", ["/raw"]),
+        ("connect a b --topic /ra", ["/raw"]),
+        ("disconnect /robot/relay:", ["in", "out"]),
+        ("graph --namespace r", ["robot"]),
+        ("destroy /cam /", ["/robot/relay"]),
+        ("stats --watch 0.5 c", ["cam"]),
+    ],
+)
+def test_candidates(client: FakeClient, text: str, candidates: list[str]) -> None:
+    assert offered(client, text) == candidates
+
+
+def test_the_in_port_has_to_fit_the_out_port(client: FakeClient) -> None:
+    client.world.host.sources["pkg/Text"] = [("in", "in", "std_msgs/String")]
+    text = "<transformation><label>text</label><source>pkg/Text</source></transformation>"
+    client.world.manager.add_transformation(text)
+    client.world.spawn("text", "text")
+    assert offered(client, "connect cam:image ") == ["/robot/relay:"]
+    assert offered(client, "disconnect ") == ["/cam:", "/robot/relay:", "/text:"]
+
+
+def test_files(client: FakeClient, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "a file.xml").touch()
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder" / "x.xml").touch()
+    (tmp_path / ".hidden").touch()
+    monkeypatch.chdir(tmp_path)
+    assert offered(client, "import ") == ["a\\ file.xml", "folder/"]
+    assert offered(client, "load folder/") == ["folder/x.xml"]
+    assert offered(client, "save .h") == [".hidden"]
+    assert offered(client, "export -o fol") == ["folder/"]
+    assert offered(client, "check nowhere/") == []
+
+
+@needs_bash
+@given(
+    st.lists(
+        st.text(st.characters(min_codepoint=33, max_codepoint=126), min_size=1, max_size=8),
+        min_size=1,
+        max_size=3,
+    )
+)
+def test_what_is_inserted_means_the_candidate(words: list[str]) -> None:
+    """Bash reads back what is written, for words with every kind of special character."""
+    written = " ".join(split("").written(word) for word in words)
+    if "~" in {word[0] for word in words}:
+        return  # a tilde at the beginning is the user's home, and meant to be
+    script = f"set -f; printf '%s\\0' {written}"
+    done = subprocess.run(["bash", "-c", script], capture_output=True, timeout=10, check=True)
+    assert done.stdout.decode().split("\0")[:-1] == words
+    assert split(written + " ").words == tuple(words)
+
+
+def bash(line: str, path: Path, function: str = "_dyknow") -> list[str]:
+    """What bash offers for a line, with its completion sourced and `dyknow` on `path`."""
+    script = (
+        f". '{ROOT}/env-hooks/dyknow-completion.bash'; COMP_LINE=$1; COMP_POINT=${{#1}}; "
+        f"{function}; "
+        'printf "%s\\n" "${COMPREPLY[@]}"'
+    )
+    done = subprocess.run(
+        ["bash", "-c", script, "bash", line],
+        capture_output=True,
+        text=True,
+        timeout=20,
+        check=True,
+        env={
+            **os.environ,
+            "PATH": f"{path}{os.pathsep}{os.environ['PATH']}",
+            "ROS_MASTER_URI": "http://localhost:1",
+        },
+    )
+    assert done.stderr == ""
+    return [candidate for candidate in done.stdout.splitlines() if candidate]
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    """A folder with the command in it."""
+    command = tmp_path / "dyknow"
+    command.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m dyknow.cli "$@"\n')
+    command.chmod(0o755)
+    return tmp_path
+
+
+@needs_bash
+def test_bash_offers_it(path: Path) -> None:
+    assert bash("dyknow disc", path) == ["disconnect"]
+    assert bash("rosrun dyknow dyknow disc", path, "_dyknow_rosrun") == ["disconnect"]
+    assert bash("rosrun dyknow dyknow connect --t", path, "_dyknow_rosrun") == [
+        "--timeout",
+        "--topic",
+    ]
+
+
+@needs_bash
+def test_it_is_silent_and_fast_without_a_master(path: Path) -> None:
+    begin = time.monotonic()
+    assert bash("dyknow info ", path) == []
+    assert time.monotonic() - begin < 3.0  # on a machine under load; 0.25 s otherwise

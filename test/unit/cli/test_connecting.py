@@ -1,0 +1,161 @@
+"""Connecting two ports: the topic, the checks, the order, and undoing."""
+
+from __future__ import annotations
+
+import pytest
+from unit.cli.fake_client import FakeClient, run
+from unit.manager.world import World
+
+from dyknow.cli.connecting import types_fit
+from dyknow.errors import Refused
+
+
+@pytest.fixture
+def client() -> FakeClient:
+    client = FakeClient(World())
+    client.world.spawn("camera", "cam")
+    client.world.spawn("relay", "/robot/relay")
+    return client
+
+
+def topics(client: FakeClient) -> dict[str, str]:
+    return {
+        f"{nodelet.name}:{port.name}": port.topic
+        for nodelet in client.nodelets().nodelets
+        for port in nodelet.ports
+        if port.topic
+    }
+
+
+def test_the_topic_is_the_out_ports_else_the_in_ports_else_a_new_one(client: FakeClient) -> None:
+    assert run(client, "connect cam:image robot/relay:in").lines == [
+        "/cam:image -> /cam/image -> /robot/relay:in"
+    ]
+    run(client, "disconnect cam:image")
+    client.set_config("/robot/relay", {"in": "/old"})
+    assert run(client, "connect cam:image robot/relay:in --json").json == {
+        "out": {"nodelet": "/cam", "port": "image"},
+        "in": {"nodelet": "/robot/relay", "port": "in"},
+        "topic": "/old",
+        "changed": [{"nodelet": "/cam", "port": "image", "before": "", "after": "/old"}],
+    }
+    client.set_config("/robot/relay", {"in": "/other"})
+    run(client, "connect cam:image robot/relay:in")
+    assert topics(client) == {"/cam:image": "/old", "/robot/relay:in": "/old"}
+
+
+def test_a_topic_that_is_given_begins_at_the_manager(client: FakeClient) -> None:
+    run(client, "connect cam:image robot/relay:in --topic raw")
+    assert set(topics(client).values()) == {"/raw"}
+
+
+def test_the_reader_is_moved_first(client: FakeClient) -> None:
+    run(client, "connect cam:image robot/relay:in")
+    assert client.calls == [("set_config", "/robot/relay"), ("set_config", "/cam")]
+
+
+def test_what_is_connected_already_is_left_alone(client: FakeClient) -> None:
+    run(client, "connect cam:image robot/relay:in")
+    client.calls.clear()
+    outcome = run(client, "connect cam:image robot/relay:in")
+    assert outcome.lines == ["/cam:image -> /cam/image -> /robot/relay:in (as it was)"]
+    assert client.calls == []
+
+
+def test_both_ports_of_one_nodelet_are_moved_at_once(client: FakeClient) -> None:
+    run(client, "connect robot/relay:out robot/relay:in")
+    assert client.calls == [("set_config", "/robot/relay")]
+    assert topics(client) == {
+        "/robot/relay:in": "/robot/relay/out",
+        "/robot/relay:out": "/robot/relay/out",
+    }
+
+
+def test_the_reader_goes_back_if_the_writer_is_refused(client: FakeClient) -> None:
+    client.set_config("/robot/relay", {"in": "/before"})
+
+    def fail(call: str, subject: str) -> None:
+        if subject == "/cam":
+            raise Refused("/cam: nothing was changed: topic '/x' carries std_msgs/String")
+
+    client.fail = fail
+    outcome = run(client, "connect cam:image robot/relay:in --topic x")
+    assert outcome.code == 1
+    assert outcome.err == (
+        "dyknow: cannot connect: /cam: nothing was changed: topic '/x' carries std_msgs/String\n"
+    )
+    assert topics(client) == {"/robot/relay:in": "/before"}
+
+
+def test_an_undoing_that_fails_is_told(client: FakeClient) -> None:
+    def fail(call: str, subject: str) -> None:
+        if subject == "/cam" or len(client.calls) > 2:
+            raise Refused(f"{subject} does not want to")
+
+    client.fail = fail
+    error = run(client, "connect cam:image robot/relay:in").err
+    assert "/cam does not want to; and '/robot/relay' could not be set back: " in error
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("connect nix:a robot/relay:in", "no nodelet named '/nix' runs; see 'dyknow list'"),
+        ("connect camm:a robot/relay:in", "no nodelet named '/camm' runs; did you mean /cam?"),
+        (
+            "connect cam:imag robot/relay:in",
+            "nodelet '/cam' has no port 'imag'; its ports: image (out); did you mean 'image'?",
+        ),
+        (
+            "connect robot/relay:in cam:image",
+            "'/robot/relay:in' is an in-port and '/cam:image' an out-port; swap the two",
+        ),
+        (
+            "connect robot/relay:in robot/relay:in",
+            "'/robot/relay:in' is an in-port, expected an out-port first",
+        ),
+        (
+            "connect cam:image robot/relay:out",
+            "'/robot/relay:out' is an out-port, expected an in-port second",
+        ),
+        ("disconnect cam:nix", "nodelet '/cam' has no port 'nix'"),
+    ],
+)
+def test_what_does_not_fit_is_named_before_anything_is_changed(
+    client: FakeClient, line: str, said: str
+) -> None:
+    outcome = run(client, line)
+    assert outcome.code == 1
+    assert said in outcome.err
+    assert client.calls == []
+
+
+def test_types_have_to_fit(client: FakeClient) -> None:
+    client.world.host.sources["pkg/Text"] = [("in", "in", "std_msgs/String")]
+    text = "<transformation><label>text</label><source>pkg/Text</source></transformation>"
+    client.world.manager.add_transformation(text)
+    client.world.spawn("text", "text")
+    outcome = run(client, "connect cam:image text:in")
+    assert outcome.err == (
+        "dyknow: cannot connect: '/cam:image' carries sensor_msgs/Image, '/text:in' expects "
+        "std_msgs/String\n"
+    )
+    assert types_fit("*", "a/B") and types_fit("", "a/B") and not types_fit("a/B", "a/C")
+
+
+def test_a_silent_nodelet_is_told_with_its_state(client: FakeClient) -> None:
+    client.hung.add("/cam")
+    outcome = run(client, "connect cam:image robot/relay:in")
+    assert outcome.code == 1
+    assert "nodelet '/cam' did not answer within 5 s; it is running" in outcome.err
+
+
+def test_disconnecting_several_ports_and_one_that_is_not_connected(client: FakeClient) -> None:
+    run(client, "connect cam:image robot/relay:in")
+    outcome = run(client, "disconnect cam:image robot/relay:in robot/relay:out cam:image")
+    assert outcome.lines == [
+        "/cam:image has left /cam/image",
+        "/robot/relay:in has left /cam/image",
+        "/robot/relay:out was not connected",
+    ]
+    assert topics(client) == {}

@@ -1,0 +1,138 @@
+"""The graph in DOT, read back by graphviz and, where it is there, by pydot."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+from unit.cli.fake_client import FakeClient, run
+from unit.manager.world import World
+
+from dyknow.cli.drawing import CannotDraw, render, to_dot
+from dyknow.manager.model import PortState, State
+from dyknow.ros.views import ModelView, NodeletView
+
+needs_graphviz = pytest.mark.skipif(shutil.which("dot") is None, reason="graphviz is missing")
+
+
+def nodelet(name: str, *ports: PortState, **more: object) -> NodeletView:
+    fields = {"transformation": "", "state": State.RUNNING, "is_protected": False, **more}
+    return NodeletView(
+        name,
+        fields["transformation"],
+        "/m",
+        fields["is_protected"],
+        False,
+        False,
+        fields["state"],
+        "",
+        ports,
+    )
+
+
+MODEL = ModelView(
+    1,
+    1,
+    (
+        nodelet("/cam", PortState("image", "out", "sensor_msgs/Image", "/cam/image")),
+        nodelet(
+            "/robot/arm/grip",
+            PortState("in", "in", "sensor_msgs/Image", "/cam/image"),
+            PortState("out", "out", "*", "/robot/held"),
+            PortState("loose", "out", "a/B", ""),
+            transformation='grip("left\\right")\n<b>',
+            is_protected=True,
+        ),
+        nodelet("/robot/base", state=State.LOST),
+    ),
+    (),
+)
+
+
+def layout(dot: str) -> dict:
+    done = subprocess.run(
+        ["dot", "-Tjson"], input=dot, capture_output=True, text=True, timeout=30, check=True
+    )
+    assert done.stderr == ""
+    return json.loads(done.stdout)
+
+
+@needs_graphviz
+def test_graphviz_reads_what_was_meant() -> None:
+    drawn = layout(to_dot(MODEL))
+    objects = drawn["objects"]
+    shapes = {each["name"]: each["shape"] for each in objects if "shape" in each}
+    assert shapes == {
+        "n/cam": "ellipse",
+        "n/robot/arm/grip": "ellipse",
+        "n/robot/base": "ellipse",
+        "t/cam/image": "box",
+        "t/robot/held": "box",
+    }
+    edges = {
+        (objects[each["tail"]]["name"], objects[each["head"]]["name"], each["label"])
+        for each in drawn["edges"]
+    }
+    assert edges == {
+        ("n/cam", "t/cam/image", "image"),
+        ("t/cam/image", "n/robot/arm/grip", "in"),
+        ("n/robot/arm/grip", "t/robot/held", "out"),
+    }
+    boxes = {each["name"]: each["label"] for each in objects if each["name"].startswith("cluster")}
+    assert boxes == {"cluster /robot": "/robot", "cluster /robot/arm": "/robot/arm"}
+    assert drawn["rankdir"] == "LR"
+    positions = {
+        each["name"]: float(each["pos"].split(",")[0]) for each in objects if "pos" in each
+    }
+    assert positions["n/cam"] < positions["t/cam/image"] < positions["n/robot/arm/grip"]
+
+
+@needs_graphviz
+def test_a_topic_is_drawn_in_the_namespace_of_its_nodelets() -> None:
+    drawn = layout(to_dot(MODEL))
+    inside = {
+        each["name"]: {drawn["objects"][member]["name"] for member in each.get("nodes", [])}
+        for each in drawn["objects"]
+        if each["name"].startswith("cluster")
+    }
+    assert inside["cluster /robot/arm"] == {"n/robot/arm/grip"}
+    assert {"n/robot/base", "t/robot/held"} <= inside["cluster /robot"]
+    assert all("t/cam/image" not in members for members in inside.values())
+
+
+def test_pydot_reads_it() -> None:
+    pydot = pytest.importorskip("pydot")
+    (graph,) = pydot.graph_from_dot_data(to_dot(MODEL))
+    edges = {(edge.get_source(), edge.get_destination()) for edge in graph.get_edges()}
+    assert ('"n/cam"', '"t/cam/image"') in edges
+    assert len(edges) == 3
+
+
+def test_the_order_of_the_model_does_not_matter() -> None:
+    backwards = ModelView(1, 1, MODEL.nodelets[::-1], ())
+    assert to_dot(backwards) == to_dot(MODEL)
+
+
+@needs_graphviz
+def test_files(tmp_path: Path) -> None:
+    client = FakeClient(World())
+    client.world.spawn("camera", "cam", config={"image": "raw"})
+    assert run(client, f"graph --svg {tmp_path / 'g.svg'}").code == 0
+    assert b"<svg" in (tmp_path / "g.svg").read_bytes()
+    assert run(client, f"graph --png {tmp_path / 'g.png'}").code == 0
+    assert (tmp_path / "g.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_without_graphviz_it_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", "/nowhere")
+    with pytest.raises(CannotDraw, match="install graphviz, or use --dot"):
+        render(to_dot(MODEL), "svg")
+
+
+@needs_graphviz
+def test_an_endless_layout_is_given_up() -> None:
+    with pytest.raises(CannotDraw, match=r"needs more than 0\.001 s"):
+        render(to_dot(MODEL), "svg", timeout=0.001)

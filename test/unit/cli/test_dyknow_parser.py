@@ -1,0 +1,146 @@
+"""The command line of `dyknow`: what is understood, and how a wrong one is refused."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from dyknow.cli.arguments import PortReference
+from dyknow.cli.main import main
+from dyknow.cli.parser import all_commands, parse
+
+
+def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
+    """The one line with which words are refused."""
+    assert main(words) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1
+    return err
+
+
+def test_every_command_has_help_with_examples(capsys: pytest.CaptureFixture[str]) -> None:
+    for name, command in all_commands().items():
+        assert main([name, "--help"]) == 0
+        text = capsys.readouterr().out
+        assert f"usage: dyknow {name}" in text
+        assert "Examples:" in text
+        assert command.examples.splitlines()[0] in text
+
+
+def test_the_help_lists_every_command_but_the_hidden_one(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["--help"]) == 0
+    text = capsys.readouterr().out
+    for name in all_commands():
+        assert (f"\n  {name} " in text) == (name != "complete")
+
+
+def test_examples_are_understood() -> None:
+    import shlex
+
+    for command in all_commands().values():
+        for line in command.examples.splitlines():
+            words = shlex.split(line, comments=True)
+            while "dyknow" in words:
+                words = words[words.index("dyknow") + 1 :]
+                own = [word for word in words if "$(" not in word and "/cam1)" not in word]
+                own = own[: own.index("|")] if "|" in own else own
+                own = own[: own.index(">")] if ">" in own else own
+                assert parse(own).command == command.name or "|" in line
+                break
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["spawm", "a", "b"], "there is no command 'spawm'; did you mean spawn?"),
+        ([], "a command is missing"),
+        (["spawn", "relay"], "the following arguments are required: NAME"),
+        (["spawn", "relay", "a b"], "'a b' is not a valid name"),
+        (["spawn", "relay", "~a"], "'~a' is private to nobody here"),
+        (["connect", "a", "b:in"], "'a': expected NODELET:PORT, such as camera:image"),
+        (["connect", "a:", "b:in"], "expected NODELET:PORT"),
+        (["connect", "a:out", "b:in", "--topic", "x//y"], "'x//y' is not a valid name"),
+        (["spawn", "relay", "a", "--connect", "in"], "'in': expected PORT:TOPIC"),
+        (["list", "--timeout", "never"], "'never': expected seconds"),
+        (["list", "--timeout", "-1"], "expected"),
+        (["stats", "--watch", "0"], "expected seconds"),
+        (["stats", "--count", "0"], "expected a number from 1 on"),
+        (["graph", "--dot", "--svg", "x"], "not allowed with argument"),
+        (["list", "--lon"], "unrecognized arguments: --lon"),
+    ],
+)
+def test_wrong_usage_is_one_line(
+    capsys: pytest.CaptureFixture[str], words: list[str], said: str
+) -> None:
+    assert said in refused(capsys, *words)
+
+
+def test_a_port_belongs_to_the_name_before_the_last_colon() -> None:
+    arguments = parse(["connect", "/robot/camera:image/raw", "b:~in"])
+    assert arguments.source == PortReference("/robot/camera", "image/raw")
+    assert arguments.target == PortReference("b", "~in")
+
+
+def test_options_of_every_command_stand_before_or_behind_it() -> None:
+    before = parse(["--json", "--timeout", "2", "--manager-node", "m", "list"])
+    behind = parse(["list", "--json", "--timeout", "2", "--manager-node", "/m"])
+    for arguments in (before, behind):
+        assert arguments.json
+        assert arguments.timeout == 2.0
+        assert arguments.manager_node == "/m"
+
+
+def test_arguments_of_ros_are_left_out() -> None:
+    assert parse(["list", "__name:=x", "a:=b"]).command == "list"
+
+
+def test_the_manager_comes_from_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("DYKNOW_MANAGER", raising=False)
+    assert parse(["list"]).manager_node == "/dyknow_manager"
+    monkeypatch.setenv("DYKNOW_MANAGER", "other")
+    assert parse(["list"]).manager_node == "/other"
+    monkeypatch.setenv("ROS_NAMESPACE", "/robot")
+    assert parse(["list"]).manager_node == "/robot/other"
+    assert parse(["list", "--manager-node", "/x"]).manager_node == "/x"
+
+
+def test_a_wrong_manager_in_the_environment_is_named(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("DYKNOW_MANAGER", "a b")
+    assert "$DYKNOW_MANAGER: 'a b' is not a valid name" in refused(capsys, "list")
+
+
+def test_without_a_master_it_says_so_and_ends_with_3() -> None:
+    environment = {**os.environ, "ROS_MASTER_URI": "http://localhost:1"}
+    for words in (["list"], ["library"], ["spawn", "a", "b"], ["connect", "a:b", "c:d"]):
+        done = subprocess.run(
+            [sys.executable, "-m", "dyknow.cli", *words],
+            capture_output=True,
+            text=True,
+            env=environment,
+            timeout=30,
+            check=False,
+        )
+        assert done.returncode == 3
+        assert done.stdout == ""
+        assert "no ROS master at http://localhost:1 (Connection refused)" in done.stderr
+        assert done.stderr.count("\n") == 1
+
+
+def test_help_and_check_do_without_ros() -> None:
+    script = (
+        "import sys; from dyknow.cli.main import main; main(['list', '--help']); "
+        "main(['check', 'missing.xml']); "
+        "print([m for m in ('rospy', 'genpy', 'dyknow_msgs', 'rosgraph') if m in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, timeout=30, check=True
+    )
+    assert done.stdout.splitlines()[-1] == "[]"

@@ -1,0 +1,259 @@
+"""`save` and `load`: the round trip, the checks before, and undoing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from unit.cli.fake_client import FakeClient, run
+from unit.manager.world import World
+
+from dyknow.cli.wiring import WiredNodelet
+from dyknow.cli.wiring_plan import readers_first
+from dyknow.errors import Refused
+from dyknow.manager.host import Kind
+from dyknow.manager.transformation import Port, Transformation
+from dyknow.ros.client_errors import Unreachable
+
+
+@pytest.fixture
+def client() -> FakeClient:
+    return FakeClient(World())
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    """A saved chain: camera, relay, and a C++ nodelet."""
+    client = FakeClient(World())
+    client.world.spawn("camera", "cam", config={"image": "raw"})
+    client.world.spawn("relay", "/robot/relay", config={"in": "/raw"}, is_protected=True)
+    client.world.spawn("native", "n", config={"image": "/raw", "~out": "small"}, isolated=True)
+    file = tmp_path / "w.xml"
+    assert run(client, f"save {file}").code == 0
+    return file
+
+
+def graph(client: FakeClient) -> list[tuple[object, ...]]:
+    return [
+        (each.name, each.transformation, each.is_protected, each.isolated, each.ports)
+        for each in client.nodelets().nodelets
+    ]
+
+
+def test_loading_what_was_saved_and_saving_it_again_is_the_identity(
+    client: FakeClient, file: Path, tmp_path: Path
+) -> None:
+    client.world.host.ensure(Kind.PYTHON)
+    client.world.manager.remove_transformation("camera")
+    outcome = run(client, f"load {file}")
+    assert (outcome.code, outcome.err) == (0, "")
+    assert outcome.lines == [
+        "transformation camera: added",
+        "transformation native: exists already",
+        "transformation relay: exists already",
+        "nodelet /n: spawned",
+        "nodelet /robot/relay: spawned",
+        "nodelet /cam: spawned",
+    ]
+    again = tmp_path / "again.xml"
+    run(client, f"save {again}")
+    assert again.read_text() == file.read_text()
+
+
+def test_loading_twice_changes_nothing(client: FakeClient, file: Path) -> None:
+    run(client, f"load {file}")
+    before = graph(client)
+    client.calls.clear()
+    shape = run(client, f"load {file} --json").json
+    assert shape["nodelets"] == {
+        "spawned": [],
+        "changed": [],
+        "kept": ["/cam", "/n", "/robot/relay"],
+    }
+    assert client.calls == []
+    assert graph(client) == before
+
+
+def test_what_runs_is_brought_to_what_the_file_says(client: FakeClient, file: Path) -> None:
+    client.world.spawn("relay", "/robot/relay", config={"in": "/x", "out": "/y"})
+    client.world.spawn("camera", "other")
+    outcome = run(client, f"load {file} --json")
+    assert outcome.json["nodelets"]["changed"] == ["/robot/relay"]
+    relay = client.nodelets().nodelet("/robot/relay")
+    assert relay.is_protected
+    assert {port.name: port.topic for port in relay.ports} == {"in": "/raw", "out": ""}
+    assert client.nodelets().nodelet("/other") is not None
+
+
+def test_a_dry_run_only_tells(client: FakeClient, file: Path) -> None:
+    outcome = run(client, f"load {file} --dry-run")
+    assert "nodelet /cam: would be spawned" in outcome.lines
+    assert client.calls == []
+
+
+def test_everything_is_checked_first(client: FakeClient, file: Path) -> None:
+    client.world.spawn("camera", "/robot/relay")
+    client.world.manager.add_transformation(
+        "<transformation><label>native</label><source>pkg/Native</source></transformation>"
+    )
+    text = file.read_text()
+    text = text.replace('transformation="camera"', 'transformation="unheard of"')
+    text = text.replace('name="/n"', 'name="/n" manager="/elsewhere"')
+    file.write_text(text)
+    outcome = run(client, f"load {file}")
+    assert outcome.code == 1
+    assert outcome.out == ""
+    for said in (
+        "transformation 'native' is in the library already, and differs; replace it with",
+        "nodelet '/cam': neither the file nor the library has its transformation 'unheard of'",
+        "nodelet '/robot/relay' runs already, made from 'camera'; expected 'relay'",
+        "nodelet '/n': its nodelet manager '/elsewhere' is not running; start it, or let the",
+    ):
+        assert f"dyknow: {file}: {said}" in outcome.err
+    assert client.calls == []
+
+
+def test_types_on_a_topic_have_to_fit(client: FakeClient, file: Path) -> None:
+    text = file.read_text().replace(
+        '<port type="out" datatype="sensor_msgs/Image">image',
+        '<port type="out" datatype="std_msgs/Header">image',
+    )
+    file.write_text(text)
+    outcome = run(client, f"load {file} --replace")
+    assert (
+        "topic '/raw': '/n:image' has type sensor_msgs/Image, '/cam:image' has std_msgs/Header"
+        in outcome.err
+    )
+
+
+def test_another_manager_can_be_allowed(client: FakeClient, file: Path) -> None:
+    file.write_text(file.read_text().replace('manager="/fake_0"', 'manager="/elsewhere"'))
+    assert run(client, f"load {file}").code == 1
+    assert run(client, f"load {file} --any-manager").code == 0
+
+
+def test_a_step_that_is_refused_undoes_those_before(client: FakeClient, file: Path) -> None:
+    client.world.spawn("relay", "/robot/relay", config={"in": "/x"})
+    text = client.world.manager.library.get("camera").to_xml()
+    client.world.manager.add_transformation(text.replace(">30<", ">31<"))
+    client.world.manager.remove_transformation("native")
+    before, library = graph(client), client.model().transformations
+
+    def fail(call: str, subject: str) -> None:
+        if call == "set_protection":
+            raise Refused("not today")
+
+    client.fail = fail
+    outcome = run(client, f"load {file} --replace")
+    assert outcome.code == 1
+    assert outcome.err == (
+        "dyknow: protecting '/robot/relay': not today; everything is as it was\n"
+    )
+    assert graph(client) == before
+    assert client.model().transformations == library
+
+
+def test_what_cannot_be_undone_is_told(client: FakeClient, file: Path) -> None:
+    def fail(call: str, subject: str) -> None:
+        if (call, subject) == ("spawn", "/cam") or call == "destroy":
+            raise Refused("no")
+
+    client.fail = fail
+    error = run(client, f"load {file}").err
+    assert "spawning '/cam': no; cannot take back 'spawning '/robot/relay'': no" in error
+
+
+def test_a_step_without_an_answer_is_undone_too(client: FakeClient, file: Path) -> None:
+    def fail(call: str, subject: str) -> None:
+        if (call, subject) == ("spawn", "/cam"):
+            client.fail = lambda call, subject: None
+            client.spawn("camera", "/cam")
+            raise Unreachable("did not answer within 30 s")
+
+    client.fail = fail
+    assert run(client, f"load {file}").code == 1
+    assert graph(client) == []
+
+
+def test_ctrl_c_undoes(client: FakeClient, file: Path) -> None:
+    def fail(call: str, subject: str) -> None:
+        if (call, subject) == ("spawn", "/cam"):
+            raise KeyboardInterrupt
+
+    client.fail = fail
+    with pytest.raises(KeyboardInterrupt):
+        run(client, f"load {file}")
+    assert graph(client) == []
+
+
+def test_keep_going_keeps_what_was_done(client: FakeClient, file: Path) -> None:
+    def fail(call: str, subject: str) -> None:
+        if subject == "/n":
+            raise Refused("no")
+
+    client.fail = fail
+    outcome = run(client, f"load {file} --keep-going --json")
+    assert outcome.code == 1
+    assert outcome.err == "dyknow: spawning '/n': no\n"
+    assert outcome.json["nodelets"]["spawned"] == ["/robot/relay", "/cam"]
+    assert outcome.json["failed"] == [{"subject": "/n", "step": "spawning '/n'", "message": "no"}]
+    assert [each[0] for each in graph(client)] == ["/cam", "/robot/relay"]
+
+
+def test_ports_that_are_not_declared_are_connected_after_the_spawn(
+    client: FakeClient, tmp_path: Path
+) -> None:
+    client.world.manager.add_transformation(
+        "<transformation><label>bare</label><source>pkg/Relay</source></transformation>"
+    )
+    client.world.spawn("bare", "b")
+    client.set_config("/b", {"in": "/x"})
+    file = tmp_path / "w.xml"
+    run(client, f"save {file}")
+    client.destroy("/b")
+    assert run(client, f"load {file}").code == 0
+    assert client.nodelets().nodelet("/b").port("in").topic == "/x"
+
+
+def test_what_others_loaded_is_left_out_with_a_warning(client: FakeClient, tmp_path: Path) -> None:
+    client.world.spawn("camera", "cam")
+    process = client.world.host.processes["/fake_0"]
+    process.nodelets["/foreign"] = process.nodelets["/cam"]
+    client.world.manager.look()
+    outcome = run(client, f"save {tmp_path / 'w.xml'} --json")
+    assert outcome.json["left_out"] == ["/foreign"]
+    assert outcome.err.startswith("dyknow: warning: '/foreign' is not saved")
+
+
+def test_a_transformation_that_is_gone_is_refused(client: FakeClient, tmp_path: Path) -> None:
+    client.world.spawn("camera", "cam")
+    client.world.manager.remove_transformation("camera")
+    file = tmp_path / "w.xml"
+    outcome = run(client, f"save {file}")
+    assert outcome.code == 1
+    assert "the library has no more 'camera' of '/cam'" in outcome.err
+    assert not file.exists()
+
+
+def test_files_that_cannot_be_used(client: FakeClient, tmp_path: Path) -> None:
+    outcome = run(client, f"load {tmp_path / 'nix.xml'}")
+    assert outcome.code == 1
+    assert outcome.err.endswith("nix.xml: cannot be read: No such file or directory\n")
+    outcome = run(client, f"save {tmp_path / 'no' / 'folder.xml'}")
+    assert outcome.code == 1
+    assert outcome.err.endswith("folder.xml: cannot be written: No such file or directory\n")
+
+
+def test_readers_come_before_writers_also_in_long_chains_and_rings() -> None:
+    relay = Transformation("r", "p/R", ports=(Port("in", "in"), Port("out", "out")))
+
+    def wired(number: int, into: int, out: int) -> WiredNodelet:
+        topics = (("in", f"/t{into}"), ("out", f"/t{out}"))
+        return WiredNodelet(f"/n{number:04}", "r", connections=topics)
+
+    chain = [wired(number, number, number + 1) for number in range(3000)]
+    assert readers_first(chain, {"r": relay}) == chain[::-1]
+    ring = [wired(number, number, (number + 1) % 5) for number in range(5)]
+    assert sorted(each.name for each in readers_first(ring, {"r": relay})) == [
+        each.name for each in ring
+    ]

@@ -1,0 +1,126 @@
+"""Wirings as XML: the round trip, and everything that is wrong with a file."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from specification_strategies import CHARACTERS, transformations
+
+from dyknow.cli.wiring import WiredNodelet, Wiring
+from dyknow.cli.wiring_reader import read_wiring
+from dyknow.errors import SpecificationError
+
+names = st.from_regex(r"(/[a-z][a-z0-9_]{0,6}){1,3}", fullmatch=True)
+nodelets = st.builds(
+    WiredNodelet,
+    names,
+    st.text(CHARACTERS, min_size=1, max_size=12),
+    st.booleans(),
+    st.booleans(),
+    st.one_of(st.just(""), names),
+    st.dictionaries(st.text(CHARACTERS, min_size=1, max_size=6), names, max_size=3).map(
+        lambda topics: tuple(sorted(topics.items()))
+    ),
+)
+
+
+def _sorted(key: str):
+    return lambda items: tuple(sorted(items, key=lambda item: getattr(item, key)))
+
+
+wirings = st.builds(
+    Wiring,
+    st.lists(transformations, max_size=3, unique_by=lambda each: each.label).map(_sorted("label")),
+    st.lists(nodelets, max_size=4, unique_by=lambda each: each.name).map(_sorted("name")),
+)
+
+
+@given(wirings)
+def test_reading_gives_back_what_was_written(wiring: Wiring) -> None:
+    text = wiring.to_xml()
+    again = read_wiring(text.encode("utf-8"), "w.xml")
+    assert again == wiring
+    assert again.to_xml() == text
+
+
+def problems(text: str | bytes) -> list[str]:
+    data = text if isinstance(text, bytes) else text.encode("utf-8")
+    with pytest.raises(SpecificationError) as refused:
+        read_wiring(data, "w.xml")
+    return [str(problem) for problem in refused.value.problems]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "w.xml:1: no element found; expected well-formed XML in UTF-8"),
+        ("<wiring", "w.xml:1: unclosed token"),
+        ("<other/>", "w.xml:1: <other>; expected <wiring>"),
+        ("<wiring/>", 'w.xml:1: <wiring> without version="..."; expected it'),
+        ('<wiring version="2"/>', "w.xml:1: version '2'; expected '1'"),
+        (b'<wiring version="1">\xff</wiring>', "w.xml:1: not well-formed (invalid token)"),
+        (
+            '<!DOCTYPE wiring [<!ENTITY a "b">]><wiring version="1"/>',
+            "w.xml:1: a DOCTYPE is refused; expected none",
+        ),
+        (
+            '<wiring version="1"><node/></wiring>',
+            "w.xml:1: <node> in <wiring>; expected <transformations> or <nodelets>",
+        ),
+        (
+            '<wiring version="1"><nodelets/><nodelets/></wiring>',
+            "w.xml:1: a second <nodelets>; expected one",
+        ),
+        (
+            '<wiring version="1">text</wiring>',
+            "w.xml:1: the text 'text'; expected elements only",
+        ),
+    ],
+)
+def test_what_is_no_wiring_is_refused(text: str, said: str) -> None:
+    found = problems(text)
+    assert any(problem.startswith(said) for problem in found), found
+
+
+def test_every_problem_is_told_with_its_line() -> None:
+    found = problems(
+        """<wiring version="1">
+<transformations>
+  <transformation>
+    <label>a</label>
+  </transformation>
+  <nonsense/>
+</transformations>
+<nodelets>
+  <nodelet name="a" transformation="t"/>
+  <nodelet name="/b" protected="maybe" colour="red">
+    <connection port="in" topic="/x y"/>
+    <connection port="out"/>
+    <connection port="in" topic="/z"/>
+  </nodelet>
+  <nodelet name="/b" transformation="t"><what><ever/></what></nodelet>
+</nodelets>
+</wiring>"""
+    )
+    lines = [int(problem.split(":")[1]) for problem in found]
+    assert lines == sorted(lines)
+    text = "\n".join(found)
+    assert "w.xml:3: " in text and "w.xml:6: " in text  # the specification's own
+    for said in (
+        "w.xml:9: nodelet name 'a'; expected a global one, '/a'",
+        'w.xml:10: <nodelet> without transformation="..."; expected it',
+        'w.xml:10: protected="maybe"; expected true or false',
+        "w.xml:10: attribute colour of <nodelet>; expected attributes: name, transformation, ",
+        "w.xml:11: '/x y' is not a valid topic name",
+        'w.xml:12: <connection> without topic="..."; expected it',
+        "w.xml:13: the port 'in' is there already; expected it once",
+        "w.xml:15: <what> in <nodelet>; expected <connection>",
+    ):
+        assert said in text, found
+    assert "the nodelet '/b' is there already, in line 10" in text
+
+
+def test_a_wiring_may_be_empty() -> None:
+    assert read_wiring(b'<wiring version="1"/>', "w.xml") == Wiring()
+    assert read_wiring(Wiring().to_xml().encode(), "w.xml") == Wiring()

@@ -1,0 +1,126 @@
+"""The example's specifications: clean, true to the nodelets, and a plan for either camera."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import pytest
+
+from dyknow.manager.ontology import load_ontology
+from dyknow.manager.planner import Planner
+from dyknow.manager.planning import Live, NoPlan
+from dyknow.manager.specification import check, parse_file
+from dyknow.manager.supply import Demand
+from dyknow.manager.tags import parse_tag
+
+ROOT = Path(__file__).parents[4]
+EXAMPLES = ROOT / "examples"
+OWN = [
+    "bottom_camera",
+    "nao_body",
+    "image_subsampler(bottom_camera)",
+    "ball_detector(bottom_camera)",
+    "localization(nao, ball)",
+]
+CEILING = [
+    "ceiling_camera",
+    "image_subsampler(ceiling_camera)",
+    "ball_detector(ceiling_camera)",
+    "localization(ceiling_camera, ball)",
+]
+
+
+@pytest.fixture(scope="module")
+def ontology():
+    return load_ontology([str(EXAMPLES / "ontologies" / "soccer.ttl")])
+
+
+@pytest.fixture(scope="module")
+def transformations(ontology):
+    file = str(EXAMPLES / "transformations" / "soccer.xml")
+    return parse_file(file, ontology).transformations
+
+
+@pytest.fixture
+def plan(ontology, transformations):
+    planner = Planner(ontology)
+    planner.add(transformations)
+
+    def plan(tag="FieldPosition(ball)", datatype="geometry_msgs/PointStamped", **kwds):
+        return planner.plan(Demand(frozenset([parse_tag(tag)]), datatype), **kwds)
+
+    return plan
+
+
+def labels(plan):
+    return [step.action.label for step in plan.steps]
+
+
+def test_the_files_are_clean(ontology):
+    report = check(str(EXAMPLES / "transformations" / "soccer.xml"), ontology)
+    assert (report.problems, report.warnings) == ((), ())
+
+
+def test_the_robots_own_camera_comes_first(plan):
+    found = plan()
+    assert sorted(labels(found)) == sorted(OWN)
+    assert found.goal.label == "localization(nao, ball)"
+    assert found.cost == 8
+
+
+@pytest.mark.parametrize(
+    "gone", [each for each in OWN if each != "image_subsampler(bottom_camera)"]
+)
+def test_whatever_of_it_is_gone_the_ceiling_camera_stands_in(plan, gone):
+    found = plan(exclude=frozenset([gone]))
+    assert sorted(labels(found)) == sorted(CEILING)
+    assert found.cost == 25
+
+
+def test_a_subsampler_serves_one_camera_only(plan):
+    found = plan(exclude=frozenset(["image_subsampler(bottom_camera)"]))
+    assert sorted(labels(found)) == sorted(CEILING)
+
+
+def test_without_either_camera_it_says_what_is_missing(plan):
+    answer = plan(exclude=frozenset(["bottom_camera", "ceiling_camera"]))
+    assert isinstance(answer, NoPlan)
+    assert "RawYUV(bottom_camera)" in str(answer)
+    assert "RawYUV(ceiling_camera)" in str(answer)
+
+
+def test_a_camera_that_runs_is_used(plan):
+    live = [
+        (
+            Live(f"/cam/{port}", port, "/cam", "bottom_camera", datatype),
+            (parse_tag(f"{functor}(bottom_camera)"),),
+        )
+        for port, functor, datatype in (
+            ("image", "RawYUV", "sensor_msgs/Image"),
+            ("camera_info", "Intrinsics", "sensor_msgs/CameraInfo"),
+        )
+    ]
+    found = plan(live=live)
+    assert sorted(labels(found)) == sorted(set(OWN) - {"bottom_camera"})
+    assert {each.topic for each in found.live} == {"/cam/image", "/cam/camera_info"}
+
+
+def test_joint_states_of_the_robots_driver_are_used(plan):
+    joints = Live("/nao/joint_states", "", "", "driver(nao)", "sensor_msgs/JointState")
+    found = plan(live=[(joints, (parse_tag("JointStates(nao)"),))])
+    detector = next(step for step in found.steps if step.action.label.startswith("ball_detector"))
+    assert dict(detector.inputs)["joint_states"] == joints
+
+
+def test_a_relative_ball_is_an_object_of_whoever_asks(plan):
+    datatype = "geometry_msgs/PoseWithCovarianceStamped"
+    assert plan("WorldObject(?who)", datatype).goal.label == "ball_detector(bottom_camera)"
+    assert plan("BallObject(ceiling_camera)", datatype).cost == 24
+
+
+def test_sources_are_declared_nodelets(transformations):
+    tree = ElementTree.parse(ROOT / "dyknow_nodelets.xml")
+    declared = {each.get("name") for each in tree.iter("class")}
+    sources = {each.source for each in transformations if each.type == "nodelet"}
+    assert sources <= declared

@@ -1,0 +1,250 @@
+"""From planes to a place on the floor: each step alone."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+
+from dyknow.demo.soccer.ceiling import floor_from_camera
+from dyknow.demo.soccer.colour import ORANGE, YELLOW
+from dyknow.demo.soccer.finder import Find, Limits, find_balls
+from dyknow.demo.soccer.history import History
+from dyknow.demo.soccer.localizing import on_field
+from dyknow.demo.soccer.nao import BOTTOM_CAMERA
+from dyknow.demo.soccer.outline import fit_round
+from dyknow.demo.soccer.pinhole import Pinhole
+from dyknow.demo.soccer.planes import pyramid
+from dyknow.demo.soccer.rigid import apply, inverse
+from dyknow.demo.soccer.sighting import Geometry, best_sighting, cone, sight
+from dyknow.demo.soccer.sphere import draw_ball
+from dyknow.demo.soccer.yuv import pack, yuv_from_bgr
+
+GRASS, ORANGE_BGR, YELLOW_BGR = (60, 120, 50), (20, 105, 245), (40, 210, 230)
+CIRCLE = np.linspace(0, 2 * math.pi, 60, endpoint=False)
+
+
+def planes_of(bgr, factors=(2, 4)):
+    packed = np.empty((*bgr.shape[:2], 2), np.uint8)
+    pack(yuv_from_bgr(bgr), packed)
+    return pyramid(packed, factors)
+
+
+def grass(height=480, width=640):
+    return np.full((height, width, 3), GRASS, np.uint8)
+
+
+# Planes
+
+
+def test_planes_are_means_of_pixels():
+    packed = np.random.default_rng(0).integers(0, 256, (8, 16, 2), np.uint8)
+    planes = pyramid(packed, (2, 4, 8))
+    assert [planes[factor].shape for factor in (2, 4, 8)] == [(3, 4, 8), (3, 2, 4), (3, 1, 2)]
+    y = packed[..., 1].astype(float).reshape(4, 2, 8, 2).mean(axis=(1, 3))
+    u = packed[:, 0::2, 0].astype(float).reshape(4, 2, 8).mean(axis=1)
+    v = packed[:, 1::2, 0].astype(float).reshape(4, 2, 8).mean(axis=1)
+    for plane, expected in zip(planes[2], (y, u, v)):
+        assert np.abs(plane - expected).max() <= 1.0  # rounded twice
+    assert np.abs(planes[8][0] - y.reshape(1, 4, 2, 4).mean(axis=(1, 3))).max() <= 2.0
+
+
+def test_only_the_factors_asked_for():
+    assert sorted(pyramid(np.zeros((480, 640, 2), np.uint8), (4,))) == [4]
+
+
+# Outlines
+
+
+def test_a_circle_is_fitted_though_a_part_is_bitten_off():
+    points = np.stack((50 + 20 * np.cos(CIRCLE), 40 + 20 * np.sin(CIRCLE)), axis=1)
+    points[:12] = (50.0, 40.0) + 0.5 * (points[:12] - (50.0, 40.0))
+    fit = fit_round(points)
+    assert fit.curve.centre == pytest.approx([50, 40], abs=0.5)
+    assert fit.curve.radius == pytest.approx(20, abs=0.5)
+    assert fit.agreement == pytest.approx(0.8, abs=0.05)
+
+
+def test_an_ellipse_counts_only_where_outlines_may_be_stretched():
+    points = np.stack((30 * np.cos(CIRCLE), 18 * np.sin(CIRCLE)), axis=1)
+    assert fit_round(points).agreement < 0.6
+    fit = fit_round(points, stretch=2.0)
+    assert fit.agreement == 1.0
+    assert fit.curve.axes == pytest.approx((30, 18), rel=1e-3)
+    assert fit_round(points, stretch=1.5) is None or fit_round(points, 1.5).agreement < 0.6
+
+
+@pytest.mark.parametrize("points", [np.zeros((0, 2)), np.ones((3, 2)), np.ones((20, 2))])
+def test_what_makes_no_curve_is_none(points):
+    assert fit_round(points) is None
+
+
+# Finder
+
+
+@pytest.mark.parametrize("radius", [4, 9, 25, 80])
+def test_a_disc_is_found_where_it_is(radius):
+    image = grass()
+    cv2.circle(image, (300, 200), radius, ORANGE_BGR, -1)
+    (find,) = find_balls(planes_of(image), ORANGE)
+    assert find.centre == pytest.approx((300, 200), abs=1.0)
+    assert find.radius == pytest.approx(radius, abs=2.0)
+    assert find.score > 0.8
+
+
+def test_a_disc_that_is_half_out_of_the_image():
+    image = grass()
+    cv2.circle(image, (636, 240), 40, ORANGE_BGR, -1)
+    (find,) = find_balls(planes_of(image), ORANGE)
+    assert find.centre == pytest.approx((636, 240), abs=2.0)
+    assert find.radius == pytest.approx(40, abs=2.0)
+
+
+def test_what_is_not_round_or_not_of_the_colour_is_none():
+    image = grass()
+    cv2.rectangle(image, (50, 50), (250, 90), ORANGE_BGR, -1)
+    cv2.circle(image, (400, 300), 30, (240, 240, 240), -1)
+    cv2.circle(image, (500, 100), 30, YELLOW_BGR, -1)
+    assert find_balls(planes_of(image), ORANGE) == []
+    (yellow,) = find_balls(planes_of(image), YELLOW)
+    assert yellow.centre == pytest.approx((500, 100), abs=1.0)
+
+
+def test_nothing_but_noise():
+    image = np.random.default_rng(1).integers(0, 256, (480, 640, 3), np.uint8)
+    find_balls(planes_of(image), ORANGE)
+    assert find_balls(planes_of(grass()), ORANGE) == []
+    everywhere = np.full((480, 640, 3), ORANGE_BGR, np.uint8)
+    assert find_balls(planes_of(everywhere), ORANGE) == []
+
+
+def test_the_roundest_comes_first_and_each_only_once():
+    image = grass()
+    cv2.ellipse(image, (150, 100), (50, 36), 0, 0, 360, ORANGE_BGR, -1)
+    cv2.circle(image, (450, 300), 30, ORANGE_BGR, -1)
+    finds = find_balls(planes_of(image), ORANGE, Limits(roundness=0.1))
+    assert [find.centre[0] > 300 for find in finds] == [True, False]
+
+
+# Sightings
+
+
+def geometry(pitch=0.6, height=0.45, radius=0.0325, factor=2, camera=BOTTOM_CAMERA):
+    return Geometry(camera, floor_from_camera(height, pitch), radius, math.radians(0.3), factor)
+
+
+def find_at(position, known):
+    """The outline of a ball on the floor, without an image."""
+    centre = apply(inverse(known.owner_from_camera), np.asarray(position))
+    distance = np.linalg.norm(centre)
+    axis = centre / distance
+    side = np.cross(axis, [0.0, 1.0, 0.0])
+    side /= np.linalg.norm(side)
+    up = np.cross(axis, side)
+    angle = math.asin(known.ball_radius / distance)
+    half_pixel = 0.5 * known.factor / known.camera.fx  # outlines run through pixels' centres
+    rim = np.outer(np.cos(CIRCLE), side) + np.outer(np.sin(CIRCLE), up)
+    rays = axis + math.tan(angle - half_pixel) * rim
+    outline = known.camera.project(rays)
+    return Find((0.0, 0.0), 0.0, (0.0, 0.0, 0.0, 0.0), outline, 1.0)
+
+
+def test_a_cone_is_fitted_to_a_part_of_its_outline():
+    axis = np.array([0.3, -0.1, 1.0]) / np.linalg.norm([0.3, -0.1, 1.0])
+    side = np.cross(axis, [0.0, 1.0, 0.0])
+    side /= np.linalg.norm(side)
+    rim = np.outer(np.cos(CIRCLE), side) + np.outer(np.sin(CIRCLE), np.cross(axis, side))
+    rays = math.cos(0.2) * axis + math.sin(0.2) * rim
+    found, angle = cone(rays[:20])
+    assert found == pytest.approx(axis)
+    assert angle == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize("position", [(0.3, 0.0), (0.8, 0.2), (1.5, -0.6), (2.5, 0.5)])
+def test_a_ball_on_the_floor_is_located(position):
+    known = geometry()
+    sighting = sight(find_at((*position, known.ball_radius), known), known)
+    assert sighting.position == pytest.approx([*position, known.ball_radius], abs=1e-6)
+    assert np.all(np.linalg.eigvalsh(sighting.covariance) > -1e-12)
+
+
+def test_the_uncertainty_is_the_geometrys():
+    known = geometry()
+    position = np.array([1.2, 0.0, known.ball_radius])
+    covariance = sight(find_at(position, known), known).covariance
+    error = math.hypot(math.radians(0.3), 0.25 * 2 / BOTTOM_CAMERA.fx)
+    height = 0.45 - known.ball_radius
+    along = (1.2**2 + height**2) / height * error
+    across = math.hypot(1.2, height) * error
+    assert math.sqrt(covariance[0, 0]) == pytest.approx(along, rel=1e-3)
+    assert math.sqrt(covariance[1, 1]) == pytest.approx(across, rel=1e-3)
+    assert covariance[2] == pytest.approx([0, 0, 0], abs=1e-12)
+
+
+def test_what_cannot_be_a_ball_on_the_floor_is_passed_over():
+    known = geometry()
+    ball = (1.0, 0.0, known.ball_radius)
+    doubled = find_at(ball, geometry(radius=2 * known.ball_radius))
+    above = find_at((3.0, 0.0, 1.2), known)
+    assert sight(doubled, known) is None
+    assert sight(above, known) is None
+    good = find_at(ball, known)
+    assert best_sighting([above, doubled, good], known).find is good
+    assert best_sighting([], known) is None
+
+
+@pytest.mark.parametrize("x", [0.35, 0.7, 1.4])
+def test_a_drawn_ball_is_located_to_a_fraction_of_a_pixel(x):
+    known = geometry()
+    position = np.array([x, 0.1, known.ball_radius])
+    picture = yuv_from_bgr(grass())
+    to_camera = inverse(known.owner_from_camera)
+    orange = tuple(yuv_from_bgr(np.array([[ORANGE_BGR]], np.uint8))[0, 0].tolist())
+    radius = known.ball_radius
+    draw_ball(picture, BOTTOM_CAMERA, apply(to_camera, position), radius, orange, to_camera[:3, 2])
+    packed = np.empty((480, 640, 2), np.uint8)
+    pack(picture, packed)
+    found = best_sighting(find_balls(pyramid(packed, (2, 4)), ORANGE), known)
+    height = 0.45 - radius
+    half_a_pixel = (x**2 + height**2) / height / BOTTOM_CAMERA.fx  # of the planes
+    assert np.hypot(*(found.position - position)[:2]) < half_a_pixel
+
+
+def test_a_camera_from_camera_info_of_any_size():
+    camera = Pinhole.of_view(1280, 960, 1.3, 1.05)
+    known = geometry(pitch=math.pi / 2, height=5.0, camera=camera, radius=0.1)
+    sighting = sight(find_at((1.0, -2.0, 0.1), known), known)
+    assert sighting.position == pytest.approx([1.0, -2.0, 0.1], abs=1e-6)
+
+
+# Owners
+
+
+def test_from_the_owners_frame_to_the_fields():
+    position = on_field((1.0, 2.0, math.pi / 2), np.array([0.5, 0.25, 0.03]))
+    assert position == pytest.approx([0.75, 2.5, 0.03])
+
+
+def test_history_interpolates_and_reaches_a_little_beyond():
+    history = History([False, True])
+    assert history.at(0.0) is None
+    history.add(1.0, (2.0, 3.1))
+    assert history.at(1.05) == (2.0, 3.1)
+    history.add(1.2, (4.0, -3.1))  # the short way round, past pi
+    middle = history.at(1.1)
+    assert middle[0] == pytest.approx(3.0)
+    assert abs(middle[1]) == pytest.approx(math.pi)
+    assert history.at(1.25)[0] == pytest.approx(4.5)
+    assert history.at(0.95)[0] == pytest.approx(1.5)
+    assert history.at(1.5) is None
+    assert history.at(0.8) is None
+
+
+def test_time_that_jumps_back_starts_anew():
+    history = History([False])
+    history.add(10.0, (1.0,))
+    history.add(2.0, (5.0,))
+    assert history.at(10.0) is None
+    assert history.at(2.0) == (5.0,)

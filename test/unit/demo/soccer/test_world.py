@@ -1,0 +1,138 @@
+"""The simulated truth and what cameras make of it."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+
+from dyknow.demo.soccer import field, nao
+from dyknow.demo.soccer.ball import INTERVAL, KICKS, ROLLING, Ball
+from dyknow.demo.soccer.camera import FieldCamera
+from dyknow.demo.soccer.ceiling import CEILING_CAMERA
+from dyknow.demo.soccer.field import BALL_RADIUS
+from dyknow.demo.soccer.nao import BOTTOM_CAMERA
+from dyknow.demo.soccer.pinhole import Pinhole
+from dyknow.demo.soccer.rigid import apply, inverse
+from dyknow.demo.soccer.sphere import draw_ball
+from dyknow.demo.soccer.world import World
+from dyknow.demo.soccer.yuv import pack, yuv_from_bgr
+
+ROUND = KICKS * INTERVAL
+FASTEST_WALK = 0.25  # m/s
+
+
+def frame_of(seed, time, number=0):
+    world, view = World(seed), FieldCamera(BOTTOM_CAMERA, seed)
+    frame = np.empty((480, 640, 2), np.uint8)
+    view.render(world.field_from_bottom_camera(time), world.ball_on_field(time), number, frame)
+    return frame
+
+
+def test_seed_and_time_tell_everything():
+    assert np.array_equal(frame_of(3, 12.5), frame_of(3, 12.5))
+    assert not np.array_equal(frame_of(3, 12.5), frame_of(4, 12.5))
+    assert not np.array_equal(frame_of(3, 12.5), frame_of(3, 12.6))
+    one, other = World(5), World(5)
+    assert one.encoders(7.0) == other.encoders(7.0)
+    assert one.believed_place(7.0) == other.believed_place(7.0)
+
+
+def test_the_ball_rolls_slows_down_and_rests():
+    ball = Ball(0)
+    start, soon, late, rest, end = ball.positions(
+        np.array([0.0, 0.1, ROLLING - 0.1, ROLLING, INTERVAL - 1e-9])
+    )
+    assert np.linalg.norm(soon - start) > 5 * np.linalg.norm(rest - late)
+    assert rest == pytest.approx(end)
+    assert ball.positions(np.array(INTERVAL)) == pytest.approx(rest)
+
+
+def test_the_ball_stays_on_the_field_and_comes_round():
+    ball = Ball(1)
+    times = np.arange(0.0, ROUND, 0.1)
+    way = ball.positions(times)
+    assert (np.abs(way) < (field.LENGTH / 2, field.WIDTH / 2)).all()
+    assert ball.positions(times + 1e6 * ROUND) == pytest.approx(way, abs=1e-3)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_robot_walks_as_a_nao_can_and_keeps_the_ball_in_view(seed):
+    world = World(seed)
+    times = np.arange(0.0, ROUND, 0.25)
+    places = np.array([world.robot(time).place for time in times])
+    speeds = np.linalg.norm(np.diff(places[:, :2], axis=0), axis=1) / 0.25
+    assert speeds.max() < FASTEST_WALK
+    for time in times:
+        posture = world.robot(time).posture
+        assert nao.HEAD_YAW_LIMITS[0] <= posture.head_yaw <= nao.HEAD_YAW_LIMITS[1]
+        assert nao.HEAD_PITCH_LIMITS[0] <= posture.head_pitch <= nao.HEAD_PITCH_LIMITS[1]
+        centre = apply(inverse(world.field_from_bottom_camera(time)), world.ball_on_field(time))
+        column, row = BOTTOM_CAMERA.project(centre)
+        assert centre[2] > 0
+        assert 0 < column < 640
+        assert 0 < row < 480
+
+
+def test_the_ball_in_the_robots_frame_is_the_one_on_the_field():
+    world = World(2)
+    x, y, z = world.ball_from_robot(30.0)
+    assert z == pytest.approx(BALL_RADIUS)
+    robot = world.robot(30.0)
+    distance = np.hypot(*(world.ball_on_field(30.0)[:2] - robot.place[:2]))
+    assert math.hypot(x, y) == pytest.approx(distance)
+
+
+def test_beliefs_are_a_little_wrong():
+    world = World(0)
+    off = np.array([np.subtract(world.believed_place(t), world.robot(t).place) for t in range(96)])
+    assert 0.01 < np.abs(off[:, 0]).mean() < 0.05  # m
+    assert 0.002 < np.abs(off[:, 2]).mean() < 0.02  # rad
+    step = 2 * math.pi / 4096
+    read = np.array(world.encoders(11.0).angles)
+    assert np.abs(read - world.robot(11.0).posture.angles).max() <= step / 2 + 1e-12
+    assert read / step == pytest.approx(np.round(read / step))
+
+
+def test_a_ball_is_drawn_where_the_pinhole_camera_says():
+    camera = Pinhole.of_view(640, 480, 1.0, 0.78)
+    centre, radius = np.array([0.3, -0.2, 2.0]), 0.15
+    picture = np.full((480, 640, 3), 16, np.uint8)
+    draw_ball(picture, camera, centre, radius, (235, 128, 128), np.array([0.0, 0.0, -1.0]))
+    rows, columns = np.nonzero(picture[..., 0] > 100)
+    rays = camera.rays(np.stack((columns, rows), axis=-1).astype(float))
+    off = np.arccos(np.clip(rays @ (centre / np.linalg.norm(centre)), -1, 1))
+    assert off.max() == pytest.approx(math.asin(radius / np.linalg.norm(centre)), rel=0.03)
+    assert len(rows) > 0.95 * math.pi * (camera.fx * radius / 2.0) ** 2
+
+
+def test_a_ball_behind_or_beside_the_camera_is_not_drawn():
+    for centre in ([0.0, 0.0, -1.0], [9.0, 0.0, 1.0]):
+        picture = np.zeros((480, 640, 3), np.uint8)
+        up = np.array([0.0, -1.0, 0.0])
+        draw_ball(picture, BOTTOM_CAMERA, np.array(centre), 0.05, (200, 90, 200), up)
+        assert not picture.any()
+
+
+def test_lines_are_where_the_field_has_them():
+    world = World(0)
+    view = FieldCamera(CEILING_CAMERA, 0)
+    frame = np.empty((960, 1280, 2), np.uint8)
+    pose = world.field_from_ceiling_camera()
+    view.render(pose, world.ball_on_field(0.0), 0, frame)
+    brightness = frame[..., 1]
+    for x, y, line in ((4.5, 1.0, True), (0.0, -1.5, True), (0.75, 0.0, True), (2.0, 2.0, False)):
+        on_field = np.array([x, y, 0.0])
+        column, row = np.round(CEILING_CAMERA.project(apply(inverse(pose), on_field))).astype(int)
+        assert (brightness[row, column] > 160) is np.bool_(line)
+
+
+def test_yuv_is_what_opencv_takes_for_yuv():
+    colours = [(60, 130, 40), (240, 240, 240), (20, 105, 245), (0, 0, 0), (200, 30, 90)]
+    bgr = np.repeat(np.array([colours], np.uint8), 2, axis=1)  # pairs share their colour
+    packed = np.empty((1, bgr.shape[1], 2), np.uint8)
+    pack(yuv_from_bgr(bgr), packed)
+    back = cv2.cvtColor(packed, cv2.COLOR_YUV2BGR_UYVY)
+    assert np.abs(back.astype(int) - bgr).max() <= 3

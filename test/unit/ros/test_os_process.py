@@ -1,0 +1,165 @@
+"""Processes known by id and start, and the lock that tells whether an owner lives."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from dyknow.errors import StoreError
+from dyknow.manager.host import Kind
+from dyknow.ros import child_records, os_process
+from dyknow.ros.child_records import ChildRecord
+from dyknow.ros.os_process import ProcessId
+from dyknow.ros.output import Follower
+from dyknow.ros.owner import OwnerLock, wait_until_orphaned
+
+SLEEP = (sys.executable, "-c", "import time; print('up', flush=True); time.sleep(1000)")
+STUBBORN = (
+    sys.executable,
+    "-c",
+    "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN)\n"
+    "print('up', flush=True); time.sleep(1000)",
+)
+
+
+def start(tmp_path: Path, command: tuple[str, ...] = SLEEP) -> ProcessId:
+    """Start a process and wait until it is up."""
+    output = tmp_path / "output"
+    found = os_process.start(command, str(output), str(tmp_path))
+    while "up" not in output.read_text():
+        assert found.alive
+        time.sleep(0.01)
+    return found
+
+
+def test_the_end_of_a_child_is_noticed(tmp_path: Path) -> None:
+    found = start(tmp_path)
+    assert found.alive
+    assert not found.wait(0.05)
+    found.signal(signal.SIGKILL)
+    assert found.wait(5.0)
+    assert not found.alive
+    found.signal(signal.SIGKILL)  # nobody is there to get it
+
+
+def test_the_end_of_a_process_of_others_is_noticed(tmp_path: Path) -> None:
+    child = subprocess.Popen(SLEEP, stdout=subprocess.DEVNULL)
+    try:
+        found = ProcessId.of(child.pid)
+        assert found is not None
+        assert not ProcessId(found.pid, found.started + 1).alive
+        threading.Timer(0.1, child.kill).start()
+        assert found.wait(5.0)
+    finally:
+        child.kill()
+        child.wait()
+
+
+@pytest.mark.parametrize("command", [SLEEP, STUBBORN])
+def test_end_asks_and_then_forces(tmp_path: Path, command: tuple[str, ...]) -> None:
+    found = start(tmp_path, command)
+    found.end(0.2)
+    assert not found.alive
+
+
+def test_a_stopped_process_is_alive(tmp_path: Path) -> None:
+    found = start(tmp_path)
+    found.signal(signal.SIGSTOP)
+    assert found.alive
+    assert not found.wait(0.05)
+    found.end(0.05)
+
+
+def test_records_of_processes_that_ended_are_dropped(tmp_path: Path) -> None:
+    path = str(tmp_path / "children.json")
+    assert child_records.read(path) == []
+    found = start(tmp_path)
+    here = ProcessId.of(os.getpid())
+    records = [ChildRecord("/a", Kind.CPP, "", here), ChildRecord("/b", Kind.PYTHON, "/n", found)]
+    child_records.write(path, [*records, ChildRecord("/not_started", Kind.PYTHON)])
+    assert child_records.read(path) == records
+    found.end(1.0)
+    assert child_records.read(path) == records[:1]
+
+
+@pytest.mark.parametrize("text", ["", "{", "[1]", '[{"name": "/a"}]', "{}x"])
+def test_damaged_records_are_refused(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "children.json"
+    path.write_text(text)
+    with pytest.raises(ValueError):
+        child_records.read(str(path))
+
+
+def test_one_owner_at_a_time(tmp_path: Path) -> None:
+    path = str(tmp_path / "folder" / "lock")
+    owner = OwnerLock(path)
+    with pytest.raises(StoreError, match="another manager"):
+        OwnerLock(path)
+    owner.release()
+    OwnerLock(path).release()
+
+
+def test_an_owner_that_returns_in_time_is_an_owner(tmp_path: Path) -> None:
+    path = str(tmp_path / "lock")
+    owner = OwnerLock(path)
+    orphaned = threading.Event()
+
+    def wait() -> None:
+        wait_until_orphaned(path, 0.3)
+        orphaned.set()
+
+    threading.Thread(target=wait, daemon=True).start()
+    owner.release()
+    owner = OwnerLock(path)
+    assert not orphaned.wait(0.6)
+    owner.release()
+    assert orphaned.wait(5.0)
+    with open(path) as file:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # nobody holds it
+
+
+def test_one_that_waits_and_is_stopped_does_not_keep_a_new_owner_away(tmp_path: Path) -> None:
+    path = str(tmp_path / "lock")
+    OwnerLock(path).release()
+    with open(path) as waiting:
+        fcntl.flock(waiting, fcntl.LOCK_SH)  # as it is between the owner's end and its noticing
+        owner = OwnerLock(path)
+        with pytest.raises(StoreError):
+            OwnerLock(path)
+    with open(path) as other:  # it gave way: now the owner has the lock
+        for _ in range(500):
+            try:
+                fcntl.flock(other, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            except BlockingIOError:
+                break
+            fcntl.flock(other, fcntl.LOCK_UN)
+            time.sleep(0.01)
+        else:
+            raise AssertionError("the owner did not take the lock")
+    owner.release()
+
+
+def test_a_file_that_is_gone_has_no_owner(tmp_path: Path) -> None:
+    wait_until_orphaned(str(tmp_path / "nothing"), 0.01)
+
+
+def test_output_is_followed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "output"
+    path.write_text("old\n")
+    both, new = Follower(str(path)), Follower(str(path), at_end=True)
+    both.copy(sys.stdout)
+    new.copy(sys.stdout)
+    assert capsys.readouterr().out == "old\n"
+    with path.open("a") as file:
+        file.write("new\n")
+    new.copy(sys.stdout)
+    new.copy(sys.stdout)
+    assert capsys.readouterr().out == "new\n"
