@@ -100,6 +100,11 @@ class Monitor(QObject):
         """Look so often."""
         self._timer.setInterval(max(100, int(seconds * 1000)))
 
+    @property
+    def is_changing(self) -> bool:
+        """Whether a change is under way."""
+        return self._changing
+
     def report(self, text: str) -> None:
         """Say that something went wrong."""
         self.failed.emit(text)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Mapping, Optional
 
-from python_qt_binding.QtCore import Qt
+from python_qt_binding.QtCore import QStringListModel, Qt
 from python_qt_binding.QtWidgets import (
     QCheckBox,
     QComboBox,
@@ -41,6 +41,8 @@ class CreatePanel(QWidget):
         self.name = QLineEdit()
         self.name.setPlaceholderText("/robot/ball_detector")
         self.label = QComboBox()
+        self._labels = QStringListModel(self)
+        self.label.setModel(self._labels)
         self.label.setEditable(True)
         self.label.setInsertPolicy(QComboBox.NoInsert)
         self.label.setMinimumContentsLength(12)
@@ -122,8 +124,8 @@ class CreatePanel(QWidget):
     def _show_library(self, library: Mapping[str, Transformation]) -> None:
         text = self.label.currentText()
         self.label.blockSignals(True)
-        self.label.clear()
-        self.label.addItems(sorted(label for label, t in library.items() if t.type == NODELET))
+        labels = sorted(label for label, each in library.items() if each.type == NODELET)
+        self._labels.setStringList(labels)
         self.label.setCurrentText(text)
         self.label.blockSignals(False)
         self._follow()

@@ -18,7 +18,11 @@ from python_qt_binding.QtWidgets import (
 )
 
 from dyknow.manager.transformation import IN, Transformation
-from dyknow_rqt.graph.changes import AddTransformations, as_specification, remove_transformations
+from dyknow_rqt.graph.library_changes import (
+    AddTransformations,
+    as_specification,
+    remove_transformations,
+)
 from dyknow_rqt.guard import guarded
 from dyknow_rqt.monitor import Monitor
 from dyknow_rqt.panels.tables import Table

@@ -60,7 +60,7 @@ class WindowTest(ManagerCase):
         for label, name in (("counter", "/count"), ("relay", "/relay")):
             monitor.do(SpawnNodelet(label, name))
             until(lambda name=name: f"n_{name}" in self.keys(window), f"{name} is drawn")
-            until(lambda: not monitor._changing, "the change has ended")
+            until(lambda: not monitor.is_changing, "the change has ended")
 
         monitor.do(connect(monitor.snapshot, OUT, IN))
         until(lambda: "t_/count/out" in self.keys(window), "the topic is drawn")
@@ -70,7 +70,7 @@ class WindowTest(ManagerCase):
             lambda: item.traffic is not None and 40 < item.traffic.rate < 60, "the rate is shown"
         )
 
-        until(lambda: not monitor._changing, "the change has ended")
+        until(lambda: not monitor.is_changing, "the change has ended")
         until(lambda: monitor.snapshot.port(IN).topic == "/count/out", "the window knows")
         monitor.do(connect_topic(monitor.snapshot, PortRef("/relay", "out"), "/end"))
         receiver = Receiver("/end")
@@ -80,7 +80,7 @@ class WindowTest(ManagerCase):
         window.graph.bar.nodes.setChecked(True)
         until(lambda: f"p_{rospy.get_name()}" in self.keys(window), "the listening node is shown")
 
-        until(lambda: not monitor._changing, "the change has ended")
+        until(lambda: not monitor.is_changing, "the change has ended")
         monitor.undo()
         until(lambda: manager.topics("/relay")["out"] == "", "the connection is taken back")
 

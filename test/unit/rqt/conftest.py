@@ -7,7 +7,7 @@ import pytest
 
 @pytest.fixture
 def remote():
-    from dyknow_rqt.screenshots import soccer
+    from dyknow_rqt.soccer_graph import soccer
 
     return soccer()
 

@@ -6,14 +6,13 @@ import pytest
 
 from dyknow.errors import InvalidName, Refused
 from dyknow_rqt.graph.changes import (
-    AddTransformations,
     CannotUndo,
     DestroyNodelet,
     Protect,
     SpawnNodelet,
-    remove_transformations,
 )
 from dyknow_rqt.graph.history import History
+from dyknow_rqt.graph.library_changes import AddTransformations, remove_transformations
 from dyknow_rqt.graph.rates import Meter, in_turns
 from dyknow_rqt.graph.snapshot import PortRef, Snapshot
 from dyknow_rqt.graph.wiring import (
@@ -24,7 +23,7 @@ from dyknow_rqt.graph.wiring import (
     partners,
     topics_for,
 )
-from dyknow_rqt.screenshots import soccer
+from dyknow_rqt.soccer_graph import soccer
 
 CEILING = PortRef("/field/ceiling_camera", "field_position")
 TRACKER = PortRef("/field/tracker", "position")

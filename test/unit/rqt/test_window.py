@@ -302,7 +302,7 @@ def test_active_lists_and_destroys(qtbot, window, remote):
     assert table.names() == sorted(each.name for each in remote.graph().nodelets)
     row = table.names().index("/nao1/subsampler")
     cells = [table.model().index(row, column).data() for column in range(6)]
-    assert cells[1:5] == ["subsampler(nao1, bottom)", 1, 3, "running"]
+    assert cells[1:5] == ["subsampler(nao1, bottom)", "1", "3", "running"]
     table.choose(["/nao1/bottom_camera"])
     assert not window.active.destroy.isEnabled()
     click(qtbot, window.active.protect)
@@ -334,6 +334,20 @@ def test_library_shows_imports_exports_and_deletes(qtbot, window, remote, tmp_pa
     qtbot.waitUntil(lambda: "tracker" in panel.table.names())
     qtbot.keyClicks(panel.search, "CAM")
     assert panel.table.names() == ["camera(nao1, bottom)", "camera(nao1, top)", "ceiling_camera"]
+
+
+def test_a_library_of_a_hundred_thousand_does_not_hold_up_the_window(qtbot, window):
+    from dyknow.manager.transformation import Transformation
+
+    library = {f"t{i}": Transformation(f"t{i}", "p/C") for i in range(100_000)}
+    window.tabs.setCurrentWidget(window.library)
+    start = time.monotonic()
+    window.monitor.library = library
+    window.monitor.library_changed.emit(library)
+    qtbot.wait(1)
+    qtbot.keyClicks(window.library.search, "t99999")
+    assert window.library.table.names() == ["t99999"]
+    assert time.monotonic() - start < 4.0
 
 
 def test_a_refused_import_shows_the_words_of_the_manager(qtbot, window, tmp_path):
