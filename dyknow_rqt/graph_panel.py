@@ -129,6 +129,7 @@ class GraphPanel(QWidget):
         if figure.vertices and (not self._has_fitted or self._wants_tidy):
             self._has_fitted = True
             self.view.fit()
+        self.view.keep_in_view()
         self._wants_tidy = False
         self._search()
 

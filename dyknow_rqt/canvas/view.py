@@ -53,19 +53,28 @@ class GraphView(QGraphicsView):
         self.setHorizontalScrollBarPolicy(Qt.ScrollBarAlwaysOff)
         self.setVerticalScrollBarPolicy(Qt.ScrollBarAlwaysOff)
         self.setAccessibleName("Computation graph")
+        #: Whether hands have chosen what is to be seen.
+        self.is_chosen = False
         self._from: Optional[PortItem] = None
         self._band: Optional[QGraphicsPathItem] = None
 
     # Zoom
 
     def fit(self) -> None:
-        """Show everything, not larger than life."""
+        """Show everything, not larger than life; and go on doing so until hands say otherwise."""
+        self.is_chosen = False
         area = self.scene().drawing_area().adjusted(-24, -24, 24, 24)
         if not area.isEmpty():
             self.fitInView(area, Qt.KeepAspectRatio)
             if self.zoom > 1.0:
                 self.resetTransform()
                 self.centerOn(area.center())
+
+    def keep_in_view(self) -> None:
+        """Fit if something is out of view, unless hands have chosen what is to be seen."""
+        seen = self.mapToScene(self.viewport().rect()).boundingRect()
+        if not self.is_chosen and not seen.contains(self.scene().drawing_area()):
+            self.fit()
 
     @property
     def zoom(self) -> float:
@@ -74,6 +83,7 @@ class GraphView(QGraphicsView):
 
     def zoom_by(self, factor: float) -> None:
         """Zoom, within limits."""
+        self.is_chosen = True
         factor = max(_SMALLEST, min(_LARGEST, self.zoom * factor)) / self.zoom
         self.scale(factor, factor)
 
@@ -90,6 +100,8 @@ class GraphView(QGraphicsView):
         """Begin a connection on a port; anything else as usual."""
         port = self._port_at(event.pos()) if event.button() == Qt.LeftButton else None
         if port is None:
+            # What is pressed on the ground is a hand that moves the view.
+            self.is_chosen = self.is_chosen or self._item_at(event.pos()) is None
             super().mousePressEvent(event)
             return
         self._from = port
@@ -195,6 +207,7 @@ class GraphView(QGraphicsView):
         self.setTransformationAnchor(QGraphicsView.AnchorUnderMouse)
 
     def _move_view(self, direction: QPointF) -> None:
+        self.is_chosen = True
         for bar, amount in (
             (self.horizontalScrollBar(), direction.x()),
             (self.verticalScrollBar(), direction.y()),

@@ -24,6 +24,6 @@ def window(qtbot, remote):
         widget.show()
         widget.activateWindow()
     widget.start()
-    qtbot.waitUntil(lambda: len(widget.graph.drawn.vertices) > 15, timeout=15000)
-    qtbot.waitUntil(lambda: bool(widget.monitor.library), timeout=5000)
+    qtbot.waitUntil(lambda: len(widget.graph.drawn.vertices) > 15, timeout=20000)
+    qtbot.waitUntil(lambda: bool(widget.monitor.library), timeout=20000)
     return widget

@@ -21,6 +21,11 @@ TRACKER = PortRef("/field/tracker", "position")
 HSV_IN = PortRef("/nao1/line_detector", "hsv")
 
 
+def until(qtbot, condition):
+    """Wait for something, as long as a busy machine may need."""
+    qtbot.waitUntil(condition, timeout=20_000)
+
+
 def topic(remote, ref):
     nodelet = remote.graph().nodelet(ref.nodelet)
     return nodelet.port(ref.port).topic
@@ -60,7 +65,7 @@ def no_boxes():
 def test_hovering_lights_up_the_neighbours(qtbot, window):
     scene = window.graph.view.scene()
     qtbot.mouseMove(window.graph.view.viewport(), centre_of(window.graph.view, "n_/nao1/resize"))
-    qtbot.waitUntil(lambda: scene.vertices["n_/nao1/resize"].tone.value == "self")
+    until(qtbot, lambda: scene.vertices["n_/nao1/resize"].tone.value == "self")
     assert scene.vertices["t_/nao1/top_camera/yuv"].tone.value == "in"
     assert scene.vertices["t_/nao1/preview"].tone.value == "out"
     assert scene.vertices["n_/nao1/recorder"].tone.value == "none"
@@ -69,11 +74,12 @@ def test_hovering_lights_up_the_neighbours(qtbot, window):
 def test_what_is_before_and_behind_is_teal(qtbot, window, remote):
     remote.set_config("/nao1/resize", {"resized": "/nao1/top_camera/yuv"})
     scene = window.graph.view.scene()
-    qtbot.waitUntil(lambda: "t_/nao1/preview" in scene.vertices)
-    qtbot.waitUntil(
+    until(qtbot, lambda: "t_/nao1/preview" in scene.vertices)
+    until(
+        qtbot,
         lambda: any(
             e.tail == "n_/nao1/resize" and e.head == "t_/nao1/top_camera/yuv" for e in scene.edges
-        )
+        ),
     )
     scene.highlight("n_/nao1/resize")
     assert scene.vertices["t_/nao1/top_camera/yuv"].tone.value == "both"
@@ -112,10 +118,10 @@ def test_a_drag_on_the_ground_moves_the_view(qtbot, window):
 def test_filters_hide_and_complain(qtbot, window):
     edit = window.graph.bar.nodelets
     qtbot.keyClicks(edit, "/nao1, -/nao1/.*camera")
-    qtbot.waitUntil(lambda: "n_/field/tracker" not in _keys(window))
+    until(qtbot, lambda: "n_/field/tracker" not in _keys(window))
     assert "n_/nao1/resize" in _keys(window) and "n_/nao1/top_camera" not in _keys(window)
     edit.clear()
-    qtbot.waitUntil(lambda: "n_/field/tracker" in _keys(window))
+    until(qtbot, lambda: "n_/field/tracker" in _keys(window))
     qtbot.keyClicks(edit, "/nao[")
     assert "filter '/nao[' is not a regular expression" in window.line.text
     assert "n_/field/tracker" in _keys(window)
@@ -125,21 +131,21 @@ def test_options_change_what_is_drawn(qtbot, window, remote):
     bar, readers = window.graph.bar, remote.subscribers
     remote.subscribers = {}
     bar.dead_sinks.setChecked(True)
-    qtbot.waitUntil(lambda: "t_/field/tracker/track" not in _keys(window))
+    until(qtbot, lambda: "t_/field/tracker/track" not in _keys(window))
     remote.subscribers = readers  # with its reader the topic is no dead sink
     bar.nodes.setChecked(True)
-    qtbot.waitUntil(lambda: "p_/team_view" in _keys(window))
+    until(qtbot, lambda: "p_/team_view" in _keys(window))
     bar.mode.setCurrentIndex(1)
-    qtbot.waitUntil(lambda: not any(key.startswith("t_") for key in _keys(window)))
+    until(qtbot, lambda: not any(key.startswith("t_") for key in _keys(window)))
     bar.depth.setValue(0)
-    qtbot.waitUntil(lambda: window.graph.drawn.groups() == [])
+    until(qtbot, lambda: window.graph.drawn.groups() == [])
 
 
 def test_find_selects_one_after_the_other(qtbot, window):
     window.active.table.setFocus()
     qtbot.keyClick(window.active.table, Qt.Key_F, Qt.ControlModifier)
     edit = window.graph.bar.search
-    qtbot.waitUntil(edit.hasFocus)
+    until(qtbot, edit.hasFocus)
     qtbot.keyClicks(edit, "CAMERA")
     assert window.graph.bar.hits.text() == "5 found"
     found = []
@@ -181,7 +187,7 @@ def test_the_drawing_can_be_saved(window, tmp_path):
 def test_rates_stand_on_the_arrows_and_drops_are_red(qtbot, window):
     scene = window.graph.view.scene()
     arrow = next(e for e in scene.edges if e.head_port == "channels")
-    qtbot.waitUntil(lambda: "−" in scene.edges[arrow].label, timeout=8000)
+    until(qtbot, lambda: "−" in scene.edges[arrow].label)
     assert "Hz" in scene.edges[arrow].label
     port = scene.port_item(PortRef("/nao1/subsampler", "hsv"))
     assert "sensor_msgs/Image" in port.toolTip() and "HSV(nao1, bottom)" in port.toolTip()
@@ -208,11 +214,30 @@ def test_the_view_does_not_jump_when_something_comes(qtbot, window, remote):
     before = {key: item.pos() for key, item in view.scene().vertices.items()}
     corner, zoom = view.mapToScene(0, 0), view.zoom
     remote.spawn("tracker", "/nao1/second_tracker", {"position": "/nao1/ball_detector/ball"})
-    qtbot.waitUntil(lambda: "n_/nao1/second_tracker" in _keys(window), timeout=5000)
+    until(qtbot, lambda: "n_/nao1/second_tracker" in _keys(window))
     after = view.scene().vertices
     moved = [k for k, place in before.items() if (after[k].pos() - place).manhattanLength() > 16]
     assert len(moved) <= 4
     assert (view.mapToScene(0, 0) - corner).manhattanLength() < 2 and view.zoom == zoom
+
+
+def test_what_comes_is_seen_until_hands_choose_the_view(qtbot, window, remote):
+    view = window.graph.view
+
+    def is_seen():
+        seen = view.mapToScene(view.viewport().rect()).boundingRect()
+        return seen.contains(view.scene().drawing_area())
+
+    for number in range(12):
+        remote.spawn("tracker", f"/more{number}")
+    until(qtbot, lambda: "n_/more11" in _keys(window) and is_seen())
+    qtbot.keyClick(view, Qt.Key_Plus)
+    corner = view.mapToScene(0, 0)
+    for number in range(12, 40):
+        remote.spawn("tracker", f"/more{number}")
+    until(qtbot, lambda: "n_/more39" in _keys(window))
+    assert (view.mapToScene(0, 0) - corner).manhattanLength() < 2
+    assert not is_seen()
 
 
 # Gestures
@@ -221,15 +246,15 @@ def test_the_view_does_not_jump_when_something_comes(qtbot, window, remote):
 def test_a_drag_from_port_to_port_connects_and_undo_takes_it_back(qtbot, window, remote):
     view = window.graph.view
     drag(view, view.place_of(CEILING), view.place_of(TRACKER))
-    qtbot.waitUntil(lambda: topic(remote, TRACKER) == "/field/ceiling_camera/field_position")
-    qtbot.waitUntil(window.graph.bar.undo.isEnabled)
+    until(qtbot, lambda: topic(remote, TRACKER) == "/field/ceiling_camera/field_position")
+    until(qtbot, window.graph.bar.undo.isEnabled)
     view.setFocus()
     qtbot.keyClick(view, Qt.Key_Z, Qt.ControlModifier)
-    qtbot.waitUntil(lambda: topic(remote, TRACKER) == "/field/ball")
+    until(qtbot, lambda: topic(remote, TRACKER) == "/field/ball")
     assert topic(remote, CEILING) == ""
-    qtbot.waitUntil(window.graph.bar.redo.isEnabled)
+    until(qtbot, window.graph.bar.redo.isEnabled)
     click(qtbot, window.graph.bar.redo)
-    qtbot.waitUntil(lambda: topic(remote, TRACKER) == "/field/ceiling_camera/field_position")
+    until(qtbot, lambda: topic(remote, TRACKER) == "/field/ceiling_camera/field_position")
 
 
 def test_while_a_connection_is_drawn_only_what_fits_is_offered(window):
@@ -254,7 +279,7 @@ def test_a_drag_to_a_port_that_does_not_fit_says_why(qtbot, window, remote):
 def test_a_drag_to_a_topic_connects_to_it(qtbot, window, remote):
     view = window.graph.view
     drag(view, view.place_of(CEILING), centre_of(view, "t_/field/ball"))
-    qtbot.waitUntil(lambda: topic(remote, CEILING) == "/field/ball")
+    until(qtbot, lambda: topic(remote, CEILING) == "/field/ball")
 
 
 def test_delete_disconnects_the_selected_arrow(qtbot, window, remote):
@@ -262,7 +287,7 @@ def test_delete_disconnects_the_selected_arrow(qtbot, window, remote):
     arrow = next(e for e in scene.edges if e.head == "n_/field/tracker")
     scene.edges[arrow].setSelected(True)
     qtbot.keyClick(window.graph.view, Qt.Key_Delete)
-    qtbot.waitUntil(lambda: topic(remote, TRACKER) == "")
+    until(qtbot, lambda: topic(remote, TRACKER) == "")
 
 
 def test_delete_destroys_selected_nodelets_after_asking(qtbot, window, remote):
@@ -273,10 +298,10 @@ def test_delete_destroys_selected_nodelets_after_asking(qtbot, window, remote):
     assert remote.graph().nodelet("/field/tracker") is not None
     qtbot.keyClick(window.graph.view, Qt.Key_Delete)
     click(qtbot, window.line.yes)
-    qtbot.waitUntil(lambda: remote.graph().nodelet("/field/tracker") is None)
-    qtbot.waitUntil(window.graph.bar.undo.isEnabled)
+    until(qtbot, lambda: remote.graph().nodelet("/field/tracker") is None)
+    until(qtbot, window.graph.bar.undo.isEnabled)
     click(qtbot, window.graph.bar.undo)
-    qtbot.waitUntil(lambda: remote.graph().nodelet("/field/tracker") is not None)
+    until(qtbot, lambda: remote.graph().nodelet("/field/tracker") is not None)
     assert topic(remote, TRACKER) == "/field/ball"
 
 
@@ -285,10 +310,10 @@ def test_context_menus_offer_what_can_be_done(qtbot, window, remote):
     entries = _menu(qtbot, window, view.scene().vertices["n_/nao1/bottom_camera"])
     assert not entries["D&estroy …"].isEnabled()
     entries["&Release from protection"].trigger()
-    qtbot.waitUntil(lambda: not remote.graph().nodelet("/nao1/bottom_camera").is_protected)
+    until(qtbot, lambda: not remote.graph().nodelet("/nao1/bottom_camera").is_protected)
     entries = _menu(qtbot, window, view.scene().port_item(TRACKER))
     entries["&Disconnect"].trigger()
-    qtbot.waitUntil(lambda: topic(remote, TRACKER) == "")
+    until(qtbot, lambda: topic(remote, TRACKER) == "")
     entries = _menu(qtbot, window, None)
     entries["&Create nodelet …"].trigger()
     assert window.tabs.currentWidget() is window.create_
@@ -306,16 +331,16 @@ def test_active_lists_and_destroys(qtbot, window, remote):
     table.choose(["/nao1/bottom_camera"])
     assert not window.active.destroy.isEnabled()
     click(qtbot, window.active.protect)
-    qtbot.waitUntil(window.active.destroy.isEnabled)
+    until(qtbot, window.active.destroy.isEnabled)
     click(qtbot, window.active.destroy)
     click(qtbot, window.line.yes)
-    qtbot.waitUntil(lambda: "/nao1/bottom_camera" not in table.names())
+    until(qtbot, lambda: "/nao1/bottom_camera" not in table.names())
 
 
 def test_active_keeps_the_selection_while_things_change(qtbot, window, remote):
     window.active.table.choose(["/nao1/resize"])
     remote.spawn("tracker", "/a_first_one")
-    qtbot.waitUntil(lambda: "/a_first_one" in window.active.table.names())
+    until(qtbot, lambda: "/a_first_one" in window.active.table.names())
     assert window.active.table.chosen() == ["/nao1/resize"]
 
 
@@ -329,9 +354,9 @@ def test_library_shows_imports_exports_and_deletes(qtbot, window, remote, tmp_pa
     click(qtbot, panel.delete)
     assert window.line.text == "Delete tracker from the library?"
     click(qtbot, window.line.yes)
-    qtbot.waitUntil(lambda: "tracker" not in panel.table.names())
+    until(qtbot, lambda: "tracker" not in panel.table.names())
     panel.import_file(str(path))
-    qtbot.waitUntil(lambda: "tracker" in panel.table.names())
+    until(qtbot, lambda: "tracker" in panel.table.names())
     qtbot.keyClicks(panel.search, "CAM")
     assert panel.table.names() == ["camera(nao1, bottom)", "camera(nao1, top)", "ceiling_camera"]
 
@@ -347,14 +372,14 @@ def test_a_library_of_a_hundred_thousand_does_not_hold_up_the_window(qtbot, wind
     qtbot.wait(1)
     qtbot.keyClicks(window.library.search, "t99999")
     assert window.library.table.names() == ["t99999"]
-    assert time.monotonic() - start < 4.0
+    assert time.monotonic() - start < 10.0
 
 
 def test_a_refused_import_shows_the_words_of_the_manager(qtbot, window, tmp_path):
     path = tmp_path / "bad.xml"
     path.write_text("<transformation>\n<label>x</label>\n<sauce>p/C</sauce></transformation>")
     window.library.import_file(str(path))
-    qtbot.waitUntil(lambda: bool(window.line.text))
+    until(qtbot, lambda: bool(window.line.text))
     assert window.line.text.startswith("import bad.xml: specification:")
     assert no_boxes()
     click(qtbot, window.line.dismiss)
@@ -371,12 +396,12 @@ def test_create_makes_a_nodelet(qtbot, window, remote):
     qtbot.keyClicks(panel.name, "/field/second")
     qtbot.mouseClick(panel.is_protected, Qt.LeftButton, pos=QPoint(8, 8))
     qtbot.keyClick(panel.name, Qt.Key_Return)
-    qtbot.waitUntil(lambda: "n_/field/second" in _keys(window), timeout=5000)
+    until(qtbot, lambda: "n_/field/second" in _keys(window))
     assert remote.graph().nodelet("/field/second").is_protected
     panel.begin("tracker")
     panel.name.setText("/field/second")
     click(qtbot, panel.create)
-    qtbot.waitUntil(lambda: "a nodelet named '/field/second' is already" in window.line.text)
+    until(qtbot, lambda: "a nodelet named '/field/second' is already" in window.line.text)
     panel.name.setText("no name")
     click(qtbot, panel.create)
     assert "'no name' is not a valid" in window.line.text
@@ -391,8 +416,8 @@ def test_connect_offers_only_what_fits(qtbot, window, remote):
     panel.sink.nodelet.setCurrentText("/field/tracker")
     assert panel.topic_chosen.text() == "/field/ceiling_camera/field_position"
     click(qtbot, panel.connect)
-    qtbot.waitUntil(lambda: topic(remote, TRACKER) == "/field/ceiling_camera/field_position")
-    qtbot.waitUntil(lambda: "connected already" in panel.topic_chosen.text())
+    until(qtbot, lambda: topic(remote, TRACKER) == "/field/ceiling_camera/field_position")
+    until(qtbot, lambda: "connected already" in panel.topic_chosen.text())
     assert not panel.connect.isEnabled()
 
 
@@ -402,10 +427,10 @@ def test_connect_takes_a_topic_by_name(qtbot, window, remote):
     panel.begin("/field/tracker", "position")
     assert panel.now.text() == "/field/ball"
     click(qtbot, panel.disconnect_port)
-    qtbot.waitUntil(lambda: panel.now.text() == "not connected")
+    until(qtbot, lambda: panel.now.text() == "not connected")
     qtbot.keyClicks(panel.topic, "/somewhere")
     click(qtbot, panel.connect_topic)
-    qtbot.waitUntil(lambda: panel.now.text() == "/somewhere")
+    until(qtbot, lambda: panel.now.text() == "/somewhere")
     assert topic(remote, TRACKER) == "/somewhere"
 
 
@@ -415,26 +440,26 @@ def test_connect_takes_a_topic_by_name(qtbot, window, remote):
 def test_without_a_manager_the_window_waits_for_one(qtbot, window, remote):
     remote.is_up = False
     sign = window.graph.sign
-    qtbot.waitUntil(lambda: "does not answer; waiting" in sign.text(), timeout=5000)
+    until(qtbot, lambda: "does not answer; waiting" in sign.text())
     assert sign.isVisible()
     remote.is_up = True
-    qtbot.waitUntil(lambda: not sign.isVisible(), timeout=5000)
+    until(qtbot, lambda: not sign.isVisible())
 
 
 def test_a_slow_manager_does_not_hold_up_the_window(qtbot, window, remote):
-    remote.delay = 1.0
+    remote.delay = 3.0
     window.monitor.set_period(0.1)
     gaps = _gaps(qtbot, 1500)
-    assert max(gaps) < 0.3
+    assert max(gaps) < 1.5
     remote.delay = 0.0
 
 
 def test_undo_says_when_there_is_no_way_back(qtbot, window, remote):
     remote.remove_transformation("tracker")
-    qtbot.waitUntil(lambda: "tracker" not in window.monitor.library)
+    until(qtbot, lambda: "tracker" not in window.monitor.library)
     window.active.ask_to_destroy(["/field/tracker"])
     click(qtbot, window.line.yes)
-    qtbot.waitUntil(window.graph.bar.undo.isEnabled)
+    until(qtbot, window.graph.bar.undo.isEnabled)
     click(qtbot, window.graph.bar.undo)
     assert "cannot undo 'destroy /field/tracker'" in window.line.text
     assert not window.graph.bar.undo.isEnabled()
@@ -449,7 +474,7 @@ def test_a_slot_that_raises_leaves_a_line_and_a_living_window(qtbot, window, mon
 def test_colours_follow_the_palette(qtbot, window):
     scene = window.graph.view.scene()
     window.setPalette(dark_palette())
-    qtbot.waitUntil(lambda: scene.backgroundBrush().color().lightness() < 80)
+    until(qtbot, lambda: scene.backgroundBrush().color().lightness() < 80)
     item = scene.vertices["n_/nao1/resize"]
     assert item.colours.text.lightness() > 180
     assert item.ports["image"].colours.line.lightness() > 120
@@ -482,13 +507,13 @@ def test_five_hundred_nodelets_stay_usable(qtbot):
     widget.resize(1400, 800)
     widget.show()
     widget.start()
-    worst = max(_gaps(qtbot, 15000, lambda: len(widget.graph.drawn.vertices) == 1000))
+    worst = max(_gaps(qtbot, 30000, lambda: len(widget.graph.drawn.vertices) == 1000))
     assert len(widget.graph.drawn.vertices) == 1000
-    assert worst < 1.5, worst
+    assert worst < 3.0, worst
     remote.set_config("/g7/n3", {"in": "/elsewhere"})
-    worst = max(_gaps(qtbot, 15000, lambda: "t_/elsewhere" in _keys(widget)))
+    worst = max(_gaps(qtbot, 30000, lambda: "t_/elsewhere" in _keys(widget)))
     assert "t_/elsewhere" in _keys(widget)
-    assert worst < 1.5, worst
+    assert worst < 3.0, worst
 
 
 def test_without_graphviz_there_is_still_a_drawing(qtbot, window):
@@ -499,7 +524,7 @@ def test_without_graphviz_there_is_still_a_drawing(qtbot, window):
     for layouter in (Layouter("no_such_program"), Layouter("dot", limit=0.0)):
         words = []
         layouter.failed.connect(words.append)
-        with qtbot.waitSignal(layouter.ready, timeout=5000) as signal:
+        with qtbot.waitSignal(layouter.ready, timeout=20_000) as signal:
             layouter.lay_out(figure, sizes)
         assert set(signal.args[2].centres) == {vertex.key for vertex in figure.vertices}
         layouter.close()
