@@ -130,7 +130,7 @@ def ros_tests() -> Outcome:
     if not suites:
         return Outcome(0, 1, note="no tests found")
     passed, failed = rostests.run_all(
-        suites, RESULTS, jobs=int(os.environ.get("ROSTEST_JOBS", "3"))
+        suites, RESULTS, jobs=int(os.environ.get("ROSTEST_JOBS", "2"))
     )
     return Outcome(passed, failed, note=f"{passed} passed, {failed} failed")
 

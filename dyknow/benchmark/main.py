@@ -9,7 +9,17 @@ from typing import Dict, Optional, Sequence
 
 import rospy
 
-from dyknow.benchmark import chain, idle, images, leak, rewire, throughput
+from dyknow.benchmark import (
+    chain,
+    idle,
+    images,
+    leak,
+    library,
+    model,
+    recover,
+    rewire,
+    throughput,
+)
 from dyknow.benchmark.session import MeasurementFailed, interruptible
 
 #: Measurements by name; each module has ``add_arguments``, ``run`` and a docstring.
@@ -20,6 +30,9 @@ _MEASUREMENTS: Dict[str, object] = {
     "rewire": rewire,
     "leak": leak,
     "idle": idle,
+    "model": model,
+    "library": library,
+    "recover": recover,
 }
 
 TARGET_NOT_MET, FAILED, INTERRUPTED = 1, 2, 130

@@ -26,6 +26,7 @@ from dyknow.errors import PeerTimeout
 from dyknow.ros.bonds import Bonds
 from dyknow.ros.exit_codes import DONE, FAILED, INTERRUPTED
 from dyknow.ros.remote_calls import call_within
+from dyknow.ros.signals import on_signals
 
 _UNLOAD_TIMEOUT = 10.0
 _LOAD_TIMEOUT_AT_EXIT = 0.5
@@ -122,7 +123,6 @@ class _LoadClient:
         self._manager = manager
         self._my_argv = my_argv
         self._bond_id = f"{name}_{uuid.uuid4()}" if bond else ""
-        # A SimpleQueue, since a signal handler may put into it while this very thread waits on it.
         self._events: queue.SimpleQueue[_Event] = queue.SimpleQueue()
         self._requested = False
         self._ended = threading.Event()
@@ -173,8 +173,7 @@ class _LoadClient:
         return DONE if event is _Event.LOADED else INTERRUPTED
 
     def _listen_for_stop(self) -> None:
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, lambda *_: self._events.put(_Event.STOP))
+        on_signals((signal.SIGINT, signal.SIGTERM), lambda: self._events.put(_Event.STOP))
         rospy.on_shutdown(self._on_shutdown_request)
         rospy.core.add_shutdown_hook(lambda reason: self._shut_down.set())
 

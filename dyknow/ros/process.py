@@ -16,6 +16,7 @@ import rospy
 
 from dyknow.nodelet.middleware import Closable
 from dyknow.ros.exit_codes import DONE, FAILED, INTERRUPTED
+from dyknow.ros.signals import on_signals
 
 #: Seconds that what is just being started may take to be complete, so that it can be closed.
 _START_PATIENCE = 2.0
@@ -42,7 +43,6 @@ class NodeProcess:
         self._argv = list(argv)
         self._start = start
         self._running: Optional[Closable] = None
-        # A SimpleQueue, since a signal handler may put into it while this very thread waits on it.
         self._told: queue.SimpleQueue[bool] = queue.SimpleQueue()
         self._closed = threading.Event()
         self._shut_down = threading.Event()
@@ -50,8 +50,7 @@ class NodeProcess:
 
     def run(self) -> int:
         """Run, and return the exit code."""
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, lambda *_: self._told.put(True))
+        on_signals((signal.SIGINT, signal.SIGTERM), lambda: self._told.put(True))
         starting = threading.Thread(target=self._begin, name="start", daemon=True)
         starting.start()
         to_end = self._told.get()

@@ -13,13 +13,14 @@ import tempfile
 import time
 import unittest
 from pathlib import Path
-from typing import Any, Callable, Iterator
+from typing import Any, Iterator
 
 PACKAGES = Path(__file__).resolve().parent.parent / "packages"
 os.environ["ROS_PACKAGE_PATH"] = os.pathsep.join([os.environ["ROS_PACKAGE_PATH"], str(PACKAGES)])
 
 import rosgraph  # noqa: E402
 import rospy  # noqa: E402
+from processes import eventually  # noqa: E402
 from roslib.packages import find_node  # noqa: E402
 from std_msgs.msg import Header  # noqa: E402
 
@@ -63,16 +64,6 @@ LIBRARY = "".join(
         "</transformations>",
     ]
 )
-
-
-def eventually(condition: Callable[[], object], timeout: float, what: str) -> float:
-    """Wait until something holds and return how long (s) that took; fail when it does not."""
-    start = time.monotonic()
-    while not condition():
-        if time.monotonic() - start > timeout:
-            raise AssertionError(f"not within {timeout:g} s: {what}")
-        time.sleep(0.02)
-    return time.monotonic() - start
 
 
 class ManagerProcess:

@@ -114,6 +114,16 @@ class BenchmarkTest(unittest.TestCase):
         (row,) = self.rows("idle")
         self.assertEqual(row["nodelets"], "3")
 
+    def test_the_system_at_scale(self):
+        self.assertIn("spawn, median", self.measure("model", "--nodelets", 5))
+        self.assertEqual([row["count"] for row in self.rows("model")], ["5", "50"])
+        self.assertIn("plan, median", self.measure("library", "--transformations", 400))
+        self.assertEqual(len(self.rows("library")), 4)
+        self.assertIn("all streams back", self.measure("recover", "--nodelets", 3, "--kills", 1))
+        (row,) = self.rows("recover")
+        self.assertEqual((row["nodelets"], row["kills"]), ("3", "1"))
+        self.assertGreater(float(row["median_s"]), 0.0)
+
     def test_an_interrupted_measurement_ends_its_processes(self):
         mark = f"DYKNOW_BENCHMARK_TEST={self.id()}"
         name, _, value = mark.partition("=")

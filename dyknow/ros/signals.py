@@ -1,0 +1,32 @@
+"""Signals, told to a thread that waits for nothing else.
+
+Python runs a handler in the main thread once that thread executes Python code again. A main thread
+that is just about to block misses a signal until something else wakes it up. The descriptor that
+``signal.set_wakeup_fd`` names is written to at once, whatever the main thread does, so it is read
+here.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from typing import Callable, Iterable
+
+
+def on_signals(numbers: Iterable[int], told: Callable[[], None]) -> None:
+    """Call ``told``, on a thread of its own, for each of these signals; from the main thread."""
+    wanted = frozenset(numbers)
+    readable, writable = os.pipe()
+    os.set_blocking(writable, False)
+    signal.set_wakeup_fd(writable, warn_on_full_buffer=False)
+    for number in wanted:
+        signal.signal(number, lambda *_: None)  # Python's own would raise, or end the process
+
+    def listen() -> None:
+        while True:
+            for number in os.read(readable, 64):
+                if number in wanted:
+                    told()
+
+    threading.Thread(target=listen, name="signals", daemon=True).start()
