@@ -9,7 +9,6 @@ from python_qt_binding.QtWidgets import (
     QCheckBox,
     QComboBox,
     QDoubleSpinBox,
-    QGridLayout,
     QHBoxLayout,
     QLabel,
     QLineEdit,
@@ -21,6 +20,7 @@ from python_qt_binding.QtWidgets import (
 )
 
 from dyknow_rqt.filter_edit import FilterEdit
+from dyknow_rqt.flow_layout import FlowLayout
 from dyknow_rqt.graph.figure import Options
 from dyknow_rqt.guard import guarded
 
@@ -32,6 +32,8 @@ class GraphBar(QWidget):
 
     #: What is to be shown is another.
     options_changed = Signal()
+    #: So much so that the places of before mean nothing any more.
+    structure_changed = Signal()
 
     def __init__(self, parent: Optional[QWidget] = None) -> None:
         super().__init__(parent)
@@ -42,8 +44,6 @@ class GraphBar(QWidget):
         self.mode.setAccessibleName("What to draw")
         self.nodelets = FilterEdit("nodelets")
         self.topics = FilterEdit("topics")
-        for edit in (self.nodelets, self.topics):
-            edit.setMinimumWidth(60)
         self.depth = QSpinBox()
         self.depth.setRange(0, 5)
         self.depth.setValue(2)
@@ -147,50 +147,31 @@ class GraphBar(QWidget):
         }
 
     def _arrange(self) -> None:
-        grid = QGridLayout(self)
-        grid.setContentsMargins(4, 4, 4, 2)
-        grid.setVerticalSpacing(3)
-        first, second = QHBoxLayout(), QHBoxLayout()
-        first.setSpacing(6)
-        second.setSpacing(6)
-        for widget, stretch in (
-            (self.refresh, 0),
-            (self.mode, 0),
-            (self.nodelets, 3),
-            (self.topics, 3),
-            (self.search, 2),
-            (self.hits, 0),
-            (self.undo, 0),
-            (self.redo, 0),
-            (self.save, 0),
-        ):
-            first.addWidget(widget, stretch)
+        self.mode.setSizeAdjustPolicy(QComboBox.AdjustToContents)
+        rows = FlowLayout(self)
+        rows.setContentsMargins(4, 4, 4, 2)
+        self.nodelets.setMinimumWidth(150)
+        self.topics.setMinimumWidth(150)
         group, rate = QLabel("&Group:"), QLabel("E&very:")
         group.setBuddy(self.depth)
         rate.setBuddy(self.period)
-        for widget in (
-            *(
-                group,
-                self.depth,
-                _gap(),
-                QLabel("Hide:"),
-                self.dead_sinks,
-                self.leaf_topics,
-                self.debug,
-            ),
-            *(_gap(), QLabel("Show:"), self.nodes, self.highlight, _gap(), rate, self.period),
+        for part in (
+            _together(self.refresh, self.mode),
+            _together(self.nodelets, self.topics),
+            _together(self.search, self.hits),
+            _together(self.undo, self.redo, self.save),
+            _together(group, self.depth),
+            _together(QLabel("Hide:"), self.dead_sinks, self.leaf_topics, self.debug),
+            _together(QLabel("Show:"), self.nodes, self.highlight),
+            _together(rate, self.period),
+            _together(self.tidy, self.fit),
         ):
-            second.addWidget(widget)
-        second.addStretch(1)
-        second.addWidget(self.tidy)
-        second.addWidget(self.fit)
-        grid.addLayout(first, 0, 0)
-        grid.addLayout(second, 1, 0)
+            rows.addWidget(part)
         self.show_history("", "")
 
     def _listen(self) -> None:
-        self.mode.currentIndexChanged.connect(self._tell)
-        self.depth.valueChanged.connect(self._tell)
+        self.mode.currentIndexChanged.connect(self._tell_structure)
+        self.depth.valueChanged.connect(self._tell_structure)
         for box in (self.dead_sinks, self.leaf_topics, self.debug, self.nodes):
             box.toggled.connect(self._tell)
         for edit in (self.nodelets, self.topics):
@@ -200,8 +181,17 @@ class GraphBar(QWidget):
     def _tell(self) -> None:
         self.options_changed.emit()
 
+    @guarded
+    def _tell_structure(self) -> None:
+        self.structure_changed.emit()
 
-def _gap() -> QWidget:
-    gap = QWidget()
-    gap.setFixedWidth(8)
-    return gap
+
+def _together(*widgets: QWidget) -> QWidget:
+    """Keep widgets in one line."""
+    part = QWidget()
+    row = QHBoxLayout(part)
+    row.setContentsMargins(0, 0, 0, 0)
+    row.setSpacing(6)
+    for widget in widgets:
+        row.addWidget(widget)
+    return part

@@ -133,6 +133,7 @@ class GraphPanel(QWidget):
         self._wants_tidy = False
         self._search()
 
+    @guarded
     def _show_sign(self) -> None:
         monitor, text = self._monitor, ""
         if monitor.is_linked is None:
@@ -140,7 +141,9 @@ class GraphPanel(QWidget):
         elif not monitor.is_linked:
             text = f"{monitor.remote.manager} does not answer; waiting for it"
         elif not monitor.snapshot.nodelets:
-            text = "No nodelets yet: make one in the panel 'Create'"
+            text = "No nodelets yet: make one in 'Create'"
+            if not monitor.library:
+                text += ", of what you have imported in 'Library'"
         elif not self._figure.vertices:
             text = "The filters hide everything"
         self.sign.setText(text)
@@ -225,6 +228,7 @@ class GraphPanel(QWidget):
         monitor.changed.connect(self._take_snapshot)
         monitor.measured.connect(view.scene().set_traffic)
         monitor.linked.connect(self._follow_link)
+        monitor.library_changed.connect(self._show_sign)
         monitor.history_changed.connect(bar.show_history)
         self.layouter.ready.connect(self._draw)
         self.layouter.failed.connect(self.failed)
@@ -234,6 +238,7 @@ class GraphPanel(QWidget):
         view.delete_pressed.connect(self._delete)
         view.menu_wanted.connect(self._show_menu)
         bar.options_changed.connect(self.redraw)
+        bar.structure_changed.connect(self.tidy)
         bar.highlight.toggled.connect(self._set_highlights)
         bar.period.valueChanged.connect(monitor.set_period)
         bar.refresh.clicked.connect(self._refresh)

@@ -27,7 +27,7 @@ class DyKnowWindow(QMainWindow):
         self._widget, self._settings = widget, settings
         self.setCentralWidget(widget)
         self.setWindowTitle("DyKnow")
-        self.resize(1280, 760)
+        self.resize(1400, 800)
         geometry = settings.value("geometry")
         if geometry is not None:
             self.restoreGeometry(geometry)

@@ -184,7 +184,7 @@ class Monitor(QObject):
             self._changing = False
             note(done)
             self._tell_history()
-            self.done.emit(done.text)
+            self.done.emit(f"done: {done.text}")
             self.settled.emit()
             self.look()
 

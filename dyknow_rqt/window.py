@@ -51,7 +51,7 @@ class DyKnowWidget(QWidget):
         self.parts.addWidget(self.tabs)
         self.parts.addWidget(self.graph)
         self.parts.setStretchFactor(1, 1)
-        self.parts.setSizes([430, 1170])
+        self.parts.setSizes([480, 1120])
         column = QVBoxLayout(self)
         column.setContentsMargins(0, 0, 0, 0)
         column.setSpacing(0)

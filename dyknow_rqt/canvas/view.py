@@ -88,6 +88,13 @@ class GraphView(QGraphicsView):
         self.scale(factor, factor)
 
     @guarded
+    def resizeEvent(self, event: Any) -> None:  # noqa: N802
+        """Go on showing everything, unless hands have chosen what is to be seen."""
+        super().resizeEvent(event)
+        if not self.is_chosen:
+            self.fit()
+
+    @guarded
     def wheelEvent(self, event: Any) -> None:  # noqa: N802
         """Zoom at the pointer."""
         self.zoom_by(_STEP ** (event.angleDelta().y() / 120))

@@ -2,15 +2,16 @@
 
 graphviz begins anew each time: one nodelet more can move all others. Where it would move more than
 a few, what was there stays, and only what is new, or had no connection yet, takes a place beside
-its neighbours.
+its neighbours. When connections alone have changed, or much has, this ends where streams would
+flow backwards for no need: then the new layout is taken as it is.
 """
 
 from __future__ import annotations
 
 from statistics import median
-from typing import Dict, List, Mapping, Sequence, Tuple
+from typing import Dict, List, Mapping, Sequence, Set, Tuple
 
-from dyknow_rqt.graph.figure import Edge, Figure, Vertex
+from dyknow_rqt.graph.figure import Edge, Figure, Kind, Vertex
 from dyknow_rqt.graph.geometry import (
     Layout,
     Point,
@@ -22,6 +23,8 @@ from dyknow_rqt.graph.geometry import (
 
 #: So many may move when something is added or removed.
 MOST_MOVED = 4
+#: So many nodelets may come or go without the others being laid out anew.
+FEW = 2
 #: Pixels that nobody takes for a move.
 STILL = 8.0
 _GAP = 14.0
@@ -58,6 +61,10 @@ def settle(
     centres = _place(kept, fresh, after, sizes)
     if _strangers(after.vertices, centres, sizes):
         return fresh
+    if not 1 <= len(_nodelets(before) ^ _nodelets(after)) <= FEW and (
+        backwards(centres, after, sizes) > backwards(fresh.centres, after, sizes)
+    ):
+        return fresh
     boxes = boxes_around({v.key: v.group for v in after.vertices}, centres, sizes)
     return Layout(centres, _curves(fresh, centres, after, sizes), boxes)
 
@@ -69,6 +76,19 @@ def moved(old: Layout, new: Layout) -> List[str]:
         for key in sorted(set(old.centres) & set(new.centres))
         if old.centres[key].distance(new.centres[key]) > STILL
     ]
+
+
+def backwards(centres: Mapping[str, Point], figure: Figure, sizes: Mapping[str, Size]) -> int:
+    """Count the arrows that do not lead to the right."""
+    return sum(
+        centres[edge.tail].x + sizes[edge.tail].width / 2
+        > centres[edge.head].x - sizes[edge.head].width / 2
+        for edge in figure.edges
+    )
+
+
+def _nodelets(figure: Figure) -> Set[str]:
+    return {vertex.key for vertex in figure.vertices if vertex.kind is Kind.NODELET}
 
 
 def _place(

@@ -59,7 +59,7 @@ class LibraryPanel(QWidget):
         self.import_ = QPushButton("&Import …")
         self.export = QPushButton("E&xport …")
         self.delete = QPushButton("De&lete …")
-        self.create = QPushButton("&Create nodelet …")
+        self.create = QPushButton("&Create …")
         parts = QSplitter(Qt.Vertical)
         parts.addWidget(self.table)
         parts.addWidget(self.specification)

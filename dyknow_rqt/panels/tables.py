@@ -10,7 +10,7 @@ from python_qt_binding.QtWidgets import QAbstractItemView, QHeaderView, QTableVi
 #: Rows that decide how wide columns are.
 _SAMPLED = 200
 #: Pixels that the first columns may take by themselves.
-_WIDEST = (170, 120)
+_WIDEST = (160, 115)
 #: What a row shows, and what it tells besides when the pointer rests on it.
 Row = Tuple[Tuple[str, ...], str]
 
@@ -99,6 +99,7 @@ class Table(QTableView):
         header.setHighlightSections(False)
         header.setMinimumSectionSize(24)
         header.setResizeContentsPrecision(_SAMPLED)
+        header.setDefaultAlignment(Qt.AlignLeft | Qt.AlignVCenter)
         for column in range(len(_WIDEST), len(titles)):
             header.setSectionResizeMode(column, QHeaderView.ResizeToContents)
         header.setSortIndicator(0, Qt.AscendingOrder)

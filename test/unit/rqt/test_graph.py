@@ -14,7 +14,7 @@ from dyknow_rqt.graph.figure import Kind, Options, figure_of
 from dyknow_rqt.graph.filters import BadFilter, completions, parse
 from dyknow_rqt.graph.geometry import Layout, Point, Size
 from dyknow_rqt.graph.layered import layered
-from dyknow_rqt.graph.settle import moved, settle
+from dyknow_rqt.graph.settle import backwards, moved, settle
 from dyknow_rqt.graph.snapshot import PlainNode, Snapshot, plain_nodes
 
 
@@ -226,6 +226,22 @@ def test_settled_nothing_lies_on_top_of_something_else():
     before, after = (figure_of(chain(20, extra), Options()) for extra in ((), ADDITIONS))
     sizes = sizes_of(after)
     _check_apart(settle(laid_out(before), before, laid_out(after), after, sizes), sizes)
+
+
+def test_connections_made_one_by_one_end_in_a_drawing_from_left_to_right():
+    """Each connection may change places, so that no arrow leads backwards in the end."""
+    ports = [(f">in=/t{i - 1}" if i else ">in", f"out>=/t{i}") for i in range(6)]
+    loose = [nodelet(f"/n{i}", ">in", "out>") for i in (3, 1, 5, 0, 2, 4)]
+    before = figure_of(Snapshot(tuple(loose)), Options())
+    layout = laid_out(before)
+    for connected in range(1, 7):
+        chained = [nodelet(f"/n{i}", *ports[i]) for i in range(connected)]
+        snapshot = Snapshot((*chained, *(n for n in loose if int(n.name[2:]) >= connected)))
+        after = figure_of(snapshot, Options())
+        layout = settle(layout, before, laid_out(after), after, sizes_of(after))
+        before = after
+        assert backwards(layout.centres, after, sizes_of(after)) == 0
+        _check_apart(layout, sizes_of(after))
 
 
 def _check_apart(layout, sizes):

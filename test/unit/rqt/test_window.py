@@ -238,6 +238,9 @@ def test_what_comes_is_seen_until_hands_choose_the_view(qtbot, window, remote):
     until(qtbot, lambda: "n_/more39" in _keys(window))
     assert (view.mapToScene(0, 0) - corner).manhattanLength() < 2
     assert not is_seen()
+    view.fit()
+    window.resize(900, 600)
+    until(qtbot, is_seen)
 
 
 # Gestures
