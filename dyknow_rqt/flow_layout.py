@@ -70,7 +70,7 @@ class FlowLayout(QLayout):
             if moving:
                 self._fill(line, QPoint(area.x() + left, y), width, height)
             y += height + _SPACING[1]
-        return y - _SPACING[1] + bottom - area.y()
+        return int(y - _SPACING[1] + bottom - area.y())
 
     def _lines(self, width: int) -> List[List[QLayoutItem]]:
         lines: List[List[QLayoutItem]] = []

@@ -72,12 +72,15 @@ class GraphBar(QWidget):
         self.tidy = QPushButton("Tid&y")
         self.tidy.setToolTip("Lay everything out anew (Ctrl+L)")
         self.undo = QPushButton("&Undo")
-        self.redo = QPushButton("Red&o")
+        self.redo = QPushButton("Redo")
         self.save = QToolButton()
         self.save.setText("&Save")
+        self.save.setToolTip("Save the drawing, or the wiring to be loaded another day")
         self.save.setPopupMode(QToolButton.InstantPopup)
         self.save_menu = QMenu(self.save)
         self.save.setMenu(self.save_menu)
+        self.load = QPushButton("L&oad …")
+        self.load.setToolTip("Load a wiring: nodelets and their connections")
         self.search = QLineEdit()
         self.search.setPlaceholderText("find (Ctrl+F)")
         self.search.setClearButtonEnabled(True)
@@ -159,7 +162,7 @@ class GraphBar(QWidget):
             _together(self.refresh, self.mode),
             _together(self.nodelets, self.topics),
             _together(self.search, self.hits),
-            _together(self.undo, self.redo, self.save),
+            _together(self.undo, self.redo, self.save, self.load),
             _together(group, self.depth),
             _together(QLabel("Hide:"), self.dead_sinks, self.leaf_topics, self.debug),
             _together(QLabel("Show:"), self.nodes, self.highlight),

@@ -23,6 +23,7 @@ from dyknow_rqt.graph_menus import Deeds, menu_for
 from dyknow_rqt.guard import guarded
 from dyknow_rqt.layouter import Layouter
 from dyknow_rqt.monitor import Monitor
+from dyknow_rqt.wiring_files import WiringFiles
 
 _KINDS = ("DOT (*.dot)", "SVG (*.svg)", "PNG (*.png)")
 
@@ -32,8 +33,6 @@ class GraphPanel(QWidget):
 
     #: Something went wrong, in words.
     failed = Signal(str)
-    #: The user wants to destroy nodelets: their names.
-    destroy_wanted = Signal(object)
 
     def __init__(self, monitor: Monitor, deeds: Deeds, parent: Optional[QWidget] = None) -> None:
         super().__init__(parent)
@@ -44,6 +43,7 @@ class GraphPanel(QWidget):
         self.bar = GraphBar()
         self.view = GraphView(self.report)
         self.layouter = Layouter()
+        self.files = WiringFiles(monitor, self)
         self.sign = QLabel(self.view)
         self.sign.setAlignment(Qt.AlignCenter)
         self.sign.setWordWrap(True)
@@ -244,6 +244,7 @@ class GraphPanel(QWidget):
         bar.refresh.clicked.connect(self._refresh)
         bar.undo.clicked.connect(monitor.undo)
         bar.redo.clicked.connect(monitor.redo)
+        bar.load.clicked.connect(self.files.ask_what_to_load)
         bar.fit.clicked.connect(view.fit)
         bar.tidy.clicked.connect(self.tidy)
         bar.search.textChanged.connect(self._search)
@@ -285,6 +286,9 @@ class GraphPanel(QWidget):
             yield action
 
     def _fill_save_menu(self) -> None:
+        wiring = self.bar.save_menu.addAction("&Wiring …")
+        wiring.triggered.connect(self.files.ask_where_to_save)
+        self.bar.save_menu.addSeparator()
         for kind in _KINDS:
-            action = self.bar.save_menu.addAction(kind.split()[0] + " …")
+            action = self.bar.save_menu.addAction(f"&{kind.split()[0]} …")
             action.triggered.connect(lambda checked=False, kind=kind: self._ask_where(kind))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import time
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Callable, Dict, Mapping, Optional, Tuple, Union
+from typing import TYPE_CHECKING, Any, Callable, Dict, Mapping, Optional, Tuple, TypeVar, Union
 
 from python_qt_binding.QtCore import QObject, QTimer, Signal
 
@@ -26,6 +26,8 @@ from dyknow_rqt.workers import Workers
 
 if TYPE_CHECKING:
     from dyknow.ros.views import ModelView, Statistics
+
+T = TypeVar("T")
 
 _LOG = logging.getLogger("rosout.dyknow_rqt")
 #: Nodelets that are asked for statistics in one look; the others have their turn in the next.
@@ -128,6 +130,17 @@ class Monitor(QObject):
         if not self._reading:
             self._reading = True
             self._workers.run(self.remote.library, self._take_library, self._take_no_library)
+
+    def ask(self, question: Callable[[Remote], T], then: Callable[[T], None]) -> None:
+        """Ask the other side something in a worker.
+
+        Args:
+            question: may block; what goes wrong is reported.
+            then: called in the thread of the window with the answer.
+        """
+        self._workers.run(
+            lambda: question(self.remote), then, lambda error: self.failed.emit(_words(error))
+        )
 
     def do(self, change: Change, then: Callable[[], None] = lambda: None) -> None:
         """Make a change; it can be undone after that, as far as that is possible.

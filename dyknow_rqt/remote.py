@@ -6,7 +6,7 @@ The real one is ``ros_remote``; ``simulated`` stands beside it, for tests and pi
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Callable, Mapping, Optional, Tuple
+from typing import TYPE_CHECKING, Callable, Mapping, Optional, Sequence, Tuple
 
 from dyknow_rqt.graph.snapshot import Side
 
@@ -49,6 +49,10 @@ class Remote(ABC):
     @abstractmethod
     def system_state(self) -> Tuple[Side, Side]:
         """Publishers and subscribers of all topics, as the master knows them."""
+
+    @abstractmethod
+    def nodelet_managers(self) -> Sequence[str]:
+        """Names of the nodelet managers that are up."""
 
     @abstractmethod
     def add_transformation(self, specification: str) -> Added:

@@ -7,7 +7,7 @@ there is a master.
 from __future__ import annotations
 
 import threading
-from typing import Any, Callable, Mapping, Optional, Tuple
+from typing import Any, Callable, Mapping, Optional, Sequence, Tuple
 
 import rospy
 from dyknow_msgs.msg import Model as ModelMessage
@@ -74,6 +74,12 @@ class RosRemote(Remote):
         """Ask the master."""
         publishers, subscribers, _ = self._master.ask("getSystemState")
         return publishers, subscribers
+
+    def nodelet_managers(self) -> Sequence[str]:
+        """Ask the master for those who offer the service."""
+        suffix = "/load_nodelet"
+        _, _, services = self._master.ask("getSystemState")
+        return [name[: -len(suffix)] for name, _ in services if name.endswith(suffix)]
 
     def add_transformation(self, specification: str) -> Added:
         """Ask the manager."""

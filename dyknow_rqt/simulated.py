@@ -8,7 +8,7 @@ from __future__ import annotations
 import threading
 import time
 from dataclasses import replace
-from typing import Callable, Dict, List, Mapping, Optional, Tuple
+from typing import Callable, Dict, List, Mapping, Optional, Sequence, Tuple
 
 from dyknow import names
 from dyknow.errors import (
@@ -86,6 +86,11 @@ class SimulatedRemote(Remote):
         """Ordinary nodes, and the nodelet managers for their nodelets."""
         self._answer("system_state", "")
         return sorted(self.publishers.items()), sorted(self.subscribers.items())
+
+    def nodelet_managers(self) -> Sequence[str]:
+        """Those that host something."""
+        self._answer("nodelet_managers", "")
+        return sorted({each.manager for each in self._nodelets.values()})
 
     def add_transformation(self, specification: str) -> Added:
         """Read it as the manager does."""

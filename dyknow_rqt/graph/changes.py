@@ -42,7 +42,7 @@ class Change:
         Raises:
             CannotUndo: there is no way back.
         """
-        raise NotImplementedError
+        raise CannotUndo("there is no way back")
 
     def check(self, snapshot: Snapshot) -> None:
         """Look whether others have changed since what an inverse is to change.

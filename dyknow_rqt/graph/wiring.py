@@ -8,19 +8,13 @@ from dyknow import names
 from dyknow.errors import DyKnowError
 from dyknow.manager.model import PortState
 from dyknow.manager.transformation import IN
+from dyknow.wiring.ports import types_fit
 from dyknow_rqt.graph.changes import Rewire
 from dyknow_rqt.graph.snapshot import PortRef, Snapshot
-
-_ANY = ("", "*")
 
 
 class DoNotFit(DyKnowError):
     """Two ports, or a port and a topic, cannot be connected."""
-
-
-def types_fit(one: str, other: str) -> bool:
-    """Whether two ROS types can meet on a topic; one that is not known fits any."""
-    return one == other or one in _ANY or other in _ANY
 
 
 def fit(one: PortState, other: PortState) -> bool:

@@ -8,7 +8,7 @@ import pydot
 import pytest
 from python_qt_binding.QtCore import QEvent, QPoint, QPointF, Qt, QTimer
 from python_qt_binding.QtGui import QImage, QMouseEvent, QPalette, QWheelEvent
-from python_qt_binding.QtWidgets import QApplication, QMenu, QMessageBox
+from python_qt_binding.QtWidgets import QApplication, QFileDialog, QMenu, QMessageBox
 
 from dyknow_rqt.graph.snapshot import PortRef
 from dyknow_rqt.layouter import Layouter
@@ -322,6 +322,43 @@ def test_context_menus_offer_what_can_be_done(qtbot, window, remote):
     assert window.tabs.currentWidget() is window.create_
 
 
+def test_a_wiring_is_saved_and_loaded_and_that_is_taken_back(qtbot, window, remote, tmp_path):
+    path, files = tmp_path / "wiring.xml", window.graph.files
+    whole = remote.graph().nodelets
+    files.save(str(path))
+    until(qtbot, lambda: f"10 nodelets saved in {path}" in window.line.text)
+    remote.destroy("/field/tracker")
+    remote.set_config("/nao1/localization", {"field_position": "/elsewhere"})
+    remote.remove_transformation("tracker")
+    until(qtbot, lambda: "tracker" not in window.monitor.library)
+    less = remote.graph().nodelets
+    files.load(str(path))
+    until(qtbot, lambda: window.line.text == "done: load wiring.xml")
+    assert _wired(remote.graph().nodelets) == _wired(whole)
+    click(qtbot, window.graph.bar.undo)
+    until(qtbot, lambda: window.line.text == "done: undo: load wiring.xml")
+    assert remote.graph().nodelets == less
+    assert "tracker" not in {each.label for each in remote.library().transformations}
+
+
+def test_a_wiring_that_cannot_be_loaded_changes_nothing(
+    qtbot, window, remote, tmp_path, monkeypatch
+):
+    path, files = tmp_path / "wiring.xml", window.graph.files
+    path.write_text('<wiring version="1"><nodelets><nodelet name="/x"/></nodelets></wiring>')
+    monkeypatch.setattr(QFileDialog, "getOpenFileName", lambda *unused: (str(path), ""))
+    click(qtbot, window.graph.bar.load)
+    assert "wiring.xml:1: <nodelet> without transformation" in window.line.text
+    files.save(str(path))
+    until(qtbot, lambda: "saved" in window.line.text)
+    remote.destroy("/field/tracker")
+    remote.spawn("recorder", "/field/tracker")
+    before = remote.graph().nodelets
+    files.load(str(path))
+    until(qtbot, lambda: "runs already, made from 'recorder'" in window.line.text)
+    assert remote.graph().nodelets == before
+
+
 # The control panel
 
 
@@ -539,6 +576,10 @@ def test_without_graphviz_there_is_still_a_drawing(qtbot, window):
 
 def _keys(window):
     return set(window.graph.view.scene().vertices)
+
+
+def _wired(nodelets):
+    return [(n.name, n.transformation, [(p.name, p.topic) for p in n.ports]) for n in nodelets]
 
 
 def _menu(qtbot, window, item):
