@@ -15,6 +15,7 @@ from dyknow.ros import anymsg, members
 from dyknow.ros.errors import ClosedHandle, Interrupted, MessageTimeout
 from dyknow.ros.intraprocess import IntraProcess
 from dyknow.ros.master import Master
+from dyknow.ros.registrar import Registrar
 from dyknow.ros.ticker import make_ticker
 from dyknow.ros.topics import RospyPublisher, RospySubscriber
 
@@ -26,6 +27,7 @@ class RospyMiddleware(Middleware):
         """Install the in-process hook; ``executor`` runs callbacks of ordinary subscribers."""
         self.ticker = make_ticker()
         self._intraprocess = IntraProcess(executor)
+        self._registrar = Registrar()
 
     def advertise(
         self,
@@ -36,13 +38,15 @@ class RospyMiddleware(Middleware):
         options: Dict[str, Any],
     ) -> RospyPublisher:
         """Register a publisher."""
-        return RospyPublisher(self._intraprocess, topic, datatype, latch, queue_size, options)
+        return RospyPublisher(
+            self._intraprocess, self._registrar, topic, datatype, latch, queue_size, options
+        )
 
     def subscribe(
         self, topic: str, datatype: Any, receive: Receive, options: Dict[str, Any]
     ) -> RospySubscriber:
         """Register a subscriber."""
-        return RospySubscriber(topic, datatype, receive, options)
+        return RospySubscriber(self._registrar, topic, datatype, receive, options)
 
     def datatype_of(self, topic: str) -> str:
         """Ask the master; a master that does not answer knows nothing."""

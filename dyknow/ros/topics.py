@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import time
 import warnings
-from typing import Any, Callable, Dict, Optional
+from typing import Any, Callable, Collection, Dict, FrozenSet, Optional
 
 import genpy
 import rospy
@@ -15,6 +15,7 @@ from dyknow.nodelet.middleware import OutsidePublisher, OutsideSubscriber, Recei
 from dyknow.ros.anymsg import TypedReceiver
 from dyknow.ros.intraprocess import IntraProcess
 from dyknow.ros.master import Master
+from dyknow.ros.registrar import Registrar
 
 #: Messages kept for each slow outside subscriber when the nodelet does not say how many.
 DEFAULT_QUEUE_SIZE = 100
@@ -35,6 +36,7 @@ class RospyPublisher(OutsidePublisher):
 
     __slots__ = (
         "_closed",
+        "_expected",
         "_implementation",
         "_intraprocess",
         "_local",
@@ -49,6 +51,7 @@ class RospyPublisher(OutsidePublisher):
     def __init__(
         self,
         intraprocess: IntraProcess,
+        registrar: Registrar,
         topic: str,
         datatype: Any,
         latch: bool,
@@ -81,6 +84,7 @@ class RospyPublisher(OutsidePublisher):
             intraprocess.retire(topic)
             raise
         self._implementation = self._publisher.impl
+        self._expected = registrar.subscribers(topic)
         self._local.adopt(self._implementation)
         self._local.refresh()
 
@@ -105,20 +109,16 @@ class RospyPublisher(OutsidePublisher):
     def wait(self, seconds: float) -> None:
         """Wait for the connections of the subscribers that the master knows."""
         deadline = time.monotonic() + seconds
-        master, uri = Master(rospy.get_name()), rospy.core.get_node_uri()
-        implementation = self._implementation
-        try:
-            # Registering again changes nothing and is answered with the topic's subscribers; the
-            # state of the whole system, the other way to ask, grows with the system.
-            others = set(
-                master.ask("registerPublisher", self._topic, implementation.type, uri)
-            ) - {uri}
-            if self._closed:
-                master.ask("unregisterPublisher", self._topic, uri)
+        expected: Collection[str] = self._expected or ()
+        if self._expected is None:  # an ordinary publisher of this process had registered
+            try:
+                expected = Master(rospy.get_name()).subscribers(self._topic) - {rospy.get_name()}
+            except PeerTimeout:
                 return
-        except PeerTimeout:
-            return
-        while len(implementation.connections or ()) < len(others) and time.monotonic() < deadline:
+        implementation = self._implementation
+        while (
+            len(implementation.connections or ()) < len(expected) and time.monotonic() < deadline
+        ):
             time.sleep(_STEP)
 
     def drain(self, seconds: float) -> bool:
@@ -174,7 +174,12 @@ class RospySubscriber(OutsideSubscriber):
     """A rospy.Subscriber that feeds one connection of the bus."""
 
     def __init__(
-        self, topic: str, datatype: Any, receive: Receive, options: Dict[str, Any]
+        self,
+        registrar: Registrar,
+        topic: str,
+        datatype: Any,
+        receive: Receive,
+        options: Dict[str, Any],
     ) -> None:
         """Register the subscriber; the arguments are those of ``Middleware.subscribe``."""
         self._topic = _unremapped(topic)
@@ -182,6 +187,7 @@ class RospySubscriber(OutsideSubscriber):
             receive = TypedReceiver(topic, datatype, receive).push
         self._subscriber = rospy.Subscriber(topic, datatype, receive, tcp_nodelay=True, **options)
         self._implementation = self._subscriber.impl
+        self._expected = registrar.publishers(topic)
 
     def publishers(self) -> int:
         """Publishers that are connected."""
@@ -190,17 +196,21 @@ class RospySubscriber(OutsideSubscriber):
     def wait(self, arrived: Callable[[float], bool], seconds: float) -> None:
         """Wait for a first message, or for all handshakes and a little longer."""
         deadline = time.monotonic() + seconds
-        try:
-            others = Master(rospy.get_name()).publishers(self._topic) - {rospy.get_name()}
-        except PeerTimeout:
-            return
-        while others and time.monotonic() < deadline:
+        expected = self._expected
+        if expected is None:  # an ordinary subscriber of this process had registered
+            try:
+                expected = _publishers(self._topic)
+            except PeerTimeout:
+                return
+        while expected and time.monotonic() < deadline:
             if arrived(_STEP):
                 return
             greeted = {
-                connection.callerid_pub for connection in list(self._implementation.connections)
+                connection.endpoint_id
+                for connection in list(self._implementation.connections)
+                if connection.callerid_pub != "unknown"
             }
-            if others <= greeted:
+            if expected <= greeted:
                 arrived(min(_GRACE, max(0.0, deadline - time.monotonic())))
                 return
 
@@ -208,6 +218,13 @@ class RospySubscriber(OutsideSubscriber):
         """Unregister."""
         self._subscriber.unregister()
         _put_away(self._implementation)
+
+
+def _publishers(topic: str) -> FrozenSet[str]:
+    """Addresses of the other nodes that publish on a topic."""
+    name = rospy.get_name()
+    master = Master(name)
+    return frozenset(map(master.node, master.publishers(topic) - {name})) - {""}
 
 
 def _put_away(implementation: Any) -> None:

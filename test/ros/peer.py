@@ -2,17 +2,27 @@
 """A node of the outside: `peer.py talk RATE TOPIC...` or `peer.py listen TOPIC...`.
 
 A talker publishes headers, numbered, each number on every topic, the topics in turn. A listener
-prints "TOPIC NUMBER" for each header, and the number of bytes for each image.
+prints "TOPIC NUMBER" for each header, and the number of bytes for each image. Each connection of
+rospy calls it on a thread of its own, so a line is printed whole or not at all.
 """
 
 from __future__ import annotations
 
 import sys
+import threading
 import time
 
 import rospy
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
+
+_printing = threading.Lock()
+
+
+def say(*words: object) -> None:
+    line = " ".join(map(str, words))
+    with _printing:
+        print(line)
 
 
 def talk(rate: str, *topics: str) -> None:
@@ -30,7 +40,7 @@ def talk(rate: str, *topics: str) -> None:
 
 def listen(*topics: str) -> None:
     def note(message: Header, topic: str) -> None:
-        print(topic, message.seq)
+        say(topic, message.seq)
 
     for topic in topics:
         rospy.Subscriber(topic, Header, note, topic)
@@ -39,7 +49,7 @@ def listen(*topics: str) -> None:
 
 def watch(*topics: str) -> None:
     def note(message: Image, topic: str) -> None:
-        print(topic, message.height, len(message.data))
+        say(topic, message.height, len(message.data))
 
     for topic in topics:
         rospy.Subscriber(topic, Image, note, topic, buff_size=1 << 24)

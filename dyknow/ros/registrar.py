@@ -1,0 +1,148 @@
+"""Registers what rospy adds with the master, in rospy's place, and keeps what the master answers.
+
+The master answers the registration of a topic with the nodes on its other side. rospy drops that
+answer for publishers, and who asks again by registering again has every subscriber told twice: a
+rospy subscriber may then connect twice, and what the publisher sent over the first connection is
+lost. rospy also repeats a registration for ever while the master is down, under the locks that
+every other registration of the process needs; here one that fails is repeated by a thread.
+
+The hook is two instance attributes of rospy's ``RegManager``, those of its documented
+``RegistrationListener`` interface.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from typing import Any, Dict, FrozenSet, Optional, Tuple
+
+import rospy
+import rospy.core
+from rospy.impl.registration import (
+    Registration,
+    RegistrationListener,
+    RegManager,
+    get_registration_listeners,
+)
+
+from dyknow.errors import PeerTimeout
+from dyknow.ros.master import Master
+
+#: Seconds between two attempts while the master is down.
+_AGAIN = 0.5
+
+_QUESTIONS = {
+    Registration.PUB: ("registerPublisher", "unregisterPublisher"),
+    Registration.SUB: ("registerSubscriber", "unregisterSubscriber"),
+    Registration.SRV: ("registerService", "unregisterService"),
+}
+
+Key = Tuple[str, str, str]  # kind of registration, name, and the address of a service
+
+_log = logging.getLogger("rosout.dyknow")
+
+
+class Registrar(RegistrationListener):
+    """Registrations of this process; the node must be initialised."""
+
+    def __init__(self) -> None:
+        """Take the place of rospy's own."""
+        self._master = Master(rospy.get_name())
+        self._uri: str = rospy.core.get_node_uri()
+        self._lock = threading.Lock()
+        self._owed: Dict[Key, str] = {}
+        self._peers: Dict[Key, FrozenSet[str]] = {}
+        self._thread: Optional[threading.Thread] = None
+        self._manager: Any = None
+        for listener in list(get_registration_listeners().listeners):
+            if isinstance(listener, RegManager):
+                self._manager = listener
+                listener.reg_added = self.reg_added
+                listener.reg_removed = self.reg_removed
+
+    def subscribers(self, topic: str) -> Optional[FrozenSet[str]]:
+        """Addresses of the other nodes that subscribed when this process began to publish.
+
+        It is handed out once, since it grows old; None if the master was not asked anew.
+        """
+        return self._answer((Registration.PUB, topic, ""))
+
+    def publishers(self, topic: str) -> Optional[FrozenSet[str]]:
+        """Addresses of the other nodes that published when this process subscribed, likewise."""
+        return self._answer((Registration.SUB, topic, ""))
+
+    def reg_added(self, resolved_name: str, data_type_or_uri: str, reg_type: str) -> None:
+        """Register a topic or a service."""
+        key = _key(reg_type, resolved_name, data_type_or_uri)
+        with self._lock:
+            down = bool(self._owed)  # then whoever comes waits in line
+        if down or not self._register(key, data_type_or_uri):
+            self._owe(key, data_type_or_uri)
+
+    def reg_removed(self, resolved_name: str, data_type_or_uri: str, reg_type: str) -> None:
+        """Unregister it."""
+        key = _key(reg_type, resolved_name, data_type_or_uri)
+        with self._lock:
+            self._owed.pop(key, None)
+            self._peers.pop(key, None)
+        self._unregister(key)
+
+    def _answer(self, key: Key) -> Optional[FrozenSet[str]]:
+        with self._lock:
+            return self._peers.pop(key, None)
+
+    def _register(self, key: Key, what: str) -> bool:
+        kind, name, _ = key
+        try:
+            peers = self._master.ask(_QUESTIONS[kind][0], name, what, self._uri)
+        except PeerTimeout as error:
+            _log.debug("%s is not registered yet: %s", name, error)
+            return False
+        except LookupError as error:
+            _log.error("the ROS master refuses to register %s: %s", name, error)
+            return True
+        if kind != Registration.SRV:
+            with self._lock:
+                self._peers[key] = frozenset(peers) - {self._uri}
+        if kind == Registration.SUB and self._manager is not None:
+            self._manager.publisher_update(name, peers)
+        return True
+
+    def _unregister(self, key: Key) -> None:
+        kind, name, service = key
+        try:
+            self._master.ask(_QUESTIONS[kind][1], name, service or self._uri)
+        except PeerTimeout as error:
+            _log.warning("%s stays registered: %s", name, error)
+        except LookupError:
+            pass  # the master has forgotten it already
+
+    def _owe(self, key: Key, what: str) -> None:
+        _log.warning("the ROS master does not answer; %s will be registered when it does", key[1])
+        with self._lock:
+            self._owed[key] = what
+            if self._thread is None:
+                self._thread = threading.Thread(
+                    target=self._settle, name="registrations", daemon=True
+                )
+                self._thread.start()
+
+    def _settle(self) -> None:
+        while not rospy.is_shutdown():
+            with self._lock:
+                if not self._owed:
+                    self._thread = None
+                    return
+                key, what = next(iter(self._owed.items()))
+            if not self._register(key, what):
+                time.sleep(_AGAIN)
+                continue
+            with self._lock:
+                wanted = self._owed.pop(key, None) is not None
+            if not wanted:  # removed while it was being registered
+                self._unregister(key)
+
+
+def _key(kind: str, name: str, what: str) -> Key:
+    return kind, name, what if kind == Registration.SRV else ""
