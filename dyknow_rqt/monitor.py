@@ -167,9 +167,8 @@ class Monitor(QObject):
             self.history.drop(step)
             self._tell_history()
             raise CannotUndo(f"cannot undo '{step.change.text}': {step.back}")
-        step.back.check(self.snapshot)
         undone: Step = step
-        self._apply(step.back, lambda made: self.history.note_undone(undone))
+        self._apply(step.back, lambda made: self.history.note_undone(undone), checked=True)
 
     @guarded
     def redo(self) -> None:
@@ -177,16 +176,18 @@ class Monitor(QObject):
         change = self.history.next
         if change is None:
             raise CannotUndo("there is nothing to redo")
-        change.check(self.snapshot)
         again, snapshot, library = change, self.snapshot, dict(self.library)
         self._apply(
             again,
             lambda made: self.history.note_redone(again, _way_back(made, snapshot, library)),
+            checked=True,
         )
 
     # Inside
 
-    def _apply(self, change: Change, note: Callable[[Change], None]) -> None:
+    def _apply(
+        self, change: Change, note: Callable[[Change], None], checked: bool = False
+    ) -> None:
         """Make one change at a time: the way back of the next depends on what this one leaves."""
         if self._changing:
             self.failed.emit("another change is under way; try again when it is done")
@@ -207,7 +208,12 @@ class Monitor(QObject):
             self.settled.emit()
             self.look()
 
-        self._workers.run(lambda: change.apply(self.remote), made, refused)
+        def job() -> Change:
+            if checked:
+                change.check(self.remote)
+            return change.apply(self.remote)
+
+        self._workers.run(job, made, refused)
 
     def _tell_history(self) -> None:
         self.history_changed.emit(*self.history.texts)

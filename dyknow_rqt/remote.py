@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Callable, Mapping, Optional, Sequence, Tuple
 from dyknow_rqt.graph.snapshot import Side
 
 if TYPE_CHECKING:
+    from dyknow.manager.model import PortState
     from dyknow.ros.client import Added
     from dyknow.ros.views import ModelView, Statistics
 
@@ -41,6 +42,10 @@ class Remote(ABC):
     @abstractmethod
     def library(self) -> ModelView:
         """What runs and all that can run."""
+
+    @abstractmethod
+    def ports(self, nodelet: str) -> Sequence[PortState]:
+        """The ports of a nodelet, as it says itself."""
 
     @abstractmethod
     def statistics(self, nodelet: str) -> Statistics:

@@ -14,6 +14,7 @@ from dyknow_msgs.msg import Model as ModelMessage
 
 from dyknow import names
 from dyknow.errors import DyKnowError, HostError
+from dyknow.manager.model import PortState
 from dyknow.ros.client import Added, ManagerClient
 from dyknow.ros.master import Master
 from dyknow.ros.views import ModelView, Statistics, model_view
@@ -65,6 +66,10 @@ class RosRemote(Remote):
     def library(self) -> ModelView:
         """Ask the manager for everything."""
         return self._client.get_model()
+
+    def ports(self, nodelet: str) -> Sequence[PortState]:
+        """Ask a proxy."""
+        return self._client.get_config(nodelet)
 
     def statistics(self, nodelet: str) -> Statistics:
         """Ask a proxy."""

@@ -75,6 +75,11 @@ class SimulatedRemote(Remote):
         self._answer("library", "")
         return self._model(tuple(self._library[label] for label in sorted(self._library)))
 
+    def ports(self, nodelet: str) -> Sequence[PortState]:
+        """As they are."""
+        self._answer("ports", nodelet)
+        return self._find(nodelet).ports
+
     def statistics(self, nodelet: str) -> Statistics:
         """Counts that grow evenly."""
         self._answer("statistics", nodelet)

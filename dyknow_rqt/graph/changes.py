@@ -44,8 +44,10 @@ class Change:
         """
         raise CannotUndo("there is no way back")
 
-    def check(self, snapshot: Snapshot) -> None:
-        """Look whether others have changed since what an inverse is to change.
+    def check(self, remote: Remote) -> None:
+        """Ask whether others have changed since what an inverse is to change.
+
+        What the window knows may be older than its own last change.
 
         Raises:
             CannotUndo: they have.
@@ -98,17 +100,19 @@ class Rewire(Change):
             now.append((ref, port.topic))
         return Rewire(tuple(now), f"undo: {self.text_}", self.topics)
 
-    def check(self, snapshot: Snapshot) -> None:
-        """Look whether the ports are still connected as the change left them."""
-        for ref, topic in self.expected:
-            port = snapshot.port(ref)
-            if port is None:
-                raise CannotUndo(f"cannot undo: {ref} is gone")
-            if port.topic != topic:
-                raise CannotUndo(
-                    f"cannot undo: {ref} has been connected to "
-                    f"{port.topic or 'nothing'} by somebody else"
-                )
+    def check(self, remote: Remote) -> None:
+        """Ask whether the ports are still connected as the change left them."""
+        for nodelet, config in self._by_nodelet(dict(self.expected)).items():
+            try:
+                present = {port.name: port.topic for port in remote.ports(nodelet)}
+            except DyKnowError as error:
+                raise CannotUndo(str(error)) from error
+            for port, topic in config.items():
+                if present.get(port) != topic:
+                    raise CannotUndo(
+                        f"{PortRef(nodelet, port)} has been connected to "
+                        f"{present.get(port) or 'nothing'} by somebody else"
+                    )
 
     def _by_nodelet(self, topics: Mapping[PortRef, str]) -> Dict[str, Dict[str, str]]:
         configs: Dict[str, Dict[str, str]] = {}

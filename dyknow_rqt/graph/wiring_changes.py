@@ -75,10 +75,10 @@ class Several(Change):
             change.apply(remote)
         return self
 
-    def check(self, snapshot: Snapshot) -> None:
-        """Look whether others have changed something of it."""
+    def check(self, remote: Remote) -> None:
+        """Ask whether others have changed something of it."""
         for change in self.changes:
-            change.check(snapshot)
+            change.check(remote)
 
 
 def _ways_back(plan: Plan) -> List[Change]:

@@ -61,6 +61,7 @@ class WindowTest(ManagerCase):
             until(lambda name=name: f"n_{name}" in self.keys(window), f"{name} is drawn")
             until(lambda: not monitor.is_changing, "the change has ended")
 
+        until(lambda: all(map(monitor.snapshot.port, (OUT, IN))), "their ports are known")
         monitor.do(connect(monitor.snapshot, OUT, IN))
         arrows = window.graph.view.scene().edges
 
