@@ -65,8 +65,8 @@ class Manager:
         """
         self.library = library
         self.guards = guards
-        self._host = host
-        self._store = store
+        self.host = host
+        self.store = store
         self._settings = settings
         self.graph = Graph(store)
         self.lifecycle = Lifecycle(host, self.graph, guards, settings.spawn_timeout)
@@ -83,7 +83,7 @@ class Manager:
 
     def start(self) -> None:
         """Take over what still runs from an earlier life, and bring back what does not."""
-        self.observer.adopt(self._store.nodelets())
+        self.observer.adopt(self.store.nodelets())
 
     def look(self, changed: Optional[Set[str]] = None) -> None:
         """Compare the picture with reality; ``changed`` names nodelets to look at closely."""
@@ -94,7 +94,7 @@ class Manager:
         for record in self.graph.all():
             if record.transformation is not None:
                 self.lifecycle.clear(record)
-        self._store.end()
+        self.store.end()
 
     # Transformations
 

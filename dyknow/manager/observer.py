@@ -212,6 +212,9 @@ class Observer:
         try:
             with self._graph.changing(name) as record:
                 if record is not None and record.state is not State.RUNNING:
+                    if record.claimed:  # whoever claims a stream decides what takes its place
+                        self._lifecycle.forget(record)
+                        return
                     with self._lock:
                         self._patience.attempt(name)
                     self._restore(record)
