@@ -52,6 +52,8 @@ class Monitor(QObject):
     library_changed = Signal(object)
     #: Rates have been measured: ``Traffic`` by ``PortRef``.
     measured = Signal(object)
+    #: Something has become of a stream: a ``StreamEventView``.
+    stream_event = Signal(object)
     #: The manager answers, or why it does not.
     linked = Signal(bool, str)
     #: Something went wrong, in words.
@@ -88,7 +90,10 @@ class Monitor(QObject):
 
     def start(self) -> None:
         """Begin to listen and to look."""
-        self.remote.start(lambda model: self._workers.deliver(lambda: self._hear(model)))
+        self.remote.start(
+            lambda model: self._workers.deliver(lambda: self._hear(model)),
+            lambda event: self._workers.deliver(lambda: self.stream_event.emit(event)),
+        )
         self._timer.start()
         self.look()
 
@@ -131,16 +136,21 @@ class Monitor(QObject):
             self._reading = True
             self._workers.run(self.remote.library, self._take_library, self._take_no_library)
 
-    def ask(self, question: Callable[[Remote], T], then: Callable[[T], None]) -> None:
+    def ask(
+        self,
+        question: Callable[[Remote], T],
+        then: Callable[[T], None],
+        failed: Optional[Callable[[str], None]] = None,
+    ) -> None:
         """Ask the other side something in a worker.
 
         Args:
-            question: may block; what goes wrong is reported.
+            question: may block.
             then: called in the thread of the window with the answer.
+            failed: called there with what went wrong, in words; by default it is reported.
         """
-        self._workers.run(
-            lambda: question(self.remote), then, lambda error: self.failed.emit(_words(error))
-        )
+        say = failed or self.report
+        self._workers.run(lambda: question(self.remote), then, lambda error: say(_words(error)))
 
     def do(self, change: Change, then: Callable[[], None] = lambda: None) -> None:
         """Make a change; it can be undone after that, as far as that is possible.

@@ -11,8 +11,15 @@ from typing import TYPE_CHECKING, Callable, Mapping, Optional, Sequence, Tuple
 from dyknow_rqt.graph.snapshot import Side
 
 if TYPE_CHECKING:
+    from dyknow.manager.claim import StreamRequest
     from dyknow.manager.model import PortState
     from dyknow.ros.client import Added
+    from dyknow.ros.stream_views import (
+        AcquiredView,
+        ReplannedView,
+        StreamEventView,
+        StreamView,
+    )
     from dyknow.ros.views import ModelView, Statistics
 
 
@@ -28,8 +35,12 @@ class Remote(ABC):
     manager: str = ""
 
     @abstractmethod
-    def start(self, on_model: Callable[[ModelView], None]) -> None:
-        """Listen to the model; each change is handed on, in any thread."""
+    def start(
+        self,
+        on_model: Callable[[ModelView], None],
+        on_event: Callable[[StreamEventView], None],
+    ) -> None:
+        """Listen to the model and to the events of streams; each is handed on, in any thread."""
 
     @abstractmethod
     def close(self) -> None:
@@ -90,3 +101,19 @@ class Remote(ABC):
     @abstractmethod
     def set_config(self, nodelet: str, config: Mapping[str, str]) -> None:
         """Connect ports of a nodelet, all or none; an empty topic disconnects."""
+
+    @abstractmethod
+    def acquire_stream(self, request: StreamRequest, dry_run: bool = False) -> AcquiredView:
+        """Ask for a stream, or how it would be made; raises ``StreamRefused`` if it cannot be."""
+
+    @abstractmethod
+    def release_stream(self, claim_id: str) -> None:
+        """End a claim."""
+
+    @abstractmethod
+    def replan_stream(self, claim_id: str, dry_run: bool = False) -> ReplannedView:
+        """Take the cheapest way, or say which that is."""
+
+    @abstractmethod
+    def streams(self) -> Sequence[StreamView]:
+        """All claims, those that ended lately too."""

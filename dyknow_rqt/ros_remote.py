@@ -1,6 +1,6 @@
-"""The window's view on ROS: the manager's client, its topic, the master. No Qt here.
+"""The window's view on ROS: the manager's client, its topics, the master. No Qt here.
 
-``RosRemote`` owns a subscription; where the process is no node yet it makes it one, as soon as
+``RosRemote`` owns two subscriptions; where the process is no node yet it makes it one, as soon as
 there is a master.
 """
 
@@ -11,12 +11,21 @@ from typing import Any, Callable, Mapping, Optional, Sequence, Tuple
 
 import rospy
 from dyknow_msgs.msg import Model as ModelMessage
+from dyknow_msgs.msg import StreamEvent
 
 from dyknow import names
 from dyknow.errors import DyKnowError, HostError
+from dyknow.manager.claim import StreamRequest
 from dyknow.manager.model import PortState
 from dyknow.ros.client import Added, ManagerClient
 from dyknow.ros.master import Master
+from dyknow.ros.stream_views import (
+    AcquiredView,
+    ReplannedView,
+    StreamEventView,
+    StreamView,
+    event_view,
+)
 from dyknow.ros.views import ModelView, Statistics, model_view
 from dyknow_rqt.graph.snapshot import Side
 from dyknow_rqt.remote import Remote
@@ -38,21 +47,29 @@ class RosRemote(Remote):
         self.manager = self._client.manager
         self._master = Master(f"{self.manager}_window")
         self._on_model: Callable[[ModelView], None] = lambda model: None
+        self._on_event: Callable[[StreamEventView], None] = lambda event: None
         self._subscriber: Any = None
+        self._event_subscriber: Any = None
         self._latest: Optional[ModelView] = None
         self._closed = threading.Event()
 
-    def start(self, on_model: Callable[[ModelView], None]) -> None:
+    def start(
+        self,
+        on_model: Callable[[ModelView], None],
+        on_event: Callable[[StreamEventView], None],
+    ) -> None:
         """Subscribe, as soon as there is a master."""
-        self._on_model = on_model
+        self._on_model, self._on_event = on_model, on_event
         threading.Thread(target=self._subscribe, name="dyknow_rqt subscribe", daemon=True).start()
 
     def close(self) -> None:
         """Listen no more."""
         self._closed.set()
-        subscriber, self._subscriber = self._subscriber, None
-        if subscriber is not None:
-            subscriber.unregister()
+        subscribers = (self._subscriber, self._event_subscriber)
+        self._subscriber = self._event_subscriber = None
+        for subscriber in subscribers:
+            if subscriber is not None:
+                subscriber.unregister()
 
     def graph(self) -> ModelView:
         """Ask the manager, or take its last message while it is connected to us."""
@@ -118,6 +135,22 @@ class RosRemote(Remote):
         """Ask a proxy."""
         self._client.set_config(nodelet, config)
 
+    def acquire_stream(self, request: StreamRequest, dry_run: bool = False) -> AcquiredView:
+        """Ask the manager."""
+        return self._client.acquire_stream(request, dry_run)
+
+    def release_stream(self, claim_id: str) -> None:
+        """Ask the manager."""
+        self._client.release_stream(claim_id)
+
+    def replan_stream(self, claim_id: str, dry_run: bool = False) -> ReplannedView:
+        """Ask the manager."""
+        return self._client.replan_stream(claim_id, dry_run)
+
+    def streams(self) -> Sequence[StreamView]:
+        """Ask the manager."""
+        return self._client.list_streams()
+
     # Inside
 
     def _look_for_master(self) -> None:
@@ -137,6 +170,10 @@ class RosRemote(Remote):
             return
         if not rospy.core.is_initialized():
             rospy.init_node("dyknow_rqt", anonymous=True, disable_signals=True)
+        topic = names.join(self.manager, "stream_events")
+        self._event_subscriber = rospy.Subscriber(
+            topic, StreamEvent, self._hear_event, queue_size=100
+        )
         topic = names.join(self.manager, "model")
         self._subscriber = rospy.Subscriber(topic, ModelMessage, self._hear, queue_size=1)
 
@@ -144,3 +181,7 @@ class RosRemote(Remote):
         if not self._closed.is_set():
             self._latest = model_view(message)
             self._on_model(self._latest)
+
+    def _hear_event(self, message: StreamEvent) -> None:
+        if not self._closed.is_set():
+            self._on_event(event_view(message))

@@ -24,13 +24,16 @@ from dyknow.errors import (
     UnknownPort,
     UnknownTransformation,
 )
+from dyknow.manager.claim import StreamRequest
 from dyknow.manager.model import PortState, State
 from dyknow.manager.specification import parse
 from dyknow.manager.transformation import OUT, TOPIC, Transformation
 from dyknow.ros.client import Added
+from dyknow.ros.stream_views import AcquiredView, ReplannedView, StreamEventView, StreamView
 from dyknow.ros.views import ModelView, NodeletView, PortTraffic, Statistics
 from dyknow_rqt.graph.snapshot import PortRef, Side
 from dyknow_rqt.remote import Remote
+from dyknow_rqt.simulated_streams import SimulatedStreams
 
 
 class SimulatedRemote(Remote):
@@ -54,16 +57,24 @@ class SimulatedRemote(Remote):
         self._lock = threading.RLock()
         self._on_model: Callable[[ModelView], None] = lambda model: None
         self._start = time.monotonic()
+        #: The claims, to be altered as if by themselves.
+        self.streams_ = SimulatedStreams(
+            self._nodelets, self._library, self.spawn, self.set_config
+        )
 
     # What is asked by the window
 
-    def start(self, on_model: Callable[[ModelView], None]) -> None:
+    def start(
+        self,
+        on_model: Callable[[ModelView], None],
+        on_event: Callable[[StreamEventView], None],
+    ) -> None:
         """Hand on each change from now on."""
-        self._on_model = on_model
+        self._on_model, self.streams_.on_event = on_model, on_event
 
     def close(self) -> None:
         """Hand on nothing more."""
-        self._on_model = lambda model: None
+        self._on_model, self.streams_.on_event = lambda model: None, lambda event: None
 
     def graph(self) -> ModelView:
         """What runs."""
@@ -170,6 +181,26 @@ class SimulatedRemote(Remote):
         self._answer("set_config", nodelet)
         self._connect(nodelet, config)
         self._changed()
+
+    def acquire_stream(self, request: StreamRequest, dry_run: bool = False) -> AcquiredView:
+        """Plan, and make what is missing."""
+        self._answer("acquire_stream", request.tag)
+        return self.streams_.acquire(request, dry_run)
+
+    def release_stream(self, claim_id: str) -> None:
+        """End a claim."""
+        self._answer("release_stream", claim_id)
+        self.streams_.release(claim_id)
+
+    def replan_stream(self, claim_id: str, dry_run: bool = False) -> ReplannedView:
+        """Say what the way is now."""
+        self._answer("replan_stream", claim_id)
+        return self.streams_.replan(claim_id, dry_run)
+
+    def streams(self) -> Sequence[StreamView]:
+        """All claims."""
+        self._answer("streams", "")
+        return self.streams_.all()
 
     # What happens behind the window's back
 

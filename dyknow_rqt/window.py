@@ -15,6 +15,7 @@ from dyknow_rqt.panels.active import ActivePanel
 from dyknow_rqt.panels.connect import ConnectPanel
 from dyknow_rqt.panels.create import CreatePanel
 from dyknow_rqt.panels.library import LibraryPanel
+from dyknow_rqt.panels.streams import StreamsPanel
 from dyknow_rqt.remote import Remote
 from dyknow_rqt.status_line import StatusLine
 
@@ -38,6 +39,7 @@ class DyKnowWidget(QWidget):
         self.library = LibraryPanel(self.monitor, self.line)
         self.create_ = CreatePanel(self.monitor, self.line)
         self.connect_ = ConnectPanel(self.monitor, self.line)
+        self.streams = StreamsPanel(self.monitor, self.line)
         self.tabs = QTabWidget()
         self.tabs.setAccessibleName("Control panel")
         for title, panel in (
@@ -45,6 +47,7 @@ class DyKnowWidget(QWidget):
             ("Li&brary", self.library),
             ("Cr&eate", self.create_),
             ("Conne&ct", self.connect_),
+            ("Strea&ms", self.streams),
         ):
             self.tabs.addTab(panel, title)
         self.parts = QSplitter(Qt.Horizontal)
@@ -88,6 +91,7 @@ class DyKnowWidget(QWidget):
         self.monitor.done.connect(self.line.note)
         self.graph.failed.connect(self.line.report)
         self.active.chosen.connect(self._show_chosen)
+        self.streams.chosen.connect(self._show_stream)
         self.library.create_wanted.connect(self._begin_create)
         self.addActions(list(self.graph.actions_of()))
         self._deeds.destroy = self.active.ask_to_destroy
@@ -107,4 +111,10 @@ class DyKnowWidget(QWidget):
     def _show_chosen(self, names: List[str]) -> None:
         """Select in the graph what is selected in the table."""
         if self.active.table.hasFocus():
+            self.graph.select_nodelets(names)
+
+    @guarded
+    def _show_stream(self, names: List[str]) -> None:
+        """Select in the graph what a stream is made of."""
+        if self.streams.table.hasFocus():
             self.graph.select_nodelets(names)
