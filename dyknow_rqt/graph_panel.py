@@ -141,9 +141,9 @@ class GraphPanel(QWidget):
         elif not monitor.is_linked:
             text = f"{monitor.remote.manager} does not answer; waiting for it"
         elif not monitor.snapshot.nodelets:
-            text = "No nodelets yet: make one in 'Create'"
+            text = "No nodelets yet: make one in 'Create', or ask for a stream in 'Streams'"
             if not monitor.library:
-                text += ", of what you have imported in 'Library'"
+                text = "No nodelets yet: import in 'Library' what they can be made of"
         elif not self._figure.vertices:
             text = "The filters hide everything"
         self.sign.setText(text)

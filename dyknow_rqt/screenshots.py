@@ -20,6 +20,13 @@ from dyknow_rqt.soccer_graph import soccer
 from dyknow_rqt.window import DyKnowWidget
 
 
+def dressed(application: QApplication) -> QApplication:
+    """Let it look the same on every machine."""
+    application.setStyle(QStyleFactory.create("Fusion"))
+    application.setFont(_font())
+    return application
+
+
 def dark_palette() -> QPalette:
     """A palette as dark themes have it."""
     palette = QPalette(QColor("#31363b"), QColor("#2b2f33"))
@@ -58,9 +65,7 @@ def main(argv: Optional[List[str]] = None) -> int:
     words = list(argv if argv is not None else sys.argv)
     folder = words[1] if words[1:] else os.path.join("doc", "images")
     os.makedirs(folder, exist_ok=True)
-    application = QApplication(words[:1])
-    application.setStyle(QStyleFactory.create("Fusion"))
-    application.setFont(_font())
+    application = dressed(QApplication(words[:1]))
     light = QPalette(application.palette())
     for name, palette, pose in (
         ("graph", light, _pose_graph),

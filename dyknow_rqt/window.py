@@ -91,7 +91,7 @@ class DyKnowWidget(QWidget):
         self.monitor.done.connect(self.line.note)
         self.graph.failed.connect(self.line.report)
         self.active.chosen.connect(self._show_chosen)
-        self.streams.chosen.connect(self._show_stream)
+        self.streams.chosen.connect(self._show_chosen)
         self.library.create_wanted.connect(self._begin_create)
         self.addActions(list(self.graph.actions_of()))
         self._deeds.destroy = self.active.ask_to_destroy
@@ -109,12 +109,5 @@ class DyKnowWidget(QWidget):
 
     @guarded
     def _show_chosen(self, names: List[str]) -> None:
-        """Select in the graph what is selected in the table."""
-        if self.active.table.hasFocus():
-            self.graph.select_nodelets(names)
-
-    @guarded
-    def _show_stream(self, names: List[str]) -> None:
-        """Select in the graph what a stream is made of."""
-        if self.streams.table.hasFocus():
-            self.graph.select_nodelets(names)
+        """Select in the graph what is selected in a table."""
+        self.graph.select_nodelets(names)

@@ -58,7 +58,7 @@ def colours_of(palette: QPalette) -> Colours:
         topic=_mix(paper, text, 0.05),
         box=_mix(paper, text, 0.025),
         box_line=_mix(paper, text, 0.35),
-        muted=_mix(text, paper, 0.5),
+        muted=_mix(text, paper, 0.38),
         alarm=QColor("#ff6b61") if dark else QColor("#c62015"),
         chosen=chosen,
         paper=paper,

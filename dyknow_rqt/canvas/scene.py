@@ -16,6 +16,7 @@ from dyknow_rqt.canvas.looks import edge_refs, edge_traffic, looks_of, port_tip
 from dyknow_rqt.canvas.vertices import VertexItem
 from dyknow_rqt.graph.figure import Edge, Figure, Kind, Vertex
 from dyknow_rqt.graph.geometry import Layout, Size
+from dyknow_rqt.graph.port_order import without_crossings
 from dyknow_rqt.graph.rates import Traffic
 from dyknow_rqt.graph.snapshot import PortRef, Snapshot
 
@@ -50,7 +51,7 @@ class GraphScene(QGraphicsScene):
         self._match(self.vertices, {v.key: v for v in figure.vertices}, self._new_vertex)
         self._match(self.edges, {e: e for e in figure.edges}, self._new_edge)
         self._match(self._boxes, {g: g for g in figure.groups()}, self._new_box)
-        for vertex in figure.vertices:
+        for vertex in without_crossings(figure, layout):
             item = self.vertices[vertex.key]
             item.setPos(QPointF(*layout.centres[vertex.key]))
             item.set_vertex(vertex, sizes[vertex.key])

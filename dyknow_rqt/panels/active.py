@@ -45,6 +45,7 @@ class ActivePanel(QWidget):
         self.destroy.clicked.connect(self._destroy_chosen)
         self.protect.clicked.connect(self._protect_chosen)
         self.table.selectionModel().selectionChanged.connect(self._follow_selection)
+        self.table.picked.connect(self.chosen)
         monitor.changed.connect(self._show)
         delete = QAction(self.table)
         delete.setShortcut(QKeySequence(Qt.Key_Delete))
@@ -105,4 +106,3 @@ class ActivePanel(QWidget):
         self.destroy.setToolTip("Release them from protection first" if protected else "Delete")
         self.protect.setEnabled(len(names) == 1)
         self.protect.setText("&Release" if protected else "&Protect")
-        self.chosen.emit(names)

@@ -15,6 +15,7 @@ from python_qt_binding.QtWidgets import (
     QDoubleSpinBox,
     QFormLayout,
     QHBoxLayout,
+    QHeaderView,
     QLineEdit,
     QPlainTextEdit,
     QPushButton,
@@ -75,10 +76,12 @@ class StreamsPanel(QWidget):
         self.table = Table(_TITLES, "Streams")
         self.table.hideColumn(0)
         self.table.sortByColumn(1, Qt.AscendingOrder)
+        self.table.horizontalHeader().setSectionResizeMode(1, QHeaderView.ResizeToContents)
         self.ended = QCheckBox("Those that &ended too")
         self.replan, self.release = QPushButton("Repla&n …"), QPushButton("Re&lease")
         self.events = _text("Events of streams")
         self.events.setMaximumBlockCount(_EVENTS_KEPT)
+        self.events.setLineWrapMode(QPlainTextEdit.WidgetWidth)
         self.events.setPlaceholderText("What becomes of streams from now on is shown here")
         self._arrange()
         self._listen()
@@ -100,6 +103,8 @@ class StreamsPanel(QWidget):
     @guarded
     def _preview(self) -> None:
         request = self.request()
+        for field in (self.tag, self.datatype):
+            field.completer().popup().hide()
         if request.tag:
             self.plan.setPlainText("…")
             self._monitor.ask(
@@ -211,7 +216,7 @@ class StreamsPanel(QWidget):
         self.release.clicked.connect(self._release)
         self.replan.clicked.connect(self._replan)
         self.ended.toggled.connect(self._show_streams)
-        self.table.selectionModel().selectionChanged.connect(self._choose)
+        self.table.picked.connect(self._choose)
         self.watch.changed.connect(self._show_streams)
         self._monitor.stream_event.connect(self._show_event)
         self._monitor.library_changed.connect(self._show_library)
@@ -237,7 +242,7 @@ class StreamsPanel(QWidget):
         column.addWidget(self.table)
         column.addLayout(having)
         parts = QSplitter(Qt.Vertical)
-        for part, stretch in ((self.plan, 3), (middle, 3), (self.events, 2)):
+        for part, stretch in ((self.plan, 3), (middle, 2), (self.events, 2)):
             parts.addWidget(part)
             parts.setStretchFactor(parts.count() - 1, stretch)
         whole = QVBoxLayout(self)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Dict, Iterable, List, Optional, Sequence, Tuple, Union
 
-from python_qt_binding.QtCore import QAbstractTableModel, QModelIndex, Qt
+from python_qt_binding.QtCore import QAbstractTableModel, QItemSelection, QModelIndex, Qt, Signal
 from python_qt_binding.QtWidgets import QAbstractItemView, QHeaderView, QTableView, QWidget
 
 #: Rows that decide how wide columns are.
@@ -80,11 +80,14 @@ class _Rows(QAbstractTableModel):
 class Table(QTableView):
     """Rows are known by their first cell."""
 
+    #: Other rows are selected, and not because the contents changed: their first cells.
+    picked = Signal(object)
+
     def __init__(self, titles: Sequence[str], name: str, parent: Optional[QWidget] = None) -> None:
         super().__init__(parent)
         self._rows = _Rows(titles, self)
         self.setModel(self._rows)
-        self._has_widths = False
+        self._has_widths = self._refilling = False
         self.setSelectionBehavior(QAbstractItemView.SelectRows)
         self.setSelectionMode(QAbstractItemView.ExtendedSelection)
         self.setHorizontalScrollMode(QAbstractItemView.ScrollPerPixel)
@@ -111,12 +114,14 @@ class Table(QTableView):
             return
         chosen, top = self.chosen(), self.verticalScrollBar().value()
         current = self._name(self.currentIndex().row()) if self.currentIndex().isValid() else None
+        self._refilling = True
         self._rows.replace(rows)
         if rows and not self._has_widths:
             self._has_widths = True
             for column, widest in enumerate(_WIDEST):
                 self.setColumnWidth(column, min(widest, self.sizeHintForColumn(column) + 12))
         self.choose(chosen, current)
+        self._refilling = False
         self.verticalScrollBar().setValue(top)
 
     def set_filter(self, text: str) -> None:
@@ -144,6 +149,12 @@ class Table(QTableView):
             selection.setCurrentIndex(self._rows.index(place, 0), selection.NoUpdate)
         for place in places:
             selection.select(self._rows.index(place, 0), selection.Select | selection.Rows)
+
+    def selectionChanged(self, now: QItemSelection, before: QItemSelection) -> None:  # noqa: N802
+        """Tell which rows are selected."""
+        super().selectionChanged(now, before)
+        if not self._refilling:
+            self.picked.emit(self.chosen())
 
     def _name(self, row: int) -> str:
         return self._rows.shown[row][0][0]

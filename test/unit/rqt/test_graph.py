@@ -14,6 +14,7 @@ from dyknow_rqt.graph.figure import Kind, Options, figure_of
 from dyknow_rqt.graph.filters import BadFilter, completions, parse
 from dyknow_rqt.graph.geometry import Layout, Point, Size
 from dyknow_rqt.graph.layered import layered
+from dyknow_rqt.graph.port_order import without_crossings
 from dyknow_rqt.graph.settle import backwards, moved, settle
 from dyknow_rqt.graph.snapshot import PlainNode, Snapshot, plain_nodes
 
@@ -185,6 +186,22 @@ def test_the_layout_leads_from_left_to_right():
         assert layout.centres[edge.tail].x < layout.centres[edge.head].x
         assert len(layout.curves[edge]) % 3 == 1
         assert layout.curves[edge][0].x < layout.curves[edge][-1].x
+
+
+def test_ports_stand_in_the_order_of_their_arrows():
+    snapshot = Snapshot(
+        (
+            nodelet("/source", "first>=/b", "free>", "second>=/a"),
+            nodelet("/sink", ">one=/b", ">two=/a", ">three"),
+        )
+    )
+    figure = figure_of(snapshot, Options())
+    layout = laid_out(figure)
+    ports = {v.name: v.inputs + v.outputs for v in without_crossings(figure, layout)}
+    a_is_above = layout.centres["t_/a"].y < layout.centres["t_/b"].y
+    upper, lower = ("second", "first") if a_is_above else ("first", "second")
+    assert ports["/source"] == (upper, "free", lower)
+    assert ports["/sink"] == ("two", "one", "three") if a_is_above else ("one", "two", "three")
 
 
 def test_a_layout_of_something_else_is_refused():

@@ -501,7 +501,6 @@ def test_a_stream_is_previewed_acquired_and_released(qtbot, window, remote):
     assert _cells(panel.table, 0)[1:4] == ["Track(ball)", "active", "/field/tracker/track"]
     assert "Track(ball): active (requested)" in panel.events.toPlainText()
     until(qtbot, lambda: "done: acquire Track(ball): on /field/tracker/track" in window.line.text)
-    panel.table.setFocus()
     panel.table.choose(["claim-1"])
     chosen = {item.vertex.name for item in window.graph.view.scene().selectedItems()}
     assert chosen == {"/field/tracker"}
