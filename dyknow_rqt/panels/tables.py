@@ -7,6 +7,8 @@ from typing import Any, Dict, Iterable, List, Optional, Sequence, Tuple, Union
 from python_qt_binding.QtCore import QAbstractTableModel, QItemSelection, QModelIndex, Qt, Signal
 from python_qt_binding.QtWidgets import QAbstractItemView, QHeaderView, QTableView, QWidget
 
+from dyknow_rqt.guard import guarded
+
 #: Rows that decide how wide columns are.
 _SAMPLED = 200
 #: Pixels that the first columns may take by themselves.
@@ -86,8 +88,8 @@ class Table(QTableView):
     def __init__(self, titles: Sequence[str], name: str, parent: Optional[QWidget] = None) -> None:
         super().__init__(parent)
         self._rows = _Rows(titles, self)
-        self.setModel(self._rows)
         self._has_widths = self._refilling = False
+        self.setModel(self._rows)
         self.setSelectionBehavior(QAbstractItemView.SelectRows)
         self.setSelectionMode(QAbstractItemView.ExtendedSelection)
         self.setHorizontalScrollMode(QAbstractItemView.ScrollPerPixel)
@@ -150,6 +152,7 @@ class Table(QTableView):
         for place in places:
             selection.select(self._rows.index(place, 0), selection.Select | selection.Rows)
 
+    @guarded
     def selectionChanged(self, now: QItemSelection, before: QItemSelection) -> None:  # noqa: N802
         """Tell which rows are selected."""
         super().selectionChanged(now, before)
