@@ -40,18 +40,18 @@ class Entry(NamedTuple):
 def as_tree(answer: Answer) -> str:
     """Write a plan, or what is missing for one, for people."""
     if isinstance(answer, NoPlan):
-        missing = "".join(f"\n└─ nothing supplies {each}" for each in answer.missing)
-        return f"{answer.demand}: no plan" + (
-            missing or "\n└─ everything that supplies it needs it first"
-        )
+        reasons = [f"nothing supplies {each}" for each in answer.missing]
+        *others, last = reasons or ["everything that supplies it needs it first"]
+        lines = [f"{answer.demand}: no plan", *(f"├─ {each}" for each in others), f"└─ {last}"]
+        return "\n".join(lines)
     lines = [f"{answer.demand}: cost {answer.cost}"]
     entries = _entries(answer)
-    last = _last_ones(entries)
+    last_ones = _last_ones(entries)
     open_depths: Set[int] = set()
     for number, entry in enumerate(entries):
         lead = "".join("│  " if depth in open_depths else "   " for depth in range(entry.depth))
-        branch = "└─ " if number in last else "├─ "
-        (open_depths.discard if number in last else open_depths.add)(entry.depth)
+        branch = "└─ " if number in last_ones else "├─ "
+        (open_depths.discard if number in last_ones else open_depths.add)(entry.depth)
         port = f"{entry.port} ← " if entry.port else ""
         lines.append(f"{lead}{branch}{port}{entry.what} ({entry.how})")
     return "\n".join(lines)
@@ -79,7 +79,7 @@ def read_tree(text: str) -> Tuple[str, List[Entry]]:
 def as_dot(answer: Answer) -> str:
     """Draw a plan for Graphviz: what is to be made is dashed, topics are rectangles."""
     if isinstance(answer, NoPlan):
-        label = _quoted(as_tree(answer).replace("\n└─ ", "\n"))
+        label = _quoted(as_tree(answer).replace("├─ ", "").replace("└─ ", ""))
         return f"digraph plan {{\n  label={label};\n}}\n"
     return tree_as_dot(as_tree(answer))
 
@@ -130,7 +130,7 @@ def _entries(plan: Plan) -> List[Entry]:
                 entries.append(Entry(depth, port, source.topic, "topic"))
             continue
         step = steps[source.label]
-        how = f"new, cost {step.action.cost}" if step.action.cost else "free"
+        how = f"new, cost {step.action.cost}" if step.action.cost else "at no cost"
         if source.label in told and step.inputs:
             how = _ABOVE
         entries.append(Entry(depth, port, f"{source.label}.{source.port}", how))

@@ -7,6 +7,7 @@ nodelets through the injected host only.
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, replace
 from typing import Callable, Mapping, Optional, Set
 
@@ -52,6 +53,7 @@ class Manager:
         guards: Guards = NO_GUARDS,
         settings: Settings = DEFAULT_SETTINGS,
         run: Callable[[Callable[[], None]], None] = at_once,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """Put the parts together; nothing is touched before ``start``.
 
@@ -62,6 +64,7 @@ class Manager:
             guards: what nobody may do.
             settings: how to behave.
             run: does the work of bringing back what died, which may take its time.
+            clock: seconds, steady.
         """
         self.library = library
         self.guards = guards
@@ -70,7 +73,7 @@ class Manager:
         self._settings = settings
         self.graph = Graph(store)
         self.lifecycle = Lifecycle(host, self.graph, guards, settings.spawn_timeout)
-        self.observer = Observer(host, self.graph, self.lifecycle, run=run)
+        self.observer = Observer(host, self.graph, self.lifecycle, clock, run)
 
     @property
     def on_change(self) -> Callable[[], None]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
-from typing import Any, Dict, Mapping, Optional, Tuple
+from typing import Any, Callable, Dict, Mapping, Optional, Tuple
 
 import rosgraph.names
 from dyknow_msgs.msg import PortConfig
@@ -193,9 +193,22 @@ class ManagerClient:
         Returns:
             When it ends, in seconds of ROS time; 0 for until it is released.
         """
-        duration = Duration.from_sec(lease)
-        answer = self._change("renew_stream", RenewStream, claim_id=claim_id, lease=duration)
+        answer = self._change(
+            "renew_stream", RenewStream, claim_id=claim_id, lease=Duration.from_sec(lease)
+        )
         return float(answer.expires.to_sec())
+
+    def renewer(self) -> Callable[[str, float], None]:
+        """Return what renews leases over a connection that it keeps, master or not."""
+        service = names.join(self.manager, "renew_stream")
+        kept = ServiceClient(self._master, service, RenewStream, persistent=True)
+
+        def renew(claim_id: str, lease: float) -> None:
+            answer = kept.call(ASK_TIMEOUT, claim_id, Duration.from_sec(lease))
+            if not answer.success:
+                raise Refused(answer.message)
+
+        return renew
 
     def replan_stream(self, claim_id: str, dry_run: bool = False) -> ReplannedView:
         """Take the way that is the cheapest now."""

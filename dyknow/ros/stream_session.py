@@ -64,6 +64,7 @@ class StreamSession:
     def __init__(self, client: ManagerClient) -> None:
         """Begin to listen and to beat."""
         self._client = client
+        self._renew_lease = client.renewer()
         self._users = 0
         self._condition = threading.Condition()
         self._streams: Dict[str, Follower] = {}
@@ -85,9 +86,8 @@ class StreamSession:
         """Keep a stream's claim alive, and tell it what becomes of it."""
         with self._condition:
             self._streams[stream.claim_id] = stream
-            self._due[stream.claim_id] = self._next_due(stream)
+            self._due[stream.claim_id] = 0.0  # at once, for what happened before it was here
             self._condition.notify()
-        self._refresh([stream.claim_id])  # what happened before it was in the table
 
     def remove(self, claim_id: str) -> None:
         """Care for a stream no more."""
@@ -148,7 +148,7 @@ class StreamSession:
     def _renew(self, stream: Follower) -> None:
         next_due = self._next_due(stream)
         try:
-            self._client.renew_stream(stream.claim_id, stream.lease)
+            self._renew_lease(stream.claim_id, stream.lease)
         except Refused as error:
             self._refresh([stream.claim_id])  # the manager may still know how it ended
             self.remove(stream.claim_id)

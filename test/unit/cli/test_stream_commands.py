@@ -156,7 +156,7 @@ class TestStreams:
     def test_replan(self, client: FakeClient) -> None:
         claim = left(client)
         outcome = run(client, f"replan {claim} --dry-run")
-        assert (outcome.code, outcome.lines[0]) == (0, "Raw(camera): cost 1")
+        assert (outcome.code, outcome.lines[0]) == (0, "Raw(camera): cost 0")
         assert run(client, "replan nonesuch").code == 1
 
 
