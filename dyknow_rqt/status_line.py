@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Callable, List, Optional
+from typing import Any, Callable, List, Optional
 
 from python_qt_binding.QtCore import Qt, QTimer
 from python_qt_binding.QtGui import QPalette
@@ -27,8 +27,8 @@ class StatusLine(QWidget):
         self._text.setAccessibleName("Message")
         self._text.setTextFormat(Qt.PlainText)
         self.yes = QPushButton()
-        self.no = QPushButton("&Cancel")
-        self.dismiss = QPushButton("Dis&miss")
+        self.no = QPushButton("Cancel")
+        self.dismiss = QPushButton("Dismiss")
         row = QHBoxLayout(self)
         row.setContentsMargins(6, 2, 6, 2)
         row.addWidget(self._text, 1)
@@ -67,6 +67,14 @@ class StatusLine(QWidget):
         self.yes.show()
         self.no.show()
         self.yes.setFocus()
+
+    @guarded
+    def keyPressEvent(self, event: Any) -> None:  # noqa: N802
+        """Escape says no."""
+        if event.key() == Qt.Key_Escape:
+            self.clear()
+        else:
+            super().keyPressEvent(event)
 
     @guarded
     def clear(self) -> None:

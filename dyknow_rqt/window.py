@@ -45,9 +45,9 @@ class DyKnowWidget(QWidget):
         for title, panel in (
             ("&Active", self.active),
             ("Li&brary", self.library),
-            ("Cr&eate", self.create_),
-            ("Conne&ct", self.connect_),
-            ("Strea&ms", self.streams),
+            ("&Create", self.create_),
+            ("C&onnect", self.connect_),
+            ("&Streams", self.streams),
         ):
             self.tabs.addTab(panel, title)
         self.parts = QSplitter(Qt.Horizontal)

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import Optional, Sequence
 
-from python_qt_binding.QtCore import Qt, Signal
-from python_qt_binding.QtGui import QKeySequence
-from python_qt_binding.QtWidgets import QAction, QHBoxLayout, QPushButton, QVBoxLayout, QWidget
+from python_qt_binding.QtCore import Signal
+from python_qt_binding.QtWidgets import QHBoxLayout, QPushButton, QVBoxLayout, QWidget
 
 from dyknow.manager.model import State
 from dyknow.manager.transformation import IN
@@ -33,7 +32,7 @@ class ActivePanel(QWidget):
         self._monitor, self._line = monitor, line
         self.report = line.report
         self.table = Table(_TITLES, "Active nodelets")
-        self.destroy = QPushButton("D&estroy …")
+        self.destroy = QPushButton("Des&troy …")
         self.protect = QPushButton("&Protect")
         row = QHBoxLayout()
         row.addStretch(1)
@@ -47,17 +46,13 @@ class ActivePanel(QWidget):
         self.table.selectionModel().selectionChanged.connect(self._follow_selection)
         self.table.picked.connect(self.chosen)
         monitor.changed.connect(self._show)
-        delete = QAction(self.table)
-        delete.setShortcut(QKeySequence(Qt.Key_Delete))
-        delete.setShortcutContext(Qt.WidgetShortcut)
-        delete.triggered.connect(self._destroy_chosen)
-        self.table.addAction(delete)
+        self.table.on_delete(self._destroy_chosen)
         self._follow_selection()
 
     def ask_to_destroy(self, names: Sequence[str]) -> None:
         """Ask whether nodelets are to be destroyed, and do so if yes."""
         what = names[0] if len(names) == 1 else f"{len(names)} nodelets ({', '.join(names)})"
-        self._line.ask(f"Destroy {what}?", "&Destroy", lambda: self._destroy(list(names)))
+        self._line.ask(f"Destroy {what}?", "Destroy", lambda: self._destroy(list(names)))
 
     @guarded
     def _destroy_chosen(self) -> None:

@@ -58,14 +58,14 @@ class CreatePanel(QWidget):
         self.ports = QLabel()
         self.ports.setTextFormat(Qt.PlainText)
         self.ports.setWordWrap(True)
-        self.create = QPushButton("&Create")
+        self.create = QPushButton("Create")
         form = QFormLayout()
         form.setFieldGrowthPolicy(QFormLayout.AllNonFixedFieldsGrow)
         form.addRow("&Transformation:", self.label)
-        form.addRow("N&ame:", self.name)
+        form.addRow("Na&me:", self.name)
         form.addRow("", self.is_protected)
         form.addRow("", self.isolated)
-        form.addRow("Nodelet &manager:", self.manager)
+        form.addRow("Nodelet manager:", self.manager)
         form.addRow("Ports:", self.ports)
         form.addRow("", self.create)
         column = QVBoxLayout(self)
@@ -111,7 +111,7 @@ class CreatePanel(QWidget):
     def _follow(self) -> None:
         library = self._monitor.library
         transformation = library.get(self.label.currentText().strip())
-        self.create.setText("&Create")
+        self.create.setText("Create")
         self.create.setEnabled(transformation is not None and bool(self.name.text().strip()))
         self.manager.setEnabled(not self.isolated.isChecked())
         lines = [

@@ -58,8 +58,8 @@ class LibraryPanel(QWidget):
         self.specification.setAccessibleName("Specification")
         self.import_ = QPushButton("&Import …")
         self.export = QPushButton("E&xport …")
-        self.delete = QPushButton("De&lete …")
-        self.create = QPushButton("&Create …")
+        self.delete = QPushButton("Dele&te …")
+        self.create = QPushButton("Ne&w nodelet …")
         parts = QSplitter(Qt.Vertical)
         parts.addWidget(self.table)
         parts.addWidget(self.specification)
@@ -79,6 +79,7 @@ class LibraryPanel(QWidget):
         self.export.clicked.connect(self._ask_where_to_export)
         self.delete.clicked.connect(self._ask_to_delete)
         self.create.clicked.connect(self._want_create)
+        self.table.on_delete(self._ask_to_delete)
         self.table.doubleClicked.connect(self._want_create)
         self._follow_selection()
 
@@ -122,7 +123,7 @@ class LibraryPanel(QWidget):
         if labels:
             change = remove_transformations(labels)
             question = f"{change.text[0].upper()}{change.text[1:]} from the library?"
-            self._line.ask(question, "De&lete", lambda: self._monitor.do(change))
+            self._line.ask(question, "Delete", lambda: self._monitor.do(change))
 
     @guarded
     def _want_create(self) -> None:

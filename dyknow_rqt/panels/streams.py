@@ -77,8 +77,8 @@ class StreamsPanel(QWidget):
         self.table.hideColumn(0)
         self.table.sortByColumn(1, Qt.AscendingOrder)
         self.table.horizontalHeader().setSectionResizeMode(1, QHeaderView.ResizeToContents)
-        self.ended = QCheckBox("Those that &ended too")
-        self.replan, self.release = QPushButton("Repla&n …"), QPushButton("Re&lease")
+        self.ended = QCheckBox("Those that ended too")
+        self.replan, self.release = QPushButton("Replan …"), QPushButton("Release")
         self.events = _text("Events of streams")
         self.events.setMaximumBlockCount(_EVENTS_KEPT)
         self.events.setLineWrapMode(QPlainTextEdit.WidgetWidth)
@@ -154,7 +154,7 @@ class StreamsPanel(QWidget):
             change = ReplanStream(stream.claim_id, stream.tag)
             self._line.ask(
                 f"Take this way for {stream.tag}, at a cost of {found.cost:g}?",
-                "&Replan",
+                "Replan",
                 lambda: self._monitor.do(change),
             )
 
@@ -217,6 +217,7 @@ class StreamsPanel(QWidget):
         self.replan.clicked.connect(self._replan)
         self.ended.toggled.connect(self._show_streams)
         self.table.picked.connect(self._choose)
+        self.table.on_delete(self._release)
         self.watch.changed.connect(self._show_streams)
         self._monitor.stream_event.connect(self._show_event)
         self._monitor.library_changed.connect(self._show_library)
@@ -225,9 +226,9 @@ class StreamsPanel(QWidget):
         form = QFormLayout()
         form.setFieldGrowthPolicy(QFormLayout.AllNonFixedFieldsGrow)
         form.addRow("&Tag:", self.tag)
-        form.addRow("T&ype:", self.datatype)
+        form.addRow("Type:", self.datatype)
         form.addRow("W&ithout:", self.exclude)
-        form.addRow("Sile&nt at most:", self.silence)
+        form.addRow("Silent at &most:", self.silence)
         asking, having = QHBoxLayout(), QHBoxLayout()
         for widget in (self.preview, self.acquire):
             asking.addWidget(widget)

@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any, Dict, Iterable, List, Optional, Sequence, Tuple, Union
+from typing import Any, Callable, Dict, Iterable, List, Optional, Sequence, Tuple, Union
 
 from python_qt_binding.QtCore import QAbstractTableModel, QItemSelection, QModelIndex, Qt, Signal
-from python_qt_binding.QtWidgets import QAbstractItemView, QHeaderView, QTableView, QWidget
+from python_qt_binding.QtGui import QKeySequence
+from python_qt_binding.QtWidgets import (
+    QAbstractItemView,
+    QAction,
+    QHeaderView,
+    QTableView,
+    QWidget,
+)
 
 from dyknow_rqt.guard import guarded
 
@@ -110,6 +117,14 @@ class Table(QTableView):
         header.setSortIndicator(0, Qt.AscendingOrder)
         self.setSortingEnabled(True)
 
+    def on_delete(self, function: Callable[[], None]) -> None:
+        """Call something when the Delete key is pressed."""
+        action = QAction(self)
+        action.setShortcut(QKeySequence(Qt.Key_Delete))
+        action.setShortcutContext(Qt.WidgetShortcut)
+        action.triggered.connect(function)
+        self.addAction(action)
+
     def show_rows(self, rows: Sequence[Row]) -> None:
         """Show other rows; what is selected stays so, and nothing scrolls."""
         if list(rows) == self._rows.all:
@@ -121,7 +136,9 @@ class Table(QTableView):
         if rows and not self._has_widths:
             self._has_widths = True
             for column, widest in enumerate(_WIDEST):
-                self.setColumnWidth(column, min(widest, self.sizeHintForColumn(column) + 12))
+                contents = min(widest, self.sizeHintForColumn(column) + 12)
+                title = self.horizontalHeader().sectionSizeHint(column)
+                self.setColumnWidth(column, max(contents, title))
         self.choose(chosen, current)
         self._refilling = False
         self.verticalScrollBar().setValue(top)

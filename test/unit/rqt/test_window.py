@@ -8,7 +8,17 @@ import pydot
 import pytest
 from python_qt_binding.QtCore import QEvent, QPoint, QPointF, Qt, QTimer
 from python_qt_binding.QtGui import QImage, QMouseEvent, QPalette, QWheelEvent
-from python_qt_binding.QtWidgets import QApplication, QFileDialog, QMenu, QMessageBox
+from python_qt_binding.QtWidgets import (
+    QAbstractButton,
+    QAbstractSpinBox,
+    QApplication,
+    QComboBox,
+    QFileDialog,
+    QLabel,
+    QMenu,
+    QMessageBox,
+    QWidget,
+)
 
 from dyknow_rqt.graph.snapshot import PortRef
 from dyknow_rqt.layouter import Layouter
@@ -546,6 +556,47 @@ def test_the_cheapest_way_is_taken_after_asking(qtbot, window, remote):
     until(qtbot, lambda: window.line.text == "done: replan Track(ball)")
 
 
+# The keyboard
+
+
+def test_everything_is_reached_with_the_tab_key(qtbot, window):
+    for number in range(window.tabs.count()):
+        window.tabs.setCurrentIndex(number)
+        window.tabs.currentWidget().setFocus()
+        reached = set()
+        for _ in range(80):
+            window.focusNextPrevChild(True)
+            reached.add(QApplication.focusWidget())
+        wanted = {
+            widget
+            for widget in window.findChildren(QWidget)
+            if widget.isVisible()
+            and widget.isEnabled()
+            and widget.focusPolicy() & Qt.TabFocus
+            # of what is put together, only the whole listens to keys
+            and not isinstance(widget.parent(), (QAbstractSpinBox, QComboBox))
+            and not widget.focusProxy()
+        }
+        assert {_name(each) for each in wanted - reached} == set()
+
+
+def test_no_letter_is_given_twice(window):
+    letters = [window.tabs.tabText(i) for i in range(window.tabs.count())]
+    letters += _letters_of(window.graph.bar)
+    for number in range(window.tabs.count()):
+        found = letters + _letters_of(window.tabs.widget(number))
+        keys = [text[text.index("&") + 1].upper() for text in found if "&" in text]
+        assert sorted(keys) == sorted(set(keys)), window.tabs.tabText(number)
+
+
+def test_escape_says_no(qtbot, window, remote):
+    window.active.ask_to_destroy(["/field/tracker"])
+    until(qtbot, window.line.yes.hasFocus)
+    qtbot.keyClick(window.line.yes, Qt.Key_Escape)
+    assert window.line.text == ""
+    assert remote.graph().nodelet("/field/tracker") is not None
+
+
 # The other side
 
 
@@ -653,6 +704,15 @@ def _keys(window):
 def _cells(table, row):
     model = table.model()
     return [model.index(row, column).data() for column in range(model.columnCount())]
+
+
+def _letters_of(widget):
+    kinds = (QAbstractButton, QLabel)
+    return [each.text() for kind in kinds for each in widget.findChildren(kind)]
+
+
+def _name(widget):
+    return type(widget).__name__, widget.accessibleName(), getattr(widget, "text", str)()
 
 
 def _wired(nodelets):
