@@ -86,6 +86,11 @@ class Monitor(QObject):
         self._looking = self._changing = self._reading = False
         self._timer = QTimer(self)
         self._timer.timeout.connect(self.look)
+        self._heard: Optional[ModelView] = None
+        self._drawing = QTimer(self)
+        self._drawing.setSingleShot(True)
+        self._drawing.setInterval(0)
+        self._drawing.timeout.connect(self._take_heard)
         self.set_period(period)
 
     def start(self) -> None:
@@ -100,6 +105,7 @@ class Monitor(QObject):
     def close(self) -> None:
         """Stop; returns at once."""
         self._timer.stop()
+        self._drawing.stop()
         self._workers.close()
         self.remote.close()
 
@@ -254,6 +260,8 @@ class Monitor(QObject):
         linked_anew = not self.is_linked
         self._set_linked(True, "")
         if linked_anew or looked.model.revision >= self._revision:
+            if self._heard is not None and self._heard.revision <= looked.model.revision:
+                self._heard = None  # it would be a step back
             self._take_model(looked.model, looked.nodes)
         self._meter.keep(each.name for each in self.snapshot.nodelets)
         for name, statistics, moment in looked.statistics:
@@ -261,8 +269,20 @@ class Monitor(QObject):
         self.measured.emit(self._meter.traffic)
 
     def _hear(self, model: ModelView) -> None:
+        """Keep the last model until the one before it has been drawn, and as long again."""
+        self._heard = model
+        if not self._drawing.isActive():
+            self._drawing.start()
+
+    @guarded
+    def _take_heard(self) -> None:
+        model, self._heard = self._heard, None
+        if model is None:
+            return
+        start = time.monotonic()
         self._set_linked(True, "")
         self._take_model(model, self.snapshot.nodes)
+        self._drawing.setInterval(min(1000, int((time.monotonic() - start) * 2000)))
 
     def _take_model(self, model: ModelView, nodes: Tuple[PlainNode, ...]) -> None:
         self._revision = model.revision

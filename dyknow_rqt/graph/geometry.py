@@ -47,6 +47,15 @@ class Rectangle(NamedTuple):
         left, top, right, bottom = self
         return Rectangle(left - margin, top - margin, right + margin, bottom + margin)
 
+    def joined(self, other: Rectangle) -> Rectangle:
+        """The smallest that holds both."""
+        return Rectangle(
+            min(self.left, other.left),
+            min(self.top, other.top),
+            max(self.right, other.right),
+            max(self.bottom, other.bottom),
+        )
+
     def meets(self, other: Rectangle) -> bool:
         """Whether they overlap."""
         return (
@@ -121,13 +130,7 @@ def boxes_around(
     found: Dict[Tuple[str, ...], Rectangle] = {}
 
     def include(group: Tuple[str, ...], part: Rectangle) -> None:
-        old = found.get(group, part)
-        found[group] = Rectangle(
-            min(old.left, part.left),
-            min(old.top, part.top),
-            max(old.right, part.right),
-            max(old.bottom, part.bottom),
-        )
+        found[group] = found[group].joined(part) if group in found else part
 
     for key in sorted(groups):
         if groups[key]:

@@ -25,6 +25,8 @@ from dyknow_rqt.graph.geometry import (
 MOST_MOVED = 4
 #: So many nodelets may come or go without the others being laid out anew.
 FEW = 2
+#: So many things are placed one by one; where more are new, nobody misses the old places.
+MOST_PLACED = 12
 #: Pixels that nobody takes for a move.
 STILL = 8.0
 _GAP = 14.0
@@ -57,6 +59,8 @@ def settle(
         return fresh
     connected = before.neighbours()
     free = [key for key in common if not connected[key] and after.neighbours()[key]]
+    if len(after.vertices) - len(common) + len(free) > MOST_PLACED:
+        return fresh
     kept = {key: old.centres[key] for key in common if key not in free}
     centres = _place(kept, fresh, after, sizes)
     if _strangers(after.vertices, centres, sizes):
@@ -121,17 +125,22 @@ def _free_place(
     sizes: Mapping[str, Size],
 ) -> Point:
     """Look around for a place that is free, in a box that does not grow into others."""
-    taken = [around(place, sizes[key]) for key, place in centres.items()]
+    taken = {key: around(place, sizes[key]) for key, place in centres.items()}
     step = sizes[vertex.key].height / 2 + _GAP
-    some = [vertices[key] for key in centres] + [vertex]
+    boxes = boxes_around({key: vertices[key].group for key in centres}, centres, sizes)
+    foreign = [box for group, box in boxes.items() if vertex.group[: len(group)] != group]
+    foreign += [area for key, area in taken.items() if vertices[key].group[:1] != vertex.group[:1]]
+    own = boxes.get(vertex.group[:1])
     nearest = None
     ways = [Point(x, y * step) for x in _SIDESTEPS for y in range(-_TRIES, _TRIES + 1)]
     for way in sorted(ways, key=lambda way: (abs(way.x) + abs(way.y), way)):
         place = wish.plus(way)
-        if any(around(place, sizes[vertex.key]).grown(_GAP / 2).meets(each) for each in taken):
+        area = around(place, sizes[vertex.key]).grown(_GAP / 2)
+        if any(area.meets(each) for each in taken.values()):
             continue
         nearest = nearest or place
-        if not _strangers(some, {**centres, vertex.key: place}, sizes):
+        reach = area if own is None else own.joined(area)
+        if not any(reach.meets(each) for each in foreign):
             return place
     return nearest or wish
 

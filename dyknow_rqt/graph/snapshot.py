@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, AbstractSet, Dict, List, Mapping, Optional, Sequence, Tuple
 
 from dyknow.manager.model import PortState
@@ -64,15 +65,23 @@ class Snapshot:
 
     def nodelet(self, name: str) -> Optional[NodeletView]:
         """Return the nodelet of that name, or None."""
-        return next((each for each in self.nodelets if each.name == name), None)
+        return self._by_name.get(name)
 
     def port(self, ref: PortRef) -> Optional[PortState]:
         """Return the port, or None."""
         nodelet = self.nodelet(ref.nodelet)
         return nodelet.port(ref.port) if nodelet is not None else None
 
-    def topics(self) -> Dict[str, Topic]:
+    def topics(self) -> Mapping[str, Topic]:
         """Topics that ports are connected to, by name, in order."""
+        return self._topics
+
+    @cached_property
+    def _by_name(self) -> Dict[str, NodeletView]:
+        return {each.name: each for each in self.nodelets}
+
+    @cached_property
+    def _topics(self) -> Dict[str, Topic]:
         found: Dict[str, List[Tuple[PortRef, PortState]]] = {}
         for nodelet in self.nodelets:
             for port in nodelet.ports:

@@ -677,6 +677,11 @@ def test_five_hundred_nodelets_stay_usable(qtbot):
     worst = max(_gaps(qtbot, 30000, lambda: "t_/elsewhere" in _keys(widget)))
     assert "t_/elsewhere" in _keys(widget)
     assert worst < 3.0, worst
+    for i in range(100):
+        remote.spawn("relay", f"/more/n{i}", {"in": f"/more/t{i}", "out": f"/more/t{i + 1}"})
+    worst = max(_gaps(qtbot, 30000, lambda: "n_/more/n99" in _keys(widget)))
+    assert "n_/more/n99" in _keys(widget)
+    assert worst < 3.0, worst
 
 
 def test_without_graphviz_there_is_still_a_drawing(qtbot, window):
