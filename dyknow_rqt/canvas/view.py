@@ -17,6 +17,8 @@ from dyknow_rqt.graph.snapshot import PortRef
 from dyknow_rqt.guard import guarded
 
 _STEP = 1.2
+#: How much larger a drawing has to be possible before it is fitted anew.
+_ROOM = 1.5
 _SMALLEST, _LARGEST = 0.05, 8.0
 _ARROWS = {
     Qt.Key_Left: QPointF(-1, 0),
@@ -71,9 +73,16 @@ class GraphView(QGraphicsView):
                 self.centerOn(area.center())
 
     def keep_in_view(self) -> None:
-        """Fit if something is out of view, unless hands have chosen what is to be seen."""
+        """Fit if something is out of view, or much smaller than it could be.
+
+        Not if hands have chosen what is to be seen.
+        """
+        if self.is_chosen:
+            return
         seen = self.mapToScene(self.viewport().rect()).boundingRect()
-        if not self.is_chosen and not seen.contains(self.scene().drawing_area()):
+        area = self.scene().drawing_area()
+        larger = min(seen.width() / max(area.width(), 1), seen.height() / max(area.height(), 1))
+        if not seen.contains(area) or (self.zoom < 0.7 and larger > _ROOM):
             self.fit()
 
     @property

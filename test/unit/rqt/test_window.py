@@ -680,8 +680,11 @@ def test_five_hundred_nodelets_stay_usable(qtbot):
     for i in range(100):
         remote.spawn("relay", f"/more/n{i}", {"in": f"/more/t{i}", "out": f"/more/t{i + 1}"})
     worst = max(_gaps(qtbot, 30000, lambda: "n_/more/n99" in _keys(widget)))
+    zoom = widget.graph.view.zoom
     assert "n_/more/n99" in _keys(widget)
     assert worst < 3.0, worst
+    widget.graph.bar.nodelets.setText("/g7")
+    until(qtbot, lambda: widget.graph.view.zoom > 3 * zoom)
 
 
 def test_without_graphviz_there_is_still_a_drawing(qtbot, window):
