@@ -168,9 +168,14 @@ class NoPlanFound(DyKnowError):
 
 
 class StreamTypeMismatch(DyKnowError):
-    """A stream turned out to have another type than was asked for."""
+    """A stream turned out to have another type than was asked for.
 
-    def __init__(self, tag: str, wanted: str, found: str) -> None:
+    Attributes:
+        label: the transformation that supplies it.
+    """
+
+    def __init__(self, tag: str, wanted: str, found: str, label: str = "") -> None:
+        self.label = label
         super().__init__(f"the stream {tag} carries {found}, but {wanted} was asked for")
 
 

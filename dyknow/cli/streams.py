@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import getpass
 import os
 import socket
 
@@ -45,7 +44,7 @@ def request_of(
     return StreamRequest(
         tag=arguments.tag,
         datatype=arguments.datatype,
-        client_id=f"dyknow of {getpass.getuser()} on {socket.gethostname()} ({os.getpid()})",
+        client_id=f"dyknow acquire on {socket.gethostname()} ({os.getpid()})",
         lease=lease,
         max_silence=max_silence,
         exclude=tuple(arguments.exclude),

@@ -160,9 +160,9 @@ class Keeper:
                 raise NoPlanFound(str(answer), claim.claim_id)
             if dry_run:
                 return Acquired(claim, answer, *_intended(answer, {}))
-            done = self._repair.carry_out(claim, answer)
+            plan, done = self._repair.carry_out(claim, answer, lenient=True)
             claim = self._table.add(replace(claim, **outcome(done)), "requested")
-        return Acquired(claim, answer, tuple(done.spawned), tuple(sorted(done.reused)))
+        return Acquired(claim, plan, tuple(done.spawned), tuple(sorted(done.reused)))
 
     def release(self, claim_id: str) -> None:
         """End a claim; ending it again, or one that nobody knows any more, is no error."""
@@ -201,12 +201,12 @@ class Keeper:
                 raise NoPlanFound(str(answer), claim_id)
             if dry_run:
                 return Acquired(claim, answer, *_intended(answer, own))
-            done = self._repair.carry_out(claim, answer)
+            plan, done = self._repair.carry_out(claim, answer, lenient=True)
             changed = self._table.change(
                 claim_id, with_remarks("replanned on request", done), **outcome(done)
             )
             self._housekeeping.clear_topics()
-        return Acquired(changed or claim, answer, tuple(done.spawned), tuple(sorted(done.reused)))
+        return Acquired(changed or claim, plan, tuple(done.spawned), tuple(sorted(done.reused)))
 
     def claims(self) -> List[Claim]:
         """Return every claim, those that ended lately too, by id."""

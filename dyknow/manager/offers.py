@@ -38,7 +38,8 @@ class Offers:
             cheaper = self.cheaper(claim)
             if cheaper is not None:
                 labels = ", ".join(sorted(step.action.label for step in cheaper.steps))
-                news = f"a cheaper way has appeared, with {labels}; replanning takes it"
+                way = f"with {labels}" if labels else "with what others use"
+                news = f"a cheaper way has appeared, {way}; replanning takes it"
                 if news != told:
                     self._table.report(claim.claim_id, news)
             self._compared[claim.claim_id] = (offers, news)

@@ -34,7 +34,7 @@ class Order:
 
 
 @dataclass
-class Fulfilled:
+class Assembled:
     """What became of a plan.
 
     Attributes:

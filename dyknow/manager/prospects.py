@@ -122,23 +122,26 @@ class Prospects:
 
     # Plans
 
-    def plan(self, claim: Claim, lenient: bool = False) -> Answer:
+    def plan(
+        self, claim: Claim, lenient: bool = False, avoid: FrozenSet[str] = NO_LABELS
+    ) -> Answer:
         """Plan a claim's stream, with its own nodelets re-wired at no cost.
 
         Args:
             claim: whose stream it is.
             lenient: use what failed lately too, if there is no other way.
+            avoid: labels that will not do, as has turned out.
         """
         self._update()
         together = [claim]
         if claim.topic:
             sharing = [each for each in self._table.living() if each.topic == claim.topic]
             together += [each for each in sharing if each.claim_id != claim.claim_id]
-        answer = self._plan(together, claim.topic, self._quarantine.names())
+        answer = self._plan(together, claim.topic, self._quarantine.names(), avoid)
         if isinstance(answer, NoPlan) and len(together) > 1:
-            answer = self._plan([claim], claim.topic, self._quarantine.names())
+            answer = self._plan([claim], claim.topic, self._quarantine.names(), avoid)
         if isinstance(answer, NoPlan) and lenient and self._quarantine.names():
-            answer = self._plan([claim], claim.topic, NO_LABELS)
+            answer = self._plan([claim], claim.topic, NO_LABELS, avoid)
         return answer
 
     def is_waiting(self, claim: Claim) -> bool:
@@ -167,9 +170,15 @@ class Prospects:
 
     # Inside
 
-    def _plan(self, claims: List[Claim], topic: str, paused: AbstractSet[str]) -> Answer:
+    def _plan(
+        self,
+        claims: List[Claim],
+        topic: str,
+        paused: AbstractSet[str],
+        avoid: FrozenSet[str] = NO_LABELS,
+    ) -> Answer:
         demand = demand_of(claims)
-        exclude = frozenset(label for claim in claims for label in claim.request.exclude)
+        exclude = avoid | {label for claim in claims for label in claim.request.exclude}
         own = self.own(claims[0]).keys() - exclude
         streams = self._streams(exclude)
         present = self._present(demand, streams, topic)
@@ -233,6 +242,11 @@ class Prospects:
 def demand_of(claims: Iterable[Claim]) -> Demand:
     """What one stream has to be to satisfy all these claims."""
     claims = list(claims)
-    types = sorted({claim.request.datatype for claim in claims} - {""})
+    types = [wanted_type(claim) for claim in claims]
     tags = frozenset(parse_tag(claim.request.tag) for claim in claims)
-    return Demand(tags, claims[0].request.datatype or (types[0] if types else ""))
+    return Demand(tags, types[0] or max(types))
+
+
+def wanted_type(claim: Claim) -> str:
+    """Type of messages that a claim's client expects: what it asked for, or got first."""
+    return claim.request.datatype or claim.datatype.replace("*", "")

@@ -6,6 +6,8 @@ others listen there.
 
 from __future__ import annotations
 
+from typing import Tuple
+
 from dyknow.errors import SpawnFailed
 from dyknow.manager.transformation import IN, OUT, Parameter, Port, Transformation
 
@@ -13,8 +15,8 @@ from dyknow.manager.transformation import IN, OUT, Parameter, Port, Transformati
 _PREFIX = "relay of "
 
 
-def relay(topic: str, datatype: str) -> Transformation:
-    """Describe a relay for a topic.
+def relay(topic: str, datatype: str, tags: Tuple[str, ...]) -> Transformation:
+    """Describe a relay for a topic: it supplies what the topic does.
 
     Raises:
         SpawnFailed: the type of the topic is not known.
@@ -25,7 +27,7 @@ def relay(topic: str, datatype: str) -> Transformation:
         _PREFIX + topic,
         "dyknow/Relay",
         parameters=(Parameter("datatype", "string", datatype),),
-        ports=(Port("in", IN, datatype), Port("out", OUT, datatype)),
+        ports=(Port("in", IN, datatype, tags), Port("out", OUT, datatype, tags)),
     )
 
 

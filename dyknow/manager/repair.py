@@ -6,18 +6,18 @@ import logging
 from dataclasses import replace
 from typing import Any, Callable, Dict, Hashable, Optional, Tuple
 
-from dyknow.errors import DyKnowError
+from dyknow.errors import DyKnowError, StreamTypeMismatch
+from dyknow.manager.assembly import Assembly
 from dyknow.manager.claim import Claim, ClaimState
 from dyknow.manager.claim_table import ClaimTable
 from dyknow.manager.delivery import Delivery
-from dyknow.manager.fulfilment import Fulfilment
 from dyknow.manager.housekeeping import Housekeeping
 from dyknow.manager.inspection import Damage, inspect
 from dyknow.manager.manager import Manager
 from dyknow.manager.model import Record, State
-from dyknow.manager.order import Fulfilled, Order
+from dyknow.manager.order import Assembled, Order
 from dyknow.manager.planning import NoPlan, Plan
-from dyknow.manager.prospects import Prospects
+from dyknow.manager.prospects import Prospects, wanted_type
 from dyknow.manager.quarantine import Quarantine
 from dyknow.manager.silence import SilenceWatch
 
@@ -42,7 +42,7 @@ class Repair:
         self._manager = manager
         self._table = table
         self._prospects = prospects
-        self._fulfilment = Fulfilment(manager, delivery, self._note_failure)
+        self._assembly = Assembly(manager, delivery, self._note_failure)
         self._housekeeping = housekeeping
         self._quarantine = quarantine
         self._silence = silence
@@ -57,24 +57,44 @@ class Repair:
         silence, published = self._silence, self._prospects.published
         return inspect(self._manager, claim, silence.silent, silence.mute, published)
 
-    def carry_out(self, claim: Claim, plan: Plan) -> Fulfilled:
-        """Make a claim's stream as a plan says.
+    def carry_out(self, claim: Claim, plan: Plan, lenient: bool = False) -> Tuple[Plan, Assembled]:
+        """Make a claim's stream as a plan says, or another way where types turn out wrong.
+
+        Args:
+            claim: whose stream it is.
+            plan: what to try first.
+            lenient: use what failed lately too, if there is no other way.
 
         Raises:
+            StreamTypeMismatch: every way carries another type than is needed.
             DyKnowError: a step failed; what was made is undone.
         """
+        wrong: Dict[str, StreamTypeMismatch] = {}
+        while True:
+            try:
+                return plan, self._carry_out(claim, plan)
+            except StreamTypeMismatch as error:
+                if error.label in wrong:
+                    raise
+                wrong[error.label] = error
+                answer = self._prospects.plan(claim, lenient, frozenset(wrong))
+                if isinstance(answer, NoPlan):
+                    raise next(iter(wrong.values())) from None
+                plan = answer
+
+    def _carry_out(self, claim: Claim, plan: Plan) -> Assembled:
         others = [each for each in self._table.living() if each.claim_id != claim.claim_id]
         order = Order(
             plan,
             claim.request.tag,
             claim.topic,
-            claim.request.datatype,
+            wanted_type(claim),
             self._prospects.own(claim),
             self._silence.unhealthy,
             self._silence.mute,
             frozenset(each.topic for each in others if each.topic),
         )
-        done = self._fulfilment.carry_out(order)
+        done = self._assembly.carry_out(order)
         self._silence.excuse(done.wiring)
         self._housekeeping.replaced(replace(claim, **outcome(done)))
         return done
@@ -109,7 +129,7 @@ class Repair:
             claim = self._table.change(claim_id, damage.what, **changes) or claim
         self._culprit = ""
         try:
-            done = self.carry_out(claim, answer)
+            _, done = self.carry_out(claim, answer)
         except DyKnowError as error:
             if not self._culprit:
                 self._quarantine.blame(claim_id)
@@ -165,7 +185,7 @@ class Repair:
             self._note_death(record)
 
 
-def outcome(done: Fulfilled) -> Dict[str, Any]:
+def outcome(done: Assembled) -> Dict[str, Any]:
     """Write what became of a plan as changes of its claim."""
     return {
         "topic": done.topic,
@@ -178,6 +198,6 @@ def outcome(done: Fulfilled) -> Dict[str, Any]:
     }
 
 
-def with_remarks(reason: str, done: Fulfilled) -> str:
+def with_remarks(reason: str, done: Assembled) -> str:
     """Add to a reason what did not go as it should."""
     return "; ".join([reason, *done.remarks])

@@ -82,6 +82,11 @@ class AcquiredStream:
         """Why it does not, in words."""
         return self._view.detail
 
+    @property
+    def nodelets(self) -> Tuple[str, ...]:
+        """Nodelets that it needs, by name, as the manager told last."""
+        return self._view.nodelets
+
     def wait_until_active(self, timeout: Optional[float] = None) -> bool:
         """Wait for the stream.
 
@@ -149,9 +154,12 @@ class AcquiredStream:
 
     def _take(self, view: StreamView, reason: str) -> None:
         before = self._view
-        seen = (view.state, view.topic, view.detail)
-        if not before.state.ended and seen != (before.state, before.topic, before.detail):
+        if before.state.ended:
+            return
+        if (view.state, view.topic, view.detail) != (before.state, before.topic, before.detail):
             self.note(StreamEventView(rospy.get_time(), before, view, reason))
+        else:
+            self._view = view
 
 
 def acquire(
@@ -222,21 +230,25 @@ def _ask(
     client: ManagerClient, request: StreamRequest, pending: bool, timeout: float
 ) -> Tuple[StreamView, Optional[AcquiredView]]:
     """Ask for a stream; without an answer if it is not there yet."""
-
-    def view(claim_id: str, state: ClaimState, detail: str, topic: str, datatype: str) -> Any:
-        return StreamView(
-            claim_id, request.client_id, request.tag, topic, datatype, state, detail, (), 0.0
-        )
-
+    view = StreamView("", request.client_id, request.tag, "", "", ClaimState.PENDING, "", (), 0.0)
     try:
         answer = client.acquire_stream(request, timeout=timeout)
     except StreamRefused as error:
         if error.claim_id and pending:
-            return view(error.claim_id, ClaimState.PENDING, str(error), "", ""), None
+            return replace(view, claim_id=error.claim_id, detail=str(error)), None
         if error.claim_id:
             _give_up(client, error.claim_id)
         raise
-    return view(answer.claim_id, ClaimState.ACTIVE, "", answer.topic, answer.datatype), answer
+    active = replace(
+        view,
+        claim_id=answer.claim_id,
+        topic=answer.topic,
+        datatype=answer.datatype,
+        state=ClaimState.ACTIVE,
+        nodelets=tuple(sorted({*answer.spawned, *answer.reused})),
+        expires=answer.expires,
+    )
+    return active, answer
 
 
 def _give_up(client: ManagerClient, claim_id: str) -> None:

@@ -11,8 +11,8 @@ from dyknow.manager.keeper import Keeper
 
 #: Seconds between two rounds as long as there is something to be looked after.
 PERIOD = 0.5
-#: The same where a claim says how long its stream may be silent.
-SILENCE_PERIOD = 0.2
+#: Rounds in the time that a stream may be silent, where a claim says so.
+_ROUNDS = 4
 #: Least seconds between two rounds, whatever happens.
 PAUSE = 0.05
 
@@ -70,9 +70,12 @@ class Reconciling:
     def _period(self) -> float | None:
         if not self._has_work():
             return None
-        claims = self._keeper.claims()
-        watched = any(claim.request.max_silence and not claim.state.ended for claim in claims)
-        return SILENCE_PERIOD if watched else PERIOD
+        silences = [
+            claim.request.max_silence
+            for claim in self._keeper.claims()
+            if claim.request.max_silence and not claim.state.ended
+        ]
+        return max(PAUSE, min([PERIOD, *(each / _ROUNDS for each in silences)]))
 
     def _round(self) -> None:
         try:

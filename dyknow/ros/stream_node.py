@@ -54,11 +54,12 @@ class StreamNode:
         self._reconciling.note_change()
 
     def close(self) -> None:
-        """Look after nothing any more; the nodelets of the streams are not touched."""
+        """End all claims; the nodelets of the streams are not touched."""
         self._services.close()
         self._reconciling.close(1.0)
-        self._bonds.close()
-        self._publisher.unregister()
+        for claim in self._keeper.claims():
+            self._keeper.expire(claim.claim_id, "the manager is stopped")
+        self._bonds.close()  # the topic is withdrawn with the node, when the last is sent
 
     def _has_work(self) -> bool:
         return any(not claim.state.ended for claim in self._keeper.claims()) or any(

@@ -90,10 +90,7 @@ class StreamServices:
         answer = AcquireStreamResponse()
 
         def acquire() -> None:
-            wanted = self._checked(request)
-            if not request.dry_run:
-                self._guards.check_writable(f"acquiring '{request.tag}'")
-            acquired = self._keeper.acquire(wanted, request.dry_run)
+            acquired = self._keeper.acquire(self._checked(request), request.dry_run)
             claim = acquired.claim
             answer.claim_id, answer.topic = claim.claim_id, claim.topic
             answer.datatype = claim.datatype
@@ -129,8 +126,6 @@ class StreamServices:
         answer = ReplanStreamResponse()
 
         def replan() -> None:
-            if not request.dry_run:
-                self._guards.check_writable(f"replanning '{request.claim_id}'")
             _tell_plan(answer, self._keeper.replan(request.claim_id, request.dry_run))
 
         error = self._try(request, f"replanning stream '{request.claim_id}'", replan)

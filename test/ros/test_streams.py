@@ -3,9 +3,15 @@
 
 from __future__ import annotations
 
+import json
+import signal
+import sys
+import time
+
 import rospy
 import rostest
 from manager_suite import eventually
+from processes import Running, finished
 from std_msgs.msg import Header
 from stream_suite import FILTER, GOAL, SENSOR, SPARE_FILTER, StreamCase
 
@@ -13,6 +19,8 @@ import dyknow
 from dyknow.errors import Refused
 from dyknow.manager.claim import ClaimState, StreamRequest
 from dyknow.ros.client_errors import Result, StreamRefused
+
+DYKNOW = [sys.executable, "-m", "dyknow.cli"]
 
 
 class AcquireTest(StreamCase):
@@ -134,6 +142,58 @@ class AcquireTest(StreamCase):
             self.nodelet_of(manager, "filter")
             self.assertEqual(stream.topic, topic)
             self.settled(manager)
+
+
+class CommandTest(StreamCase):
+    """``dyknow`` in a shell, which is no node."""
+
+    def run_it(self, *words):
+        code, output = finished([*DYKNOW, *words])
+        self.assertEqual(code, 0, output)
+        return output
+
+    def test_a_stream_held_by_a_shell(self):
+        manager = self.tracking()
+        self.assertIn("filter.out (new, cost 1)", self.run_it("plan", GOAL))
+        self.assertIn("digraph", self.run_it("plan", GOAL, "--dot"))
+        with Running(*DYKNOW, "acquire", GOAL) as shell:
+            shell.wait_for("held until Ctrl-C")
+            (claim,) = manager.client.list_streams()
+            self.assertIn(claim.topic, shell.output)
+            manager.client.destroy("/filter_1")
+            shell.wait_for("active: mended")
+            self.assertIn(claim.claim_id, self.run_it("streams"))
+            manager.kill()
+            shell.wait_for("waiting for it")
+            manager.start()
+            shell.wait_for("the manager is back")
+            time.sleep(11.0)  # longer than the lease
+            self.become(manager, claim.claim_id, ClaimState.ACTIVE)
+            shell.stop()
+            self.assertEqual(shell.exit_code(10.0), 0)
+            self.assertIn(f"released {claim.claim_id}", shell.output)
+        self.assertEqual([c for c in manager.client.list_streams() if not c.state.ended], [])
+
+    def test_a_shell_that_is_killed_holds_nothing(self):
+        manager = self.tracking()
+        with Running(*DYKNOW, "acquire", GOAL, "--json") as shell:
+            shell.wait_for('"state": "active"')
+            (claim,) = manager.client.list_streams()
+            shell.stop(signal.SIGKILL)
+        self.become(manager, claim.claim_id, ClaimState.EXPIRED, 15.0)
+
+    def test_a_claim_that_is_left_behind(self):
+        manager = self.tracking()
+        claim = json.loads(self.run_it("acquire", GOAL, "--lease", "0", "--json"))["claim"]
+        self.assertEqual(
+            json.loads(self.run_it("streams", "--json"))["streams"][0]["expires"], None
+        )
+        self.run_it("replan", claim)
+        self.run_it("release", claim)
+        self.become(manager, claim, ClaimState.RELEASED)
+        code, output = finished([*DYKNOW, "acquire", "Position(cat)"])
+        self.assertEqual(code, 1)
+        self.assertIn("nothing supplies Position(cat)", output)
 
 
 if __name__ == "__main__":

@@ -102,7 +102,7 @@ class _Holding:
         renewal = time.monotonic() + _RENEWAL
         while True:
             event = self._next_event(renewal - time.monotonic())
-            if event is not None:
+            if event is not None and event.before is not None:  # that it is new was said
                 line = f"{event.after.state.name.lower()}: {event.reason}"
                 _say(self._shell, event_shape(event), [f"{_clock(event.stamp)} {line}"])
                 if event.after.state.ended:

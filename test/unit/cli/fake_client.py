@@ -195,7 +195,8 @@ class FakeEvents:
         if self.waiting:
             event = self.waiting.pop(0)
             after = _stream_view(event.after)
-            return StreamEventView(0.0, _stream_view(event.before), after, event.reason)
+            before = None if event.reason == "requested" else _stream_view(event.before)
+            return StreamEventView(0.0, before, after, event.reason)
         if not self._client.script:
             raise KeyboardInterrupt
         self._client.script.pop(0)()

@@ -70,10 +70,8 @@ class TestAcquire:
             f"  claim {claim.claim_id}",
             "  nodelets /camera_1",
             "held until Ctrl-C",
-            outcome.lines[4],
             f"released {claim.claim_id}",
         ]
-        assert outcome.lines[4].endswith("active: requested")
         assert (outcome.code, claim.state.name) == (0, "RELEASED")
 
     def test_tells_what_happens(self, client: FakeClient) -> None:
@@ -83,7 +81,7 @@ class TestAcquire:
         ]
         outcome = run(client, ACQUIRE)
         told = [line.split(" ", 1)[1] for line in outcome.lines if line[2:3] == ":"]
-        assert told[1:] == [
+        assert told == [
             "recovering: nodelet /camera_1 is gone",
             "active: mended: nodelet /camera_1 is gone",
         ]

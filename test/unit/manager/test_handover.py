@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Callable, List
 
 import pytest
-from unit.manager.field import CHAIN, LIBRARY, POINT, Field, transformation
+from unit.manager.field import CHAIN, GOAL, LIBRARY, POINT, Field, transformation
 
 from dyknow.errors import HostError, NoPlanFound, SpawnFailed, StreamTypeMismatch
-from dyknow.manager.claim import ClaimState
+from dyknow.manager.claim import ClaimState, StreamRequest
 
 OTHER = transformation(
     "other localization",
@@ -176,10 +176,17 @@ def test_a_type_that_was_not_stated_is_verified(field: Field) -> None:
     field.manager.add_transformation(
         transformation("odd camera", "soccer/Odd", "out yuv", "yuv YUV(field)", cost=0)
     )
-    with pytest.raises(StreamTypeMismatch, match="port 'yuv' of transformation 'subsampler'"):
-        field.acquire()
-    assert field.host.running == []
-    assert field.acquire(exclude=("odd camera",)).claim.state is ClaimState.ACTIVE
+    odd = field.keeper.acquire(StreamRequest(GOAL), dry_run=True)
+    assert "odd camera" in odd.spawned
+    acquired = field.acquire()
+    assert "odd camera" not in field.labels(), "there is another way"
+    assert acquired.claim.state is ClaimState.ACTIVE
+    field.keeper.release(acquired.claim.claim_id)
+    field.tidy()
+    for _ in range(2):
+        with pytest.raises(StreamTypeMismatch, match="port 'yuv' of transformation 'subsampler'"):
+            field.acquire(exclude=("bottom camera", "ceiling camera"))
+    assert (field.host.running, field.living()) == ([], [])
 
 
 def test_a_stream_that_others_listen_to_is_relayed(field: Field) -> None:
@@ -200,6 +207,7 @@ def test_a_stream_that_others_listen_to_is_relayed(field: Field) -> None:
 
 def test_an_ordinary_topic_takes_over_through_a_relay(field: Field) -> None:
     claim = field.acquire().claim
+    other = field.acquire("FieldPosition(?what)").claim
     field.settle()
     field.manager.add_transformation(
         '<transformation type="topic"><label>referee</label><source>/referee/ball</source>'
@@ -211,7 +219,8 @@ def test_an_ordinary_topic_takes_over_through_a_relay(field: Field) -> None:
     field.tidy()
     assert field.host.publishers(claim.topic) == ["/relay_of_referee_ball_1"]
     assert claim.topic in field.moving
-    assert field.labels() == ["relay of /referee/ball"]
+    assert field.labels() == ["relay of /referee/ball"], "one for both"
+    assert other.topic == claim.topic == field.claim(other.claim_id).topic
     field.host.topics.discard("/referee/ball")
     field.settle()
     assert field.state(claim.claim_id) is ClaimState.PENDING

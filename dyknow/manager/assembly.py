@@ -8,27 +8,25 @@ on a topic of its own until its first message has been sent, then it takes the p
 
 from __future__ import annotations
 
-from typing import Callable, Dict, Iterable, List, Mapping
+from typing import Callable, Iterable, Mapping
 
-from dyknow import names
 from dyknow.errors import DyKnowError, NameTaken, SpawnFailed, StreamTypeMismatch
 from dyknow.manager.delivery import Delivery, Handover
 from dyknow.manager.host import Kind
 from dyknow.manager.lifecycle import SpawnRequest
 from dyknow.manager.manager import Manager
-from dyknow.manager.model import Record, State
+from dyknow.manager.model import State
 from dyknow.manager.naming import candidates
-from dyknow.manager.order import Fulfilled, Order
-from dyknow.manager.planning import Live, New, Source, Step
+from dyknow.manager.order import Assembled, Order
+from dyknow.manager.parts import ANY, Parts, default_topic
+from dyknow.manager.planning import Live, Source, Step
 from dyknow.manager.relay import relay
 from dyknow.manager.transaction import Transaction
-from dyknow.manager.transformation import IN, OUT, Transformation
+from dyknow.manager.transformation import OUT, Transformation
 from dyknow.manager.upstream import upstream
 
-_ANY = ("", "*")
 
-
-class Fulfilment:
+class Assembly:
     """Carries plans out."""
 
     def __init__(
@@ -45,7 +43,7 @@ class Fulfilment:
         self._delivery = delivery
         self._on_failure = on_failure
 
-    def carry_out(self, order: Order) -> Fulfilled:
+    def carry_out(self, order: Order) -> Assembled:
         """Make what a plan says.
 
         Raises:
@@ -77,11 +75,11 @@ class _Work:
         self._handover = handover
         self._on_failure = on_failure
         self._order = order
-        self._made: Dict[str, str] = {}
-        self._done = Fulfilled()
+        self._done = Assembled()
         self.transaction = Transaction(manager)
+        self._parts = Parts(manager, order, self.transaction.spawned)
 
-    def do(self) -> Fulfilled:
+    def do(self) -> Assembled:
         done = self._done
         for step in self._order.plan.steps:
             self._take(step)
@@ -100,61 +98,42 @@ class _Work:
         name = self._order.own.get(label, "")
         if name:
             self._done.reused.add(name)
-            self._check_types(self._graph.get(name), step)
+            self._parts.check_types(self._graph.get(name), step)
             for port, source in step.inputs:
                 self._await(source, self._graph.get(name).topics.get(port, ""), inputs[port])
         else:
-            name = self._spawn(self._manager.library.get(label), inputs, self._outputs(label))
-            self._check_types(self._graph.get(name), step)
-        self._made[label] = name
+            name = self._spawn(
+                self._manager.library.get(label), inputs, self._parts.outputs(label)
+            )
+            self._parts.check_types(self._graph.get(name), step)
+        self._parts.made[label] = name
         self._connect(name, inputs)
-
-    def _outputs(self, label: str) -> List[str]:
-        """Out-ports of a transformation that the plan uses."""
-        plan = self._order.plan
-        used = {source for step in plan.steps for _, source in step.inputs} | {plan.goal}
-        return sorted(
-            {each.port for each in used if isinstance(each, New) and each.label == label}
-        )
 
     def _publish(self, goal: Source) -> None:
         """Let the goal be published where the client listens."""
         done, place = self._done, self._order.topic
         present = self._topic_of(goal)
-        datatype = self._type_of(goal)
+        datatype = self._parts.type_of(goal)
         wanted = self._order.datatype
-        if wanted not in _ANY and datatype not in (*_ANY, wanted):
-            raise StreamTypeMismatch(self._order.tag, wanted, datatype)
+        if wanted not in ANY and datatype not in (*ANY, wanted):
+            raise StreamTypeMismatch(self._order.tag, wanted, datatype, goal.label)
         done.topic, done.datatype = place or present, datatype or wanted
-        name, port = self._name_of(goal), goal.port
+        name, port = self._parts.name_of(goal), goal.port
         if present != done.topic:
-            if not name or not self._may_move(name, present):
-                name, port = self._relay(present, datatype, done.topic), "out"
+            if not name or not self._parts.may_move(name, present):
+                name, port = self._relay(goal, present, done.topic), "out"
             else:
                 self._await(goal, done.topic, present)
                 self._connect(name, {port: done.topic})
             self._clear(done.topic, name)
         done.goal = (name, port) if name else ("", "")
 
-    def _relay(self, source: str, datatype: str, topic: str) -> str:
+    def _relay(self, goal: Source, present: str, topic: str) -> str:
         """Bring a stream that must stay where it is to where the client listens."""
-        name = self._spawn(relay(source, datatype), {"in": source}, ())
-        self._connect(name, {"in": source, "out": topic})
+        made = relay(present, self._parts.type_of(goal), self._parts.tags_of(goal))
+        name = self._spawn(made, {"in": present}, ())
+        self._connect(name, {"in": present, "out": topic})
         return name
-
-    def _may_move(self, name: str, topic: str) -> bool:
-        """Whether nobody else listens on the topic that an out-port publishes on now."""
-        if name in self.transaction.spawned or not topic:
-            return True
-        if not self._graph.get(name).claimed or topic in self._order.taken:
-            return False
-        own = {*self._order.own.values(), *self.transaction.spawned}
-        return not any(
-            port.direction == IN and port.topic == topic
-            for record in self._graph.all()
-            if record.name not in own and record.state is State.RUNNING
-            for port in record.ports
-        )
 
     def _clear(self, topic: str, publisher: str) -> None:
         """Take everybody else off the client's topic: whoever was replaced goes."""
@@ -174,25 +153,14 @@ class _Work:
 
     def _await(self, source: Source, old: str, new: str) -> None:
         """Wait for a new supplier to deliver, if something flows that it is to replace."""
-        name = self._name_of(source)
-        if old in ("", new) or name not in self.transaction.spawned or not self._flows(old):
+        name = self._parts.name_of(source)
+        if old in ("", new) or name not in self.transaction.spawned or not self._parts.flows(old):
             return
         self._handover.wait(self._graph.get(name), source.port)
 
-    def _flows(self, topic: str) -> bool:
-        return any(
-            port.direction == OUT and port.topic == topic
-            for record in self._graph.all()
-            if record.state is State.RUNNING and record.name not in self._order.unhealthy
-            for port in record.ports
-        )
-
-    def _name_of(self, source: Source) -> str:
-        return source.nodelet if isinstance(source, Live) else self._made[source.label]
-
     def _topic_of(self, source: Source) -> str:
         """Name the topic of a supplier; an out-port that has none is given one."""
-        name = self._name_of(source)
+        name = self._parts.name_of(source)
         if not name:
             assert isinstance(source, Live)
             self._done.sources.add(source.topic)
@@ -201,41 +169,9 @@ class _Work:
             self._done.reused.add(name)
         topic = self._graph.get(name).topics.get(source.port, "")
         if not topic:
-            topic = self._free_topic(name, source.port)
+            topic = self._parts.free_topic(name, source.port)
         self._connect(name, {source.port: topic})
         return topic
-
-    def _free_topic(self, name: str, port: str) -> str:
-        """Name a topic after an out-port; one that has passed to a successor is passed over."""
-        spoken_for = self._order.taken | {self._order.topic}
-        spoken_for |= {
-            each.topic
-            for record in self._graph.all()
-            for each in record.ports
-            if each.direction == OUT and record.name != name
-        }
-        topic = default = _default(name, port)
-        number = 1
-        while topic in spoken_for:
-            number += 1
-            topic = f"{default}_{number}"
-        return topic
-
-    def _type_of(self, source: Source) -> str:
-        name = self._name_of(source)
-        if not name:
-            assert isinstance(source, Live)
-            return source.datatype
-        types = {port.name: port.datatype for port in self._graph.get(name).ports}
-        return types.get(source.port, "")
-
-    def _check_types(self, record: Record, step: Step) -> None:
-        types = {port.name: port.datatype for port in record.ports}
-        for port, source in step.inputs:
-            wanted, found = types.get(port, ""), self._type_of(source)
-            if wanted not in _ANY and found not in (*_ANY, wanted):
-                what = f"for port '{port}' of transformation '{step.action.label}'"
-                raise StreamTypeMismatch(what, wanted, found)
 
     def _connect(self, name: str, config: Mapping[str, str]) -> None:
         self.transaction.connect(name, config)
@@ -251,7 +187,7 @@ class _Work:
             name = self._manager.resolve(candidate)
             if any(topic.startswith(name + "/") for topic in spoken_for):
                 continue
-            wiring = {**inputs, **{port: _default(name, port) for port in outputs}}
+            wiring = {**inputs, **{port: default_topic(name, port) for port in outputs}}
             try:
                 is_plain = self._manager.host.kind_of(transformation.source) is Kind.CPP
                 request = SpawnRequest(
@@ -270,7 +206,3 @@ class _Work:
             self._connect(name, {port: wiring[port] for port in outputs})
             return name
         raise SpawnFailed(transformation.label, "there are too many of its name")
-
-
-def _default(name: str, port: str) -> str:
-    return names.join(name, port.lstrip("~/"))
