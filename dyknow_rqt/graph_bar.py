@@ -74,7 +74,7 @@ class GraphBar(QWidget):
         self.undo = QPushButton("Undo")
         self.redo = QPushButton("Redo")
         self.save = QToolButton()
-        self.save.setText("Sav&e")
+        self.save.setText("Sa&ve")
         self.save.setToolTip("Save the drawing, or the wiring to be loaded another day")
         self.save.setPopupMode(QToolButton.InstantPopup)
         self.save_menu = QMenu(self.save)
@@ -155,7 +155,7 @@ class GraphBar(QWidget):
         rows.setContentsMargins(4, 4, 4, 2)
         self.nodelets.setMinimumWidth(150)
         self.topics.setMinimumWidth(150)
-        group, rate = QLabel("Gro&up:"), QLabel("E&very:")
+        group, rate = QLabel("Gro&up:"), QLabel("&Every:")
         group.setBuddy(self.depth)
         rate.setBuddy(self.period)
         for part in (

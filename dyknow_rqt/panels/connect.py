@@ -185,7 +185,7 @@ class ConnectPanel(QWidget):
     def _two_ports(self) -> QWidget:
         box = QGroupBox("Two nodelets")
         form = _form(box)
-        form.addRow("Fro&m:", self.source.nodelet)
+        form.addRow("From:", self.source.nodelet)
         form.addRow("port:", self.source.port)
         form.addRow("&To:", self.sink.nodelet)
         form.addRow("port:", self.sink.port)

@@ -58,7 +58,7 @@ class LibraryPanel(QWidget):
         self.specification.setAccessibleName("Specification")
         self.import_ = QPushButton("&Import …")
         self.export = QPushButton("E&xport …")
-        self.delete = QPushButton("Dele&te …")
+        self.delete = QPushButton("Delete …")
         self.create = QPushButton("Ne&w nodelet …")
         parts = QSplitter(Qt.Vertical)
         parts.addWidget(self.table)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import getpass
 import socket
 import time
-from typing import TYPE_CHECKING, Mapping, Optional
+from typing import TYPE_CHECKING, Callable, Mapping, Optional
 
 from python_qt_binding.QtCore import QStringListModel, Qt, Signal
 from python_qt_binding.QtGui import QFont
@@ -34,7 +34,7 @@ from dyknow_rqt.status_line import StatusLine
 from dyknow_rqt.stream_watch import StreamWatch
 
 if TYPE_CHECKING:
-    from dyknow.ros.stream_views import AcquiredView, ReplannedView, StreamEventView, StreamView
+    from dyknow.ros.stream_views import ReplannedView, StreamEventView, StreamView
 
 #: The first is what rows are known by; it says nothing to people and is not shown.
 _TITLES = ("Claim", "Tag", "State", "Topic", "Type", "Client")
@@ -102,29 +102,28 @@ class StreamsPanel(QWidget):
 
     @guarded
     def _preview(self) -> None:
-        request = self.request()
-        for field in (self.tag, self.datatype):
-            field.completer().popup().hide()
-        if request.tag:
-            self.plan.setPlainText("…")
-            self._monitor.ask(
-                lambda remote: remote.acquire_stream(request, dry_run=True),
-                self._show_plan,
-                self._show_no_plan,
-            )
-
-    def _show_plan(self, found: AcquiredView) -> None:
-        self.plan.setPlainText(found.plan)
-
-    def _show_no_plan(self, reason: str) -> None:
-        self.plan.setPlainText(reason)
+        self._explain(self.request(), lambda: None)
 
     @guarded
     def _acquire(self) -> None:
+        """The plan is asked for first: then the stream is there already."""
         request = self.request()
+        self._explain(request, lambda: self._monitor.do(AcquireStream(request)))
+
+    def _explain(self, request: StreamRequest, then: Callable[[], None]) -> None:
+        """Show how a stream would be made, or why it cannot be."""
+        for field in (self.tag, self.datatype):
+            field.completer().popup().hide()
+
+        def show(text: str) -> None:
+            self.plan.setPlainText(text)
+            then()
+
         if request.tag:
-            self._preview()
-            self._monitor.do(AcquireStream(request))
+            self.plan.setPlainText("…")
+            self._monitor.ask(
+                lambda remote: remote.acquire_stream(request, dry_run=True).plan, show, show
+            )
 
     # What there is
 
