@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any, Dict
 
 import rospy
+from rospy.impl.paramserver import get_param_server_cache
 
 from dyknow.guards import NO_GUARDS, Guards
 
@@ -51,7 +52,8 @@ class GuardParameters:
 
     def __init__(self) -> None:
         """Begin to follow the parameter; the node must be initialised."""
-        self._read()
+        rospy.get_param_cached("~" + GUARDS, {})
+        self._name: str = rospy.resolve_name("~" + GUARDS)
 
     def current(self) -> Guards:
         """Return the guards of this moment."""
@@ -67,9 +69,12 @@ class GuardParameters:
         if not (isinstance(value, dict) and caller and value.get(_OWNER) == caller):
             from_parameter(value).check_writable(what)
 
-    @staticmethod
-    def _read() -> Any:
-        return rospy.get_param_cached("~" + GUARDS, {})
+    def _read(self) -> Any:
+        # Not by get_param_cached: it asks the master again as long as the parameter is not set.
+        try:
+            return get_param_server_cache().get(self._name)
+        except KeyError:
+            return {}
 
 
 def caller_of(request: Any) -> str:

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import threading
 from io import BytesIO
-from typing import Any, Callable, Dict, List, Set, Tuple
+from typing import Any, Callable, Collection, Dict, List, Set, Tuple
 
 import rospy
 import rospy.core
@@ -29,6 +29,7 @@ from rospy.impl.transport import INBOUND, Transport
 from dyknow.nodelet.endpoints import NOTHING, Connection
 from dyknow.nodelet.scheduler import Executor, Strand
 from dyknow.ros.anymsg import TypedReceiver
+from dyknow.ros.backlog import Backlog
 
 Callback = Tuple[Callable[..., Any], Any]
 
@@ -71,6 +72,7 @@ class LocalTopic:
     def __init__(self, name: str, uri: str, executor: Executor) -> None:
         self.name = name
         self.halves: Set[Any] = set()
+        self.backlog = Backlog()
         self._latches: Dict[Any, Any] = {}
         self._uri = uri
         self._strand = Strand(executor, f"rospy subscribers of {name}")
@@ -121,9 +123,14 @@ class LocalTopic:
             with self._refreshing:
                 for half in list(self.halves):
                     half.heard = True  # first: whoever sees the connection is heard already
+            implementation.acquire()  # nothing is published between what was missed and the rest
             try:
-                return add(connection)
+                added = add(connection)
+                for message in self.backlog.greet(connection.endpoint_id):
+                    outwards(message, implementation.connections[-1])
+                return added
             finally:
+                implementation.release()
                 self.refresh()
 
         implementation.add_connection = add_connection
@@ -131,6 +138,16 @@ class LocalTopic:
         subscriber = rospy.impl.registration.get_topic_manager().get_subscriber_impl(self.name)
         if subscriber is not None and subscriber.has_connection(self._uri):
             self.link(subscriber)  # takes the place of rospy's connection to itself
+
+    def expect(self, subscribers: Collection[str], size: int) -> None:
+        """Keep what is published for subscribers that were told and have yet to connect."""
+        implementation = self._adopted
+        implementation.acquire()
+        try:
+            present = [connection.endpoint_id for connection in implementation.connections]
+            self.backlog.expect(subscribers, present, size)
+        finally:
+            implementation.release()
 
     def link(self, subscriber: Any) -> None:
         """Show the link on rospy's subscriber and follow its ordinary callbacks."""
@@ -161,7 +178,11 @@ class LocalTopic:
     def refresh(self) -> None:
         """Let the publications of the bus know whether somebody outside of it listens."""
         with self._refreshing:  # whoever comes last has seen all changes
-            heard = bool(self.foreign) or bool(self._adopted and self._adopted.connections)
+            heard = bool(
+                self.foreign
+                or self.backlog.waiting()
+                or (self._adopted and self._adopted.connections)
+            )
             for half in list(self.halves):
                 half.heard = heard
 

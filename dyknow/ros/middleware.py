@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from typing import Any, Dict, Optional, Sequence
 
 import rospy
@@ -18,6 +19,9 @@ from dyknow.ros.master import Master
 from dyknow.ros.registrar import Registrar
 from dyknow.ros.ticker import make_ticker
 from dyknow.ros.topics import RospyPublisher, RospySubscriber
+
+#: Not below "rosout": to publish there rospy asks the master about a parameter first.
+_log = logging.getLogger("dyknow.master")
 
 
 class RospyMiddleware(Middleware):
@@ -53,7 +57,7 @@ class RospyMiddleware(Middleware):
         try:
             found = Master(rospy.get_name()).datatype(topic)
         except PeerTimeout as error:
-            rospy.logwarn("the type of %s is not checked: %s", topic, error)
+            _log.warning("the type of %s is not checked: %s", topic, error)
             return ""
         return "" if found == "*" else found
 

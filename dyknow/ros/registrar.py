@@ -40,15 +40,16 @@ _QUESTIONS = {
 
 Key = Tuple[str, str, str]  # kind of registration, name, and the address of a service
 
-_log = logging.getLogger("rosout.dyknow")
+#: Not below "rosout": to publish there rospy asks the master about a parameter first.
+_log = logging.getLogger("dyknow.master")
 
 
 class Registrar(RegistrationListener):
     """Registrations of this process; the node must be initialised."""
 
-    def __init__(self) -> None:
-        """Take the place of rospy's own."""
-        self._master = Master(rospy.get_name())
+    def __init__(self, master: Optional[Master] = None) -> None:
+        """Take the place of rospy's own; ``master`` is that of the environment by default."""
+        self._master = master or Master(rospy.get_name())
         self._uri: str = rospy.core.get_node_uri()
         self._lock = threading.Lock()
         self._owed: Dict[Key, str] = {}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import time
 import warnings
-from typing import Any, Callable, Collection, Dict, FrozenSet, Optional
+from typing import Any, Callable, Dict, FrozenSet, Optional
 
 import genpy
 import rospy
@@ -36,7 +36,6 @@ class RospyPublisher(OutsidePublisher):
 
     __slots__ = (
         "_closed",
-        "_expected",
         "_implementation",
         "_intraprocess",
         "_local",
@@ -84,8 +83,10 @@ class RospyPublisher(OutsidePublisher):
             intraprocess.retire(topic)
             raise
         self._implementation = self._publisher.impl
-        self._expected = registrar.subscribers(topic)
         self._local.adopt(self._implementation)
+        subscribers = registrar.subscribers(topic)
+        if subscribers:
+            self._local.expect(subscribers, queue_size)
         self._local.refresh()
 
     def listeners(self) -> int:
@@ -96,7 +97,7 @@ class RospyPublisher(OutsidePublisher):
         """Serialise once for everyone outside; ordinary subscribers in here get the object."""
         if self._local.foreign:
             self._local.deliver(message)
-        if self._implementation.connections:
+        if self._implementation.connections or self._local.backlog.open:
             self._outwards(message)
 
     def latch(self, message: Any) -> None:
@@ -107,25 +108,22 @@ class RospyPublisher(OutsidePublisher):
         self._outwards(message)
 
     def wait(self, seconds: float) -> None:
-        """Wait for the connections of the subscribers that the master knows."""
+        """Wait for the connections of the subscribers that the master told of this publisher."""
         deadline = time.monotonic() + seconds
-        expected: Collection[str] = self._expected or ()
-        if self._expected is None:  # an ordinary publisher of this process had registered
-            try:
-                expected = Master(rospy.get_name()).subscribers(self._topic) - {rospy.get_name()}
-            except PeerTimeout:
-                return
-        implementation = self._implementation
-        while (
-            len(implementation.connections or ()) < len(expected) and time.monotonic() < deadline
-        ):
+        while self._local.backlog.waiting() and time.monotonic() < deadline:
             time.sleep(_STEP)
 
     def drain(self, seconds: float) -> bool:
-        """Wait until rospy's sending threads have written everything."""
+        """Wait until rospy's sending threads have written everything, also to those who are late.
+
+        A rospy subscriber that connects to a topic that is gone never connects to it again, so
+        those on their way are waited for even if nothing was published.
+        """
         deadline = time.monotonic() + seconds
         while not self._closed and (
-            self.in_flight or not all(map(_idle, list(self._implementation.connections or ())))
+            self.in_flight
+            or self._local.backlog.waiting()
+            or not all(map(_idle, list(self._implementation.connections or ())))
         ):
             if time.monotonic() >= deadline:
                 return False
@@ -156,6 +154,8 @@ class RospyPublisher(OutsidePublisher):
         implementation.acquire()
         try:
             self._local.outwards(message)
+            if not implementation.is_latch:  # whoever comes gets the last one anyway
+                self._local.backlog.keep(message)
         except Exception as error:
             if self._closed:
                 return

@@ -127,6 +127,29 @@ class AcrossProcessesTest(RewiringTest):
                 mine = [int(number) for name, number in heard if name == topic]
                 self.assertEqual(mine, sorted(mine))
 
+    def test_a_subscriber_that_connects_late_misses_nothing(self):
+        peer = self.start_peer("listen", "/a", "/b")
+        self.manager.load("Talker", "/n", {"/out": "/a"}, queue_size=1000)
+        eventually(lambda: graph.nodes_on("/b")[1], 10.0, "it listens")
+        eventually(lambda: call("/n", "connections") == 1, 10.0, "it is connected")
+        call("/n", "start", 200.0)
+        eventually(lambda: port_statistics("/n", "out").messages > 20, 10.0, "it talks")
+        peer.stop(signal.SIGSTOP)
+        self.assertTrue(set_config("/n", out="/b").success)
+        sent = port_statistics("/n", "out").messages
+        eventually(lambda: port_statistics("/n", "out").messages > sent + 20, 5.0, "it talks on")
+        self.assertNotIn("/b ", peer.output)
+        peer.stop(signal.SIGCONT)
+        eventually(lambda: "/b " in peer.output, 10.0, "it hears the new topic")
+        last = call("/n", "stop") - 1
+        eventually(lambda: f"/b {last}\n" in peer.output, 10.0, "the last one arrives")
+        numbers = [int(number) for number in re.findall(r"^/[ab] (\d+)$", peer.output, re.M)]
+        self.assertEqual(min(numbers), 0)
+        self.assertEqual(self.assert_complete(numbers), 0, "nothing comes twice")
+        # Whoever connects to a topic that is gone never connects again, so the old one stays
+        # only as long as somebody may be on the way to it.
+        eventually(lambda: not graph.nodes_on("/a")[0], 15.0, "the old one is gone")
+
     def test_large_messages_are_sent_before_the_old_topic_goes(self):
         peer = self.start_peer("watch", "/a")
         self.manager.load("ImageTalker", "/n", {"/out": "/a"})

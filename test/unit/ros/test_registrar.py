@@ -1,0 +1,105 @@
+"""Registrations while the master is there, and while it is not."""
+
+from __future__ import annotations
+
+import socketserver
+import threading
+import time
+import xmlrpc.server
+
+import pytest
+
+from dyknow.ros.master import Master
+from dyknow.ros.registrar import Registrar
+
+
+class Server(socketserver.ThreadingMixIn, xmlrpc.server.SimpleXMLRPCServer):
+    allow_reuse_address = True
+    daemon_threads = True
+    block_on_close = False
+
+
+class OneMaster:
+    """The few calls of the master's API that matter here, over real XML-RPC."""
+
+    def __init__(self):
+        self.registered = {}
+        self.calls = []
+        self.server = None
+        self.port = 0
+
+    def start(self):
+        self.server = Server(("127.0.0.1", self.port), logRequests=False, allow_none=True)
+        self.port = self.server.server_address[1]
+        self.server.register_function(self.register, "registerPublisher")
+        self.server.register_function(self.register, "registerService")
+        self.server.register_function(self.unregister, "unregisterPublisher")
+        self.server.register_function(self.unregister, "unregisterService")
+        threading.Thread(target=self.server.serve_forever, args=(0.01,), daemon=True).start()
+
+    def stop(self):
+        if self.server is not None:
+            self.server.shutdown()
+            self.server.server_close()
+            self.server = None
+
+    def register(self, caller, name, what, uri):
+        self.calls.append(name)
+        self.registered[name] = what
+        return 1, "", ["http://other:1"]
+
+    def unregister(self, caller, name, what):
+        self.calls.append("-" + name)
+        return 1, "", int(self.registered.pop(name, None) is not None)
+
+
+@pytest.fixture
+def master():
+    one = OneMaster()
+    one.start()
+    yield one
+    one.stop()
+
+
+@pytest.fixture
+def registrar(master):
+    return Registrar(Master("/test", f"http://127.0.0.1:{master.port}", timeout=1.0))
+
+
+def eventually(condition):
+    deadline = time.monotonic() + 20.0
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def test_the_answer_is_handed_out_once(master, registrar):
+    registrar.reg_added("/a", "std_msgs/String", "pub")
+    assert master.registered == {"/a": "std_msgs/String"}
+    assert registrar.subscribers("/a") == {"http://other:1"}
+    assert registrar.subscribers("/a") is None
+    registrar.reg_removed("/a", "std_msgs/String", "pub")
+    assert master.registered == {}
+
+
+def test_a_dead_master_blocks_nobody_and_is_told_later(master, registrar):
+    master.stop()
+    registrar.reg_added("/a", "std_msgs/String", "pub")
+    registrar.reg_added("/s", "rosrpc://here:1", "srv")
+    assert registrar.subscribers("/a") is None
+    master.start()
+    eventually(lambda: master.registered == {"/a": "std_msgs/String", "/s": "rosrpc://here:1"})
+    assert master.calls == ["/a", "/s"], "each once, in order"
+    registrar.reg_added("/b", "std_msgs/String", "pub")
+    eventually(lambda: "/b" in master.registered)
+
+
+def test_what_was_removed_meanwhile_is_not_registered_when_the_master_is_back(master, registrar):
+    master.stop()
+    for name in ("/a", "/b"):
+        registrar.reg_added(name, "std_msgs/String", "pub")
+    registrar.reg_removed("/a", "std_msgs/String", "pub")
+    master.start()
+    eventually(lambda: master.registered == {"/b": "std_msgs/String"})
+    registrar.reg_removed("/b", "std_msgs/String", "pub")
+    assert master.registered == {}
