@@ -333,7 +333,10 @@ def test_a_manager_that_is_killed_at_any_moment_loses_no_claim(
 
 def test_an_end_on_purpose_forgets_claims(field: Field) -> None:
     field.acquire()
+    field.keeper.end()
+    assert field.reasons()[-1] == "the manager was stopped"
     field.manager.end()
+    field.tick()
     assert (field.host.running, field.store.claims()) == ([], {})
 
 
