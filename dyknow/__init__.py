@@ -12,12 +12,14 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from dyknow.nodelet.nodelet import Nodelet
     from dyknow.proxy.handle import NodeHandle
+    from dyknow.ros.acquiring import acquire
 
-__all__ = ["NodeHandle", "Nodelet"]
+__all__ = ["NodeHandle", "Nodelet", "acquire"]
 
 _HOMES = {
     "Nodelet": "dyknow.nodelet",
     "NodeHandle": "dyknow.proxy",
+    "acquire": "dyknow.ros.acquiring",
 }
 
 

@@ -18,6 +18,9 @@ wrong and says what was expected. Only ``dyknow.ros`` turns them into answers of
     ├── TooMuch                  a limit is exceeded
     ├── UnknownTransformation    the library has no such label
     ├── NotSpawnable             the transformation is an existing topic
+    ├── NoPlanFound              nothing supplies a requested stream; what is missing is named
+    ├── StreamTypeMismatch       a stream turned out to have another type than was asked for
+    ├── UnknownClaim             no claim of that id, or it ended
     ├── InvalidTag               a tag is not a term
     ├── Busy                     another operation works on the nodelet
     ├── Protected                the nodelet is protected from being destroyed
@@ -152,6 +155,37 @@ class NotSpawnable(DyKnowError):
         super().__init__(
             f"transformation '{label}' is the existing topic '{topic}': "
             "it is used as it is and cannot be spawned"
+        )
+
+
+class NoPlanFound(DyKnowError):
+    """Nothing supplies a requested stream now."""
+
+    def __init__(self, reason: str, claim_id: str = "") -> None:
+        self.claim_id = claim_id
+        waiting = f"; claim {claim_id} waits until it can be made" if claim_id else ""
+        super().__init__(reason + waiting)
+
+
+class StreamTypeMismatch(DyKnowError):
+    """A stream turned out to have another type than was asked for.
+
+    Attributes:
+        label: the transformation that supplies it.
+    """
+
+    def __init__(self, tag: str, wanted: str, found: str, label: str = "") -> None:
+        self.label = label
+        super().__init__(f"the stream {tag} carries {found}, but {wanted} was asked for")
+
+
+class UnknownClaim(DyKnowError):
+    """No claim of that id is kept."""
+
+    def __init__(self, claim_id: str, state: str = "") -> None:
+        self.claim_id = claim_id
+        super().__init__(
+            f"claim '{claim_id}' is {state}" if state else f"there is no claim '{claim_id}'"
         )
 
 

@@ -11,6 +11,7 @@ import rospy
 
 from dyknow.benchmark import (
     chain,
+    failover,
     idle,
     images,
     leak,
@@ -33,6 +34,7 @@ _MEASUREMENTS: Dict[str, object] = {
     "model": model,
     "library": library,
     "recover": recover,
+    "failover": failover,
 }
 
 TARGET_NOT_MET, FAILED, INTERRUPTED = 1, 2, 130

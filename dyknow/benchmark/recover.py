@@ -7,10 +7,8 @@ import os
 import signal
 import threading
 import time
-import xmlrpc.client
-from typing import Any, Dict, List
+from typing import Dict, List
 
-import rosgraph
 import rospy
 from std_msgs.msg import Header
 
@@ -60,7 +58,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
         wait_until(lambda: streams.all_since(0.1), "every stream to flow")
         load = machine.Load()
         for number in range(arguments.kills):
-            pid = _pid(system.NODELET_MANAGER)
+            pid = system.pid(system.NODELET_MANAGER)
             progress.say(f"kill -9 of process {pid}, {number + 1} of {arguments.kills}")
             killed = time.monotonic()
             os.kill(pid, signal.SIGKILL)
@@ -72,9 +70,3 @@ def run(arguments: argparse.Namespace) -> Outcome:
     outcome.table("recover", "recovery of a killed nodelet manager", HEADER, [row])
     outcome.table("machine", "the machine", machine.HEADER, load.rows())
     return outcome
-
-
-def _pid(node: str) -> int:
-    uri = rosgraph.Master(rospy.get_name()).lookupNode(node)
-    answer: Any = xmlrpc.client.ServerProxy(uri).getPid(rospy.get_name())
-    return int(answer[2])

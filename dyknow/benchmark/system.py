@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import statistics
-from typing import Iterable, List, Tuple
+import xmlrpc.client
+from typing import Any, Iterable, List, Tuple
 from xml.sax.saxutils import escape
 
+import rosgraph
 import rospy
 from dyknow_msgs.srv import GetModel
 
@@ -63,6 +65,13 @@ def library_text(count: int) -> str:
         )
     parts.append("</transformations>")
     return "\n".join(parts)
+
+
+def pid(node: str) -> int:
+    """Ask a node for its process id."""
+    uri = rosgraph.Master(rospy.get_name()).lookupNode(node)
+    answer: Any = xmlrpc.client.ServerProxy(uri).getPid(rospy.get_name())
+    return int(answer[2])
 
 
 def spread(values: Iterable[float]) -> Tuple[float, float, float]:

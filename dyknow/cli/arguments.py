@@ -27,6 +27,8 @@ class Kind(enum.Enum):
     NAMESPACE = "namespace"
     NODELET_MANAGER = "nodelet manager"
     MANAGER = "DyKnow manager"
+    CLAIM = "claim of a stream"
+    TAG = "tag that is supplied"
     FILE = "file"
 
 
@@ -108,6 +110,11 @@ def seconds(text: str) -> float:
     if not 0 < value < math.inf:
         raise argparse.ArgumentTypeError(f"'{text}': expected seconds, such as 0.5")
     return value
+
+
+def seconds_or_none(text: str) -> float:
+    """Read a time that may be none."""
+    return 0.0 if text in ("0", "0.0") else seconds(text)
 
 
 def positive(text: str) -> int:

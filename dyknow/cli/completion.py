@@ -19,10 +19,10 @@ from typing import (
 
 from dyknow import names
 from dyknow.cli.arguments import Kind, kind_of
-from dyknow.cli.connecting import types_fit
 from dyknow.cli.parser import build_parser
 from dyknow.cli.topics import topics_of
 from dyknow.manager.transformation import IN, NODELET, OUT
+from dyknow.wiring.ports import types_fit
 
 if TYPE_CHECKING:
     from dyknow.ros.shell_client import ShellClient
@@ -179,6 +179,10 @@ class _Names:
             return self._as_typed(self._client.nodelet_managers())
         if kind is Kind.MANAGER:
             return self._client.managers()
+        if kind is Kind.CLAIM:
+            return self._claims()
+        if kind is Kind.TAG:
+            return self._tags()
         if kind is Kind.PORT_OF_LABEL:
             return self._ports_of_label()
         return self._ports({Kind.OUT_PORT: OUT, Kind.IN_PORT: IN}.get(kind, ""))
@@ -206,6 +210,24 @@ class _Names:
     def _topics(self) -> List[str]:
         own = {topic.name for topic in topics_of(self._client.nodelets())}
         return sorted(own | set(self._client.topics()))
+
+    def _claims(self) -> List[str]:
+        named = set(self._words("claims"))
+        streams = self._client.list_streams()
+        return [
+            each.claim_id
+            for each in streams
+            if not each.state.ended and each.claim_id not in named
+        ]
+
+    def _tags(self) -> set[str]:
+        return {
+            tag
+            for each in self._client.model().transformations
+            for port in each.ports
+            if port.direction == OUT
+            for tag in port.tags
+        }
 
     def _ports_of_label(self) -> List[str]:
         port, colon, _ = self._last.partition(":")

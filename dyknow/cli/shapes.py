@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Dict
 
-from dyknow.cli.views import by_name, state_of
+from dyknow.cli.views import state_of
 from dyknow.manager.model import PortState
 from dyknow.manager.transformation import Transformation
+from dyknow.wiring.ports import by_name
 
 if TYPE_CHECKING:
+    from dyknow.ros.stream_views import StreamEventView, StreamView
     from dyknow.ros.views import NodeletView, Statistics
 
 Shape = Dict[str, Any]
@@ -84,4 +86,29 @@ def statistics_shape(name: str, statistics: Statistics) -> Shape:
             }
             for port in sorted(statistics.ports, key=lambda port: port.port)
         ],
+    }
+
+
+def stream_shape(stream: StreamView) -> Shape:
+    """A claim; the end of its lease in seconds of ROS time, null for until it is released."""
+    return {
+        "claim": stream.claim_id,
+        "client": stream.client_id,
+        "tag": stream.tag,
+        "topic": stream.topic,
+        "datatype": stream.datatype,
+        "state": stream.state.name.lower(),
+        "detail": stream.detail,
+        "nodelets": list(stream.nodelets),
+        "expires": stream.expires or None,
+    }
+
+
+def event_shape(event: StreamEventView) -> Shape:
+    """A change of a claim; ``before`` is null for a new one."""
+    return {
+        "stamp": event.stamp,
+        "before": stream_shape(event.before) if event.before is not None else None,
+        "after": stream_shape(event.after),
+        "reason": event.reason,
     }

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, field
-from typing import Callable, Dict, List, Mapping, Optional, Sequence, Tuple
+from dataclasses import dataclass, field, replace
+from typing import Callable, Dict, FrozenSet, Iterable, List, Mapping, Optional, Sequence, Tuple
 
 from dyknow.errors import HostError, NameTaken
 from dyknow.manager.host import Host, Kind, LoadRequest, ManagerState
@@ -18,6 +18,12 @@ class FakeNodelet:
 
     request: LoadRequest
     ports: Dict[str, PortState] = field(default_factory=dict)
+    sent: Dict[str, int] = field(default_factory=dict)
+
+    def topics(self, direction: str) -> List[str]:
+        """Topics that its in-ports or its out-ports are connected to."""
+        ports = self.ports.values()
+        return [port.topic for port in ports if port.direction == direction and port.topic]
 
 
 @dataclass
@@ -35,6 +41,7 @@ class FakeHost(Host):
         sources: ports of each nodelet type, as (name, direction, datatype).
         cpp: types that are plain C++ nodelets.
         topics: ordinary topics that are published.
+        silent: nodelets, by name or type, and ordinary topics that send nothing.
         fail: called before each operation with its name and argument; may raise.
         calls: every operation, in order.
     """
@@ -44,11 +51,14 @@ class FakeHost(Host):
         self.sources = dict(sources)
         self.cpp: set[str] = set()
         self.topics: set[str] = set()
+        self.silent: set[str] = set()
         self.fail: Callable[[str, str], None] = lambda operation, argument: None
         self.calls: List[Tuple[str, str]] = []
         self.processes: Dict[str, FakeManager] = {}
         self.parameters: Dict[str, object] = {}
         self._incarnations = itertools.count(1)
+        self._hung: set[str] = set()
+        self._heard: Dict[str, int] = {}
 
     # By hand
 
@@ -56,20 +66,68 @@ class FakeHost(Host):
         """Kill a nodelet manager with all that it hosts."""
         process = self.processes[manager]
         process.nodelets.clear()
+        self._hung.discard(manager)
         process.state = ManagerState(manager, process.state.kind, "", process.state.isolated_for)
+
+    def hang(self, manager: str) -> None:
+        """Stop a nodelet manager's process, as SIGSTOP does."""
+        self._hung.add(manager)
+
+    def wake(self, manager: str) -> None:
+        """Let it go on."""
+        self._hung.discard(manager)
+
+    def flow(self) -> set[str]:
+        """Let one message pass wherever one can: every nodelet that is fed sends one on each port.
+
+        Returns:
+            The topics on which one passed.
+        """
+        moving = self.topics - self.silent
+        waiting = [
+            nodelet
+            for name, process in self.processes.items()
+            for nodelet in process.nodelets.values()
+            if not {nodelet.request.name, nodelet.request.source} & self.silent
+            and name not in self._hung
+        ]
+        count = len(waiting) + 1
+        while len(waiting) < count:
+            count = len(waiting)
+            for nodelet in list(waiting):
+                inputs = nodelet.topics("in")
+                takes = any(port.direction == "in" for port in nodelet.ports.values())
+                if (inputs or not takes) and moving.issuperset(inputs):
+                    waiting.remove(nodelet)
+                    moving.update(nodelet.topics("out"))
+                    for port in nodelet.ports.values():
+                        if port.direction == "out" and port.topic:
+                            nodelet.sent[port.name] = nodelet.sent.get(port.name, 0) + 1
+        for topic in self._heard:
+            self._heard[topic] += topic in moving
+        return moving
 
     def vanish(self, name: str) -> None:
         """Unload a nodelet behind the manager's back."""
-        self._process_of(name).nodelets.pop(name)
+        next(p for p in self.processes.values() if name in p.nodelets).nodelets.pop(name)
 
     def nodelet(self, name: str) -> FakeNodelet:
         """Look at a running nodelet."""
-        return self._process_of(name).nodelets[name]
+        return self._find(name)
 
     @property
     def running(self) -> List[str]:
         """Names of all nodelets that run."""
         return sorted(name for process in self.processes.values() for name in process.nodelets)
+
+    def publishers(self, topic: str) -> List[str]:
+        """Names of the nodelets that publish on a topic; those that hang do not count."""
+        return sorted(
+            name
+            for manager, process in self.processes.items()
+            for name, nodelet in process.nodelets.items()
+            if manager not in self._hung and topic in nodelet.topics("out")
+        )
 
     # The host
 
@@ -81,16 +139,24 @@ class FakeHost(Host):
 
     def managers(self) -> List[ManagerState]:
         """List the nodelet managers."""
-        return [self.processes[name].state for name in sorted(self.processes)]
+        return [
+            replace(self.processes[name].state, responsive=name not in self._hung)
+            for name in sorted(self.processes)
+        ]
 
     def ensure(self, kind: Kind, isolated_for: str = "") -> str:
         """Start a nodelet manager if there is none."""
         self._step("ensure", isolated_for or kind.value)
-        for state in self.managers():
-            if state.kind is kind and state.isolated_for == isolated_for and state.alive:
+        fitting = [
+            state
+            for state in self.managers()
+            if state.kind is kind and state.isolated_for == isolated_for and state.responsive
+        ]
+        for state in fitting:
+            if state.alive:
                 return state.name
-        for state in self.managers():
-            if state.kind is kind and state.isolated_for == isolated_for:
+        for state in fitting:
+            if not state.alive:
                 return self._start(state.name, kind, isolated_for)
         return self._start(f"/fake_{len(self.processes)}", kind, isolated_for)
 
@@ -144,12 +210,28 @@ class FakeHost(Host):
                 f"unknown port '{unknown[0]}'; known ports: {', '.join(sorted(ports))}"
             )
         for port, topic in config.items():
+            found, mine = self._type_of(topic, name), ports[port].datatype
+            if topic and "*" not in (found, mine) and found not in ("", mine):
+                raise HostError(f"topic '{topic}' carries {found}")
+        for port, topic in config.items():
             old = ports[port]
             ports[port] = PortState(old.name, old.direction, old.datatype, topic)
 
-    def is_published(self, topic: str) -> bool:
-        """Tell whether a topic is published."""
-        return topic in self.topics
+    def published(self, topics: Iterable[str]) -> FrozenSet[str]:
+        """Tell which topics are published."""
+        self._step("published", "")
+        return frozenset(topics) & self.topics
+
+    def sent(self, name: str) -> Dict[str, int]:
+        """Report what was sent."""
+        self._step("sent", name)
+        return dict(self._process_of(name).nodelets[name].sent)
+
+    def heard(self, topics: Iterable[str]) -> Dict[str, int]:
+        """Report what was heard."""
+        wanted = set(topics)
+        self._heard = {topic: self._heard.get(topic, 0) for topic in sorted(wanted)}
+        return dict(self._heard)
 
     def _start(self, name: str, kind: Kind, isolated_for: str) -> str:
         state = ManagerState(name, kind, str(next(self._incarnations)), isolated_for)
@@ -162,12 +244,25 @@ class FakeHost(Host):
 
     def _alive(self, manager: str) -> FakeManager:
         process: Optional[FakeManager] = self.processes.get(manager)
-        if process is None or not process.state.alive:
+        if process is None or not process.state.alive or manager in self._hung:
             raise HostError(f"nodelet manager '{manager}' does not answer")
         return process
 
-    def _process_of(self, name: str) -> FakeManager:
+    def _type_of(self, topic: str, but: str) -> str:
+        for name in self.running:
+            for port in self._find(name).ports.values():
+                if port.topic == topic and name != but:
+                    return port.datatype
+        return ""
+
+    def _find(self, name: str) -> FakeNodelet:
         for process in self.processes.values():
             if name in process.nodelets:
-                return process
+                return process.nodelets[name]
+        raise HostError(f"nodelet '{name}' does not run")
+
+    def _process_of(self, name: str) -> FakeManager:
+        for manager, process in self.processes.items():
+            if name in process.nodelets:
+                return self._alive(manager)
         raise HostError(f"nodelet '{name}' does not answer")

@@ -9,7 +9,7 @@ from __future__ import annotations
 import enum
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
-from typing import List, Mapping, Sequence, Tuple
+from typing import Dict, FrozenSet, Iterable, List, Mapping, Sequence, Tuple
 
 from dyknow.manager.model import PortState
 from dyknow.manager.transformation import Parameter
@@ -126,5 +126,24 @@ class Host(ABC):
         """
 
     @abstractmethod
-    def is_published(self, topic: str) -> bool:
-        """Whether an ordinary topic has a publisher now."""
+    def published(self, topics: Iterable[str]) -> FrozenSet[str]:
+        """Tell which of these ordinary topics have a publisher now.
+
+        Raises:
+            HostError: nobody can tell, since the ROS master does not answer.
+        """
+
+    @abstractmethod
+    def sent(self, name: str) -> Dict[str, int]:
+        """Messages that each out-port of a nodelet with a proxy has sent since it was loaded.
+
+        Raises:
+            HostError: the proxy does not answer.
+        """
+
+    @abstractmethod
+    def heard(self, topics: Iterable[str]) -> Dict[str, int]:
+        """Messages heard on topics whose publishers cannot be asked.
+
+        Listening to a topic begins when it is named first and ends when it is named no more.
+        """

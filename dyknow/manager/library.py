@@ -10,7 +10,7 @@ from dyknow.errors import TooMuch, UnknownTransformation
 from dyknow.manager.limits import DEFAULT_LIMITS, Limits
 from dyknow.manager.specification import Specifications, parse
 from dyknow.manager.store import Store
-from dyknow.manager.transformation import Transformation
+from dyknow.manager.transformation import TOPIC, Transformation
 
 if TYPE_CHECKING:
     from dyknow.manager.ontology import Ontology  # it imports rdflib, which takes its time
@@ -40,6 +40,8 @@ class Library:
             each.label: each for each in store.transformations()
         }
         self.revision = store.number("library_revision")
+        self._topics: List[Transformation] = []
+        self._topics_at = -1
 
     def __len__(self) -> int:
         """Count the transformations."""
@@ -49,6 +51,15 @@ class Library:
         """Return every transformation, by label."""
         with self._lock:
             return [self._by_label[label] for label in sorted(self._by_label)]
+
+    def topics(self) -> List[Transformation]:
+        """Return the transformations that are existing topics, by label."""
+        with self._lock:
+            if self._topics_at != self.revision:
+                found = [each for each in self._by_label.values() if each.type == TOPIC]
+                self._topics = sorted(found, key=lambda each: each.label)
+                self._topics_at = self.revision
+            return self._topics
 
     def get(self, label: str) -> Transformation:
         """Return the transformation of that label.

@@ -43,6 +43,7 @@ class SpawnRequest:
         config: where its ports are to be connected.
         manager: nodelet manager to use; empty for the manager's choice.
         claimed: made for a claim, not by hand.
+        near: topics that it will be connected to: its place is near their nodelets.
     """
 
     label: str
@@ -52,6 +53,7 @@ class SpawnRequest:
     config: Mapping[str, str] = field(default_factory=dict)
     manager: str = ""
     claimed: bool = False
+    near: Tuple[str, ...] = ()
 
 
 class Lifecycle:
@@ -82,7 +84,7 @@ class Lifecycle:
                 self._host,
                 self._graph.all(),
                 kind,
-                config.values(),
+                (*config.values(), *request.near),
                 request.manager,
                 request.name if request.isolated else "",
             )

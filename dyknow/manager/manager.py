@@ -7,6 +7,7 @@ nodelets through the injected host only.
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, replace
 from typing import Callable, Mapping, Optional, Set
 
@@ -52,6 +53,7 @@ class Manager:
         guards: Guards = NO_GUARDS,
         settings: Settings = DEFAULT_SETTINGS,
         run: Callable[[Callable[[], None]], None] = at_once,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """Put the parts together; nothing is touched before ``start``.
 
@@ -62,15 +64,16 @@ class Manager:
             guards: what nobody may do.
             settings: how to behave.
             run: does the work of bringing back what died, which may take its time.
+            clock: seconds, steady.
         """
         self.library = library
         self.guards = guards
-        self._host = host
-        self._store = store
+        self.host = host
+        self.store = store
         self._settings = settings
         self.graph = Graph(store)
         self.lifecycle = Lifecycle(host, self.graph, guards, settings.spawn_timeout)
-        self.observer = Observer(host, self.graph, self.lifecycle, run=run)
+        self.observer = Observer(host, self.graph, self.lifecycle, clock, run)
 
     @property
     def on_change(self) -> Callable[[], None]:
@@ -83,7 +86,7 @@ class Manager:
 
     def start(self) -> None:
         """Take over what still runs from an earlier life, and bring back what does not."""
-        self.observer.adopt(self._store.nodelets())
+        self.observer.adopt(self.store.nodelets())
 
     def look(self, changed: Optional[Set[str]] = None) -> None:
         """Compare the picture with reality; ``changed`` names nodelets to look at closely."""
@@ -94,7 +97,7 @@ class Manager:
         for record in self.graph.all():
             if record.transformation is not None:
                 self.lifecycle.clear(record)
-        self._store.end()
+        self.store.end()
 
     # Transformations
 

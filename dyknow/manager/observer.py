@@ -82,6 +82,8 @@ class Observer:
         self._lock = threading.Lock()
         self._dead: Set[str] = set()  # found by this look
         self._returning: Set[str] = set()  # being brought back
+        #: Called with the record of a nodelet that was made for a claim and died.
+        self.on_death: Callable[[Record], None] = lambda record: None
 
     def adopt(self, records: Iterable[Record]) -> None:
         """Take over the records of an earlier life.
@@ -212,6 +214,10 @@ class Observer:
         try:
             with self._graph.changing(name) as record:
                 if record is not None and record.state is not State.RUNNING:
+                    if record.claimed:  # whoever claims a stream decides what takes its place
+                        self.on_death(record)
+                        self._lifecycle.forget(record)
+                        return
                     with self._lock:
                         self._patience.attempt(name)
                     self._restore(record)

@@ -56,6 +56,7 @@ class Planner:
         exclude: AbstractSet[str] = NO_LABELS,
         free: AbstractSet[str] = NO_LABELS,
         steps: int = STEPS,
+        paused: AbstractSet[str] = NO_LABELS,
     ) -> Answer:
         """Find the cheapest way to a stream.
 
@@ -65,6 +66,7 @@ class Planner:
             exclude: labels that must not be used, live or new.
             free: labels of which a nodelet is there that can be re-wired: they cost nothing.
             steps: how much the improvement may try.
+            paused: labels of which nothing new is to be made; what is live may be used.
         """
         network = self._network
         streams: Supply[Live] = Supply(network.ontology)
@@ -72,7 +74,7 @@ class Planner:
             if stream.label not in exclude:
                 streams.add(stream, terms, stream.datatype)
         with _no_collection():
-            reach = network.reach(demand, streams, exclude)
+            reach = network.reach(demand, streams, exclude | paused)
             nothing = {action for action in reach.served if network.labels[action] in free}
             trees = cheapest(network, reach, nothing, until=reach.goal)
             if reach.goal not in trees.value:

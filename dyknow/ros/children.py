@@ -12,7 +12,7 @@ import sys
 import threading
 import time
 from dataclasses import dataclass, field, replace
-from typing import Callable, Dict, List, Optional
+from typing import AbstractSet, Callable, Dict, FrozenSet, List, Optional
 
 from dyknow import names
 from dyknow.errors import HostError, PeerTimeout
@@ -34,6 +34,9 @@ _LONGEST_PAUSE = 30.0
 #: Seconds that a child of an earlier life may take to show itself: it may have just been started.
 _ADOPTION_TIMEOUT = 5.0
 _BASES = {Kind.PYTHON: "dyknow_nodelet_manager", Kind.CPP: "dyknow_cpp_nodelet_manager"}
+
+#: No child.
+NOBODY: FrozenSet[str] = frozenset()
 
 _log = logging.getLogger("rosout.dyknow")
 
@@ -118,8 +121,13 @@ class Children:
         for _ in range(count - len(have)):
             self._add(Child(ChildRecord(self._free_name(kind), kind)))
 
-    def ensure(self, kind: Kind, isolated_for: str) -> str:
+    def ensure(self, kind: Kind, isolated_for: str, without: AbstractSet[str] = NOBODY) -> str:
         """Return the name of a child that is up, starting one if there is none.
+
+        Args:
+            kind: what it must be able to host.
+            isolated_for: the nodelet that is to have it alone; empty for a shared one.
+            without: children that will not do, since they hang.
 
         Raises:
             HostError: it does not come up.
@@ -132,6 +140,7 @@ class Children:
                 if child.record.kind is kind
                 and child.record.isolated_for == isolated_for
                 and child.wanted
+                and child.record.name not in without
             ]
         up = [child for child in fitting if child.up]
         if up:
@@ -281,7 +290,7 @@ class Children:
         self._write()
 
     def _follow_until_up(self, child: Child, found: ProcessId) -> None:
-        """Wait until the services are there; a late one that we started is given up."""
+        """Wait until the services are there; one that is late and lost is given up."""
         name = child.record.name
         if child.adopted:
             child.follower = self._launcher.follow(name)
@@ -291,7 +300,7 @@ class Children:
             if not found.alive or not child.wanted:
                 child.trouble = "it ended at its start"
                 return
-            if time.monotonic() > deadline and not child.adopted:
+            if time.monotonic() > deadline and self._is_lost(child):
                 found.end(PATIENCE)
                 raise HostError(f"it has not come up within {START_TIMEOUT:g} s")
             time.sleep(_STEP)
@@ -301,6 +310,17 @@ class Children:
             child.up = child.wanted
             self._lock.notify_all()
         self._on_change()
+
+    def _is_lost(self, child: Child) -> bool:
+        """Whether a process that is late will never come up.
+
+        An adopted one may be stopped, and go on some day; but if the master does not know it, it
+        belongs to a master that is gone.
+        """
+        try:
+            return not child.adopted or not self._launcher.registered(child.record.name)
+        except PeerTimeout:
+            return False
 
     # Ending
 

@@ -7,27 +7,42 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
-from typing import Any, Dict, Mapping, Optional, Tuple
+from typing import Any, Callable, Dict, Mapping, Optional, Tuple
 
 import rosgraph.names
 from dyknow_msgs.msg import PortConfig
 from dyknow_msgs.srv import (
+    AcquireStream,
     AddTransformation,
     Destroy,
     GetConfig,
     GetModel,
     GetStatistics,
+    ListStreams,
+    ReleaseStream,
     RemoveTransformation,
+    RenewStream,
+    ReplanStream,
     SetConfig,
     SetProtection,
     Spawn,
 )
+from genpy import Duration
 
 from dyknow import names
 from dyknow.errors import Refused
+from dyknow.manager.claim import StreamRequest
 from dyknow.manager.model import PortState
 from dyknow.ros.master import Master
 from dyknow.ros.service_client import ServiceClient
+from dyknow.ros.stream_views import (
+    AcquiredView,
+    ReplannedView,
+    StreamView,
+    acquired_view,
+    replanned_view,
+    stream_view,
+)
 from dyknow.ros.views import ModelView, Statistics, model_view, port_view, statistics_view
 
 #: Seconds for calls that only ask.
@@ -141,6 +156,69 @@ class ManagerClient:
         """Ask a nodelet what it has done."""
         answer = self._call(names.join(nodelet, "get_statistics"), GetStatistics, ASK_TIMEOUT)
         return statistics_view(answer)
+
+    # Streams
+
+    def acquire_stream(
+        self, request: StreamRequest, dry_run: bool = False, timeout: float = CHANGE_TIMEOUT
+    ) -> AcquiredView:
+        """Ask for a stream, or with ``dry_run`` for how it would be made.
+
+        Raises:
+            StreamRefused: it cannot be made now; the claim it names is made when it can.
+        """
+        answer = self._call(
+            names.join(self.manager, "acquire_stream"),
+            AcquireStream,
+            timeout,
+            tag=request.tag,
+            datatype=request.datatype,
+            client_id=request.client_id,
+            request_id=request.request_id,
+            bond_id=request.bond_id,
+            lease=Duration.from_sec(request.lease),
+            max_silence=request.max_silence,
+            exclude=list(request.exclude),
+            dry_run=dry_run,
+        )
+        return acquired_view(answer)
+
+    def release_stream(self, claim_id: str) -> None:
+        """End a claim; ending it again is no error."""
+        self._change("release_stream", ReleaseStream, claim_id=claim_id)
+
+    def renew_stream(self, claim_id: str, lease: float) -> float:
+        """Let a claim live for so many seconds from now, 0 for until it is released.
+
+        Returns:
+            When it ends, in seconds of ROS time; 0 for until it is released.
+        """
+        answer = self._change(
+            "renew_stream", RenewStream, claim_id=claim_id, lease=Duration.from_sec(lease)
+        )
+        return float(answer.expires.to_sec())
+
+    def renewer(self) -> Callable[[str, float], None]:
+        """Return what renews leases over a connection that it keeps, master or not."""
+        service = names.join(self.manager, "renew_stream")
+        kept = ServiceClient(self._master, service, RenewStream, persistent=True)
+
+        def renew(claim_id: str, lease: float) -> None:
+            answer = kept.call(ASK_TIMEOUT, claim_id, Duration.from_sec(lease))
+            if not answer.success:
+                raise Refused(answer.message)
+
+        return renew
+
+    def replan_stream(self, claim_id: str, dry_run: bool = False) -> ReplannedView:
+        """Take the way that is the cheapest now."""
+        answer = self._change("replan_stream", ReplanStream, claim_id=claim_id, dry_run=dry_run)
+        return replanned_view(answer)
+
+    def list_streams(self, timeout: float = ASK_TIMEOUT) -> Tuple[StreamView, ...]:
+        """Ask for all claims, those that ended lately too."""
+        answer = self._call(names.join(self.manager, "list_streams"), ListStreams, timeout)
+        return tuple(stream_view(each) for each in answer.streams)
 
     # Inside
 

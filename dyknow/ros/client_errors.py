@@ -1,15 +1,19 @@
-"""Who did not answer a command of the shell.
+"""What clients of the manager meet: who did not answer, and why there is no stream.
 
 ::
 
     DyKnowError
-    ├── Unreachable   no master, no manager, or it hangs
-    └── Silent        a nodelet is not there or does not answer; what was asked may be done
+    ├── Unreachable       no master, no manager, or it hangs
+    ├── Silent            a nodelet is not there or does not answer; what was asked may be done
+    └── Refused
+        └── StreamRefused the manager did not make a stream
 """
 
 from __future__ import annotations
 
-from dyknow.errors import DyKnowError
+import enum
+
+from dyknow.errors import DyKnowError, Refused
 
 
 class Unreachable(DyKnowError):
@@ -18,3 +22,29 @@ class Unreachable(DyKnowError):
 
 class Silent(DyKnowError):
     """A nodelet's proxy does not answer; whether it did what was asked for is not known."""
+
+
+class Result(enum.IntEnum):
+    """Why a stream was not made; the numbers are those of ``dyknow_msgs/AcquireStream``."""
+
+    OK = 0
+    NO_PLAN = 1
+    INVALID_TAG = 2
+    TYPE_MISMATCH = 3
+    SPAWN_FAILED = 4
+    TIMEOUT = 5
+    DENIED = 6
+
+
+class StreamRefused(Refused):
+    """The manager did not make a stream.
+
+    Attributes:
+        result: why, as a number.
+        claim_id: the claim that waits until the stream can be made; empty if there is none.
+    """
+
+    def __init__(self, message: str, result: Result, claim_id: str = "") -> None:
+        self.result = result
+        self.claim_id = claim_id
+        super().__init__(message)

@@ -7,11 +7,11 @@ at most one such limit: as long as its last answer is due it is not asked again.
 from __future__ import annotations
 
 import threading
-from typing import Any, Callable, Dict, List, Mapping, Sequence, Set, Tuple
+from typing import Any, Callable, Dict, FrozenSet, Iterable, List, Mapping, Sequence, Set, Tuple
 
 from dyknow_msgs.msg import Port as PortMessage
 from dyknow_msgs.msg import PortConfig
-from dyknow_msgs.srv import GetConfig, SetConfig
+from dyknow_msgs.srv import GetConfig, GetStatistics, SetConfig
 from nodelet.srv import NodeletLoad, NodeletUnload
 
 from dyknow import names
@@ -23,6 +23,7 @@ from dyknow.manager.transformation import Parameter
 from dyknow.ros.children import Child, Children
 from dyknow.ros.declared import Declared
 from dyknow.ros.guard_parameters import GUARDS, to_parameter
+from dyknow.ros.hearing import Hearing
 from dyknow.ros.master import Master
 from dyknow.ros.peers import ListClient, Peer
 from dyknow.ros.service_client import ServiceClient, ServiceFailed
@@ -59,6 +60,7 @@ class RosHost(Host):
         self._guards = to_parameter(guards, master.caller)
         self._guarded: Dict[str, str] = {}
         self._declared = Declared()
+        self._hearing = Hearing()
         self._lists: Dict[Tuple[str, str], ListClient] = {}
         self._lock = threading.Lock()
         self._abandoned: Set[Tuple[str, str]] = set()
@@ -91,7 +93,8 @@ class RosHost(Host):
 
     def ensure(self, kind: Kind, isolated_for: str = "") -> str:
         """Start a child if need be."""
-        name = self._children.ensure(kind, isolated_for)
+        hanging = {state.name for state in self.managers() if not state.responsive}
+        name = self._children.ensure(kind, isolated_for, hanging)
         self.managers()  # hands the guards over
         return name
 
@@ -186,12 +189,29 @@ class RosHost(Host):
         if not answer.success:
             raise HostError(answer.message)
 
-    def is_published(self, topic: str) -> bool:
+    def published(self, topics: Iterable[str]) -> FrozenSet[str]:
         """Ask the master."""
-        return bool(self._asking("", lambda: self._master.publishers(topic)))
+        wanted = frozenset(topics)
+        if not wanted:
+            return wanted
+        publishers = self._asking("", lambda: self._master.ask("getSystemState"))[0]
+        return wanted & {topic for topic, nodes in publishers if nodes}
+
+    def sent(self, name: str) -> Dict[str, int]:
+        """Ask the proxy."""
+        service = names.join(name, "get_statistics")
+        answer = self._asking(name, lambda: self._call(service, GetStatistics, PORTS_TIMEOUT))
+        return {
+            port.port: port.messages for port in answer.ports if port.direction == PortMessage.OUT
+        }
+
+    def heard(self, topics: Iterable[str]) -> Dict[str, int]:
+        """Listen."""
+        return self._hearing.counts(topics)
 
     def close(self) -> None:
         """Let go of the nodelet managers of others; our children go on."""
+        self._hearing.close()
         for client in list(self._lists.values()):
             client.close()
         for peer in self._peers.values():

@@ -1,9 +1,9 @@
 """The node dyknow_manager: the paper's manager, with all that it needs from ROS.
 
 Who owns what: ``ManagerNode`` owns the store, the children, the host, the manager and what speaks
-for it: services, the topic of the model, the watch, the workers that bring back what died. Being
-told to end (SIGINT, SIGTERM, rosnode kill) is an end on purpose: nodelets and nodelet managers end
-too. A manager that is killed leaves them running, and its next life takes them over.
+for it: services, the topic of the model, the streams, the watch, the workers that bring back what
+died. Being told to end (SIGINT, SIGTERM, rosnode kill) is an end on purpose: nodelets, claims and
+nodelet managers end too. A manager that is killed leaves them, and its next life takes them over.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from dyknow.manager.host import Kind
 from dyknow.manager.library import Library
 from dyknow.manager.manager import Manager, Settings
 from dyknow.manager.store import Store
+from dyknow.manager.tags import NO_ONTOLOGY
 from dyknow.nodelet.middleware import Closable
 from dyknow.ros.announcements import Listener
 from dyknow.ros.children import Children
@@ -35,6 +36,7 @@ from dyknow.ros.model_messages import ModelMessages
 from dyknow.ros.model_publisher import ModelPublisher
 from dyknow.ros.owner import OwnerLock
 from dyknow.ros.process import NodeProcess
+from dyknow.ros.stream_node import StreamNode
 from dyknow.ros.watch import Watch
 from dyknow.ros.workers import Workers
 
@@ -78,10 +80,11 @@ class ManagerNode(Closable):
         )
         self._workers = Workers(_WORKERS)
         self._host = RosHost(master, self._children, settings.nodelet_managers, settings.guards)
+        self._ontology = _ontology(settings.ontologies)
         self.manager = Manager(
             self._host,
             self._store,
-            Library(self._store, _ontology(settings.ontologies), settings.limits),
+            Library(self._store, self._ontology, settings.limits),
             settings.guards,
             Settings(names.parent(node), settings.spawn_timeout),
             self._workers.run,
@@ -103,6 +106,9 @@ class ManagerNode(Closable):
         self.manager.start()
         self._retire_empty()
         self._after_change()
+        ontology = NO_ONTOLOGY if self._ontology is None else self._ontology
+        self._streams = StreamNode(self.manager, ontology, self._after_change)
+        self.manager.on_change = self._on_change
         self._services = ManagerServices(self.manager, self._messages, self._after_change)
         self._publisher.note_change()
         self._watch.start()
@@ -111,6 +117,7 @@ class ManagerNode(Closable):
         """End on purpose, with all nodelets and nodelet managers."""
         rospy.loginfo("the manager %s ends, and its nodelets with it", rospy.get_name())
         self._services.close()
+        self._streams.close()
         self._listener.close()
         self._watch.close(1.0)
         self._publisher.close()
@@ -148,6 +155,10 @@ class ManagerNode(Closable):
             for state in self._host.managers()
             if state.kind is Kind.PYTHON and (state.own or state.alive)
         ]
+
+    def _on_change(self) -> None:
+        self._publisher.note_change()
+        self._streams.note_change()
 
     def _on_child(self) -> None:
         self._watch.hurry()

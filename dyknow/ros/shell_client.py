@@ -15,16 +15,17 @@ import xmlrpc.client
 from typing import Any, Callable, List, Optional, TypeVar
 from xml.parsers.expat import ExpatError
 
-from dyknow_msgs.msg import Model
+from dyknow_msgs.msg import Model, StreamEvent
 
 from dyknow import names
 from dyknow.errors import PeerTimeout, Refused
 from dyknow.ros import client
 from dyknow.ros.client import ManagerClient
 from dyknow.ros.client_errors import Silent, Unreachable
-from dyknow.ros.latched import read_latched
 from dyknow.ros.master import TIMEOUT, Master
 from dyknow.ros.service_client import ServiceClient, ServiceFailed, ServiceLost
+from dyknow.ros.stream_views import StreamEventView, event_view
+from dyknow.ros.topic_reader import TopicReader
 from dyknow.ros.views import ModelView, model_view
 
 T = TypeVar("T")
@@ -33,6 +34,30 @@ T = TypeVar("T")
 FOLLOW_TIMEOUT = 2.0
 _FOLLOW_PERIOD = 0.02
 _OWN_MANAGER = re.compile(r".*/dyknow_(cpp_)?nodelet_manager(_[0-9]+)?\Z")
+
+
+class EventReader:
+    """Events of streams, from the moment on at which it was made."""
+
+    def __init__(self, reader: TopicReader) -> None:
+        """Read what a connection carries."""
+        self._reader = reader
+
+    def next(self, timeout: float) -> Optional[StreamEventView]:
+        """Return the next event, or None if none comes in time.
+
+        Raises:
+            Unreachable: the manager is gone.
+        """
+        try:
+            message = self._reader.read(timeout)
+        except OSError as error:
+            raise Unreachable(f"the manager is gone ({_words(error)})") from error
+        return None if message is None else event_view(message)
+
+    def close(self) -> None:
+        """Listen no more."""
+        self._reader.close()
 
 
 class ShellClient(ManagerClient):
@@ -63,15 +88,19 @@ class ShellClient(ManagerClient):
 
     def nodelets(self) -> ModelView:
         """Return the model without its transformations, which may be many."""
-        topic = f"{self.manager}/model"
-        seconds = self._timeout or client.ASK_TIMEOUT
-        self._find_master()
-        try:
-            return model_view(read_latched(self._asked, self.manager, topic, Model, seconds))
-        except LookupError:
-            raise self._no_manager("is not running") from None
-        except (PeerTimeout, OSError) as error:
-            raise self._no_manager(_why_silent(error, seconds)) from error
+        with self._topic("model", Model) as reader:
+            seconds = self._timeout or client.ASK_TIMEOUT
+            try:
+                message = reader.read(seconds)
+            except OSError as error:
+                raise self._no_manager(_why_silent(error, seconds)) from error
+        if message is None:
+            raise self._no_manager(f"did not answer within {seconds:g} s")
+        return model_view(message)
+
+    def stream_events(self) -> EventReader:
+        """Begin to listen to the events of all streams."""
+        return EventReader(self._topic("stream_events", StreamEvent))
 
     def wait_for_model(self, condition: Callable[[ModelView], bool]) -> bool:
         """Wait until the manager's model shows a change, so that the next command sees it.
@@ -121,6 +150,18 @@ class ShellClient(ManagerClient):
             if owner != self.manager:
                 raise Silent(f"nodelet '{owner}' did not answer within {seconds:g} s") from error
             raise self._no_manager(f"did not answer within {seconds:g} s") from error
+
+    def _topic(self, name: str, message_class: Any) -> TopicReader:
+        """Connect to a topic of the manager."""
+        seconds = self._timeout or client.ASK_TIMEOUT
+        topic = names.join(self.manager, name)
+        self._find_master()
+        try:
+            return TopicReader(self._asked, self.manager, topic, message_class, seconds)
+        except LookupError:
+            raise self._no_manager("is not running") from None
+        except (PeerTimeout, OSError) as error:
+            raise self._no_manager(_why_silent(error, seconds)) from error
 
     def _nodes_with(self, suffix: str) -> List[str]:
         _, _, services = self._on_master(lambda: self._asked.ask("getSystemState"))

@@ -124,6 +124,12 @@ class BenchmarkTest(unittest.TestCase):
         self.assertEqual((row["nodelets"], row["kills"]), ("3", "1"))
         self.assertGreater(float(row["median_s"]), 0.0)
 
+    def test_failover(self):
+        self.assertIn("silent: replaced", self.measure("failover", "--failures", 1))
+        rows = self.rows("failover")
+        self.assertEqual([row["failures"] for row in rows], ["1", "1", "1"])
+        self.assertGreater(min(float(row["median_s"]) for row in rows), 0.0)
+
     def test_an_interrupted_measurement_ends_its_processes(self):
         mark = f"DYKNOW_BENCHMARK_TEST={self.id()}"
         name, _, value = mark.partition("=")

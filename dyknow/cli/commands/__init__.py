@@ -9,11 +9,13 @@ from dyknow.cli.commands import (
     checking,
     completion,
     graph,
+    holding,
     library,
     looking,
     nodelets,
     statistics,
     storage,
+    streams,
     wiring,
 )
 
@@ -22,6 +24,7 @@ GROUPS: Tuple[Tuple[str, Tuple[Command, ...]], ...] = (
     ("What runs", (*looking.COMMANDS, *statistics.COMMANDS, *graph.COMMANDS)),
     ("Nodelets", nodelets.COMMANDS),
     ("Connections", wiring.COMMANDS),
+    ("Streams on request", (*holding.COMMANDS, *streams.COMMANDS)),
     ("Transformations", (*library.COMMANDS, *checking.COMMANDS)),
     ("Whole wirings", storage.COMMANDS),
     ("", completion.COMMANDS),

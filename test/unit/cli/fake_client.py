@@ -13,11 +13,15 @@ from unit.manager.world import World
 from dyknow.cli.main import execute
 from dyknow.cli.parser import parse
 from dyknow.cli.shell import Shell
-from dyknow.errors import DyKnowError, HostError, Refused
+from dyknow.errors import DyKnowError, HostError, NoPlanFound, Refused
+from dyknow.manager.claim import Claim, ClaimEvent, StreamRequest
+from dyknow.manager.explanation import as_tree
+from dyknow.manager.keeper import Acquired, Keeper
 from dyknow.manager.lifecycle import SpawnRequest
 from dyknow.manager.model import Record
 from dyknow.ros.client import Added
-from dyknow.ros.client_errors import Silent
+from dyknow.ros.client_errors import Result, Silent, StreamRefused
+from dyknow.ros.stream_views import AcquiredView, ReplannedView, StreamEventView, StreamView
 from dyknow.ros.views import ModelView, NodeletView, PortTraffic, Statistics
 
 
@@ -37,6 +41,9 @@ class FakeClient:
         self.calls: list[tuple[str, str]] = []
         self.fail: Callable[[str, str], None] = lambda call, subject: None
         self.hung: set[str] = set()
+        self.keeper = Keeper(world.manager, clock=lambda: 0.0)
+        #: What happens, one after the other, while a command waits for events.
+        self.script: list[Callable[[], None]] = []
 
     def nodelets(self) -> ModelView:
         model = self.world.manager.graph_model()
@@ -107,6 +114,47 @@ class FakeClient:
             ),
         )
 
+    def acquire_stream(self, request: StreamRequest, dry_run: bool = False) -> AcquiredView:
+        self._note("plan" if dry_run else "acquire", request.tag)
+        try:
+            acquired = self.keeper.acquire(request, dry_run)
+        except NoPlanFound as error:
+            raise StreamRefused(str(error), Result.NO_PLAN, error.claim_id) from error
+        except DyKnowError as error:
+            raise StreamRefused(str(error), Result.SPAWN_FAILED) from error
+        claim = acquired.claim
+        return AcquiredView(
+            claim.claim_id,
+            claim.topic,
+            claim.datatype,
+            tuple(sorted(acquired.spawned)),
+            acquired.reused,
+            acquired.cost,
+            0.0,
+            _tree(acquired),
+            "",
+        )
+
+    def release_stream(self, claim_id: str) -> None:
+        self._note("release", claim_id)
+        self.keeper.release(claim_id)
+
+    def renew_stream(self, claim_id: str, lease: float) -> float:
+        self._note("renew", claim_id)
+        _answered(lambda: self.keeper.renew(claim_id, lease))
+        return lease
+
+    def replan_stream(self, claim_id: str, dry_run: bool = False) -> ReplannedView:
+        self._note("replan", claim_id)
+        done = _answered(lambda: self.keeper.replan(claim_id, dry_run))
+        return ReplannedView(done.spawned, done.reused, done.cost, _tree(done), "")
+
+    def list_streams(self) -> tuple[StreamView, ...]:
+        return tuple(_stream_view(claim) for claim in self.keeper.claims())
+
+    def stream_events(self) -> FakeEvents:
+        return FakeEvents(self)
+
     def wait_for_model(self, condition: Callable[[ModelView], bool]) -> bool:
         return condition(self.nodelets())
 
@@ -133,6 +181,29 @@ class FakeClient:
             return ask()
         except HostError as error:
             raise Silent(f"nodelet '{nodelet}' does not answer") from error
+
+
+class FakeEvents:
+    """Events of the keeper; plays the client's script while it is waited for, then Ctrl-C."""
+
+    def __init__(self, client: FakeClient) -> None:
+        self.waiting: list[ClaimEvent] = []
+        self._client = client
+        client.keeper.on_event = self.waiting.append
+
+    def next(self, timeout: float) -> StreamEventView | None:
+        if self.waiting:
+            event = self.waiting.pop(0)
+            after = _stream_view(event.after)
+            before = None if event.reason == "requested" else _stream_view(event.before)
+            return StreamEventView(0.0, before, after, event.reason)
+        if not self._client.script:
+            raise KeyboardInterrupt
+        self._client.script.pop(0)()
+        return None
+
+    def close(self) -> None:
+        self._client.keeper.on_event = lambda event: None
 
 
 @dataclass(frozen=True)
@@ -179,4 +250,22 @@ def _view(record: Record) -> NodeletView:
         record.state,
         record.detail,
         record.ports,
+    )
+
+
+def _tree(acquired: Acquired) -> str:
+    return as_tree(acquired.plan) if acquired.plan is not None else ""
+
+
+def _stream_view(claim: Claim) -> StreamView:
+    return StreamView(
+        claim.claim_id,
+        claim.request.client_id,
+        claim.request.tag,
+        claim.topic,
+        claim.datatype,
+        claim.state,
+        claim.detail,
+        claim.nodelets,
+        claim.deadline or 0.0,
     )

@@ -7,7 +7,7 @@ import time
 
 from dyknow_msgs.srv import Destroy
 from sensor_msgs.msg import Image
-from std_msgs.msg import Header
+from std_msgs.msg import Header, String
 
 import dyknow
 
@@ -79,3 +79,36 @@ class Aborts(Relay):
     def on_init(self):
         super().on_init()
         self.order = self.nh.Subscriber("order", Header, lambda message: os.abort(), queue_size=1)
+
+
+class Moody(Relay):
+    """Relays until the topic ~order says `raise` or `silent`, and again when it says `work`."""
+
+    def on_init(self):
+        self.mood = "work"
+        self.nh = dyknow.NodeHandle(self.node_handle)
+        self.out = self.nh.Publisher("out", Header, queue_size=1000)
+        self.input = self.nh.Subscriber("in", Header, self.on_message, queue_size=1000)
+        self.order = self.private_node_handle.Subscriber("order", String, self.on_order)
+
+    def on_order(self, message):
+        self.mood = message.data
+
+    def on_message(self, message):
+        if self.mood == "raise":
+            raise RuntimeError("the lens is dirty")
+        if self.mood == "work":
+            self.out.publish(message)
+
+
+class Client(dyknow.Nodelet):
+    """Acquires a stream from within a nodelet, and publishes what it gets of it."""
+
+    def on_init(self):
+        self.nh = dyknow.NodeHandle(self.node_handle)
+        self.out = self.nh.Publisher("out", Header, queue_size=1000)
+        self.stream = dyknow.acquire(self.nh.get_param("~tag"), Header)
+        self.input = self.node_handle.Subscriber(self.stream.topic, Header, self.out.publish)
+
+    def on_shutdown(self):
+        self.stream.release()

@@ -1,0 +1,187 @@
+"""`acquire`: asks for a stream, and holds it."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import signal
+import time
+from typing import TYPE_CHECKING, Any, Iterable, Optional
+
+from dyknow.cli.arguments import seconds, seconds_or_none
+from dyknow.cli.command import Command
+from dyknow.cli.shapes import event_shape, stream_shape
+from dyknow.cli.shell import FAILED, Shell
+from dyknow.cli.streams import demand_arguments, request_of
+from dyknow.errors import DyKnowError, Refused
+from dyknow.ros.client_errors import StreamRefused, Unreachable
+
+if TYPE_CHECKING:
+    from dyknow.ros.shell_client import EventReader
+    from dyknow.ros.stream_views import StreamEventView, StreamView
+
+#: Seconds that a held claim outlives a command that was killed.
+_LEASE = 10.0
+_RENEWAL = 3.0
+
+
+def _arguments(parser: argparse.ArgumentParser) -> None:
+    demand_arguments(parser)
+    parser.add_argument(
+        "--max-silence",
+        metavar="SECONDS",
+        type=seconds,
+        default=0.0,
+        help="how long the stream may be silent before a part counts as broken "
+        "(default: only parts that died do)",
+    )
+    parser.add_argument(
+        "--wait",
+        action="store_true",
+        help="do not give up if it cannot be made now: it is made when it can",
+    )
+    parser.add_argument(
+        "--lease",
+        metavar="SECONDS",
+        type=seconds_or_none,
+        default=None,
+        help="do not hold it, but leave a claim that ends after so long (0: by 'release')",
+    )
+
+
+def _acquire(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
+    if arguments.lease is not None:
+        claim = _ask(arguments, shell, arguments.lease)
+        shell.show(stream_shape(claim), _describe(claim))
+        return None
+    signal.signal(signal.SIGTERM, _interrupt)
+    events = shell.client.stream_events()  # before the claim is made, so that none is missed
+    try:
+        claim = _ask(arguments, shell, _LEASE)
+    except BaseException:
+        events.close()  # a claim that is made all the same ends with its lease
+        raise
+    holding = _Holding(shell, claim.claim_id, events)
+    try:
+        _say(shell, stream_shape(claim), [*_describe(claim), "held until Ctrl-C"])
+        return holding.run()
+    except KeyboardInterrupt:
+        shell.client.release_stream(claim.claim_id)
+        _say(shell, {"released": claim.claim_id}, [f"released {claim.claim_id}"])
+        return None
+    finally:
+        holding.close()
+
+
+def _ask(arguments: argparse.Namespace, shell: Shell, lease: float) -> StreamView:
+    try:
+        request = request_of(arguments, lease, arguments.max_silence)
+        claim_id = shell.client.acquire_stream(request).claim_id
+    except StreamRefused as error:
+        if error.claim_id and not arguments.wait:
+            shell.client.release_stream(error.claim_id)
+        if not error.claim_id or not arguments.wait:
+            raise
+        claim_id = error.claim_id
+    for each in shell.client.list_streams():
+        if each.claim_id == claim_id:
+            return each
+    raise DyKnowError(f"claim {claim_id} has ended already")
+
+
+class _Holding:
+    """Renews a lease and tells what happens, until the claim ends."""
+
+    def __init__(self, shell: Shell, claim_id: str, events: EventReader) -> None:
+        self._shell = shell
+        self._claim_id = claim_id
+        self._events: Optional[EventReader] = events
+
+    def run(self) -> int:
+        """Hold it; returns the exit code once it has ended."""
+        renewal = time.monotonic() + _RENEWAL
+        while True:
+            event = self._next_event(renewal - time.monotonic())
+            if event is not None and event.before is not None:  # that it is new was said
+                line = f"{event.after.state.name.lower()}: {event.reason}"
+                _say(self._shell, event_shape(event), [f"{_clock(event.stamp)} {line}"])
+                if event.after.state.ended:
+                    return FAILED
+            if time.monotonic() >= renewal:
+                renewal = time.monotonic() + _RENEWAL
+                if not self._renew():
+                    return FAILED
+
+    def close(self) -> None:
+        """Listen no more."""
+        if self._events is not None:
+            self._events.close()
+            self._events = None
+
+    def _next_event(self, patience: float) -> Optional[StreamEventView]:
+        if self._events is None:
+            time.sleep(max(0.0, patience))
+            return None
+        try:
+            event = self._events.next(max(0.0, patience))
+        except Unreachable as error:
+            self._shell.warn(f"{error}; waiting for it")
+            self.close()
+            return None
+        return event if event is not None and event.after.claim_id == self._claim_id else None
+
+    def _renew(self) -> bool:
+        client = self._shell.client
+        try:
+            client.renew_stream(self._claim_id, _LEASE)
+            if self._events is None:
+                self._events = client.stream_events()
+                self._shell.warn("the manager is back")
+                for claim in client.list_streams():
+                    if claim.claim_id == self._claim_id:
+                        _say(self._shell, stream_shape(claim), _describe(claim))
+        except Refused as error:
+            self._shell.error(error)
+            return False
+        except Unreachable:
+            return True  # it was said when the connection broke; the claim waits in its store
+        return True
+
+
+def _describe(claim: StreamView) -> Iterable[str]:
+    place = f"on {claim.topic} [{claim.datatype or 'unknown type'}]" if claim.topic else ""
+    yield f"{claim.tag} {place or f'is {claim.state.name.lower()}: {claim.detail}'}"
+    yield f"  claim {claim.claim_id}"
+    if claim.nodelets:
+        yield f"  nodelets {' '.join(claim.nodelets)}"
+
+
+def _say(shell: Shell, value: Any, lines: Iterable[str]) -> None:
+    """Show something at once; as JSON each is one line, since more will follow."""
+    for line in [json.dumps(value)] if shell.as_json else lines:
+        shell.out.write(line + "\n")
+    shell.out.flush()
+
+
+def _clock(stamp: float) -> str:
+    return time.strftime("%H:%M:%S", time.localtime(stamp))
+
+
+def _interrupt(number: int, frame: object) -> None:
+    raise KeyboardInterrupt
+
+
+COMMANDS = (
+    Command(
+        "acquire",
+        "ask for a stream and hold it",
+        "Ask for a stream by what it is about. What is missing is spawned and connected, and kept "
+        "up as long as the command runs; each change of its state is told. Ctrl-C releases it.",
+        "dyknow acquire 'FieldPosition(ball)'\n"
+        "dyknow acquire 'Undistorted(?camera)' --datatype sensor_msgs/Image --max-silence 1\n"
+        "dyknow acquire 'FieldPosition(ball)' --wait --json\n"
+        "dyknow acquire 'FieldPosition(ball)' --lease 60",
+        _arguments,
+        _acquire,
+    ),
+)

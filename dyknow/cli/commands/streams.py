@@ -1,0 +1,184 @@
+"""`plan`, `streams`, `release` and `replan`: streams on request, one question or change each."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING, Any, Dict, List, Optional, Sequence
+
+from dyknow.cli.arguments import Kind, takes
+from dyknow.cli.command import Command
+from dyknow.cli.shapes import stream_shape
+from dyknow.cli.shell import FAILED, Shell
+from dyknow.cli.streams import demand_arguments, request_of
+from dyknow.cli.tables import columns
+from dyknow.errors import DyKnowError
+from dyknow.manager.explanation import tree_as_dot
+from dyknow.ros.client_errors import Unreachable
+
+if TYPE_CHECKING:
+    from dyknow.ros.stream_views import StreamView
+
+
+def _plan_arguments(parser: argparse.ArgumentParser) -> None:
+    demand_arguments(parser)
+    parser.add_argument(
+        "--dot", action="store_true", help="print the plan in graphviz's DOT language"
+    )
+
+
+def _plan(arguments: argparse.Namespace, shell: Shell) -> None:
+    answer = shell.client.acquire_stream(request_of(arguments), dry_run=True)
+    dot = tree_as_dot(answer.plan) if arguments.dot else ""
+    shape: Dict[str, Any] = {
+        "tag": arguments.tag,
+        "cost": answer.cost,
+        "spawned": list(answer.spawned),
+        "reused": list(answer.reused),
+        "plan": answer.plan,
+    }
+    if arguments.dot:
+        shape["dot"] = dot
+    shell.show(shape, (dot or answer.plan).rstrip("\n").split("\n"))
+
+
+def _streams_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "-a", "--all", action="store_true", help="list those that ended lately, too"
+    )
+    parser.add_argument(
+        "-l", "--long", action="store_true", help="show client, nodelets and details, too"
+    )
+
+
+def _streams(arguments: argparse.Namespace, shell: Shell) -> None:
+    streams = [
+        each for each in shell.client.list_streams() if arguments.all or not each.state.ended
+    ]
+    lines = _long_list(streams) if arguments.long else _list(streams)
+    shell.show({"streams": [stream_shape(each) for each in streams]}, lines)
+
+
+def _list(streams: Sequence[StreamView]) -> List[str]:
+    rows = [("CLAIM", "STATE", "TAG", "TOPIC", "TYPE")]
+    rows += [
+        (
+            each.claim_id,
+            each.state.name.lower(),
+            each.tag,
+            each.topic or "-",
+            each.datatype or "-",
+        )
+        for each in streams
+    ]
+    return columns(rows)
+
+
+def _long_list(streams: Sequence[StreamView]) -> List[str]:
+    lines = []
+    for each in streams:
+        detail = f" ({each.detail})" if each.detail else ""
+        lease = f"until {each.expires:.1f} (ROS time)" if each.expires else "until released"
+        lines += [
+            f"Stream [{each.claim_id}]",
+            f"Tag: {each.tag}",
+            f"State: {each.state.name.lower()}{detail}",
+            f"Topic: {each.topic or '-'} [{each.datatype or 'unknown type'}]",
+            f"Client: {each.client_id or '(not given)'}",
+            f"Lease: {lease}",
+            f"Nodelets: {' '.join(each.nodelets) or 'none'}",
+            "",
+        ]
+    return lines
+
+
+def _claims_argument(parser: argparse.ArgumentParser) -> None:
+    takes(
+        parser.add_argument("claims", nargs="+", metavar="ID", help="a claim; see 'streams'"),
+        Kind.CLAIM,
+    )
+
+
+def _release(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
+    released: List[str] = []
+    failed: List[Dict[str, str]] = []
+    known = {each.claim_id for each in shell.client.list_streams()}
+    for claim in arguments.claims:
+        try:
+            if claim not in known:
+                raise DyKnowError(f"there is no claim '{claim}'; see 'dyknow streams'")
+            shell.client.release_stream(claim)
+        except Unreachable:
+            raise
+        except DyKnowError as error:
+            shell.error(error)
+            failed.append({"claim": claim, "message": str(error)})
+        else:
+            released.append(claim)
+    shell.show(
+        {"released": released, "failed": failed}, [f"released {claim}" for claim in released]
+    )
+    return FAILED if failed else None
+
+
+def _replan_arguments(parser: argparse.ArgumentParser) -> None:
+    takes(
+        parser.add_argument("claim", metavar="ID", help="a claim; see 'streams'"),
+        Kind.CLAIM,
+    )
+    parser.add_argument(
+        "-n", "--dry-run", action="store_true", help="show the way only, change nothing"
+    )
+
+
+def _replan(arguments: argparse.Namespace, shell: Shell) -> None:
+    answer = shell.client.replan_stream(arguments.claim, arguments.dry_run)
+    shape = {
+        "claim": arguments.claim,
+        "dry_run": arguments.dry_run,
+        "cost": answer.cost,
+        "spawned": list(answer.spawned),
+        "reused": list(answer.reused),
+        "plan": answer.plan,
+    }
+    shell.show(shape, answer.plan.rstrip("\n").split("\n"))
+
+
+COMMANDS = (
+    Command(
+        "plan",
+        "explain how a stream would be made",
+        "Explain how a stream would be made now: what would be spawned, what is used as it is, "
+        "at which cost. Nothing is changed.",
+        "dyknow plan 'FieldPosition(ball)'\n"
+        "dyknow plan 'BallObject(?robot)' --exclude bottom_camera\n"
+        "dyknow plan 'FieldPosition(ball)' --dot | dot -Tsvg -o plan.svg",
+        _plan_arguments,
+        _plan,
+    ),
+    Command(
+        "streams",
+        "list the streams that are claimed",
+        "List the claims: what was asked for, whether it flows, and where.",
+        "dyknow streams\ndyknow streams -l --all\n"
+        "dyknow streams --json | jq -r '.streams[] | select(.state != \"active\") | .detail'",
+        _streams_arguments,
+        _streams,
+    ),
+    Command(
+        "release",
+        "end claims",
+        "End claims. Nodelets that were made for them and that nobody needs any more are "
+        "destroyed after some seconds.",
+        "dyknow release 3f0c1a2b4d5e",
+        _claims_argument,
+        _release,
+    ),
+    Command(
+        "replan",
+        "take the way for a stream that is the cheapest now",
+        "Take the way for a claimed stream that is the cheapest now. Its topic stays.",
+        "dyknow replan 3f0c1a2b4d5e --dry-run\ndyknow replan 3f0c1a2b4d5e",
+        _replan_arguments,
+        _replan,
+    ),
+)

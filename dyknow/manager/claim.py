@@ -1,0 +1,118 @@
+"""Claims: streams that clients asked for, as values."""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import asdict, dataclass, field
+from typing import Any, Dict, Mapping, Optional, Tuple
+
+
+class ClaimState(enum.IntEnum):
+    """State of a claim; the numbers are those of ``dyknow_msgs/StreamStatus``."""
+
+    PENDING = 0
+    ACTIVE = 1
+    DEGRADED = 2
+    RECOVERING = 3
+    FAILED = 4
+    RELEASED = 5
+    EXPIRED = 6
+
+    @property
+    def ended(self) -> bool:
+        """Whether nothing will come of it any more."""
+        return self in (ClaimState.RELEASED, ClaimState.EXPIRED)
+
+
+@dataclass(frozen=True)
+class StreamRequest:
+    """What a client asks for.
+
+    Attributes:
+        tag: a term, such as ``FieldPosition(ball)``.
+        datatype: ROS type; empty for any.
+        client_id: who asks.
+        request_id: the same request again gets the same claim; empty: every request is a new one.
+        bond_id: bond of the client, for whoever watches it; empty: there is none.
+        lease: seconds until the claim ends unless it is renewed; 0 for until it is released.
+        max_silence: seconds without a message after which a part counts as broken; 0: never.
+        exclude: labels of transformations that must not be used.
+    """
+
+    tag: str
+    datatype: str = ""
+    client_id: str = ""
+    request_id: str = ""
+    bond_id: str = ""
+    lease: float = 0.0
+    max_silence: float = 0.0
+    exclude: Tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A stream that is kept for a client.
+
+    Attributes:
+        claim_id: names the claim.
+        request: what was asked for.
+        topic: where the client listens; it stays, whoever publishes there.
+        datatype: type of the stream.
+        state: whether it flows.
+        detail: why it does not, in words.
+        goal: nodelet and out-port that publish; empty for a topic of ordinary nodes.
+        wiring: for each nodelet of the stream the topics that its ports need.
+        sources: topics of ordinary nodes that the stream needs.
+        deadline: when the lease ends, on the keeper's clock; None for never.
+    """
+
+    claim_id: str
+    request: StreamRequest
+    topic: str = ""
+    datatype: str = ""
+    state: ClaimState = ClaimState.PENDING
+    detail: str = ""
+    goal: Tuple[str, str] = ("", "")
+    wiring: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    sources: Tuple[str, ...] = ()
+    deadline: Optional[float] = None
+
+    @property
+    def nodelets(self) -> Tuple[str, ...]:
+        """Nodelets of the stream, by name."""
+        return tuple(sorted(self.wiring))
+
+    def body(self, now: float) -> Dict[str, Any]:
+        """Write the claim for the store; the lease as what is left of it."""
+        body = asdict(self)
+        body["state"] = int(self.state)
+        body["left"] = None if self.deadline is None else self.deadline - now
+        del body["deadline"]
+        return body
+
+    @classmethod
+    def from_body(cls, body: Mapping[str, Any], now: float) -> Claim:
+        """Read what ``body`` wrote."""
+        fields = dict(body)
+        left = fields.pop("left")
+        request = dict(fields.pop("request"))
+        request["exclude"] = tuple(request["exclude"])
+        return cls(
+            **{
+                **fields,
+                "request": StreamRequest(**request),
+                "state": ClaimState(fields["state"]),
+                "goal": tuple(fields["goal"]),
+                "sources": tuple(fields["sources"]),
+                "deadline": None if left is None else now + left,
+            }
+        )
+
+
+@dataclass(frozen=True)
+class ClaimEvent:
+    """A claim changed."""
+
+    before: Claim
+    after: Claim
+    reason: str

@@ -1,0 +1,157 @@
+"""The claims that are kept: in memory for everybody to see, on disk first.
+
+A claim that ended stays ended, whatever somebody who still works for it writes afterwards; a lease
+that is renewed meanwhile stays renewed.
+"""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+from typing import Any, Callable, Dict, List, Optional, Set
+
+from dyknow.errors import UnknownClaim
+from dyknow.manager.claim import Claim, ClaimEvent, ClaimState, StreamRequest
+from dyknow.manager.store import Store
+
+
+class ClaimTable:
+    """Claims by id; every method is safe from any thread."""
+
+    def __init__(self, store: Store, clock: Callable[[], float], ended_kept: int) -> None:
+        """Take up the claims that the store has.
+
+        Args:
+            store: where they outlive the manager.
+            clock: seconds, steady.
+            ended_kept: claims that ended and can still be asked about.
+        """
+        self._store = store
+        self._clock = clock
+        self._ended_kept = ended_kept
+        self._writing = threading.Lock()  # the disk has them in the order of the memory
+        self._lock = threading.Lock()
+        now = clock()
+        self._claims: Dict[str, Claim] = {
+            claim_id: Claim.from_body(body, now) for claim_id, body in store.claims().items()
+        }
+        #: Called with every change, outside the locks.
+        self.on_event: Callable[[ClaimEvent], None] = lambda event: None
+
+    def all(self) -> List[Claim]:
+        """Return every claim, those that ended lately too, by id."""
+        with self._lock:
+            return [self._claims[claim_id] for claim_id in sorted(self._claims)]
+
+    def living(self) -> List[Claim]:
+        """Return the claims that have not ended, by id."""
+        return [claim for claim in self.all() if not claim.state.ended]
+
+    def find(self, claim_id: str) -> Optional[Claim]:
+        """Return a claim that has not ended, or None."""
+        with self._lock:
+            claim = self._claims.get(claim_id)
+        return None if claim is None or claim.state.ended else claim
+
+    def get(self, claim_id: str) -> Claim:
+        """Return a claim that has not ended.
+
+        Raises:
+            UnknownClaim: there is none of that id, or it ended.
+        """
+        with self._lock:
+            claim = self._claims.get(claim_id)
+        if claim is None or claim.state.ended:
+            raise UnknownClaim(claim_id, "" if claim is None else claim.state.name.lower())
+        return claim
+
+    def same(self, request: StreamRequest) -> Optional[Claim]:
+        """Return the living claim of an earlier copy of a request, if it is one that tells."""
+        if not request.request_id:
+            return None
+        wanted = (request.client_id, request.request_id)
+        for claim in self.living():
+            if (claim.request.client_id, claim.request.request_id) == wanted:
+                return claim
+        return None
+
+    def needed(self, but: str = "") -> Set[str]:
+        """Nodelets that living claims, ``but`` one, are made of."""
+        names: Set[str] = set()
+        for claim in self.living():
+            if claim.claim_id != but:
+                names.update(claim.nodelets)
+        return names
+
+    def add(self, claim: Claim, reason: str) -> Claim:
+        """Keep a new claim; its lease begins."""
+        lease = claim.request.lease
+        claim = replace(claim, deadline=self._clock() + lease if lease > 0 else None)
+        with self._writing:
+            self._write(claim)
+        self.on_event(ClaimEvent(replace(claim, state=ClaimState.PENDING), claim, reason))
+        return claim
+
+    def change(self, claim_id: str, reason: str, **changes: Any) -> Optional[Claim]:
+        """Change a claim, unless it ended meanwhile: then None is returned."""
+        with self._writing:
+            before = self.find(claim_id)
+            if before is None:
+                return None
+            after = replace(before, **changes)
+            if after != before:
+                self._write(after)
+        if after != before:
+            self.on_event(ClaimEvent(before, after, reason))
+        return after
+
+    def report(self, claim_id: str, news: str) -> None:
+        """Tell something about a claim that does not change it."""
+        claim = self.find(claim_id)
+        if claim is not None:
+            self.on_event(ClaimEvent(claim, claim, news))
+
+    def renew(self, claim_id: str, lease: float) -> Claim:
+        """Let a claim live for so many seconds from now (0: until it is released).
+
+        Raises:
+            UnknownClaim: there is none of that id, or it ended.
+        """
+        with self._writing:
+            deadline = self._clock() + lease if lease > 0 else None
+            claim = replace(self.get(claim_id), deadline=deadline)
+            self._write(claim)
+        return claim
+
+    def end(self, claim_id: str, state: ClaimState, reason: str) -> None:
+        """End a claim; nothing happens to one that ended, or that nobody knows."""
+        with self._writing:
+            before = self.find(claim_id)
+            if before is None:
+                return
+            after = replace(before, state=state, detail=reason)
+            self._store.remove_claim(claim_id)
+            with self._lock:
+                self._claims.pop(claim_id)
+                self._claims[claim_id] = after  # the latest to end is the last to be forgotten
+                ended = [key for key, claim in self._claims.items() if claim.state.ended]
+                for key in ended[: max(0, len(ended) - self._ended_kept)]:
+                    del self._claims[key]
+        self.on_event(ClaimEvent(before, after, reason))
+
+    def end_late(self) -> None:
+        """End the claims whose lease is over."""
+        now = self._clock()
+        for claim in self.living():
+            if claim.deadline is not None and now >= claim.deadline:
+                self._end_if_late(claim.claim_id, now)
+
+    def _end_if_late(self, claim_id: str, now: float) -> None:
+        claim = self.find(claim_id)
+        if claim is not None and claim.deadline is not None and now >= claim.deadline:
+            self.end(claim_id, ClaimState.EXPIRED, "its lease ended")
+
+    def _write(self, claim: Claim) -> None:
+        self._store.put_claim(claim.claim_id, claim.body(self._clock()))
+        with self._lock:
+            self._claims[claim.claim_id] = claim

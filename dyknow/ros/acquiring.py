@@ -1,0 +1,258 @@
+"""Streams on request for Python programs: ``with dyknow.acquire(tag) as stream:``.
+
+Works in a rospy node and in a nodelet. The claim lives as long as the ``with`` block or, without
+one, until ``release``: its lease is renewed by itself, and should the process die, a bond tells
+the manager.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+import uuid
+from dataclasses import replace
+from typing import Any, Callable, Iterable, Optional, Tuple, Union
+
+import rospy
+
+from dyknow.errors import BadParameter, DyKnowError, HostError, PeerTimeout, Refused
+from dyknow.manager.claim import ClaimState, StreamRequest
+from dyknow.ros.client import CHANGE_TIMEOUT, ManagerClient
+from dyknow.ros.client_errors import StreamRefused
+from dyknow.ros.stream_session import StreamSession
+from dyknow.ros.stream_views import AcquiredView, StreamEventView, StreamView
+
+OnEvent = Callable[[StreamEventView], None]
+
+#: Seconds after which a claim ends that its client does not renew.
+LEASE = 30.0
+_PERIOD = 0.2
+
+
+class AcquiredStream:
+    """A stream that the manager makes and maintains for this process.
+
+    Attributes:
+        tag: what was asked for.
+        claim_id: names the claim for ``dyknow streams``, ``replan`` and ``release``.
+        lease: seconds that the claim outlives a silent client.
+        spawned: nodelets that were made for it.
+        reused: nodelets that were there.
+    """
+
+    def __init__(
+        self,
+        client: ManagerClient,
+        session: StreamSession,
+        view: StreamView,
+        lease: float,
+        on_event: Optional[OnEvent],
+    ) -> None:
+        """Follow a claim; made by ``acquire``."""
+        self.claim_id = view.claim_id
+        self.tag = view.tag
+        self.lease = lease
+        self.spawned: Tuple[str, ...] = ()
+        self.reused: Tuple[str, ...] = ()
+        self._client = client
+        self._session = session
+        self._on_event = on_event
+        self._condition = threading.Condition()
+        self._view = view
+        self._released = False
+
+    @property
+    def topic(self) -> str:
+        """Where to listen; it stays, whoever publishes there. Empty while nobody can."""
+        return self._view.topic
+
+    @property
+    def datatype(self) -> str:
+        """ROS type of the stream; empty while that is not known."""
+        return self._view.datatype
+
+    @property
+    def state(self) -> ClaimState:
+        """Whether it flows, as the manager told last."""
+        return self._view.state
+
+    @property
+    def detail(self) -> str:
+        """Why it does not, in words."""
+        return self._view.detail
+
+    @property
+    def nodelets(self) -> Tuple[str, ...]:
+        """Nodelets that it needs, by name, as the manager told last."""
+        return self._view.nodelets
+
+    def wait_until_active(self, timeout: Optional[float] = None) -> bool:
+        """Wait for the stream.
+
+        Args:
+            timeout: seconds; None for as long as it takes.
+
+        Returns:
+            Whether it is there; False if the time, the node or the claim ended before.
+        """
+        deadline = None if timeout is None else time.monotonic() + timeout
+        with self._condition:
+            while self.state is not ClaimState.ACTIVE:
+                late = deadline is not None and time.monotonic() >= deadline
+                if late or self.state.ended or rospy.is_shutdown():
+                    return False
+                self._condition.wait(_PERIOD)
+        return True
+
+    def release(self) -> None:
+        """Ask for the stream no more. Again, or after the claim ended, it does nothing.
+
+        A manager that cannot be reached ends the claim when it misses this process.
+        """
+        with self._condition:
+            if self._released:
+                return
+            self._released = True
+        self._session.remove(self.claim_id)
+        try:
+            if not self.state.ended:
+                self._client.release_stream(self.claim_id)
+        except (HostError, PeerTimeout, Refused) as error:
+            rospy.logwarn("stream %s was not released: %s", self.claim_id, error)
+        finally:
+            self._session.close()
+        self._take(replace(self._view, state=ClaimState.RELEASED, detail=""), "released")
+
+    def __enter__(self) -> AcquiredStream:
+        return self
+
+    def __exit__(self, *unused: object) -> None:
+        self.release()
+
+    def __repr__(self) -> str:
+        return f"<stream {self.tag} on {self.topic or 'no topic'}: {self.state.name}>"
+
+    # What the session tells
+
+    def note(self, event: StreamEventView) -> None:
+        """Take in a change."""
+        with self._condition:
+            self._view = event.after
+            self._condition.notify_all()
+        if self._on_event is not None:
+            self._on_event(event)
+
+    def note_view(self, view: StreamView) -> None:
+        """Take in what the claim is like; news if an event was missed."""
+        self._take(view, view.detail or "an earlier event was missed")
+
+    def note_end(self, why: str) -> None:
+        """Take in that the manager knows the claim no more."""
+        if not self.state.ended:
+            self._take(replace(self._view, state=ClaimState.EXPIRED, detail=why), why)
+
+    def _take(self, view: StreamView, reason: str) -> None:
+        before = self._view
+        if before.state.ended:
+            return
+        if (view.state, view.topic, view.detail) != (before.state, before.topic, before.detail):
+            self.note(StreamEventView(rospy.get_time(), before, view, reason))
+        else:
+            self._view = view
+
+
+def acquire(
+    tag: str,
+    datatype: Union[str, Any] = "",
+    *,
+    max_silence: float = 0.0,
+    exclude: Iterable[str] = (),
+    pending: bool = False,
+    lease: float = LEASE,
+    on_event: Optional[OnEvent] = None,
+    client_id: str = "",
+    manager: str = "",
+    timeout: float = CHANGE_TIMEOUT,
+) -> AcquiredStream:
+    """Have a stream made and maintained.
+
+    Args:
+        tag: a term such as ``FieldPosition(ball)`` or ``BallObject(?robot)``.
+        datatype: the type that it must have, as a message class or by name; any by default.
+        max_silence: seconds without a message after which a part counts as broken; 0: only parts
+            that died do.
+        exclude: labels of transformations that must not be used.
+        pending: take a stream that cannot be made yet, too; see ``wait_until_active``.
+        lease: seconds that the claim outlives this process at most.
+        on_event: called with each change of the claim (``before``, ``after``, ``reason``), on a
+            thread of rospy.
+        client_id: who asks; by default this node.
+        manager: the manager's node; by default ``$DYKNOW_MANAGER``, else ``dyknow_manager``.
+        timeout: seconds for making it.
+
+    Raises:
+        StreamRefused: it cannot be made; the text says why, and names the tags that are missing.
+        HostError: there is no manager.
+        PeerTimeout: the manager does not answer in time.
+        rospy.ROSInitException: this process is no node.
+    """
+    if not rospy.core.is_initialized():
+        raise rospy.ROSInitException("dyknow.acquire needs a node: call rospy.init_node first")
+    if not lease > 0:
+        raise BadParameter("lease", lease, "seconds, more than 0")
+    node = rospy.get_name()
+    client = ManagerClient(manager or os.environ.get("DYKNOW_MANAGER") or "dyknow_manager", node)
+    session = StreamSession.open(client)
+    try:
+        request = StreamRequest(
+            tag=tag,
+            datatype=getattr(datatype, "_type", datatype),
+            client_id=client_id or node,
+            request_id=str(uuid.uuid4()),
+            bond_id=session.bond_id,
+            lease=lease,
+            max_silence=max_silence,
+            exclude=tuple(exclude),
+        )
+        view, answer = _ask(client, request, pending, timeout)
+        stream = AcquiredStream(client, session, view, lease, on_event)
+        if answer is not None:
+            stream.spawned, stream.reused = answer.spawned, answer.reused
+        session.add(stream)
+    except BaseException:
+        session.close()
+        raise
+    return stream
+
+
+def _ask(
+    client: ManagerClient, request: StreamRequest, pending: bool, timeout: float
+) -> Tuple[StreamView, Optional[AcquiredView]]:
+    """Ask for a stream; without an answer if it is not there yet."""
+    view = StreamView("", request.client_id, request.tag, "", "", ClaimState.PENDING, "", (), 0.0)
+    try:
+        answer = client.acquire_stream(request, timeout=timeout)
+    except StreamRefused as error:
+        if error.claim_id and pending:
+            return replace(view, claim_id=error.claim_id, detail=str(error)), None
+        if error.claim_id:
+            _give_up(client, error.claim_id)
+        raise
+    active = replace(
+        view,
+        claim_id=answer.claim_id,
+        topic=answer.topic,
+        datatype=answer.datatype,
+        state=ClaimState.ACTIVE,
+        nodelets=tuple(sorted({*answer.spawned, *answer.reused})),
+        expires=answer.expires,
+    )
+    return active, answer
+
+
+def _give_up(client: ManagerClient, claim_id: str) -> None:
+    try:
+        client.release_stream(claim_id)
+    except DyKnowError as error:  # it ends with its lease
+        rospy.logwarn("stream %s was not released: %s", claim_id, error)

@@ -1,0 +1,65 @@
+"""Bonds with the clients of claims: one that breaks ends the claims that hang on it.
+
+Both ends speak on the manager's topic ``~bond``, as with nodelet managers. Bonds outlive a manager
+that is killed: its next life waits for each client to be heard, for as long as bonds do.
+"""
+
+from __future__ import annotations
+
+import threading
+from typing import Callable, Dict, Iterable, Set
+
+import rospy
+
+from dyknow import names
+from dyknow.errors import DyKnowError
+from dyknow.manager.claim import Claim
+from dyknow.ros.bonds import Bonds
+
+TOPIC = "bond"
+
+
+class ClaimBonds:
+    """Has a bond for each id that a claim names, and none else."""
+
+    def __init__(self, expire: Callable[[str, str], None]) -> None:
+        """Watch nobody yet.
+
+        Args:
+            expire: ends a claim, given its id and a reason.
+        """
+        self._expire = expire
+        self._bonds = Bonds(names.join(rospy.get_name(), TOPIC))
+        self._lock = threading.Lock()
+        self._held: Dict[str, Set[str]] = {}
+
+    def follow(self, claims: Iterable[Claim]) -> None:
+        """Watch over the clients of these claims."""
+        wanted: Dict[str, Set[str]] = {}
+        for claim in claims:
+            if claim.request.bond_id and not claim.state.ended:
+                wanted.setdefault(claim.request.bond_id, set()).add(claim.claim_id)
+        with self._lock:
+            new = sorted(set(wanted) - set(self._held))
+            old = sorted(set(self._held) - set(wanted))
+            self._held = wanted
+        for bond_id in old:
+            self._bonds.remove(bond_id)
+        for bond_id in new:
+            self._add(bond_id)
+
+    def close(self) -> None:
+        """Let go of all clients."""
+        self._bonds.close()
+
+    def _add(self, bond_id: str) -> None:
+        try:
+            self._bonds.add(bond_id, lambda: self._on_broken(bond_id))
+        except DyKnowError as error:
+            rospy.logwarn("bond '%s' of a stream's client: %s", bond_id, error)
+
+    def _on_broken(self, bond_id: str) -> None:
+        with self._lock:
+            claims = sorted(self._held.pop(bond_id, ()))
+        for claim_id in claims:
+            self._expire(claim_id, "the bond with its client broke")

@@ -1,0 +1,73 @@
+"""The client's end of the bond that its claims hang on.
+
+It only speaks: a client learns from its leases what has become of the manager, and goes on
+speaking while that is away. So a manager that was killed finds its clients alive when it is back.
+"""
+
+from __future__ import annotations
+
+import threading
+import uuid
+from typing import Any, Callable
+
+import rospy
+from bond.msg import Constants, Status
+
+from dyknow import names
+from dyknow.ros.claim_bonds import TOPIC
+
+_QUEUE_SIZE = 10
+
+
+class Heart(rospy.SubscribeListener):
+    """Says at once to whoever listens, and once a second, that this process is alive.
+
+    Attributes:
+        bond_id: what the bond is called.
+    """
+
+    def __init__(self, manager: str) -> None:
+        """Begin to beat for a manager, whose global name this is."""
+        self.bond_id = str(uuid.uuid4())
+        self._instance_id = str(uuid.uuid4())
+        self._closed = threading.Event()
+        self._publisher: Any = rospy.Publisher(
+            names.join(manager, TOPIC), Status, subscriber_listener=self, queue_size=_QUEUE_SIZE
+        )
+        self._thread = threading.Thread(target=self._run, name="stream heart", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Say that it is over, and beat no more."""
+        self._closed.set()
+        self._thread.join()
+        self._say(active=False)
+        self._publisher.unregister()
+
+    def peer_subscribe(
+        self, topic_name: str, topic_publish: Any, peer_publish: Callable[[Status], None]
+    ) -> None:
+        """Beat for a newcomer: a manager that has heard us once misses us sooner."""
+        if not self._closed.is_set():
+            peer_publish(self._status(active=True))
+
+    def _run(self) -> None:
+        while not self._closed.wait(Constants.DEFAULT_HEARTBEAT_PERIOD):
+            self._say(active=True)
+
+    def _say(self, active: bool) -> None:
+        try:
+            self._publisher.publish(self._status(active))
+        except rospy.ROSException:
+            return  # the node has shut down: silence says the same
+
+    def _status(self, active: bool) -> Status:
+        status = Status(
+            id=self.bond_id,
+            instance_id=self._instance_id,
+            active=active,
+            heartbeat_timeout=Constants.DEFAULT_HEARTBEAT_TIMEOUT,
+            heartbeat_period=Constants.DEFAULT_HEARTBEAT_PERIOD,
+        )
+        status.header.stamp = rospy.Time.now()
+        return status

@@ -1,0 +1,88 @@
+"""The part of the node dyknow_manager that is about streams.
+
+Who owns what: ``StreamNode`` owns the keeper of the claims, the thread that lets it work, the
+bonds with clients, the services and the topic of events.
+"""
+
+from __future__ import annotations
+
+import threading
+from typing import Callable, Set
+
+import rospy
+from dyknow_msgs.msg import StreamEvent
+
+from dyknow.manager.claim import ClaimEvent
+from dyknow.manager.keeper import Keeper
+from dyknow.manager.manager import Manager
+from dyknow.manager.tags import Subsumption
+from dyknow.ros.claim_bonds import ClaimBonds
+from dyknow.ros.reconciling import Reconciling
+from dyknow.ros.stream_messages import StreamMessages
+from dyknow.ros.stream_services import StreamServices
+
+#: Events that may wait for a slow subscriber.
+_QUEUE_SIZE = 1000
+#: Seconds to wait, at the end, for a repair that is going on.
+_END_PATIENCE = 3.0
+
+
+class StreamNode:
+    """Claims and their surroundings; the manager must have been started."""
+
+    def __init__(
+        self, manager: Manager, ontology: Subsumption, after_change: Callable[[], None]
+    ) -> None:
+        """Take up the claims of an earlier life, and offer the services.
+
+        Args:
+            manager: makes and destroys nodelets.
+            ontology: what is a kind of what.
+            after_change: called after each attempt to change something, before it is answered.
+        """
+        self._manager = manager
+        self._messages = StreamMessages()
+        self._publisher = rospy.Publisher("~stream_events", StreamEvent, queue_size=_QUEUE_SIZE)
+        self._keeper = Keeper(manager, ontology)
+        self._known: Set[str] = {claim.claim_id for claim in self._keeper.claims()}
+        self._bonds = ClaimBonds(self._keeper.expire)
+        self._reconciling = Reconciling(self._keeper, self._has_work)
+        self._keeper.on_event = self._on_event
+        self._bonds.follow(self._keeper.claims())
+        self._services = StreamServices(self._keeper, manager.guards, self._messages, after_change)
+        self._reconciling.start()
+
+    def note_change(self) -> None:
+        """Say that the graph or the library changed; returns at once."""
+        self._reconciling.note_change()
+
+    def close(self) -> None:
+        """End all claims; the nodelets of the streams are not touched."""
+        self._services.close()
+        self._reconciling.close(1.0)
+        # A repair that is going on is waited for, but not long.
+        ending = threading.Thread(target=self._keeper.end, name="end of claims", daemon=True)
+        ending.start()
+        ending.join(_END_PATIENCE)
+        self._bonds.close()  # the topic is withdrawn with the node, when the last is sent
+
+    def _has_work(self) -> bool:
+        return any(not claim.state.ended for claim in self._keeper.claims()) or any(
+            record.claimed for record in self._manager.graph.all()
+        )
+
+    def _on_event(self, event: ClaimEvent) -> None:
+        is_new = event.after.claim_id not in self._known
+        self._known.add(event.after.claim_id)
+        if event.after.state.ended:
+            self._known.discard(event.after.claim_id)
+        rospy.loginfo(
+            "stream %s, %s: %s: %s",
+            event.after.claim_id,
+            event.after.request.tag,
+            event.after.state.name,
+            event.reason,
+        )
+        self._publisher.publish(self._messages.event(event, is_new))
+        self._bonds.follow(self._keeper.claims())
+        self._reconciling.note_change()

@@ -1,0 +1,174 @@
+"""What the streams of one process have in common: one bond, one subscription, one upkeep.
+
+There is a session for each manager that streams were acquired from; it comes with the first of
+them and goes with the last. Who owns what: the session owns the bond's heart, the subscriber of
+``~stream_events`` and the thread that renews leases; streams only hold what they are told.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import Any, Dict, List, Optional, Protocol
+
+import rospy
+from dyknow_msgs.msg import StreamEvent
+
+from dyknow import names
+from dyknow.errors import HostError, PeerTimeout, Refused
+from dyknow.ros.client import ManagerClient
+from dyknow.ros.stream_heart import Heart
+from dyknow.ros.stream_views import StreamEventView, StreamView, event_view
+
+#: A lease is renewed when this part of it is over.
+_RENEWED_AFTER = 1 / 3
+#: Seconds until a manager that does not answer is asked again.
+_RETRY = 1.0
+#: Seconds to wait for the events' connection, so that none of the first are missed.
+_CONNECT_PATIENCE = 0.5
+_POLL = 0.01
+
+
+class Follower(Protocol):
+    """A stream, as its session sees it."""
+
+    claim_id: str
+    lease: float
+
+    def note(self, event: StreamEventView) -> None:
+        """Take in a change."""
+
+    def note_view(self, view: StreamView) -> None:
+        """Take in what the claim is like."""
+
+    def note_end(self, why: str) -> None:
+        """Take in that the manager knows the claim no more."""
+
+
+class StreamSession:
+    """Keeps the claims of this process alive; every method is safe from any thread."""
+
+    _sessions: Dict[str, StreamSession] = {}
+    _opening = threading.Lock()
+
+    @classmethod
+    def open(cls, client: ManagerClient) -> StreamSession:
+        """Return the session for the client's manager; each call needs a ``close``."""
+        with cls._opening:
+            session = cls._sessions.get(client.manager)
+            if session is None:
+                session = cls._sessions[client.manager] = cls(client)
+            session._users += 1
+            return session
+
+    def __init__(self, client: ManagerClient) -> None:
+        """Begin to listen and to beat."""
+        self._client = client
+        self._renew_lease = client.renewer()
+        self._users = 0
+        self._condition = threading.Condition()
+        self._streams: Dict[str, Follower] = {}
+        self._due: Dict[str, float] = {}
+        self._closed = False
+        self._heart = Heart(client.manager)
+        self._subscriber: Any = rospy.Subscriber(
+            names.join(client.manager, "stream_events"), StreamEvent, self._on_event
+        )
+        self._await_connection()
+        threading.Thread(target=self._run, name="stream leases", daemon=True).start()
+
+    @property
+    def bond_id(self) -> str:
+        """The bond that claims of this process hang on."""
+        return self._heart.bond_id
+
+    def add(self, stream: Follower) -> None:
+        """Keep a stream's claim alive, and tell it what becomes of it."""
+        with self._condition:
+            self._streams[stream.claim_id] = stream
+            self._due[stream.claim_id] = 0.0  # at once, for what happened before it was here
+            self._condition.notify()
+
+    def remove(self, claim_id: str) -> None:
+        """Care for a stream no more."""
+        with self._condition:
+            self._streams.pop(claim_id, None)
+            self._due.pop(claim_id, None)
+
+    def close(self) -> None:
+        """Let go; the last one ends the session."""
+        with self._opening:
+            self._users -= 1
+            if self._users:
+                return
+            self._sessions.pop(self._client.manager, None)
+        with self._condition:
+            self._closed = True
+            self._condition.notify()
+        self._subscriber.unregister()
+        self._heart.close()
+
+    # Inside
+
+    def _await_connection(self) -> None:
+        deadline = time.monotonic() + _CONNECT_PATIENCE
+        while not self._subscriber.get_num_connections() and time.monotonic() < deadline:
+            time.sleep(_POLL)
+
+    @staticmethod
+    def _next_due(stream: Follower) -> float:
+        return time.monotonic() + stream.lease * _RENEWED_AFTER
+
+    def _on_event(self, message: Any) -> None:
+        with self._condition:
+            stream = self._streams.get(message.after.claim_id)
+        if stream is not None:
+            stream.note(event_view(message))
+
+    def _run(self) -> None:
+        while True:
+            due = self._await_due()
+            if due is None:
+                return
+            for stream in due:
+                self._renew(stream)
+            self._refresh([stream.claim_id for stream in due])
+
+    def _await_due(self) -> Optional[List[Follower]]:
+        """Sleep until leases are to be renewed; None at the end."""
+        with self._condition:
+            while not self._closed:
+                now = time.monotonic()
+                soonest = min(self._due.values(), default=None)
+                if soonest is not None and soonest <= now:
+                    return [self._streams[each] for each, at in self._due.items() if at <= now]
+                self._condition.wait(None if soonest is None else soonest - now)
+            return None
+
+    def _renew(self, stream: Follower) -> None:
+        next_due = self._next_due(stream)
+        try:
+            self._renew_lease(stream.claim_id, stream.lease)
+        except Refused as error:
+            self._refresh([stream.claim_id])  # the manager may still know how it ended
+            self.remove(stream.claim_id)
+            stream.note_end(str(error))
+            return
+        except (HostError, PeerTimeout) as error:
+            rospy.logwarn_throttle(10, f"the lease of stream {stream.claim_id}: {error}")
+            next_due = time.monotonic() + _RETRY
+        with self._condition:
+            if stream.claim_id in self._due:
+                self._due[stream.claim_id] = next_due
+
+    def _refresh(self, claim_ids: List[str]) -> None:
+        """See to it that nothing was missed: events are not kept for those who come late."""
+        try:
+            claims = {each.claim_id: each for each in self._client.list_streams()}
+        except (HostError, PeerTimeout):
+            return  # the next renewal tells
+        for claim_id in claim_ids:
+            with self._condition:
+                stream: Optional[Follower] = self._streams.get(claim_id)
+            if stream is not None and claim_id in claims:
+                stream.note_view(claims[claim_id])

@@ -1,0 +1,22 @@
+#!/usr/bin/env python3
+"""Follows the ball, whoever sees it."""
+
+import rospy
+from geometry_msgs.msg import PointStamped
+
+import dyknow
+
+
+def on_position(position):
+    where = f"({position.point.x:.2f}, {position.point.y:.2f})"
+    rospy.loginfo_throttle(1.0, f"the ball is at {where}, seen by {position.header.frame_id}")
+
+
+def on_event(event):
+    rospy.loginfo("the stream is %s: %s", event.after.state.name, event.reason)
+
+
+rospy.init_node("follow_ball")
+with dyknow.acquire("Position(ball)", PointStamped, max_silence=1.0, on_event=on_event) as stream:
+    rospy.Subscriber(stream.topic, PointStamped, on_position)
+    rospy.spin()

@@ -1,0 +1,33 @@
+#!/usr/bin/env python3
+"""A client of a stream as a process of its own: says each state, and whether messages arrive.
+
+It ends when it is told to.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+
+import rospy
+from std_msgs.msg import Header
+
+import dyknow
+
+#: Seconds without a message after which the stream is said to be still.
+PATIENCE = 1.0
+
+rospy.init_node("stream_client", anonymous=True)
+with dyknow.acquire(sys.argv[1], Header) as stream:
+    arrived = [0.0]
+    rospy.Subscriber(
+        stream.topic, Header, lambda message: arrived.__setitem__(0, time.monotonic())
+    )
+    said = None
+    while not rospy.is_shutdown():
+        flows = time.monotonic() - arrived[0] < PATIENCE
+        news = f"{stream.state.name} {stream.topic} {'flows' if flows else 'still'}"
+        if news != said:
+            print(news, stream.detail, flush=True)
+            said = news
+        time.sleep(0.05)

@@ -1,0 +1,237 @@
+"""What the suites about streams share: a library with tags, and what must always hold."""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import Any, Callable
+
+import rospy
+from dyknow_msgs.msg import StreamEvent
+from manager_suite import MANAGER, ManagerCase, ManagerProcess, eventually, nodes
+from processes import BUSY
+from std_msgs.msg import Header, String
+
+from dyknow.errors import DyKnowError
+from dyknow.manager.claim import ClaimState
+from dyknow.manager.model import State
+from dyknow.ros.stream_views import StreamEventView, StreamView, event_view
+
+
+def transformation(label: str, source: str, supplies: str, needs: str = "", cost: int = 1) -> str:
+    """Write a transformation with a tag on its port out, and on its port in if it has one."""
+    ports, tags = '<port type="out">out</port>', f'<tag port="out">{supplies}</tag>'
+    if needs:
+        ports += '<port type="in">in</port>'
+        tags += f'<tag port="in">{needs}</tag>'
+    return (
+        f'<transformation cost="{cost}"><label>{label}</label>'
+        f"<source>dyknow_manager_test/{source}</source>"
+        f"<ports>{ports}</ports><tags>{tags}</tags></transformation>"
+    )
+
+
+FILTER = transformation("filter", "Moody", "Filtered(ball)", "Raw(?camera)")
+CHEAP_FILTER = transformation("cheap filter", "Moody", "Filtered(ball)", "Raw(?camera)", 0)
+SPARE_FILTER = transformation("spare filter", "Moody", "Filtered(ball)", "Raw(?camera)", 5)
+TRACKER = transformation("tracker", "Relay", "Position(ball)", "Filtered(ball)")
+CAMERA = transformation("camera", "Counter", "Raw(own)")
+CEILING = transformation("ceiling", "Counter", "Raw(ceiling)", cost=9)
+SENSOR = (
+    '<transformation type="topic"><label>sensor</label><source>/sensor/raw</source>'
+    '<ports><port type="out" datatype="std_msgs/Header">out</port></ports>'
+    '<tags><tag port="out">Raw(sensor)</tag></tags></transformation>'
+)
+LIBRARY = f"<transformations>{CAMERA}{CEILING}{FILTER}{TRACKER}</transformations>"
+GOAL = "Position(ball)"
+
+
+class Flow:
+    """The times at which messages arrive on a topic."""
+
+    def __init__(self, topic: str) -> None:
+        self.arrivals: list[float] = []
+        self._subscriber = rospy.Subscriber(topic, Header, self._note, queue_size=1000)
+
+    def _note(self, message: Header) -> None:
+        self.arrivals.append(time.monotonic())
+
+    def close(self) -> None:
+        self._subscriber.unregister()
+
+    def wait(self, timeout: float = 5.0) -> float:
+        """Wait until it flows again; returns how long (s) that took."""
+        count = len(self.arrivals)
+        return eventually(lambda: len(self.arrivals) > count + 2, timeout, "messages arrive")
+
+    def ceases(self) -> None:
+        """Wait until nothing has come for half a second."""
+
+        def is_over() -> bool:
+            return not self.arrivals or time.monotonic() - self.arrivals[-1] > 0.5
+
+        eventually(is_over, 5.0, "nothing arrives any more")
+
+
+class Events:
+    """The events of all claims, in order."""
+
+    def __init__(self) -> None:
+        self.all: list[StreamEventView] = []
+        self._subscriber = rospy.Subscriber(
+            f"{MANAGER}/stream_events",
+            StreamEvent,
+            lambda message: self.all.append(event_view(message)),
+            queue_size=1000,
+        )
+
+    def close(self) -> None:
+        self._subscriber.unregister()
+
+    def states(self, claim_id: str) -> list[ClaimState]:
+        return [each.after.state for each in list(self.all) if each.after.claim_id == claim_id]
+
+
+class StreamCase(ManagerCase):
+    """Each test has a manager with a library of tagged transformations, and no other node."""
+
+    def tracking(self, **parameters: Any) -> ManagerProcess:
+        manager = self.make(**parameters)
+        manager.start()
+        manager.client.add_transformation(LIBRARY)
+        return manager
+
+    def flow(self, topic: str) -> Flow:
+        flow = Flow(topic)
+        self.addCleanup(flow.close)
+        return flow
+
+    def events(self) -> Events:
+        events = Events()
+        self.addCleanup(events.close)
+        eventually(lambda: events._subscriber.get_num_connections(), 5.0, "events are heard")
+        return events
+
+    def tell(self, nodelet: str, order: str) -> None:
+        """Give a moody nodelet an order."""
+        publisher = rospy.Publisher(f"{nodelet}/order", String, queue_size=1)
+        try:
+            eventually(publisher.get_num_connections, 5.0, f"{nodelet} listens")
+            publisher.publish(order)
+            time.sleep(0.1)  # unregistering drops what is not sent yet
+        finally:
+            publisher.unregister()
+
+    def claim(self, manager: ManagerProcess, claim_id: str) -> StreamView:
+        return next(each for each in manager.client.list_streams() if each.claim_id == claim_id)
+
+    def become(
+        self, manager: ManagerProcess, claim_id: str, state: ClaimState, timeout: float = 10.0
+    ) -> float:
+        """Wait until a claim has a state; returns how long (s) that took."""
+        return eventually(
+            lambda: self.claim(manager, claim_id).state is state,
+            timeout,
+            f"{claim_id} is {state.name}",
+        )
+
+    def nodelet_of(self, manager: ManagerProcess, label: str) -> str:
+        """Name of the one nodelet that was made from a transformation."""
+        found = [
+            each.name
+            for each in manager.client.get_model().nodelets
+            if each.transformation == label
+        ]
+        self.assertEqual(len(found), 1, f"{label}: {found}")
+        return found[0]
+
+    def settled(self, manager: ManagerProcess, timeout: float = 10.0) -> None:
+        """Wait until what must always hold in the end holds; says what does not."""
+        wrong: list[str] = []
+
+        def holds() -> bool:
+            wrong[:] = _violations(manager)
+            return not wrong
+
+        end = time.monotonic() + timeout * BUSY
+        while not holds():
+            assert time.monotonic() < end, f"{wrong}\n{manager.output}"
+            time.sleep(0.05)
+
+
+def _violations(manager: ManagerProcess) -> list[str]:
+    """What does not hold of the invariants: reality is the nodelet managers' lists and proxies."""
+    import rosgraph
+    from nodelet.srv import NodeletList
+
+    found = []
+    model = manager.client.get_model()
+    claims = [each for each in manager.client.list_streams() if not each.state.ended]
+    needed = {name for claim in claims for name in claim.nodelets}
+    listed = set()
+    for child in manager.children():
+        listed |= set(_within(2.0, rospy.ServiceProxy(f"{child}/list", NodeletList)).nodelets)
+    names = {each.name for each in model.nodelets}
+    if listed != names:
+        found.append(f"the model has {sorted(names)}, reality {sorted(listed)}")
+    for nodelet in model.nodelets:
+        if nodelet.state is not State.RUNNING:
+            found.append(f"{nodelet.name} is {nodelet.state.name}")
+            continue
+        try:
+            real = {port.name: port.topic for port in manager.client.get_config(nodelet.name)}
+        except DyKnowError as error:  # it goes just now
+            found.append(str(error))
+            continue
+        shown = {port.name: port.topic for port in nodelet.ports}
+        if real != shown:
+            found.append(f"{nodelet.name}: the model has {shown}, reality {real}")
+    state = dict(rosgraph.Master(rospy.get_name()).getSystemState()[0])
+    for claim in claims:
+        if claim.state is not ClaimState.ACTIVE and not claim.detail:
+            found.append(f"{claim.claim_id} is {claim.state.name} for no reason")
+        if claim.state is ClaimState.ACTIVE:
+            ports = [
+                f"{nodelet.name}.{port.name}"
+                for nodelet in model.nodelets
+                for port in nodelet.ports
+                if port.direction == "out" and port.topic == claim.topic
+            ]
+            alive = set(state.get(claim.topic, ())) & nodes()
+            if len(ports) > 1 or len(alive) != 1:
+                found.append(f"{claim.topic} is published by {ports} in {sorted(alive)}")
+        missing = set(claim.nodelets) - names
+        if claim.state is ClaimState.ACTIVE and missing:
+            found.append(f"{claim.claim_id} needs {sorted(missing)}, which are not there")
+    orphans = {name for name in names if name.startswith(OF_CLAIMS)} - needed
+    if orphans:
+        found.append(f"nobody needs {sorted(orphans)}")
+    return found
+
+
+#: Where the names of nodelets that the manager makes for claims begin in these suites.
+OF_CLAIMS = ("/camera", "/ceiling", "/filter", "/cheap", "/spare", "/tracker")
+
+
+def _within(seconds: float, call: Callable[[], Any]) -> Any:
+    """Call a service that may hang."""
+    answers: list[Any] = []
+
+    def ask() -> None:
+        try:
+            answers.append(call())
+        except rospy.ServiceException as error:
+            answers.append(error)
+
+    thread = threading.Thread(target=ask, daemon=True)
+    thread.start()
+    thread.join(seconds)
+    assert answers, "no answer"
+    return answers[0] if not isinstance(answers[0], Exception) else _NOTHING
+
+
+class _Nothing:
+    nodelets: tuple[str, ...] = ()
+
+
+_NOTHING = _Nothing()

@@ -1,0 +1,155 @@
+#!/usr/bin/env python3
+"""What claimed streams survive: parts that are destroyed, fail, fall silent, die or hang."""
+
+from __future__ import annotations
+
+import signal
+import time
+
+import rospy
+import rostest
+from manager_suite import CHILD, eventually
+from std_msgs.msg import Header
+from stream_suite import CHEAP_FILTER, GOAL, SPARE_FILTER, StreamCase
+
+import dyknow
+from dyknow.manager.claim import ClaimState
+
+
+class PartsTest(StreamCase):
+    """Something happens to a part of a stream; its client keeps listening to the same topic."""
+
+    def begin(self, **request):
+        """Acquire a stream that flows; its manager, the stream, its flow and its events."""
+        manager = self.tracking()
+        manager.client.add_transformation(SPARE_FILTER)
+        events = self.events()
+        stream = dyknow.acquire(GOAL, Header, **request)
+        self.addCleanup(stream.release)
+        flow = self.flow(stream.topic)
+        flow.wait()
+        self.topic = stream.topic
+        return manager, stream, flow, events
+
+    def is_whole(self, manager, stream, flow):
+        self.become(manager, stream.claim_id, ClaimState.ACTIVE)
+        flow.wait()
+        self.assertEqual(stream.topic, self.topic)
+        self.settled(manager)
+        eventually(lambda: stream.state is ClaimState.ACTIVE, 2.0, "the client knows")
+
+    def test_each_part_destroyed(self):
+        manager, stream, flow, events = self.begin()
+        for label in ("tracker", "filter", "camera"):
+            manager.client.destroy(self.nodelet_of(manager, label))
+            count = len(events.all)
+            eventually(lambda: len(events.all) > count + 1, 10.0, "it is mended")  # noqa: B023
+            self.is_whole(manager, stream, flow)
+            self.assertIn("gone", events.all[-1].reason)
+
+    def test_a_part_unloaded_by_others(self):
+        from nodelet.srv import NodeletUnload
+
+        manager, stream, flow, events = self.begin()
+        count = len(events.all)
+        rospy.ServiceProxy(f"{CHILD}/unload_nodelet", NodeletUnload)("/filter_1")
+        eventually(lambda: len(events.all) > count + 1, 10.0, "it is mended")
+        self.is_whole(manager, stream, flow)
+
+    def test_a_part_that_raises(self):
+        self.falls_silent("raise")
+
+    def test_a_part_that_is_silent(self):
+        self.falls_silent("silent")
+
+    def falls_silent(self, order):
+        manager, stream, flow, events = self.begin(max_silence=0.5)
+        victim = self.nodelet_of(manager, "filter")
+        self.tell(victim, order)
+        flow.ceases()
+        flow.wait(8.0)
+        self.is_whole(manager, stream, flow)
+        self.assertTrue(
+            any(victim in event.reason for event in events.all), [e.reason for e in events.all]
+        )
+
+    def test_its_nodelet_manager_killed(self):
+        manager, stream, flow, events = self.begin()
+        manager.child().signal(signal.SIGKILL)
+        flow.ceases()
+        took = flow.wait(8.0)
+        print(f"kill -9 of the nodelet manager: messages again {took:.2f} s after they ceased")
+        self.is_whole(manager, stream, flow)
+
+    def test_its_nodelet_manager_stopped(self):
+        manager, stream, flow, events = self.begin()
+        child = manager.child()
+        child.signal(signal.SIGSTOP)
+        self.addCleanup(child.signal, signal.SIGCONT)
+        self.addCleanup(lambda: print([e.reason for e in events.all]))
+        flow.ceases()
+        flow.wait(20.0)
+        eventually(lambda: stream.state is ClaimState.ACTIVE, 5.0, "the client knows")
+        child.signal(signal.SIGCONT)
+        self.is_whole(manager, stream, flow)
+
+    def test_its_transformation_removed(self):
+        manager, stream, flow, events = self.begin()
+        manager.client.remove_transformation("filter")
+        eventually(
+            lambda: "/spare_filter_1" in self.claim(manager, stream.claim_id).nodelets,
+            10.0,
+            "the spare filter takes over",
+        )
+        self.is_whole(manager, stream, flow)
+        self.assertTrue(any("removed" in event.reason for event in events.all))
+
+    def test_a_cheaper_one_added(self):
+        manager, stream, flow, events = self.begin()
+        manager.client.add_transformation(CHEAP_FILTER)
+        eventually(lambda: len(events.all) > 1, 5.0, "it is told of")
+        self.assertIn("cheaper", events.all[-1].reason)
+        self.nodelet_of(manager, "filter")
+        before = len(flow.arrivals)
+        manager.client.replan_stream(stream.claim_id)
+        self.is_whole(manager, stream, flow)
+        self.nodelet_of(manager, "cheap filter")
+        pauses = [b - a for a, b in zip(flow.arrivals[before:], flow.arrivals[before + 1 :])]
+        print(f"taken over within {max(pauses) * 1000:.0f} ms")
+        self.assertLess(max(pauses), 2.0)
+
+    def test_two_claims_share_a_part(self):
+        manager, stream, flow, events = self.begin()
+        with dyknow.acquire("Filtered(ball)") as other:
+            self.assertEqual(other.spawned, ())
+            manager.client.destroy(self.nodelet_of(manager, "filter"))
+            self.become(manager, other.claim_id, ClaimState.ACTIVE)
+            self.is_whole(manager, stream, flow)
+            self.flow(other.topic).wait()
+            stream.release()
+            eventually(
+                lambda: len(manager.client.get_model().nodelets) == 2, 8.0, "the rest is collected"
+            )
+            self.flow(other.topic).wait()
+            self.settled(manager)
+        eventually(lambda: not manager.client.get_model().nodelets, 8.0, "all is collected")
+
+    def test_protected_and_hand_spawned_parts_stay(self):
+        manager = self.tracking()
+        manager.client.spawn("camera", "/mine", {"out": "/mine/out"}, is_protected=True)
+        with dyknow.acquire(GOAL) as stream:
+            self.assertEqual(stream.reused, ("/mine",))
+            manager.client.set_protection("/filter_1", True)
+        eventually(
+            lambda: [each.name for each in manager.client.get_model().nodelets]
+            == ["/filter_1", "/mine"],
+            8.0,
+            "the unprotected tracker is collected",
+        )
+        time.sleep(1.0)
+        self.assertEqual(len(manager.client.get_model().nodelets), 2)
+
+
+if __name__ == "__main__":
+    rospy.init_node("stream_parts_test")
+    rostest.rosrun("dyknow", "stream_parts", "__main__")

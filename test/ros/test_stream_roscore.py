@@ -1,0 +1,126 @@
+#!/usr/bin/env python3
+"""What becomes of claimed streams when the roscore goes and comes back."""
+
+from __future__ import annotations
+
+import os
+import socket
+import sys
+import tempfile
+import time
+from pathlib import Path
+from unittest import mock
+
+import rospy
+import rostest
+from manager_suite import MANAGER, eventually
+from processes import Running
+from roslib.packages import find_node
+from stream_suite import GOAL, LIBRARY, StreamCase
+
+from dyknow.errors import DyKnowError
+from dyknow.manager.claim import ClaimState, StreamRequest
+from dyknow.ros.client import ManagerClient
+from dyknow.ros.master import Master
+
+CLIENT = [sys.executable, str(Path(__file__).resolve().parent / "stream_client.py")]
+
+
+class RoscoreTest(StreamCase):
+    def setUp(self):
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        self.state = folder.name
+        with socket.socket() as free:
+            free.bind(("", 0))
+            self.port = str(free.getsockname()[1])
+        # Every process of this test belongs to a master of its own, which can be killed.
+        environment = {"ROS_MASTER_URI": f"http://localhost:{self.port}"}
+        patch = mock.patch.dict(os.environ, environment)
+        patch.start()
+        self.addCleanup(patch.stop)
+        self.client = ManagerClient(MANAGER, rospy.get_name())
+        self.addCleanup(self.end_processes)
+        self.processes = []
+
+    def end_processes(self):
+        for process in reversed(self.processes):
+            if not process.has_ended:
+                process.stop()
+                try:
+                    process.exit_code(20.0)
+                except AssertionError:
+                    process.__exit__()
+
+    def run_it(self, *command):
+        process = Running(*command)
+        self.processes.append(process)
+        return process
+
+    def roscore(self):
+        core = self.run_it("rosmaster", "--core", "-p", self.port)
+        eventually(is_online, 10.0, "a master")
+        return core
+
+    def manager(self):
+        manager = self.run_it(find_node("dyknow", "manager")[0], f"_state_dir:={self.state}")
+        eventually(self.answers, 20.0, "the manager is up")
+        return manager
+
+    def answers(self):
+        try:
+            self.client.get_model(1.0)
+        except DyKnowError:
+            return False
+        return True
+
+    def test_the_roscore_goes_and_comes_back(self):
+        core = self.roscore()
+        manager = self.manager()
+        self.client.add_transformation(LIBRARY)
+        kept = self.client.acquire_stream(StreamRequest("Filtered(ball)"))
+        listener = self.run_it(*CLIENT, GOAL)
+        listener.wait_for("flows")
+
+        # Without a master streams flow on, and their claims are renewed all the same.
+        core.stop(9)
+        core.exit_code(5.0)
+        time.sleep(35.0)
+        self.assertEqual(listener.output.count("still"), 1, listener.output)
+        self.assertEqual(listener.output.count("\n"), 2, listener.output)
+        self.assertNotIn("EXPIRED", manager.output)
+        self.assertFalse(self.answers())  # nobody can be found, so nothing can be asked or mended
+
+        # A new master knows nobody: the streams flow on as before, and nobody new can ask.
+        self.roscore()
+        time.sleep(3.0)
+        self.assertFalse(self.answers())
+        self.assertEqual(listener.output.count("\n"), 2, listener.output)
+
+        # A manager that is started again makes the streams anew, behind the same topics.
+        manager.stop(9)
+        manager.exit_code(5.0)
+        manager = self.manager()
+
+        def is_back():
+            (claim,) = [c for c in self.client.list_streams() if c.claim_id == kept.claim_id]
+            return claim.state is ClaimState.ACTIVE and claim.topic == kept.topic
+
+        eventually(is_back, 40.0, f"the stream is back\n{manager.output}")
+        again = self.run_it(*CLIENT, GOAL)
+        again.wait_for("flows")
+        # Clients that the new master does not know are not heard any more: their claims end.
+        listener.wait_for("EXPIRED", 40.0)
+
+
+def is_online():
+    try:
+        Master("/test").ask("getPid")
+    except DyKnowError:
+        return False
+    return True
+
+
+if __name__ == "__main__":
+    rospy.init_node("stream_roscore_test")
+    rostest.rosrun("dyknow", "stream_roscore", "__main__")

@@ -1,0 +1,168 @@
+"""The commands about streams on request, on a manager without ROS."""
+
+from __future__ import annotations
+
+import signal
+from typing import Iterator
+
+import pytest
+from unit.cli.fake_client import FakeClient, run
+from unit.cli.test_completion import offered
+from unit.manager.world import World
+
+from dyknow.ros.client_errors import Unreachable
+
+ACQUIRE = "acquire 'Raw(camera)'"
+
+
+@pytest.fixture
+def client() -> FakeClient:
+    return FakeClient(World())
+
+
+@pytest.fixture(autouse=True)
+def kept_signals() -> Iterator[None]:
+    handler = signal.getsignal(signal.SIGTERM)
+    yield
+    signal.signal(signal.SIGTERM, handler)
+
+
+def left(client: FakeClient) -> str:
+    """Id of a claim that is left behind."""
+    return str(run(client, f"{ACQUIRE} --lease 0 --json").json["claim"])
+
+
+class TestPlan:
+    def test_as_a_tree(self, client: FakeClient) -> None:
+        assert run(client, "plan 'Raw(camera)'").lines == [
+            "Raw(camera): cost 1",
+            "└─ camera.image (new, cost 1)",
+        ]
+        assert client.nodelets().nodelets == ()
+
+    def test_as_a_drawing(self, client: FakeClient) -> None:
+        outcome = run(client, "plan 'Raw(camera)' --dot")
+        assert outcome.lines[0].startswith("digraph")
+        assert outcome.lines[-1] == "}"
+
+    def test_json(self, client: FakeClient) -> None:
+        shape = run(client, "plan 'Raw(camera)' --json").json
+        assert shape == {
+            "tag": "Raw(camera)",
+            "cost": 1,
+            "spawned": ["camera"],
+            "reused": [],
+            "plan": "Raw(camera): cost 1\n└─ camera.image (new, cost 1)",
+        }
+
+    def test_what_is_missing(self, client: FakeClient) -> None:
+        outcome = run(client, "plan 'Raw(camera)' --exclude camera")
+        assert (outcome.code, outcome.out) == (1, "")
+        assert outcome.err == ("dyknow: no plan for Raw(camera): nothing supplies Raw(camera)\n")
+
+
+class TestAcquire:
+    def test_is_held_until_ctrl_c(self, client: FakeClient) -> None:
+        outcome = run(client, ACQUIRE)
+        (claim,) = client.keeper.claims()
+        assert outcome.lines == [
+            "Raw(camera) on /camera_1/image [sensor_msgs/Image]",
+            f"  claim {claim.claim_id}",
+            "  nodelets /camera_1",
+            "held until Ctrl-C",
+            f"released {claim.claim_id}",
+        ]
+        assert (outcome.code, claim.state.name) == (0, "RELEASED")
+
+    def test_tells_what_happens(self, client: FakeClient) -> None:
+        client.script = [
+            lambda: client.world.manager.destroy("/camera_1"),
+            client.keeper.reconcile,
+        ]
+        outcome = run(client, ACQUIRE)
+        told = [line.split(" ", 1)[1] for line in outcome.lines if line[2:3] == ":"]
+        assert told == [
+            "recovering: nodelet /camera_1 is gone",
+            "active: mended: nodelet /camera_1 is gone",
+        ]
+
+    def test_a_claim_that_others_release_ends_it(self, client: FakeClient) -> None:
+        client.script = [lambda: client.keeper.release(client.keeper.claims()[0].claim_id)]
+        assert run(client, ACQUIRE).code == 1
+
+    def test_a_manager_that_cannot_be_reached_at_the_end(self, client: FakeClient) -> None:
+        def fail(call: str, subject: str) -> None:
+            if call == "release":
+                raise Unreachable("nobody")
+
+        client.fail = fail
+        assert run(client, ACQUIRE).code == 3
+
+    def test_leaves_a_claim(self, client: FakeClient) -> None:
+        outcome = run(client, f"{ACQUIRE} --lease 60")
+        (claim,) = client.keeper.claims()
+        assert claim.deadline == 60.0
+        assert outcome.lines[1] == f"  claim {claim.claim_id}"
+        assert not claim.state.ended
+
+    def test_gives_up_what_cannot_be_made(self, client: FakeClient) -> None:
+        outcome = run(client, "acquire 'Nothing(x)'")
+        assert (outcome.code, outcome.out) == (1, "")
+        assert "nothing supplies Nothing(x)" in outcome.err
+        assert [claim.state.name for claim in client.keeper.claims()] == ["RELEASED"]
+
+    def test_or_waits_for_it(self, client: FakeClient) -> None:
+        client.world.manager.remove_transformation("camera")
+        client.script = [
+            lambda: client.world.manager.add_transformation(CAMERA) and None,
+            client.keeper.reconcile,
+        ]
+        outcome = run(client, f"{ACQUIRE} --wait --json")
+        first, *_, active, released = outcome.lines
+        assert '"state": "pending"' in first
+        assert '"state": "active"' in active
+        assert '"released"' in released
+
+
+CAMERA = """
+<transformation><label>camera</label><source>pkg/Camera</source>
+<ports><port type="out" datatype="sensor_msgs/Image">image</port></ports>
+<tags><tag port="image">Raw(camera)</tag></tags></transformation>
+"""
+
+
+class TestStreams:
+    def test_lists_claims(self, client: FakeClient) -> None:
+        claim = left(client)
+        assert run(client, "streams").lines == [
+            "CLAIM         STATE   TAG          TOPIC            TYPE",
+            f"{claim}  active  Raw(camera)  /camera_1/image  sensor_msgs/Image",
+        ]
+        assert run(client, "streams -l").lines[-2] == "Nodelets: /camera_1"
+        assert [each["claim"] for each in run(client, "streams --json").json["streams"]] == [claim]
+        run(client, f"release {claim}")
+        assert run(client, "streams --json").json["streams"] == []
+        (ended,) = run(client, "streams --all --json").json["streams"]
+        assert ended["state"] == "released"
+
+    def test_release(self, client: FakeClient) -> None:
+        claim = left(client)
+        outcome = run(client, f"release nonesuch {claim}")
+        assert (outcome.code, outcome.lines) == (1, [f"released {claim}"])
+        assert outcome.err == "dyknow: there is no claim 'nonesuch'; see 'dyknow streams'\n"
+
+    def test_replan(self, client: FakeClient) -> None:
+        claim = left(client)
+        outcome = run(client, f"replan {claim} --dry-run")
+        assert (outcome.code, outcome.lines[0]) == (0, "Raw(camera): cost 0")
+        assert run(client, "replan nonesuch").code == 1
+
+
+def test_completion(client: FakeClient) -> None:
+    claim = left(client)
+    assert offered(client, "acq") == ["acquire"]
+    assert offered(client, "plan 'R") == ["Raw(camera)"]
+    assert offered(client, "acquire x --exclude ca") == ["camera"]
+    assert offered(client, "release ") == [claim]
+    assert offered(client, f"release {claim} ") == []
+    assert offered(client, "replan ") == [claim]

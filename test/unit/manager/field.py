@@ -1,0 +1,179 @@
+"""The soccer field on the fake host: a manager, a keeper, and time that is moved by hand."""
+
+from __future__ import annotations
+
+from typing import Any, Dict, List
+
+from dyknow.manager.claim import Claim, ClaimEvent, ClaimState, StreamRequest
+from dyknow.manager.fake_host import FakeHost
+from dyknow.manager.keeper import Acquired, Keeper
+from dyknow.manager.library import Library
+from dyknow.manager.lifecycle import SpawnRequest
+from dyknow.manager.manager import Manager
+from dyknow.manager.model import State
+from dyknow.manager.store import Store
+
+IMAGE, POINT = "sensor_msgs/Image", "geometry_msgs/PointStamped"
+SOURCES = {
+    "soccer/Camera": [("image", "out", IMAGE)],
+    "soccer/Ceiling": [("image", "out", IMAGE)],
+    "soccer/Subsampler": [("yuv", "in", IMAGE), ("planes", "out", IMAGE)],
+    "soccer/Detector": [
+        ("planes", "in", IMAGE),
+        ("joints", "in", "sensor_msgs/JointState"),
+        ("ball", "out", POINT),
+    ],
+    "soccer/Localization": [("ball", "in", POINT), ("position", "out", POINT)],
+    "dyknow/Relay": [("in", "in", "*"), ("out", "out", "*")],
+}
+LIBRARY = """
+<transformations>
+  <transformation type="topic"><label>joints</label><source>/joint_states</source>
+    <ports><port type="out" datatype="sensor_msgs/JointState">joints</port></ports>
+    <tags><tag port="joints">Joints(nao)</tag></tags></transformation>
+  <transformation><label>bottom camera</label><source>soccer/Camera</source>
+    <ports><port type="out">image</port></ports>
+    <tags><tag port="image">YUV(field)</tag></tags></transformation>
+  <transformation cost="5"><label>ceiling camera</label><source>soccer/Ceiling</source>
+    <ports><port type="out">image</port></ports>
+    <tags><tag port="image">YUV(field)</tag></tags></transformation>
+  <transformation><label>subsampler</label><source>soccer/Subsampler</source>
+    <ports><port type="in">yuv</port><port type="out">planes</port></ports>
+    <tags><tag port="yuv">YUV(?where)</tag><tag port="planes">Planes(field)</tag></tags>
+    </transformation>
+  <transformation><label>detector</label><source>soccer/Detector</source>
+    <ports><port type="in">planes</port><port type="in">joints</port><port type="out">ball</port>
+    </ports>
+    <tags><tag port="planes">Planes(field)</tag><tag port="joints">Joints(?robot)</tag>
+    <tag port="ball">RelativePosition(ball)</tag></tags></transformation>
+  <transformation><label>localization</label><source>soccer/Localization</source>
+    <ports><port type="in">ball</port><port type="out">position</port></ports>
+    <tags><tag port="ball">RelativePosition(ball)</tag>
+    <tag port="position">FieldPosition(ball)</tag></tags></transformation>
+</transformations>
+"""
+GOAL = "FieldPosition(ball)"
+
+
+CHAIN = ["bottom camera", "detector", "localization", "subsampler"]
+LINGER = 5.0
+
+
+def transformation(label: str, source: str, ports: str, tags: str, cost: int = 1) -> str:
+    """Write a specification: ports as ``in NAME`` or ``out NAME``, tags as ``NAME Tag(x)``."""
+    lines = [
+        f'<transformation cost="{cost}"><label>{label}</label><source>{source}</source><ports>'
+    ]
+    for port in ports.split(","):
+        direction, name = port.split()
+        lines.append(f'<port type="{direction}">{name}</port>')
+    lines.append("</ports><tags>")
+    for tag in tags.split(";"):
+        name, term = tag.split(maxsplit=1)
+        lines.append(f'<tag port="{name}">{term}</tag>')
+    return "".join([*lines, "</tags></transformation>"])
+
+
+class Field:
+    """A manager, a keeper, and time that is moved by hand."""
+
+    def __init__(self, path: str = ":memory:") -> None:
+        self.host = FakeHost(SOURCES)
+        self.host.topics.add("/joint_states")
+        self.path = path
+        self.now = 0.0
+        self.by_hand: Dict[str, bool] = {}
+        self.moving: set[str] = set()
+        self.open()
+        self.manager.add_transformation(LIBRARY)
+
+    def open(self) -> None:
+        """Start a manager on what the store has."""
+        self.store = Store(self.path)
+        library = Library(self.store)
+        self.manager = Manager(self.host, self.store, library, clock=lambda: self.now)
+        self.manager.start()
+        self.keeper = Keeper(self.manager, clock=lambda: self.now, sleep=self.sleep)
+        self.events: List[ClaimEvent] = []
+        self.keeper.on_event = self.events.append
+
+    def kill_manager(self) -> None:
+        """End the manager as kill -9 does, and start another."""
+        self.store.close()
+        self.open()
+
+    def sleep(self, seconds: float) -> None:
+        self.now += seconds
+        self.moving = self.host.flow()
+
+    # What users do
+
+    def spawn(self, label: str, name: str, **kwds: Any) -> None:
+        self.manager.spawn(SpawnRequest(label, name, **kwds))
+        self.by_hand[name] = True
+
+    def destroy_by_hand(self, name: str) -> None:
+        self.manager.destroy(name)
+        self.by_hand.pop(name, None)
+
+    def acquire(self, tag: str = GOAL, **kwds: Any) -> Acquired:
+        return self.keeper.acquire(StreamRequest(tag, **kwds))
+
+    # What time does
+
+    def settle(self, seconds: float = 1.0) -> None:
+        """Let time pass while the keeper works; then check what must hold."""
+        ticks = max(5, min(40, int(seconds / 0.2)))
+        for _ in range(ticks):
+            self.tick(seconds / ticks)
+        self.check()
+
+    def tick(self, seconds: float = 0.2) -> None:
+        self.sleep(seconds)
+        self.manager.look()
+        self.keeper.reconcile()
+
+    def tidy(self) -> None:
+        """Wait until what lingers is gone: nothing is left that nobody needs."""
+        self.settle(LINGER + 10.0)
+        needed = set(self.by_hand)
+        for claim in self.living():
+            needed.update(claim.nodelets)
+        assert set(self.host.running) <= needed, "no orphan"
+
+    def check(self) -> None:
+        records = {record.name: record for record in self.manager.graph.all()}
+        there = set(self.host.running)
+        assert there <= set(records), "the model shows all that runs"
+        for name, record in records.items():
+            if name not in there:
+                assert record.state is not State.RUNNING, "the model shows what does not run"
+                continue
+            for port in self.host.nodelet(name).ports.values():
+                topic = record.topics.get(port.name, "")
+                if record.rewired_by_reload and not topic:  # plain ones use a topic of their own
+                    topic = f"{name}/disconnected/{port.name}"
+                assert topic == port.topic
+        assert set(self.by_hand) <= set(records), "nothing that was made by hand is removed"
+        for claim in self.living():
+            assert claim.state is ClaimState.ACTIVE or claim.detail, "a reason is given"
+            if claim.state is ClaimState.ACTIVE and claim.goal[0]:
+                publishers = self.host.publishers(claim.topic)
+                assert publishers == [claim.goal[0]], "one publisher on a claimed topic"
+
+    # What is there
+
+    def living(self) -> List[Claim]:
+        return [claim for claim in self.keeper.claims() if not claim.state.ended]
+
+    def claim(self, claim_id: str) -> Claim:
+        return next(each for each in self.keeper.claims() if each.claim_id == claim_id)
+
+    def state(self, claim_id: str) -> ClaimState:
+        return self.claim(claim_id).state
+
+    def labels(self) -> List[str]:
+        return sorted(record.label for record in self.manager.graph.all())
+
+    def reasons(self) -> List[str]:
+        return [event.reason for event in self.events]

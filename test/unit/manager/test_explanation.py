@@ -1,0 +1,94 @@
+"""Plans, explained."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+
+import pytest
+from unit.manager.field import GOAL, Field
+
+from dyknow.manager.claim import StreamRequest
+from dyknow.manager.explanation import Entry, as_dot, as_tree, read_tree, tree_as_dot
+from dyknow.manager.planning import Action, Live, Need, New, NoPlan, Plan, Step
+from dyknow.manager.supply import Demand
+from dyknow.manager.tags import parse_tag
+
+
+def demand(tag: str, datatype: str = "") -> Demand:
+    return Demand(frozenset((parse_tag(tag),)), datatype)
+
+
+@pytest.fixture
+def plan() -> Plan:
+    field = Field()
+    field.spawn("subsampler", "/mine", config={"yuv": "/a", "planes": "/b"})
+    answer = field.keeper.acquire(StreamRequest(GOAL), dry_run=True)
+    assert answer.plan is not None
+    return answer.plan
+
+
+def test_a_plan_is_a_tree_that_a_person_can_read(plan: Plan) -> None:
+    assert as_tree(plan) == (
+        "FieldPosition(ball): cost 4\n"
+        "└─ localization.position (new, cost 1)\n"
+        "   └─ ball ← detector.ball (new, cost 1)\n"
+        "      ├─ planes ← subsampler.planes (new, cost 1)\n"
+        "      │  └─ yuv ← bottom camera.image (new, cost 1)\n"
+        "      └─ joints ← /joint_states (topic)"
+    )
+
+
+def test_what_runs_is_named() -> None:
+    running = Live("/b", "planes", "/mine", "subsampler", "")
+    assert as_tree(Plan(demand("Planes(field)"), running, (), 0)).endswith(
+        "└─ subsampler.planes (runs as /mine)"
+    )
+
+
+def test_shared_parts_are_told_once_and_depth_does_not_matter() -> None:
+    depth = 300
+    steps = [Step(Action("level 0", 1, ()), ())]
+    for level in range(1, depth):
+        below = New(f"level {level - 1}", "out")
+        needs = (Need("left", demand("X")), Need("right", demand("X")))
+        inputs = (("left", below), ("right", below))
+        steps.append(Step(Action(f"level {level}", 1, needs), inputs))
+    diamonds = Plan(demand("X"), New(f"level {depth - 1}", "out"), tuple(steps), depth)
+    text = as_tree(diamonds)
+    assert len(text.split("\n")) == 2 * depth
+    assert text.count("see above") == depth - 2
+    assert as_dot(diamonds).count(" -> ") == 2 * depth - 1
+
+
+def test_without_a_plan_the_missing_tags_are_named() -> None:
+    missing = NoPlan(demand("A"), (demand("B(x)", "pkg/T"), demand("C")), False)
+    assert as_tree(missing) == (
+        "A: no plan\n├─ nothing supplies B(x) [pkg/T]\n└─ nothing supplies C"
+    )
+    assert "nothing supplies C" in as_dot(missing)
+    assert "everything that supplies it needs it first" in as_tree(NoPlan(demand("A"), (), True))
+
+
+def test_a_tree_can_be_read_back(plan: Plan) -> None:
+    title, entries = read_tree(as_tree(plan))
+    assert title == "FieldPosition(ball): cost 4"
+    assert entries[3:] == [
+        Entry(3, "yuv", "bottom camera.image", "new, cost 1"),
+        Entry(2, "joints", "/joint_states", "topic"),
+    ]
+    assert tree_as_dot(as_tree(plan)) == as_dot(plan)
+    with pytest.raises(ValueError, match="not a line of a plan: 'nonsense'"):
+        read_tree("title\nnonsense")
+
+
+def test_a_drawing_is_one_that_graphviz_understands(plan: Plan) -> None:
+    drawing = as_dot(plan)
+    assert '"bottom camera" -> "subsampler" [taillabel="image", headlabel="yuv"];' in drawing
+    assert '"/joint_states" [shape=box, style=solid' in drawing
+    assert '"localization" -> "FieldPosition(ball): cost 4"' in drawing
+    if shutil.which("dot"):
+        done = subprocess.run(
+            ["dot", "-Tplain"], input=drawing.encode(), capture_output=True, timeout=60
+        )
+        assert (done.returncode, done.stderr) == (0, b"")

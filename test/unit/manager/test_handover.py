@@ -1,0 +1,253 @@
+"""Replacements: up, and delivering, before the old part goes; undone when a step fails."""
+
+from __future__ import annotations
+
+from typing import Callable, List
+
+import pytest
+from unit.manager.field import CHAIN, GOAL, LIBRARY, POINT, Field, transformation
+
+from dyknow.errors import HostError, NoPlanFound, SpawnFailed, StreamTypeMismatch
+from dyknow.manager.claim import ClaimState, StreamRequest
+
+OTHER = transformation(
+    "other localization",
+    "soccer/Localization",
+    "in ball, out position",
+    "ball RelativePosition(ball); position FieldPosition(ball)",
+    cost=3,
+)
+
+
+@pytest.fixture
+def field() -> Field:
+    return Field()
+
+
+def watch(field: Field, topic: str) -> List[str]:
+    """Note every operation before which nothing flows, or two publish, on a topic."""
+    gaps: List[str] = []
+
+    def look(operation: str, argument: str) -> None:
+        if operation in ("loaded", "unload", "connect"):
+            if topic not in field.host.flow():
+                gaps.append(f"nothing flows at {operation} {argument}")
+            if len(field.host.publishers(topic)) > 1 and operation != "connect":
+                gaps.append(f"two publish at {operation} {argument}")
+
+    field.host.fail = look
+    return gaps
+
+
+@pytest.mark.parametrize("label", ["bottom camera", "localization"])
+def test_a_part_is_replaced_without_a_gap(field: Field, label: str) -> None:
+    field.manager.add_transformation(OTHER)
+    claim = field.acquire().claim
+    field.settle()
+    gaps = watch(field, claim.topic)
+    kept = set(field.host.running) - {f"/{label.replace(' ', '_')}_1"}
+    field.manager.remove_transformation(label)
+    field.tidy()
+    assert gaps == []
+    assert kept <= set(field.host.running)
+    assert label not in field.labels()
+    assert field.claim(claim.claim_id).topic == claim.topic
+    assert claim.topic in field.moving
+
+
+def test_a_replacement_that_does_not_deliver_takes_over_all_the_same(field: Field) -> None:
+    field.manager.add_transformation(OTHER)
+    claim = field.acquire().claim
+    field.settle()
+    field.host.silent.add("/other_localization_1")
+    field.manager.remove_transformation("localization")
+    before = field.now
+    field.tick()
+    assert 2.0 <= field.now - before <= 2.5
+    assert "took over though it sent nothing within 2 s" in field.reasons()[-1]
+    assert field.host.publishers(claim.topic) == ["/other_localization_1"]
+    field.tidy()
+
+
+def test_nobody_waits_where_nothing_flows_anyway(field: Field) -> None:
+    claim = field.acquire().claim
+    field.settle()
+    field.host.silent.add("soccer/Camera")
+    field.host.vanish("/localization_1")
+    before = field.now
+    field.tick()
+    assert field.now - before < 0.3
+    assert field.state(claim.claim_id) is ClaimState.ACTIVE
+
+
+def test_a_cheaper_way_is_told_once_and_taken_on_request(field: Field) -> None:
+    field.manager.remove_transformation("bottom camera")
+    claim = field.acquire().claim
+    field.settle()
+    field.manager.add_transformation(LIBRARY)
+    field.settle(10.0)
+    field.manager.add_transformation(OTHER)
+    field.settle(10.0)
+    news = [reason for reason in field.reasons() if "cheaper" in reason]
+    assert len(news) == 1 and "bottom camera" in news[0]
+    assert "ceiling camera" in field.labels()
+    gaps = watch(field, claim.topic)
+    intended = field.keeper.replan(claim.claim_id, dry_run=True)
+    assert (intended.spawned, intended.cost) == (("bottom camera",), 1)
+    assert len(intended.reused) == 4
+    done = field.keeper.replan(claim.claim_id)
+    assert (done.spawned, done.cost) == (("/bottom_camera_1",), 1)
+    field.tidy()
+    assert gaps == []
+    assert field.labels() == CHAIN
+    again = field.keeper.replan(claim.claim_id)
+    assert (again.spawned, again.cost, again.claim.state) == ((), 0, ClaimState.ACTIVE)
+    assert field.labels() == CHAIN
+
+
+def break_at(field: Field, operation: str, part: str) -> Callable[[], None]:
+    def fail(what: str, argument: str) -> None:
+        if what == operation and part in argument:
+            raise HostError("it is broken")
+
+    def mend() -> None:
+        field.host.fail = lambda what, argument: None
+
+    field.host.fail = fail
+    return mend
+
+
+@pytest.mark.parametrize(
+    ("operation", "part"),
+    [
+        ("load", "ceiling"),
+        ("loaded", "ceiling"),
+        ("ports", "ceiling"),
+        ("connect", "ceiling"),
+        ("connect", "subsampler"),
+    ],
+)
+def test_a_mend_that_fails_leaves_the_stream_as_it_was(
+    field: Field, operation: str, part: str
+) -> None:
+    claim = field.acquire().claim
+    field.settle()
+    before = {name: field.host.nodelet(name).ports for name in field.host.running}
+    before = {name: dict(ports) for name, ports in before.items()}
+    mend = break_at(field, operation, part)
+    field.manager.remove_transformation("bottom camera")
+    field.settle(5.0)
+    assert field.state(claim.claim_id) is ClaimState.FAILED
+    assert "it is broken" in field.claim(claim.claim_id).detail
+    assert {name: field.host.nodelet(name).ports for name in field.host.running} == before
+    assert claim.topic in field.moving, "it flows on as it was"
+    mend()
+    field.tidy()
+    assert field.state(claim.claim_id) is ClaimState.ACTIVE
+    assert "bottom camera" not in field.labels()
+
+
+@pytest.mark.parametrize("part", ["bottom_camera", "subsampler", "detector", "localization"])
+@pytest.mark.parametrize("operation", ["load", "loaded", "ports", "connect"])
+def test_a_request_that_fails_leaves_nothing(field: Field, operation: str, part: str) -> None:
+    mend = break_at(field, operation, part)
+    with pytest.raises((SpawnFailed, HostError), match="it is broken"):
+        field.acquire()
+    assert (field.host.running, field.keeper.claims()) == ([], [])
+    assert field.host.parameters == {}
+    mend()
+    field.acquire()
+    field.settle()
+
+
+def test_what_fails_to_come_up_gives_way_to_another(field: Field) -> None:
+    claim = field.acquire().claim
+    field.settle(20.0)
+    field.manager.add_transformation(OTHER)
+    break_at(field, "load", "/localization")
+    field.manager.destroy("/localization_1")
+    field.settle(5.0)
+    assert field.state(claim.claim_id) is ClaimState.ACTIVE
+    assert "other localization" in field.labels()
+
+
+def test_a_type_that_was_not_stated_is_verified(field: Field) -> None:
+    field.host.sources["soccer/Odd"] = [("yuv", "out", POINT)]
+    field.manager.add_transformation(
+        transformation("odd camera", "soccer/Odd", "out yuv", "yuv YUV(field)", cost=0)
+    )
+    odd = field.keeper.acquire(StreamRequest(GOAL), dry_run=True)
+    assert "odd camera" in odd.spawned
+    acquired = field.acquire()
+    assert "odd camera" not in field.labels(), "there is another way"
+    assert acquired.claim.state is ClaimState.ACTIVE
+    field.keeper.release(acquired.claim.claim_id)
+    field.tidy()
+    for _ in range(2):
+        with pytest.raises(StreamTypeMismatch, match="port 'yuv' of transformation 'subsampler'"):
+            field.acquire(exclude=("bottom camera", "ceiling camera"))
+    assert (field.host.running, field.living()) == ([], [])
+
+
+def test_a_stream_that_others_listen_to_is_relayed(field: Field) -> None:
+    field.manager.add_transformation(OTHER)
+    first = field.acquire(exclude=("other localization",)).claim
+    second = field.acquire(exclude=("localization",)).claim
+    assert first.topic != second.topic
+    field.settle()
+    field.manager.remove_transformation("localization")
+    field.settle()
+    assert field.state(first.claim_id) is ClaimState.DEGRADED
+    third = field.acquire().claim
+    assert third.topic == second.topic
+    field.keeper.release(first.claim_id)
+    field.tidy()
+    assert field.host.publishers(first.topic) == []
+
+
+def test_an_ordinary_topic_takes_over_through_a_relay(field: Field) -> None:
+    claim = field.acquire().claim
+    other = field.acquire("FieldPosition(?what)").claim
+    field.settle()
+    field.manager.add_transformation(
+        '<transformation type="topic"><label>referee</label><source>/referee/ball</source>'
+        f'<ports><port type="out" datatype="{POINT}">position</port></ports>'
+        '<tags><tag port="position">FieldPosition(ball)</tag></tags></transformation>'
+    )
+    field.host.topics.add("/referee/ball")
+    field.manager.remove_transformation("localization")
+    field.tidy()
+    assert field.host.publishers(claim.topic) == ["/relay_of_referee_ball_1"]
+    assert claim.topic in field.moving
+    assert field.labels() == ["relay of /referee/ball"], "one for both"
+    assert other.topic == claim.topic == field.claim(other.claim_id).topic
+    field.host.topics.discard("/referee/ball")
+    field.settle()
+    assert field.state(claim.claim_id) is ClaimState.PENDING
+    field.manager.add_transformation(LIBRARY)
+    field.tidy()
+    assert field.labels() == CHAIN
+    assert claim.topic in field.moving
+    with pytest.raises(NoPlanFound):
+        field.acquire("FieldPosition(goal)")
+
+
+@pytest.mark.parametrize("plain", ["Subsampler", "Localization", "Camera", "Ceiling"])
+def test_plain_cpp_nodelets_take_part(field: Field, plain: str) -> None:
+    field.host.cpp.add(f"soccer/{plain}")
+    field.manager.add_transformation(OTHER)
+    claim = field.acquire(max_silence=1.0).claim
+    field.settle(5.0)
+    assert claim.topic in field.moving
+    field.manager.remove_transformation("bottom camera")
+    field.settle(5.0)
+    assert field.state(claim.claim_id) is ClaimState.ACTIVE
+    assert claim.topic in field.moving
+    field.manager.remove_transformation("localization")
+    field.settle(5.0)
+    assert field.claim(claim.claim_id).topic == claim.topic in field.moving
+    field.host.silent.add("/subsampler_1")
+    field.settle(5.0)
+    assert field.state(claim.claim_id) is ClaimState.ACTIVE
+    assert claim.topic in field.moving
+    field.tidy()

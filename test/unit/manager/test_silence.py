@@ -1,0 +1,114 @@
+"""Parts of claimed streams that fall silent."""
+
+from __future__ import annotations
+
+import pytest
+from unit.manager.field import CHAIN, Field
+
+from dyknow.manager.claim import ClaimState
+
+
+@pytest.fixture
+def field() -> Field:
+    return Field()
+
+
+def test_silence_is_nobody_s_business_unless_a_claim_says_so(field: Field) -> None:
+    field.acquire()
+    field.host.silent.add("/bottom_camera_1")
+    field.host.calls.clear()
+    field.settle(20.0)
+    assert field.reasons() == ["requested"]
+    assert not [call for call in field.host.calls if call[0] == "sent"]
+
+
+@pytest.mark.parametrize("label", CHAIN)
+def test_a_silent_nodelet_is_replaced_and_only_that_one(field: Field, label: str) -> None:
+    claim = field.acquire(max_silence=1.0).claim
+    field.settle(5.0)
+    victim = f"/{label.replace(' ', '_')}_1"
+    others = set(field.host.running) - {victim}
+    field.host.silent.add(victim)
+    field.settle(1.0)
+    assert field.state(claim.claim_id) is ClaimState.ACTIVE
+    field.settle(0.6)
+    assert f"mended: nodelet {victim} was silent for longer than 1 s" in field.reasons()
+    field.settle(5.0)
+    assert others <= set(field.host.running)
+    assert victim not in field.host.running, "what is silent does not linger"
+    assert field.claim(claim.claim_id).topic == claim.topic
+    assert claim.topic in field.moving
+    assert sum("silent" in reason for reason in field.reasons()) == 2
+
+
+def test_what_is_silent_again_and_again_gives_way_to_another(field: Field) -> None:
+    claim = field.acquire(max_silence=1.0).claim
+    field.settle(5.0)
+    field.host.silent.add("soccer/Camera")
+    field.settle(15.0)
+    assert field.state(claim.claim_id) is ClaimState.ACTIVE
+    assert "ceiling camera" in field.labels()
+    assert claim.topic in field.moving
+
+
+def test_where_there_is_no_other_way_the_pauses_grow(field: Field) -> None:
+    claim = field.acquire(max_silence=1.0).claim
+    field.settle(5.0)
+    field.host.silent.add("soccer/Localization")
+    field.host.calls.clear()
+    for _ in range(20):
+        field.settle(10.0)
+    spawned = [call for call in field.host.calls if call[0] == "load"]
+    assert 3 <= len(spawned) <= 10
+    assert field.state(claim.claim_id) is ClaimState.DEGRADED
+    assert "was silent for longer" in field.claim(claim.claim_id).detail
+    field.host.silent.clear()
+    field.settle(70.0)
+    assert field.state(claim.claim_id) is ClaimState.ACTIVE
+    assert claim.topic in field.moving
+    field.tidy()
+
+
+def test_an_ordinary_topic_can_be_silent_too(field: Field) -> None:
+    claim = field.acquire(max_silence=1.0).claim
+    field.settle(5.0)
+    field.host.silent.add("/joint_states")
+    field.settle(3.0)
+    assert field.state(claim.claim_id) is ClaimState.DEGRADED
+    assert "topic /joint_states was silent" in field.claim(claim.claim_id).detail
+    assert field.labels() == CHAIN
+    field.host.silent.clear()
+    field.settle(3.0)
+    assert field.state(claim.claim_id) is ClaimState.ACTIVE
+    assert field.labels() == CHAIN
+
+
+def test_a_silent_nodelet_made_by_hand_is_passed_over_not_destroyed(field: Field) -> None:
+    field.spawn("bottom camera", "/camera", config={"image": "/camera/image"})
+    claim = field.acquire(max_silence=1.0).claim
+    assert "/camera" in claim.nodelets
+    field.settle(5.0)
+    field.host.silent.add("/camera")
+    field.settle(5.0)
+    assert field.state(claim.claim_id) is ClaimState.ACTIVE
+    assert "/camera" not in field.claim(claim.claim_id).nodelets
+    assert claim.topic in field.moving
+    field.tidy()
+    field.host.silent.clear()
+    field.settle(5.0)
+    assert "/camera" not in field.claim(claim.claim_id).nodelets, "it is not taken back by itself"
+
+
+def test_two_claims_with_different_patience_share_a_part(field: Field) -> None:
+    patient = field.acquire(max_silence=60.0).claim
+    careless = field.acquire("RelativePosition(ball)").claim
+    keen = field.acquire("Planes(field)", max_silence=1.0).claim
+    field.settle(5.0)
+    field.host.silent.add("/bottom_camera_1")
+    field.settle(5.0)
+    for claim in (patient, careless, keen):
+        assert field.state(claim.claim_id) is ClaimState.ACTIVE
+        assert field.claim(claim.claim_id).topic == claim.topic
+        assert claim.topic in field.moving
+    field.tidy()
+    assert field.labels() == CHAIN
