@@ -30,6 +30,7 @@ benchmark: build ## measure the time to arrival over a chain of nodelets (option
 
 screenshots: build ## take the pictures of the documentation anew
 	@QT_QPA_PLATFORM=offscreen $(IN_WORKSPACE) $(ROS_PYTHON) -m dyknow_rqt.screenshots doc/images
+	@DYKNOW_PICTURES="$(CURDIR)/doc/images" $(IN_WORKSPACE) rostest --text test/ros/rqt_case_study.test
 
 docs: deps ## build the documentation, build/docs/index.html
 	@$(ROS_PYTHON) -m sphinx -q -W --keep-going -b html doc build/docs

@@ -19,10 +19,10 @@ from typing import (
 
 from dyknow import names
 from dyknow.cli.arguments import Kind, kind_of
-from dyknow.cli.connecting import types_fit
 from dyknow.cli.parser import build_parser
 from dyknow.cli.topics import topics_of
 from dyknow.manager.transformation import IN, NODELET, OUT
+from dyknow.wiring.ports import types_fit
 
 if TYPE_CHECKING:
     from dyknow.ros.shell_client import ShellClient

@@ -13,11 +13,10 @@ from dyknow.errors import DyKnowError
 from dyknow.manager.model import PortState
 from dyknow.manager.transformation import IN, OUT
 from dyknow.ros.client_errors import Silent
+from dyknow.wiring.ports import types_fit
 
 if TYPE_CHECKING:
     from dyknow.ros.shell_client import ShellClient
-
-ANY = "*"
 
 
 class CannotConnect(DyKnowError):
@@ -91,11 +90,6 @@ def check_ends(
         problems.append(f"'{source}' carries {out.datatype}, '{target}' expects {into.datatype}")
     if problems:
         raise CannotConnect(f"cannot connect: {'; '.join(problems)}")
-
-
-def types_fit(one: str, other: str) -> bool:
-    """Whether streams of two types may be connected; an unknown type fits every one."""
-    return one == other or not one or not other or ANY in (one, other)
 
 
 def choose_topic(source: PortReference, out: PortState, into: PortState, is_fed: bool) -> str:

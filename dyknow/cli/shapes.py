@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Dict
 
-from dyknow.cli.views import by_name, state_of
+from dyknow.cli.views import state_of
 from dyknow.manager.model import PortState
 from dyknow.manager.transformation import Transformation
+from dyknow.wiring.ports import by_name
 
 if TYPE_CHECKING:
     from dyknow.ros.stream_views import StreamEventView, StreamView

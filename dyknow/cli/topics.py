@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Dict, Iterator, List, Sequence, Tuple
 
 from dyknow.cli.arguments import PortReference
-from dyknow.cli.views import by_name, state_of
+from dyknow.cli.views import state_of
 from dyknow.manager.transformation import OUT
+from dyknow.wiring.ports import by_name
 
 if TYPE_CHECKING:
     from dyknow.ros.views import ModelView, NodeletView

@@ -3,26 +3,17 @@
 from __future__ import annotations
 
 import difflib
-from typing import TYPE_CHECKING, Dict, Iterable, List, Mapping
+from typing import TYPE_CHECKING, Mapping
+
+from dyknow.wiring.ports import connections_of
 
 if TYPE_CHECKING:
-    from dyknow.manager.model import PortState
     from dyknow.ros.views import ModelView, NodeletView
 
 
 def state_of(nodelet: NodeletView) -> str:
     """Its state in a word: `starting`, `running`, `lost` or `failed`."""
     return nodelet.state.name.lower()
-
-
-def by_name(ports: Iterable[PortState]) -> List[PortState]:
-    """Sort ports: the manager shows them in the order in which the nodelet made them."""
-    return sorted(ports, key=lambda port: port.name)
-
-
-def connections_of(nodelet: NodeletView) -> Dict[str, str]:
-    """Topics of the ports that are connected, by port."""
-    return {port.name: port.topic for port in by_name(nodelet.ports) if port.topic}
 
 
 def unknown_nodelet(name: str, model: ModelView) -> str:

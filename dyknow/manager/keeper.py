@@ -97,6 +97,7 @@ class Keeper:
         """
         self._manager = manager
         self._turn = threading.Lock()
+        self._ended = False
         self._table = ClaimTable(manager.store, clock, settings.ended_kept)
         self._silence = SilenceWatch(manager.host, manager.graph, clock)
         quarantine = Quarantine(clock)
@@ -214,9 +215,18 @@ class Keeper:
 
     # What is done for them
 
+    def end(self) -> None:
+        """End every claim, as the manager is stopped on purpose; nothing is mended any more."""
+        with self._turn:
+            self._ended = True
+        for claim in self._table.living():
+            self._table.end(claim.claim_id, ClaimState.RELEASED, "the manager was stopped")
+
     def reconcile(self) -> None:
         """Look at every claim once, and mend what is broken."""
         with self._turn:
+            if self._ended:
+                return
             self._table.end_late()
             self._prospects.look()
             self._repair.note_births()

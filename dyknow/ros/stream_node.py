@@ -6,6 +6,7 @@ bonds with clients, the services and the topic of events.
 
 from __future__ import annotations
 
+import threading
 from typing import Callable, Set
 
 import rospy
@@ -22,6 +23,8 @@ from dyknow.ros.stream_services import StreamServices
 
 #: Events that may wait for a slow subscriber.
 _QUEUE_SIZE = 1000
+#: Seconds to wait, at the end, for a repair that is going on.
+_END_PATIENCE = 3.0
 
 
 class StreamNode:
@@ -57,8 +60,10 @@ class StreamNode:
         """End all claims; the nodelets of the streams are not touched."""
         self._services.close()
         self._reconciling.close(1.0)
-        for claim in self._keeper.claims():
-            self._keeper.expire(claim.claim_id, "the manager is stopped")
+        # A repair that is going on is waited for, but not long.
+        ending = threading.Thread(target=self._keeper.end, name="end of claims", daemon=True)
+        ending.start()
+        ending.join(_END_PATIENCE)
         self._bonds.close()  # the topic is withdrawn with the node, when the last is sent
 
     def _has_work(self) -> bool:

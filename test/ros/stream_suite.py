@@ -12,6 +12,7 @@ from manager_suite import MANAGER, ManagerCase, ManagerProcess, eventually, node
 from processes import BUSY
 from std_msgs.msg import Header, String
 
+from dyknow.errors import DyKnowError
 from dyknow.manager.claim import ClaimState
 from dyknow.manager.model import State
 from dyknow.ros.stream_views import StreamEventView, StreamView, event_view
@@ -177,7 +178,11 @@ def _violations(manager: ManagerProcess) -> list[str]:
         if nodelet.state is not State.RUNNING:
             found.append(f"{nodelet.name} is {nodelet.state.name}")
             continue
-        real = {port.name: port.topic for port in manager.client.get_config(nodelet.name)}
+        try:
+            real = {port.name: port.topic for port in manager.client.get_config(nodelet.name)}
+        except DyKnowError as error:  # it goes just now
+            found.append(str(error))
+            continue
         shown = {port.name: port.topic for port in nodelet.ports}
         if real != shown:
             found.append(f"{nodelet.name}: the model has {shown}, reality {real}")

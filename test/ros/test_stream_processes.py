@@ -91,7 +91,7 @@ class ProcessesTest(StreamCase):
         with Running(*CLIENT, GOAL) as client:
             client.wait_for("ACTIVE")
             manager.stop()
-            client.wait_for("the manager is stopped", 2.0)
+            client.wait_for("the manager was stopped", 2.0)
             manager.start()
             self.assertEqual(manager.client.list_streams(), ())
             self.assertEqual(manager.client.get_model().nodelets, ())

@@ -10,8 +10,9 @@ from dyknow.cli.command import Command
 from dyknow.cli.shapes import nodelet_shape
 from dyknow.cli.shell import FAILED, Shell
 from dyknow.cli.tables import columns
-from dyknow.cli.views import by_name, state_of, unknown_nodelet
+from dyknow.cli.views import state_of, unknown_nodelet
 from dyknow.manager.transformation import IN, OUT
+from dyknow.wiring.ports import by_name
 
 if TYPE_CHECKING:
     from dyknow.ros.views import ModelView, NodeletView

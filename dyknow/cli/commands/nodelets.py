@@ -9,9 +9,10 @@ from dyknow.cli.arguments import Kind, graph_name, port_topic, takes
 from dyknow.cli.command import Command
 from dyknow.cli.shapes import nodelet_shape
 from dyknow.cli.shell import FAILED, Shell
-from dyknow.cli.views import connections_of, state_of
+from dyknow.cli.views import state_of
 from dyknow.errors import DuplicatePort, DyKnowError
 from dyknow.ros.client_errors import Unreachable
+from dyknow.wiring.ports import connections_of
 
 if TYPE_CHECKING:
     from dyknow.ros.views import ModelView

@@ -12,11 +12,11 @@ from dyknow.cli.files import write_file
 from dyknow.cli.shell import FAILED, Shell
 from dyknow.cli.tables import count
 from dyknow.cli.views import shows
-from dyknow.cli.wiring import Wiring, wiring_of
-from dyknow.cli.wiring_load import carry_out, steps_of
-from dyknow.cli.wiring_plan import Plan, plan_load
-from dyknow.cli.wiring_reader import read_wiring
 from dyknow.errors import Problem, SpecificationError
+from dyknow.wiring.load import carry_out, steps_of
+from dyknow.wiring.plan import Plan, plan_load
+from dyknow.wiring.reader import read_wiring
+from dyknow.wiring.wiring import Wiring, wiring_of
 
 STDIO = "-"
 

@@ -6,8 +6,8 @@ import pytest
 from unit.cli.fake_client import FakeClient, run
 from unit.manager.world import World
 
-from dyknow.cli.connecting import types_fit
 from dyknow.errors import Refused
+from dyknow.wiring.ports import types_fit
 
 
 @pytest.fixture

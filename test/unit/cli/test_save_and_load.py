@@ -8,12 +8,12 @@ import pytest
 from unit.cli.fake_client import FakeClient, run
 from unit.manager.world import World
 
-from dyknow.cli.wiring import WiredNodelet
-from dyknow.cli.wiring_plan import readers_first
 from dyknow.errors import Refused
 from dyknow.manager.host import Kind
 from dyknow.manager.transformation import Port, Transformation
 from dyknow.ros.client_errors import Unreachable
+from dyknow.wiring.plan import readers_first
+from dyknow.wiring.wiring import WiredNodelet
 
 
 @pytest.fixture

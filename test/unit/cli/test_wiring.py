@@ -7,9 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from specification_strategies import CHARACTERS, transformations
 
-from dyknow.cli.wiring import WiredNodelet, Wiring
-from dyknow.cli.wiring_reader import read_wiring
 from dyknow.errors import SpecificationError
+from dyknow.wiring.reader import read_wiring
+from dyknow.wiring.wiring import WiredNodelet, Wiring
 
 names = st.from_regex(r"(/[a-z][a-z0-9_]{0,6}){1,3}", fullmatch=True)
 nodelets = st.builds(

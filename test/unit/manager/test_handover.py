@@ -230,3 +230,24 @@ def test_an_ordinary_topic_takes_over_through_a_relay(field: Field) -> None:
     assert claim.topic in field.moving
     with pytest.raises(NoPlanFound):
         field.acquire("FieldPosition(goal)")
+
+
+@pytest.mark.parametrize("plain", ["Subsampler", "Localization", "Camera", "Ceiling"])
+def test_plain_cpp_nodelets_take_part(field: Field, plain: str) -> None:
+    field.host.cpp.add(f"soccer/{plain}")
+    field.manager.add_transformation(OTHER)
+    claim = field.acquire(max_silence=1.0).claim
+    field.settle(5.0)
+    assert claim.topic in field.moving
+    field.manager.remove_transformation("bottom camera")
+    field.settle(5.0)
+    assert field.state(claim.claim_id) is ClaimState.ACTIVE
+    assert claim.topic in field.moving
+    field.manager.remove_transformation("localization")
+    field.settle(5.0)
+    assert field.claim(claim.claim_id).topic == claim.topic in field.moving
+    field.host.silent.add("/subsampler_1")
+    field.settle(5.0)
+    assert field.state(claim.claim_id) is ClaimState.ACTIVE
+    assert claim.topic in field.moving
+    field.tidy()

@@ -12,11 +12,11 @@ from xml.parsers import expat
 from xml.parsers.expat import errors as expat_errors
 
 from dyknow import names
-from dyknow.cli.wiring import VERSION, WiredNodelet, Wiring
 from dyknow.errors import InvalidName, Problem, SpecificationError
 from dyknow.manager.limits import DEFAULT_LIMITS
 from dyknow.manager.specification import parse
 from dyknow.manager.transformation import Transformation
+from dyknow.wiring.wiring import VERSION, WiredNodelet, Wiring
 
 _CHILDREN: Mapping[str, Tuple[str, ...]] = {
     "": ("wiring",),

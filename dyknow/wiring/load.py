@@ -3,16 +3,43 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Callable, Dict, List, Tuple
+from typing import Callable, Dict, List, Mapping, Optional, Protocol, Tuple
 
-from dyknow.cli.views import connections_of
-from dyknow.cli.wiring import WiredNodelet
-from dyknow.cli.wiring_plan import Kept, Plan
 from dyknow.errors import DyKnowError, Refused
 from dyknow.manager.transformation import Transformation
+from dyknow.wiring.plan import Kept, Plan
+from dyknow.wiring.ports import connections_of
+from dyknow.wiring.wiring import WiredNodelet
 
-if TYPE_CHECKING:
-    from dyknow.ros.shell_client import ShellClient
+
+class Client(Protocol):
+    """What a load needs of the manager and the proxies; every method raises DyKnowError."""
+
+    def add_transformation(self, specification: str) -> object:
+        """Add what a specification says."""
+
+    def remove_transformation(self, label: str) -> None:
+        """Remove a transformation."""
+
+    def spawn(
+        self,
+        label: str,
+        name: str,
+        config: Optional[Mapping[str, str]] = None,
+        is_protected: bool = False,
+        isolated: bool = False,
+        manager: str = "",
+    ) -> None:
+        """Make a nodelet."""
+
+    def destroy(self, name: str) -> None:
+        """End a nodelet."""
+
+    def set_protection(self, name: str, is_protected: bool) -> None:
+        """Protect a nodelet, or release it."""
+
+    def set_config(self, nodelet: str, config: Mapping[str, str]) -> None:
+        """Connect ports of a nodelet, all or none."""
 
 
 class LoadFailed(DyKnowError):
@@ -36,7 +63,7 @@ class Step:
     undo: Callable[[], object]
 
 
-def steps_of(plan: Plan, client: ShellClient) -> List[Step]:
+def steps_of(plan: Plan, client: Client) -> List[Step]:
     """List the steps: transformations, then new nodelets, then changes of those that run."""
     steps: List[Step] = []
     steps.extend(_add(each, client) for each in plan.added)
@@ -96,7 +123,7 @@ def _nothing() -> None:
     """Take back a step that leaves nothing behind by itself."""
 
 
-def _add(transformation: Transformation, client: ShellClient) -> Step:
+def _add(transformation: Transformation, client: Client) -> Step:
     label = transformation.label
     return Step(
         f"adding transformation '{label}'",
@@ -106,7 +133,7 @@ def _add(transformation: Transformation, client: ShellClient) -> Step:
     )
 
 
-def _replace(old: Transformation, new: Transformation, client: ShellClient) -> Step:
+def _replace(old: Transformation, new: Transformation, client: Client) -> Step:
     return Step(
         f"replacing transformation '{new.label}'",
         new.label,
@@ -115,7 +142,7 @@ def _replace(old: Transformation, new: Transformation, client: ShellClient) -> S
     )
 
 
-def _make(nodelet: WiredNodelet, plan: Plan, client: ShellClient) -> List[Step]:
+def _make(nodelet: WiredNodelet, plan: Plan, client: Client) -> List[Step]:
     """Spawn a nodelet; ports that its transformation does not declare are connected then."""
     declared = {port.name for port in plan.blueprints[nodelet.label].ports}
     config = {port: topic for port, topic in nodelet.connections if port in declared}
@@ -145,7 +172,7 @@ def _make(nodelet: WiredNodelet, plan: Plan, client: ShellClient) -> List[Step]:
     return steps
 
 
-def _change(kept: Kept, client: ShellClient) -> List[Step]:
+def _change(kept: Kept, client: Client) -> List[Step]:
     name, wanted, present = kept.wanted.name, kept.wanted, kept.present
     steps = []
     moves = kept.moves

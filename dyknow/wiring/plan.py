@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Callable, Collection, Dict, List, Mapping, Set, Tuple
 
-from dyknow.cli.connecting import types_fit
-from dyknow.cli.views import connections_of
-from dyknow.cli.wiring import WiredNodelet, Wiring
 from dyknow.manager.transformation import TOPIC, Transformation
+from dyknow.wiring.ports import connections_of, types_fit
+from dyknow.wiring.wiring import WiredNodelet, Wiring
 
 if TYPE_CHECKING:
     from dyknow.ros.views import ModelView, NodeletView

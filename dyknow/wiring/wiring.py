@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, List, Tuple
 from xml.sax.saxutils import quoteattr
 
-from dyknow.cli.views import connections_of
 from dyknow.errors import DyKnowError
 from dyknow.manager.transformation import Transformation
+from dyknow.wiring.ports import connections_of
 
 if TYPE_CHECKING:
     from dyknow.ros.views import ModelView, NodeletView

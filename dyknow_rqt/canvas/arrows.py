@@ -1,0 +1,142 @@
+"""Arrows, with what goes over them."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, List, Optional, Sequence
+
+from python_qt_binding.QtCore import QPointF, QRectF, Qt
+from python_qt_binding.QtGui import (
+    QBrush,
+    QFont,
+    QFontMetricsF,
+    QPainter,
+    QPainterPath,
+    QPainterPathStroker,
+    QPen,
+    QPolygonF,
+)
+from python_qt_binding.QtWidgets import QGraphicsItem
+
+from dyknow_rqt.canvas.colours import Colours, Tone
+from dyknow_rqt.canvas.items import PORT_RADIUS, Item
+from dyknow_rqt.canvas.looks import RATE_SCALE
+from dyknow_rqt.graph.figure import Edge
+from dyknow_rqt.graph.geometry import Point
+from dyknow_rqt.graph.rates import Traffic
+from dyknow_rqt.guard import guarded
+
+_ARROW = 8.0
+
+
+class EdgeItem(Item):
+    """An arrow, with the rate of what goes over it."""
+
+    def __init__(self, edge: Edge, colours: Colours, font: QFont) -> None:
+        super().__init__(colours)
+        self.edge = edge
+        self.traffic: Optional[Traffic] = None
+        self.shows_name = False
+        self._font = QFont(font)
+        self._font.setPointSizeF(font.pointSizeF() * RATE_SCALE)
+        self._path = QPainterPath()
+        self._tip_direction = QPointF(1, 0)
+        self.setFlag(QGraphicsItem.ItemIsSelectable)
+        self.setAcceptHoverEvents(True)
+
+    def set_curve(self, curve: Sequence[Point], start: QPointF, end: QPointF) -> None:
+        """Lead it along a curve, whose ends are bent to where the ports are."""
+        self.prepareGeometryChange()
+        points = [QPointF(*point) for point in curve]
+        at_start, at_end = start - points[0], end - points[-1]
+        points[0] += at_start
+        points[1] += at_start
+        points[-1] += at_end
+        points[-2] += at_end
+        direction = points[-1] - points[-2]
+        length = math.hypot(direction.x(), direction.y()) or 1.0
+        self._tip_direction = direction / length
+        path = QPainterPath(points[0])
+        for first, second, third in zip(points[1::3], points[2::3], points[3::3]):
+            path.cubicTo(first, second, third)
+        self._path = path
+
+    def set_traffic(self, traffic: Optional[Traffic]) -> None:
+        """Show another rate."""
+        if traffic != self.traffic:
+            self.prepareGeometryChange()
+            self.traffic = traffic
+            self.update()
+
+    @property
+    def label(self) -> str:
+        """The words at the middle."""
+        parts = [self.edge.topic] if self.shows_name else []
+        if self.traffic is not None:
+            parts.append(self.traffic.text)
+        return "\n".join(parts)
+
+    def boundingRect(self) -> QRectF:  # noqa: N802
+        """The curve and its label."""
+        area = self._path.boundingRect().adjusted(-_ARROW, -_ARROW, _ARROW, _ARROW)
+        return area.united(self._label_area())
+
+    def shape(self) -> QPainterPath:
+        """Where the pointer is on it: somewhat wider than the line."""
+        stroker = QPainterPathStroker()
+        stroker.setWidth(10)
+        return stroker.createStroke(self._path)
+
+    @guarded
+    def paint(self, painter: QPainter, option: Any, widget: Any = None) -> None:
+        """Draw it."""
+        drops = self.traffic is not None and self.traffic.drop_rate > 0
+        colour, width = self.colours.line, 1.1
+        if drops:
+            colour, width = self.colours.alarm, 1.6
+        if self.tone is not Tone.NONE:
+            colour, width = self.colours.of(self.tone), 2.0
+        if self.isSelected():
+            colour, width = self.colours.chosen, 3.0
+        painter.setPen(QPen(colour, width))
+        painter.setBrush(Qt.NoBrush)
+        painter.drawPath(self._path)
+        painter.setBrush(QBrush(colour))
+        painter.setPen(Qt.NoPen)
+        painter.drawPolygon(self._head())
+        if self.label:
+            painter.setFont(self._font)
+            painter.setPen(self.colours.alarm if drops else self.colours.muted)
+            painter.drawText(self._label_area(), Qt.AlignCenter, self.label)
+
+    @guarded
+    def hoverEnterEvent(self, event: Any) -> None:  # noqa: N802
+        """Light up its ends."""
+        self.scene().highlight_edge(self.edge)
+
+    @guarded
+    def hoverLeaveEvent(self, event: Any) -> None:  # noqa: N802
+        """Put the lights out."""
+        self.scene().highlight(None)
+
+    def _head(self) -> QPolygonF:
+        tip, along = self._path.currentPosition(), self._tip_direction
+        across = QPointF(-along.y(), along.x())
+        tip -= along * PORT_RADIUS if self.edge.head_port else QPointF(0, 0)
+        back = tip - along * _ARROW
+        return QPolygonF([tip, back + across * _ARROW * 0.4, back - across * _ARROW * 0.4])
+
+    def _label_area(self) -> QRectF:
+        if not self.label:
+            return QRectF()
+        metrics = QFontMetricsF(self._font)
+        lines: List[str] = self.label.split("\n")
+        width = max(metrics.horizontalAdvance(line) for line in lines) + 4
+        height = metrics.height() * len(lines)
+        # What is dropped stands below the line, all else above it.
+        dropping = self.traffic is not None and self.traffic.drop_rate > 0
+        upper = len(lines) - (1 if dropping else 0)
+        middle = self._path.pointAtPercent(0.5)
+        return QRectF(
+            middle.x() - width / 2, middle.y() - metrics.height() * upper - 1, width, height
+        )

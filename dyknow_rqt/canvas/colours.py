@@ -1,0 +1,75 @@
+"""Colours of the drawing, taken from the palette, so that dark themes look right."""
+
+from __future__ import annotations
+
+import enum
+from typing import NamedTuple
+
+from python_qt_binding.QtGui import QColor, QPalette
+
+
+class Tone(enum.Enum):
+    """What a thing is to the one under the pointer."""
+
+    NONE = "none"
+    SELF = "self"
+    IN = "in"
+    OUT = "out"
+    BOTH = "both"
+
+
+class Colours(NamedTuple):
+    """What the items are painted with."""
+
+    line: QColor
+    text: QColor
+    nodelet: QColor
+    topic: QColor
+    box: QColor
+    box_line: QColor
+    muted: QColor
+    alarm: QColor
+    chosen: QColor
+    paper: QColor
+    self_: QColor
+    in_: QColor
+    out: QColor
+    both: QColor
+
+    def of(self, tone: Tone) -> QColor:
+        """Colour for things that are highlighted."""
+        return {
+            Tone.SELF: self.self_,
+            Tone.IN: self.in_,
+            Tone.OUT: self.out,
+            Tone.BOTH: self.both,
+        }.get(tone, self.line)
+
+
+def colours_of(palette: QPalette) -> Colours:
+    """Derive the colours from a palette."""
+    paper, text = palette.color(QPalette.Base), palette.color(QPalette.Text)
+    dark = paper.lightness() < text.lightness()
+    chosen = palette.color(QPalette.Highlight)
+    return Colours(
+        line=_mix(text, paper, 0.25),
+        text=text,
+        nodelet=_mix(paper, chosen, 0.10),
+        topic=_mix(paper, text, 0.05),
+        box=_mix(paper, text, 0.025),
+        box_line=_mix(paper, text, 0.35),
+        muted=_mix(text, paper, 0.38),
+        alarm=QColor("#ff6b61") if dark else QColor("#c62015"),
+        chosen=chosen,
+        paper=paper,
+        self_=QColor("#ff5c52") if dark else QColor("#e00000"),
+        in_=QColor("#6ea8ff") if dark else QColor("#0000e0"),
+        out=QColor("#5fd068") if dark else QColor("#008a00"),
+        both=QColor("#35d0c8") if dark else QColor("#008080"),
+    )
+
+
+def _mix(one: QColor, other: QColor, share: float) -> QColor:
+    """A colour between two, ``share`` of the way to the other."""
+    parts = zip(one.getRgb()[:3], other.getRgb()[:3])
+    return QColor(*(int(a + (b - a) * share) for a, b in parts))

@@ -1,0 +1,141 @@
+"""What all items of the drawing share, and the small ones: boxes and ports."""
+
+from __future__ import annotations
+
+from typing import Any, Optional, Tuple
+
+from python_qt_binding.QtCore import QPointF, QRectF, Qt
+from python_qt_binding.QtGui import QBrush, QFont, QFontMetricsF, QPainter, QPainterPath, QPen
+from python_qt_binding.QtWidgets import QGraphicsItem
+
+from dyknow.manager.transformation import IN
+from dyknow_rqt.canvas.colours import Colours, Tone
+from dyknow_rqt.graph.geometry import Rectangle
+from dyknow_rqt.graph.snapshot import PortRef
+from dyknow_rqt.guard import guarded
+
+PORT_RADIUS = 4.0
+
+
+class Item(QGraphicsItem):
+    """What all items share: colours, a tone, a way to say that something went wrong."""
+
+    def __init__(self, colours: Colours, parent: Optional[QGraphicsItem] = None) -> None:
+        super().__init__(parent)
+        self.colours = colours
+        self.tone = Tone.NONE
+
+    def report(self, text: str) -> None:
+        """Hand on what went wrong."""
+        if self.scene() is not None:
+            self.scene().report(text)
+
+    def set_tone(self, tone: Tone) -> None:
+        """Paint it as what it is to the thing under the pointer."""
+        if tone is not self.tone:
+            self.tone = tone
+            self.update()
+
+    def set_colours(self, colours: Colours) -> None:
+        """Follow another palette."""
+        self.colours = colours
+        self.update()
+
+
+class BoxItem(Item):
+    """The box of a namespace."""
+
+    def __init__(self, group: Tuple[str, ...], colours: Colours, font: QFont) -> None:
+        super().__init__(colours)
+        self.group = group
+        self._font = font
+        self._area = QRectF()
+        self.setZValue(-10 + len(group))
+
+    def set_area(self, area: Rectangle) -> None:
+        """Put it there."""
+        self.prepareGeometryChange()
+        self._area = QRectF(area.left, area.top, area.right - area.left, area.bottom - area.top)
+
+    def boundingRect(self) -> QRectF:  # noqa: N802
+        """Its area and the line around it."""
+        return self._area.adjusted(-2, -2, 2, 2)
+
+    @guarded
+    def paint(self, painter: QPainter, option: Any, widget: Any = None) -> None:
+        """Draw it with its name at the top."""
+        painter.setPen(QPen(self.colours.box_line, 1))
+        painter.setBrush(QBrush(self.colours.box))
+        painter.drawRect(self._area)
+        painter.setFont(self._font)
+        painter.setPen(self.colours.muted)
+        painter.drawText(
+            self._area.adjusted(8, 3, -8, 0),
+            Qt.AlignLeft | Qt.AlignTop,
+            "/" + "/".join(self.group),
+        )
+
+
+class PortItem(Item):
+    """A port: a dot on the left (in) or on the right (out) of its nodelet."""
+
+    def __init__(self, ref: PortRef, direction: str, font: QFont, parent: Item) -> None:
+        super().__init__(parent.colours, parent)
+        self.ref = ref
+        self.direction = direction
+        self._font = font
+        self.is_connected = False
+        self.offered: Optional[bool] = None
+        self.setCursor(Qt.CrossCursor)
+        self.setAcceptHoverEvents(True)
+        self._hovered = False
+
+    def set_offered(self, offered: Optional[bool]) -> None:
+        """Whether the connection that is being drawn could end here; None when none is."""
+        self.offered = offered
+        self.setOpacity(0.3 if offered is False else 1.0)
+        self.update()
+
+    def boundingRect(self) -> QRectF:  # noqa: N802
+        """The dot, and its name beside it."""
+        return self.shape().boundingRect().united(self._name_area())
+
+    def shape(self) -> QPainterPath:
+        """Where the pointer is on it: somewhat larger than the dot."""
+        path = QPainterPath()
+        path.addEllipse(QPointF(0, 0), PORT_RADIUS + 4, PORT_RADIUS + 4)
+        return path
+
+    @guarded
+    def paint(self, painter: QPainter, option: Any, widget: Any = None) -> None:
+        """Draw a dot, filled when connected."""
+        large = self._hovered or bool(self.offered)
+        radius = PORT_RADIUS + (2 if large else 0)
+        colour = self.colours.chosen if large else self.colours.line
+        painter.setPen(QPen(colour, 1.2))
+        painter.setBrush(QBrush(colour if self.is_connected or large else self.colours.paper))
+        painter.drawEllipse(QPointF(0, 0), radius, radius)
+        if large:
+            painter.setFont(self._font)
+            side = Qt.AlignRight if self.direction == IN else Qt.AlignLeft
+            painter.setPen(self.colours.text)
+            painter.drawText(self._name_area(), side | Qt.AlignBottom, self.ref.port)
+
+    def _name_area(self) -> QRectF:
+        """Outside the nodelet, above the arrow."""
+        metrics = QFontMetricsF(self._font)
+        width = metrics.horizontalAdvance(self.ref.port) + 2
+        left = -width - 8 if self.direction == IN else 8.0
+        return QRectF(left, -metrics.height() - 3, width, metrics.height())
+
+    @guarded
+    def hoverEnterEvent(self, event: Any) -> None:  # noqa: N802
+        """Grow."""
+        self._hovered = True
+        self.update()
+
+    @guarded
+    def hoverLeaveEvent(self, event: Any) -> None:  # noqa: N802
+        """Shrink."""
+        self._hovered = False
+        self.update()

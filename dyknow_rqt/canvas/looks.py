@@ -1,0 +1,145 @@
+"""How things look that are not about their place: states, words, sizes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Dict, List, Mapping, NamedTuple, Optional
+
+from python_qt_binding.QtGui import QFont, QFontMetricsF
+
+from dyknow.manager.model import State
+from dyknow.manager.transformation import IN
+from dyknow_rqt.graph.figure import Edge, Figure, Kind, Vertex
+from dyknow_rqt.graph.geometry import Size
+from dyknow_rqt.graph.rates import Traffic
+from dyknow_rqt.graph.snapshot import PortRef, Snapshot
+
+if TYPE_CHECKING:
+    from dyknow.ros.views import NodeletView
+
+_PORT_PITCH = 15.0
+#: Size of the letters on arrows, as a share of the others.
+RATE_SCALE = 0.78
+
+
+class Look(NamedTuple):
+    """What is to be seen of a vertex besides its name."""
+
+    state: State = State.RUNNING
+    is_protected: bool = False
+    is_cpp: bool = False
+    tip: str = ""
+
+
+def sizes_of(figure: Figure, font: QFont) -> Dict[str, Size]:
+    """Sizes in which the names fit, and the ports side by side."""
+    metrics = QFontMetricsF(font)
+    sizes = {}
+    for vertex in figure.vertices:
+        lines = vertex.label.split("\n")
+        width = max(metrics.horizontalAdvance(line) for line in lines)
+        height = metrics.height() * len(lines)
+        if vertex.kind is Kind.TOPIC:
+            sizes[vertex.key] = Size(width + 16, height + 8)
+        else:
+            ports = max(len(vertex.inputs), len(vertex.outputs))
+            tall = max(height + 26, _PORT_PITCH * (ports + 1))
+            sizes[vertex.key] = Size(width * 1.15 + 26, tall)
+    return sizes
+
+
+def gap_of(font: QFont) -> float:
+    """Room for a rate on an arrow, in pixels."""
+    small = QFont(font)
+    small.setPointSizeF(font.pointSizeF() * RATE_SCALE)
+    return float(QFontMetricsF(small).horizontalAdvance("000.0 Hz")) + 10
+
+
+def looks_of(snapshot: Snapshot, figure: Figure) -> Dict[str, Look]:
+    """Looks of all vertices of a figure."""
+    topics = snapshot.topics()
+    nodelets = {each.name: each for each in snapshot.nodelets}
+    looks = {}
+    for vertex in figure.vertices:
+        look = Look(tip=_tip(vertex.name, "ordinary ROS node"))
+        if vertex.kind is Kind.TOPIC and vertex.name in topics:
+            topic = topics[vertex.name]
+            look = Look(tip=_tip(vertex.name, topic.datatype or "type not known yet", *topic.tags))
+        elif vertex.kind is Kind.NODELET and vertex.name in nodelets:
+            nodelet = nodelets[vertex.name]
+            look = Look(
+                nodelet.state,
+                nodelet.is_protected,
+                nodelet.rewired_by_reload,
+                _nodelet_tip(nodelet),
+            )
+        looks[vertex.key] = look
+    return looks
+
+
+def port_tip(snapshot: Snapshot, ref: PortRef, traffic: Optional[Traffic]) -> str:
+    """What is told of a port when the pointer rests on it."""
+    port = snapshot.port(ref)
+    if port is None:
+        return ""
+    lines = [
+        f"{'in' if port.direction == IN else 'out'}-port {port.name}",
+        port.datatype or "type not known yet",
+        port.topic or "not connected",
+        *port.tags,
+    ]
+    if traffic is not None:
+        verb = "received" if port.direction == IN else "sent"
+        rates = traffic.text.replace("\n", ", ")
+        lines.append(f"{rates} ({traffic.messages} {verb}, {traffic.dropped} dropped)")
+    return _tip(*lines)
+
+
+def edge_traffic(edge: Edge, traffic: Mapping[PortRef, Traffic]) -> Optional[Traffic]:
+    """What goes over an arrow: as its source counts, or else its sink; None if not known."""
+    nodelet = Kind.NODELET.value + "_"
+    sink = source = None
+    if edge.tail.startswith(nodelet):
+        source = traffic.get(PortRef(edge.tail[len(nodelet) :], edge.tail_port))
+    if edge.head.startswith(nodelet):
+        sink = traffic.get(PortRef(edge.head[len(nodelet) :], edge.head_port))
+    if sink is not None and sink.drop_rate > 0:
+        return sink
+    return source or sink
+
+
+def edge_refs(edge: Edge) -> List[PortRef]:
+    """Ports at the ends of an arrow, the receiving one first."""
+    nodelet = Kind.NODELET.value + "_"
+    ends = ((edge.head, edge.head_port), (edge.tail, edge.tail_port))
+    return [PortRef(key[len(nodelet) :], port) for key, port in ends if key.startswith(nodelet)]
+
+
+def port_ref(vertex: Vertex, port: str) -> PortRef:
+    """Name a port of a nodelet that is drawn."""
+    return PortRef(vertex.name, port)
+
+
+def _nodelet_tip(nodelet: NodeletView) -> str:
+    inputs = sum(port.direction == IN for port in nodelet.ports)
+    facts = [
+        word
+        for word, holds in (
+            ("protected", nodelet.is_protected),
+            ("in a process of its own", nodelet.isolated),
+            ("C++, connecting it loads it anew", nodelet.rewired_by_reload),
+        )
+        if holds
+    ]
+    state = nodelet.state.name.lower()
+    return _tip(
+        nodelet.name,
+        nodelet.transformation or "loaded by others",
+        f"in {nodelet.manager}",
+        f"{inputs} in-ports, {len(nodelet.ports) - inputs} out-ports",
+        *facts,
+        state + (f": {nodelet.detail}" if nodelet.detail else ""),
+    )
+
+
+def _tip(*lines: str) -> str:
+    return "\n".join(line for line in lines if line)

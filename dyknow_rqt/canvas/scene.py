@@ -1,0 +1,226 @@
+"""Holds the items of the drawing and changes them with the graph."""
+
+from __future__ import annotations
+
+from typing import Callable, Dict, List, Mapping, Optional, Set, Tuple
+
+from python_qt_binding.QtCore import QObject, QPointF, QRectF
+from python_qt_binding.QtGui import QFont, QImage, QPainter, QPalette
+from python_qt_binding.QtSvg import QSvgGenerator
+from python_qt_binding.QtWidgets import QGraphicsScene
+
+from dyknow_rqt.canvas.arrows import EdgeItem
+from dyknow_rqt.canvas.colours import Tone, colours_of
+from dyknow_rqt.canvas.items import BoxItem, Item, PortItem
+from dyknow_rqt.canvas.looks import edge_refs, edge_traffic, looks_of, port_tip
+from dyknow_rqt.canvas.vertices import VertexItem
+from dyknow_rqt.graph.figure import Edge, Figure, Kind, Vertex
+from dyknow_rqt.graph.geometry import Layout, Size
+from dyknow_rqt.graph.port_order import without_crossings
+from dyknow_rqt.graph.rates import Traffic
+from dyknow_rqt.graph.snapshot import PortRef, Snapshot
+
+#: Pixels that can be dragged beyond the drawing.
+_MARGIN = 3000.0
+_FRAME = 16.0
+
+
+class GraphScene(QGraphicsScene):
+    """The drawing."""
+
+    def __init__(
+        self, palette: QPalette, font: QFont, report: Callable[[str], None], parent: QObject
+    ) -> None:
+        super().__init__(parent)
+        self.report = report
+        self.figure = Figure()
+        self.layout = Layout()
+        self.vertices: Dict[str, VertexItem] = {}
+        self.edges: Dict[Edge, EdgeItem] = {}
+        self._boxes: Dict[Tuple[str, ...], BoxItem] = {}
+        self._colours = colours_of(palette)
+        self._font = font
+        self._snapshot = Snapshot()
+        self._traffic: Mapping[PortRef, Traffic] = {}
+        self.highlights = True
+        self.setBackgroundBrush(self._colours.paper)
+
+    def show_figure(self, figure: Figure, layout: Layout, sizes: Mapping[str, Size]) -> None:
+        """Draw another figure; what is in both stays the same item, selection and all."""
+        self.figure, self.layout = figure, layout
+        self._match(self.vertices, {v.key: v for v in figure.vertices}, self._new_vertex)
+        self._match(self.edges, {e: e for e in figure.edges}, self._new_edge)
+        self._match(self._boxes, {g: g for g in figure.groups()}, self._new_box)
+        for vertex in without_crossings(figure, layout):
+            item = self.vertices[vertex.key]
+            item.setPos(QPointF(*layout.centres[vertex.key]))
+            item.set_vertex(vertex, sizes[vertex.key])
+        for edge, arrow in self.edges.items():
+            start = self.vertices[edge.tail].anchor(edge.tail_port, leaving=True)
+            end = self.vertices[edge.head].anchor(edge.head_port, leaving=False)
+            arrow.shows_name = not (edge.tail[0] == "t" or edge.head[0] == "t")
+            arrow.set_curve(layout.curves[edge], start, end)
+        for group, box in self._boxes.items():
+            box.set_area(layout.boxes[group])
+        self.setSceneRect(self.drawing_area().adjusted(-_MARGIN, -_MARGIN, _MARGIN, _MARGIN))
+        self.set_snapshot(self._snapshot)
+
+    def set_snapshot(self, snapshot: Snapshot) -> None:
+        """Show the states of what is drawn."""
+        self._snapshot = snapshot
+        for key, look in looks_of(snapshot, self.figure).items():
+            if key in self.vertices:
+                self.vertices[key].set_look(look)
+        for item in self.vertices.values():
+            for port in item.ports.values():
+                state = snapshot.port(port.ref)
+                port.is_connected = state is not None and bool(state.topic)
+                port.update()
+        self.set_traffic(self._traffic)
+
+    def set_traffic(self, traffic: Mapping[PortRef, Traffic]) -> None:
+        """Show other rates."""
+        self._traffic = traffic
+        for edge, item in self.edges.items():
+            item.set_traffic(edge_traffic(edge, traffic))
+            tips = [port_tip(self._snapshot, ref, traffic.get(ref)) for ref in edge_refs(edge)]
+            item.setToolTip("\n\n".join(tip for tip in reversed(tips) if tip))
+        for item in self.vertices.values():
+            for ref, port in ((port.ref, port) for port in item.ports.values()):
+                port.setToolTip(port_tip(self._snapshot, ref, traffic.get(ref)))
+
+    def set_palette(self, palette: QPalette) -> None:
+        """Follow another palette."""
+        self._colours = colours_of(palette)
+        self.setBackgroundBrush(self._colours.paper)
+        for item in (*self.vertices.values(), *self.edges.values(), *self._boxes.values()):
+            item.set_colours(self._colours)
+
+    # Highlighting, searching
+
+    def highlight(self, key: Optional[str]) -> None:
+        """Light up a vertex and its neighbours: itself red, in blue, out green, both teal."""
+        tones: Dict[object, Tone] = {}
+        if key is not None and self.highlights:
+            before = {e.tail for e in self.figure.edges if e.head == key}
+            after = {e.head for e in self.figure.edges if e.tail == key}
+            for edge in self.figure.edges:
+                if edge.head == key or edge.tail == key:
+                    both = edge.head == edge.tail
+                    side = Tone.IN if edge.head == key else Tone.OUT
+                    tones[edge] = Tone.BOTH if both else side
+            for other in before | after:
+                side = Tone.IN if other in before else Tone.OUT
+                tones[other] = Tone.BOTH if other in before & after else side
+            tones[key] = Tone.SELF
+        self._paint_tones(tones)
+
+    def highlight_edge(self, edge: Edge) -> None:
+        """Light up an arrow and its ends."""
+        if self.highlights:
+            self._paint_tones({edge: Tone.SELF, edge.tail: Tone.IN, edge.head: Tone.OUT})
+
+    def find(self, text: str) -> List[VertexItem]:
+        """Mark the vertices whose name holds a text; returns them from left to right."""
+        wanted = text.strip().lower()
+        hits = []
+        for item in self.vertices.values():
+            item.set_found(bool(wanted) and wanted in item.vertex.name.lower())
+            if item.found:
+                hits.append(item)
+        return sorted(hits, key=lambda item: (item.x(), item.y()))
+
+    # Selection
+
+    def selected_nodelets(self) -> List[str]:
+        """Names of the nodelets that are selected, sorted."""
+        return sorted(
+            item.vertex.name
+            for item in self.vertices.values()
+            if item.isSelected() and item.vertex.kind is Kind.NODELET
+        )
+
+    def selected_edges(self) -> List[Edge]:
+        """Arrows that are selected, sorted."""
+        return sorted(edge for edge, item in self.edges.items() if item.isSelected())
+
+    def offer(self, refs: Optional[Set[PortRef]]) -> None:
+        """Mark the ports where a connection could end; None for all as usual."""
+        for item in self.vertices.values():
+            for port in item.ports.values():
+                port.set_offered(None if refs is None else port.ref in refs)
+
+    def port_item(self, ref: PortRef) -> Optional[PortItem]:
+        """Return the item of a port, if it is drawn."""
+        vertex = self.vertices.get(f"{Kind.NODELET.value}_{ref.nodelet}")
+        return vertex.ports.get(ref.port) if vertex is not None else None
+
+    # Pictures
+
+    def drawing_area(self) -> QRectF:
+        """What the drawing covers."""
+        area = QRectF()
+        for item in (*self.vertices.values(), *self.edges.values(), *self._boxes.values()):
+            area = area.united(item.sceneBoundingRect())
+        return area
+
+    def save_svg(self, path: str) -> None:
+        """Write the drawing as SVG.
+
+        Raises:
+            OSError: the file cannot be written.
+        """
+        area = self._picture_area()
+        with open(path, "wb"):
+            pass  # the generator keeps silent about files that it cannot write
+        generator = QSvgGenerator()
+        generator.setFileName(path)
+        generator.setSize(area.size().toSize())
+        generator.setViewBox(QRectF(0, 0, area.width(), area.height()))
+        generator.setTitle("DyKnow computation graph")
+        self._render(generator, area)
+
+    def save_image(self, path: str, scale: float = 2.0) -> None:
+        """Write the drawing as PNG, or what the name of the file says.
+
+        Raises:
+            OSError: the file cannot be written, or the kind of image is not known.
+        """
+        area = self._picture_area()
+        image = QImage((area.size() * scale).toSize(), QImage.Format_ARGB32)
+        image.fill(self._colours.paper)
+        self._render(image, area)
+        if not image.save(path):
+            raise OSError(f"cannot write an image to '{path}'")
+
+    # Inside
+
+    def _picture_area(self) -> QRectF:
+        return self.drawing_area().adjusted(-_FRAME, -_FRAME, _FRAME, _FRAME)
+
+    def _render(self, device: object, area: QRectF) -> None:
+        painter = QPainter(device)
+        painter.setRenderHint(QPainter.Antialiasing)
+        self.render(painter, QRectF(), area)
+        painter.end()
+
+    def _match(self, items: Dict, wanted: Mapping, make: Callable) -> None:  # type: ignore[type-arg]
+        for key in [key for key in items if key not in wanted]:
+            self.removeItem(items.pop(key))
+        for key, value in wanted.items():
+            if key not in items:
+                items[key] = make(value)
+                self.addItem(items[key])
+
+    def _new_vertex(self, vertex: Vertex) -> Item:
+        return VertexItem(vertex, self._colours, self._font)
+
+    def _new_edge(self, edge: Edge) -> Item:
+        return EdgeItem(edge, self._colours, self._font)
+
+    def _new_box(self, group: Tuple[str, ...]) -> Item:
+        return BoxItem(group, self._colours, self._font)
+
+    def _paint_tones(self, tones: Mapping[object, Tone]) -> None:
+        for key, item in (*self.vertices.items(), *self.edges.items()):
+            item.set_tone(tones.get(key, Tone.NONE))

@@ -1,0 +1,188 @@
+"""Ovals for nodelets and ordinary nodes, rectangles for topics."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Dict
+
+from python_qt_binding.QtCore import QPointF, QRectF, Qt
+from python_qt_binding.QtGui import QBrush, QFont, QFontMetricsF, QPainter, QPainterPath, QPen
+from python_qt_binding.QtWidgets import QGraphicsItem
+
+from dyknow.manager.model import State
+from dyknow.manager.transformation import IN, OUT
+from dyknow_rqt.canvas.colours import Colours, Tone
+from dyknow_rqt.canvas.items import Item, PortItem
+from dyknow_rqt.canvas.looks import Look
+from dyknow_rqt.graph.figure import Kind, Vertex
+from dyknow_rqt.graph.geometry import Size
+from dyknow_rqt.graph.snapshot import PortRef
+from dyknow_rqt.guard import guarded
+
+
+class VertexItem(Item):
+    """A nodelet or an ordinary node (oval), or a topic (rectangle)."""
+
+    def __init__(self, vertex: Vertex, colours: Colours, font: QFont) -> None:
+        super().__init__(colours)
+        self.vertex = vertex
+        self.look = Look()
+        self.ports: Dict[str, PortItem] = {}
+        self._font = font
+        self._size = Size(0, 0)
+        self.found = False
+        self.setAcceptHoverEvents(True)
+        self.setFlag(QGraphicsItem.ItemIsSelectable)
+        self.setZValue(10)
+
+    def set_vertex(self, vertex: Vertex, size: Size) -> None:
+        """Take in another size and other ports."""
+        self.prepareGeometryChange()
+        self.vertex, self._size = vertex, size
+        wanted = {**dict.fromkeys(vertex.inputs, IN), **dict.fromkeys(vertex.outputs, OUT)}
+        for name in [n for n, port in self.ports.items() if wanted.get(n) != port.direction]:
+            gone = self.ports.pop(name)
+            gone.setParentItem(None)
+            if gone.scene() is not None:
+                gone.scene().removeItem(gone)
+        for side, names in ((IN, vertex.inputs), (OUT, vertex.outputs)):
+            for number, name in enumerate(names):
+                if name not in self.ports:
+                    self.ports[name] = PortItem(PortRef(vertex.name, name), side, self._font, self)
+                self.ports[name].setPos(self._port_place(number, len(names), side))
+
+    def set_look(self, look: Look) -> None:
+        """Show another state."""
+        self.look = look
+        self.setToolTip(look.tip)
+        self.update()
+
+    def set_found(self, found: bool) -> None:
+        """Mark it as what a search looks for."""
+        self.found = found
+        self.update()
+
+    def set_colours(self, colours: Colours) -> None:
+        """Follow another palette, ports too."""
+        super().set_colours(colours)
+        for port in self.ports.values():
+            port.set_colours(colours)
+
+    def anchor(self, port: str, leaving: bool) -> QPointF:
+        """Where arrows of a port end, or those of the whole thing."""
+        if port in self.ports:
+            return self.pos() + self.ports[port].pos()
+        return self.pos() + QPointF((1 if leaving else -1) * self._size.width / 2, 0)
+
+    @property
+    def area(self) -> QRectF:
+        """Its area, around the origin."""
+        width, height = self._size
+        return QRectF(-width / 2, -height / 2, width, height)
+
+    def boundingRect(self) -> QRectF:  # noqa: N802
+        """Its area and what may stick out."""
+        return self.area.adjusted(-5, -5, 5, 5)
+
+    def shape(self) -> QPainterPath:
+        """Where the pointer is on it."""
+        path = QPainterPath()
+        if self.vertex.kind is Kind.TOPIC:
+            path.addRect(self.area)
+        else:
+            path.addEllipse(self.area)
+        return path
+
+    @guarded
+    def paint(self, painter: QPainter, option: Any, widget: Any = None) -> None:
+        """Draw it."""
+        pen = self._pen()
+        painter.setPen(pen)
+        painter.setBrush(QBrush(self._fill()))
+        if self.vertex.kind is Kind.TOPIC:
+            painter.drawRect(self.area)
+        else:
+            painter.drawEllipse(self.area)
+            if self.look.is_protected:
+                painter.setBrush(Qt.NoBrush)
+                painter.drawEllipse(self.area.adjusted(3, 3, -3, -3))
+        painter.setFont(self._font)
+        painter.setPen(self._text_colour())
+        badge = self._badge()
+        area = self.area.adjusted(0, 0, 0, -8 if badge else 0)
+        painter.drawText(area, Qt.AlignCenter, self.vertex.label)
+        if badge:
+            self._paint_badge(painter, badge)
+
+    @guarded
+    def hoverEnterEvent(self, event: Any) -> None:  # noqa: N802
+        """Light up what it hangs together with."""
+        self.scene().highlight(self.vertex.key)
+
+    @guarded
+    def hoverLeaveEvent(self, event: Any) -> None:  # noqa: N802
+        """Put the lights out."""
+        self.scene().highlight(None)
+
+    def _port_place(self, number: int, count: int, side: str) -> QPointF:
+        width, height = self._size
+        y = height * ((number + 1) / (count + 1) - 0.5)
+        x = width / 2 * math.sqrt(max(0.0, 1 - (2 * y / height) ** 2)) if height else 0.0
+        return QPointF(-x if side == IN else x, y)
+
+    def _pen(self) -> QPen:
+        colour, width, style = self.colours.line, 1.2, Qt.SolidLine
+        if self.vertex.kind is Kind.NODE:
+            colour = self.colours.box_line
+        if self.look.state is State.FAILED:
+            colour, width = self.colours.alarm, 2.2
+        elif self.look.state is State.LOST:
+            colour, style = self.colours.muted, Qt.DashLine
+        elif self.look.state is State.STARTING:
+            style = Qt.DotLine
+        if self.tone is not Tone.NONE:
+            colour, width = self.colours.of(self.tone), 2.2
+        if self.isSelected() or self.found:
+            colour, width = self.colours.chosen, 3.0
+        return QPen(colour, width, style)
+
+    def _fill(self) -> Any:
+        if self.vertex.kind is Kind.TOPIC:
+            return self.colours.topic
+        running = self.look.state in (State.RUNNING, State.STARTING)
+        return (
+            self.colours.nodelet
+            if running and self.vertex.kind is Kind.NODELET
+            else self.colours.paper
+        )
+
+    def _text_colour(self) -> Any:
+        if self.tone is not Tone.NONE:
+            return self.colours.of(self.tone)
+        if self.look.state is State.FAILED:
+            return self.colours.alarm
+        quiet = self.vertex.kind is Kind.NODE or self.look.state is State.LOST
+        return self.colours.muted if quiet else self.colours.text
+
+    def _badge(self) -> str:
+        words = [
+            word
+            for word, holds in (
+                ("C++", self.look.is_cpp),
+                ("protected", self.look.is_protected),
+                (self.look.state.name.lower(), self.look.state is not State.RUNNING),
+            )
+            if holds
+        ]
+        return " · ".join(words)
+
+    def _paint_badge(self, painter: QPainter, text: str) -> None:
+        font = QFont(self._font)
+        font.setPointSizeF(self._font.pointSizeF() * 0.72)
+        painter.setFont(font)
+        alarm = self.look.state is State.FAILED
+        painter.setPen(self.colours.alarm if alarm else self.colours.muted)
+        lines = self.vertex.label.count("\n") + 1
+        top = QFontMetricsF(self._font).height() * lines / 2 - 5
+        area = QRectF(self.area.left(), top, self.area.width(), 13)
+        painter.drawText(area, Qt.AlignHCenter | Qt.AlignTop, text)

@@ -1,0 +1,255 @@
+"""The view that the drawing is looked at through, and what hands do in it."""
+
+from __future__ import annotations
+
+from typing import Any, Callable, List, Optional
+
+from python_qt_binding.QtCore import QPoint, QPointF, QRectF, Qt, Signal
+from python_qt_binding.QtGui import QPainter, QPainterPath, QPen
+from python_qt_binding.QtWidgets import QFrame, QGraphicsPathItem, QGraphicsView, QWidget
+
+from dyknow_rqt.canvas.arrows import EdgeItem
+from dyknow_rqt.canvas.items import Item, PortItem
+from dyknow_rqt.canvas.scene import GraphScene
+from dyknow_rqt.canvas.vertices import VertexItem
+from dyknow_rqt.graph.figure import Kind
+from dyknow_rqt.graph.snapshot import PortRef
+from dyknow_rqt.guard import guarded
+
+_STEP = 1.2
+#: How much larger a drawing has to be possible before it is fitted anew.
+_ROOM = 1.5
+_SMALLEST, _LARGEST = 0.05, 8.0
+_ARROWS = {
+    Qt.Key_Left: QPointF(-1, 0),
+    Qt.Key_Right: QPointF(1, 0),
+    Qt.Key_Up: QPointF(0, -1),
+    Qt.Key_Down: QPointF(0, 1),
+}
+
+
+class GraphView(QGraphicsView):
+    """Wheel zooms where the pointer is, a drag on the ground moves, one from a port connects."""
+
+    #: A connection was drawn from a port to another port.
+    port_dropped = Signal(object, object)
+    #: A connection was drawn from a port to a topic.
+    topic_dropped = Signal(object, str)
+    #: A connection is being drawn from a port.
+    drag_began = Signal(object)
+    #: The Delete key was pressed.
+    delete_pressed = Signal()
+    #: A menu is asked for: the item, or None for the ground, and where on the screen.
+    menu_wanted = Signal(object, QPoint)
+
+    def __init__(self, report: Callable[[str], None], parent: Optional[QWidget] = None) -> None:
+        super().__init__(parent)
+        self.report = report
+        self.setScene(GraphScene(self.palette(), self.font(), report, self))
+        self.setRenderHint(QPainter.Antialiasing)
+        self.setFrameShape(QFrame.NoFrame)
+        self.setDragMode(QGraphicsView.ScrollHandDrag)
+        self.viewport().setCursor(Qt.ArrowCursor)
+        self.setTransformationAnchor(QGraphicsView.AnchorUnderMouse)
+        self.setResizeAnchor(QGraphicsView.NoAnchor)
+        self.setHorizontalScrollBarPolicy(Qt.ScrollBarAlwaysOff)
+        self.setVerticalScrollBarPolicy(Qt.ScrollBarAlwaysOff)
+        self.setAccessibleName("Computation graph")
+        #: Whether hands have chosen what is to be seen.
+        self.is_chosen = False
+        self._from: Optional[PortItem] = None
+        self._band: Optional[QGraphicsPathItem] = None
+
+    # Zoom
+
+    def fit(self) -> None:
+        """Show everything, not larger than life; and go on doing so until hands say otherwise."""
+        self.is_chosen = False
+        area = self.scene().drawing_area().adjusted(-24, -24, 24, 24)
+        if not area.isEmpty():
+            self.fitInView(area, Qt.KeepAspectRatio)
+            if self.zoom > 1.0:
+                self.resetTransform()
+                self.centerOn(area.center())
+
+    def keep_in_view(self) -> None:
+        """Fit if something is out of view, or much smaller than it could be.
+
+        Not if hands have chosen what is to be seen.
+        """
+        if self.is_chosen:
+            return
+        seen = self.mapToScene(self.viewport().rect()).boundingRect()
+        area = self.scene().drawing_area()
+        larger = min(seen.width() / max(area.width(), 1), seen.height() / max(area.height(), 1))
+        if not seen.contains(area) or (self.zoom < 0.7 and larger > _ROOM):
+            self.fit()
+
+    @property
+    def zoom(self) -> float:
+        """Pixels on the screen for a pixel of the drawing."""
+        return float(self.transform().m11())
+
+    def zoom_by(self, factor: float) -> None:
+        """Zoom, within limits."""
+        self.is_chosen = True
+        factor = max(_SMALLEST, min(_LARGEST, self.zoom * factor)) / self.zoom
+        self.scale(factor, factor)
+
+    @guarded
+    def resizeEvent(self, event: Any) -> None:  # noqa: N802
+        """Go on showing everything, unless hands have chosen what is to be seen."""
+        super().resizeEvent(event)
+        if not self.is_chosen:
+            self.fit()
+
+    @guarded
+    def wheelEvent(self, event: Any) -> None:  # noqa: N802
+        """Zoom at the pointer."""
+        self.zoom_by(_STEP ** (event.angleDelta().y() / 120))
+        event.accept()
+
+    # Pointer
+
+    @guarded
+    def mousePressEvent(self, event: Any) -> None:  # noqa: N802
+        """Begin a connection on a port; anything else as usual."""
+        port = self._port_at(event.pos()) if event.button() == Qt.LeftButton else None
+        if port is None:
+            # What is pressed on the ground is a hand that moves the view.
+            self.is_chosen = self.is_chosen or self._item_at(event.pos()) is None
+            super().mousePressEvent(event)
+            return
+        self._from = port
+        self._band = QGraphicsPathItem()
+        self._band.setPen(QPen(port.colours.chosen, 2, Qt.DashLine))
+        self._band.setZValue(20)
+        self.scene().addItem(self._band)
+        self.drag_began.emit(port.ref)
+
+    @guarded
+    def mouseMoveEvent(self, event: Any) -> None:  # noqa: N802
+        """Draw the connection."""
+        if self._from is None or self._band is None:
+            super().mouseMoveEvent(event)
+            return
+        start, end = self._from.scenePos(), self.mapToScene(event.pos())
+        path = QPainterPath(start)
+        reach = 50.0 if self._from.direction == "out" else -50.0
+        path.cubicTo(start + QPointF(reach, 0), end - QPointF(reach, 0), end)
+        self._band.setPath(path)
+
+    @guarded
+    def mouseReleaseEvent(self, event: Any) -> None:  # noqa: N802
+        """End the connection where the pointer is."""
+        start = self._from
+        if start is None:
+            super().mouseReleaseEvent(event)
+            self.viewport().setCursor(Qt.ArrowCursor)
+            return
+        self._end_drag()
+        port, item = self._port_at(event.pos()), self._item_at(event.pos())
+        if port is not None and port is not start:
+            self.port_dropped.emit(start.ref, port.ref)
+        elif isinstance(item, VertexItem) and item.vertex.kind is Kind.TOPIC:
+            self.topic_dropped.emit(start.ref, item.vertex.name)
+
+    @guarded
+    def contextMenuEvent(self, event: Any) -> None:  # noqa: N802
+        """Ask for a menu on what is under the pointer, or on what is selected."""
+        if event.reason() == event.Keyboard:
+            chosen = self.scene().selectedItems()
+            item = chosen[0] if chosen else None
+            place = (
+                self.mapFromScene(item.sceneBoundingRect().center()) if item else QPoint(10, 10)
+            )
+        else:
+            item, place = self._port_at(event.pos()) or self._item_at(event.pos()), event.pos()
+        self.menu_wanted.emit(item, self.viewport().mapToGlobal(place))
+
+    # Keys
+
+    @guarded
+    def keyPressEvent(self, event: Any) -> None:  # noqa: N802
+        """Arrows select the next thing in their direction; with Ctrl they move the view."""
+        key = event.key()
+        if key == Qt.Key_Escape and self._from is not None:
+            self._end_drag()
+        elif key == Qt.Key_Delete:
+            self.delete_pressed.emit()
+        elif key in (Qt.Key_Plus, Qt.Key_Equal):
+            self._zoom_at_centre(_STEP)
+        elif key == Qt.Key_Minus:
+            self._zoom_at_centre(1 / _STEP)
+        elif key in _ARROWS and event.modifiers() & Qt.ControlModifier:
+            self._move_view(_ARROWS[key])
+        elif key in _ARROWS:
+            self.select_towards(_ARROWS[key])
+        else:
+            super().keyPressEvent(event)
+
+    def select(self, item: Item) -> None:
+        """Select one thing alone and bring it into view."""
+        self.scene().clearSelection()
+        item.setSelected(True)
+        self.ensureVisible(item.sceneBoundingRect(), 40, 40)
+
+    def select_towards(self, direction: QPointF) -> None:
+        """Select the nearest thing in a direction from what is selected."""
+        chosen = [item for item in self.scene().selectedItems() if isinstance(item, VertexItem)]
+        others: List[VertexItem] = list(self.scene().vertices.values())
+        if not others:
+            return
+        if not chosen:
+            self.select(min(others, key=lambda item: (item.x(), item.y())))
+            return
+        here = chosen[0].pos()
+
+        def way(item: VertexItem) -> float:
+            off = item.pos() - here
+            along = off.x() * direction.x() + off.y() * direction.y()
+            across = abs(off.x() * direction.y()) + abs(off.y() * direction.x())
+            return along + 2 * across if along > 1 else float("inf")
+
+        nearest = min(others, key=way)
+        if way(nearest) < float("inf"):
+            self.select(nearest)
+
+    # Inside
+
+    def _zoom_at_centre(self, factor: float) -> None:
+        self.setTransformationAnchor(QGraphicsView.AnchorViewCenter)
+        self.zoom_by(factor)
+        self.setTransformationAnchor(QGraphicsView.AnchorUnderMouse)
+
+    def _move_view(self, direction: QPointF) -> None:
+        self.is_chosen = True
+        for bar, amount in (
+            (self.horizontalScrollBar(), direction.x()),
+            (self.verticalScrollBar(), direction.y()),
+        ):
+            bar.setValue(bar.value() + int(amount * 60))
+
+    def _end_drag(self) -> None:
+        if self._band is not None:
+            self.scene().removeItem(self._band)
+        self._from = self._band = None
+        self.scene().offer(None)
+
+    def _port_at(self, place: QPoint) -> Optional[PortItem]:
+        return next((item for item in self._items_at(place) if isinstance(item, PortItem)), None)
+
+    def _item_at(self, place: QPoint) -> Optional[Item]:
+        kinds = (VertexItem, EdgeItem)
+        return next((item for item in self._items_at(place) if isinstance(item, kinds)), None)
+
+    def _items_at(self, place: QPoint) -> List[Any]:
+        reach = 3
+        return list(
+            self.items(QRectF(place.x() - reach, place.y() - reach, 2 * reach, 2 * reach).toRect())
+        )
+
+    def place_of(self, ref: PortRef) -> Optional[QPoint]:
+        """Where a port is in the view."""
+        port = self.scene().port_item(ref)
+        return self.mapFromScene(port.scenePos()) if port is not None else None

@@ -1,0 +1,61 @@
+"""A field for a filter of names: completes, and shows when it cannot be understood."""
+
+from __future__ import annotations
+
+from typing import Iterable, List, Optional
+
+from python_qt_binding.QtCore import QStringListModel, Qt, Signal
+from python_qt_binding.QtGui import QPalette
+from python_qt_binding.QtWidgets import QCompleter, QLineEdit, QWidget
+
+from dyknow_rqt.canvas.colours import colours_of
+from dyknow_rqt.graph.filters import BadFilter, Filter, completions, parse
+from dyknow_rqt.guard import guarded
+
+
+class FilterEdit(QLineEdit):
+    """Holds the last filter that could be understood."""
+
+    #: The filter is another one.
+    filter_changed = Signal()
+    #: It cannot be understood: why.
+    refused = Signal(str)
+
+    def __init__(self, what: str, parent: Optional[QWidget] = None) -> None:
+        super().__init__(parent)
+        self.filter = Filter()
+        self._names: List[str] = []
+        self.setPlaceholderText(f"all {what}")
+        self.setClearButtonEnabled(True)
+        self.setAccessibleName(f"Filter of {what}")
+        self.setToolTip(
+            f"Which {what} to show: names, namespaces or regular expressions, separated by commas;"
+            " a leading - excludes.\nExample: /robot, /cam.*, -/robot/debug"
+        )
+        self._model = QStringListModel(self)
+        completer = QCompleter(self._model, self)
+        completer.setCompletionMode(QCompleter.PopupCompletion)
+        completer.setCaseSensitivity(Qt.CaseSensitive)
+        self.setCompleter(completer)
+        self.textEdited.connect(self._offer)
+        self.textChanged.connect(self._read)
+
+    def set_names(self, names: Iterable[str]) -> None:
+        """Say what exists."""
+        self._names = sorted(names)
+
+    @guarded
+    def _offer(self, text: str) -> None:
+        self._model.setStringList(completions(text, self._names))
+
+    @guarded
+    def _read(self, text: str) -> None:
+        palette = QPalette(self.parentWidget().palette()) if self.parentWidget() else QPalette()
+        try:
+            self.filter = parse(text)
+        except BadFilter as error:
+            palette.setColor(QPalette.Text, colours_of(palette).alarm)
+            self.refused.emit(str(error))
+        else:
+            self.filter_changed.emit()
+        self.setPalette(palette)

@@ -1,0 +1,252 @@
+"""From a snapshot to what is drawn of it: vertices, edges, boxes; filters and modes applied."""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass, field
+from typing import Dict, Iterator, List, NamedTuple, Set, Tuple
+
+from dyknow.manager.transformation import IN
+from dyknow_rqt.graph.filters import Filter
+from dyknow_rqt.graph.snapshot import PortRef, Snapshot, Topic
+
+#: Names that are in every graph and seldom meant.
+_QUIET = Filter(
+    (
+        lambda name: name
+        in ("/clock", "/diagnostics", "/diagnostics_agg", "/rosout", "/rosout_agg", "/statistics"),
+        lambda name: name.startswith(
+            ("/rqt", "/dyknow_rqt", "/rviz", "/rosapi", "/rosbag", "/record_", "/rostopic_")
+        ),
+        lambda name: name.endswith(("/parameter_updates", "/parameter_descriptions", "/bond")),
+    )
+)
+
+#: Letters that stand in one line.
+_LONG = 15
+
+
+class Kind(enum.Enum):
+    """What a vertex stands for; the values begin the keys of vertices."""
+
+    NODELET = "n"
+    TOPIC = "t"
+    NODE = "p"
+
+
+@dataclass(frozen=True)
+class Vertex:
+    """An oval or a rectangle.
+
+    Attributes:
+        key: unique in the figure, the same for the same thing in every figure.
+        kind: what it stands for.
+        name: global name.
+        group: namespace of the box that it stands in, in parts.
+        inputs: names of in-ports, in the order of declaration.
+        outputs: names of out-ports.
+    """
+
+    key: str
+    kind: Kind
+    name: str
+    group: Tuple[str, ...] = ()
+    inputs: Tuple[str, ...] = ()
+    outputs: Tuple[str, ...] = ()
+
+    @property
+    def label(self) -> str:
+        """The name as it is drawn: without that of its box, a long one in two lines."""
+        text = self.name
+        if self.group:
+            text = text.lstrip("/").split("/", len(self.group))[-1]
+        for mark in "/_":
+            breaks = [place for place, letter in enumerate(text) if letter == mark and place]
+            if breaks:
+                break
+        if len(text) <= _LONG or not breaks:
+            return text
+        place = min(breaks, key=lambda place: abs(place + 1 - len(text) / 2))
+        return f"{text[: place + 1]}\n{text[place + 1 :]}"
+
+
+class Edge(NamedTuple):
+    """An arrow. Ports are empty at topics and at ordinary nodes."""
+
+    tail: str
+    tail_port: str
+    head: str
+    head_port: str
+    topic: str
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the user wants to see.
+
+    Attributes:
+        topics: draw topics as rectangles; else arrows lead from nodelet to nodelet.
+        nodelet_filter: which nodelets and nodes.
+        topic_filter: which topics.
+        hide_dead_sinks: leave out topics that nobody receives.
+        hide_leaf_topics: leave out topics with one end only.
+        hide_debug: leave out what is in every graph.
+        show_nodes: show ordinary nodes that use these topics.
+        depth: how many parts of a namespace make a box; 0 for no boxes.
+    """
+
+    topics: bool = True
+    nodelet_filter: Filter = field(default_factory=Filter)
+    topic_filter: Filter = field(default_factory=Filter)
+    hide_dead_sinks: bool = False
+    hide_leaf_topics: bool = False
+    hide_debug: bool = True
+    show_nodes: bool = False
+    depth: int = 2
+
+
+@dataclass(frozen=True)
+class Figure:
+    """What is drawn; vertices and edges are sorted, so that equal figures look the same."""
+
+    vertices: Tuple[Vertex, ...] = ()
+    edges: Tuple[Edge, ...] = ()
+
+    def groups(self) -> List[Tuple[str, ...]]:
+        """Boxes, outer ones before those in them."""
+        found = {v.group[:size] for v in self.vertices for size in range(1, len(v.group) + 1)}
+        return sorted(found)
+
+    def neighbours(self) -> Dict[str, Set[str]]:
+        """Keys of the vertices that each vertex has an arrow to or from."""
+        found: Dict[str, Set[str]] = {vertex.key: set() for vertex in self.vertices}
+        for edge in self.edges:
+            found[edge.tail].add(edge.head)
+            found[edge.head].add(edge.tail)
+        return found
+
+
+def key_of(kind: Kind, name: str) -> str:
+    """Key of the vertex for a thing of that name."""
+    return f"{kind.value}_{name}"
+
+
+def figure_of(snapshot: Snapshot, options: Options) -> Figure:
+    """Select what is drawn and how it hangs together."""
+    nodelets = {
+        n.name: n for n in snapshot.nodelets if _wanted(n.name, options.nodelet_filter, options)
+    }
+    nodes = (
+        {n.name: n for n in snapshot.nodes if _wanted(n.name, options.nodelet_filter, options)}
+        if options.show_nodes
+        else {}
+    )
+    ends = _Ends(snapshot, set(nodelets), set(nodes))
+    topics = {
+        name: topic
+        for name, topic in snapshot.topics().items()
+        if _wanted(name, options.topic_filter, options) and ends.shown(topic, options)
+    }
+    vertices = [
+        Vertex(
+            key_of(Kind.NODELET, name),
+            Kind.NODELET,
+            name,
+            (),
+            tuple(port.name for port in nodelet.ports if port.direction == IN),
+            tuple(port.name for port in nodelet.ports if port.direction != IN),
+        )
+        for name, nodelet in nodelets.items()
+    ]
+    vertices += [Vertex(key_of(Kind.NODE, name), Kind.NODE, name) for name in nodes]
+    if options.topics:
+        vertices += [Vertex(key_of(Kind.TOPIC, name), Kind.TOPIC, name) for name in topics]
+        edges = [edge for topic in topics.values() for edge in ends.through(topic)]
+    else:
+        edges = [edge for topic in topics.values() for edge in ends.past(topic)]
+    used = {key for edge in edges for key in (edge.tail, edge.head)}
+    vertices = [v for v in vertices if v.kind is not Kind.NODE or v.key in used]
+    return Figure(
+        tuple(_boxed(sorted(vertices, key=lambda v: v.key), options.depth)), tuple(sorted(edges))
+    )
+
+
+def _wanted(name: str, chosen: Filter, options: Options) -> bool:
+    return chosen(name) and not (options.hide_debug and _QUIET(name))
+
+
+class _Ends:
+    """Where topics begin and end, among what is shown."""
+
+    def __init__(self, snapshot: Snapshot, nodelets: Set[str], nodes: Set[str]) -> None:
+        self._snapshot = snapshot
+        self._nodelets = nodelets
+        self._nodes = nodes
+
+    def shown(self, topic: Topic, options: Options) -> bool:
+        """Whether the options leave the topic in."""
+        if not any(ref.nodelet in self._nodelets for ref in topic.sources + topic.sinks):
+            return False
+        readers = len(topic.sinks) + self._count(topic.name, subscribing=True)
+        writers = len(topic.sources) + self._count(topic.name, subscribing=False)
+        if options.hide_dead_sinks and readers == 0:
+            return False
+        return not (options.hide_leaf_topics and readers + writers < 2)
+
+    def through(self, topic: Topic) -> Iterator[Edge]:
+        """Arrows to and from the rectangle of a topic."""
+        middle = key_of(Kind.TOPIC, topic.name)
+        for key, port in self._sources(topic):
+            yield Edge(key, port, middle, "", topic.name)
+        for key, port in self._sinks(topic):
+            yield Edge(middle, "", key, port, topic.name)
+
+    def past(self, topic: Topic) -> Iterator[Edge]:
+        """Arrows from each source to each sink."""
+        sinks = self._sinks(topic)
+        for tail, tail_port in self._sources(topic):
+            for head, head_port in sinks:
+                yield Edge(tail, tail_port, head, head_port, topic.name)
+
+    def _count(self, topic: str, subscribing: bool) -> int:
+        return sum(
+            topic in (node.subscribes if subscribing else node.publishes)
+            for node in self._snapshot.nodes
+        )
+
+    def _sources(self, topic: Topic) -> List[Tuple[str, str]]:
+        return self._ports(topic.sources) + [
+            (key_of(Kind.NODE, node.name), "")
+            for node in self._snapshot.nodes
+            if node.name in self._nodes and topic.name in node.publishes
+        ]
+
+    def _sinks(self, topic: Topic) -> List[Tuple[str, str]]:
+        return self._ports(topic.sinks) + [
+            (key_of(Kind.NODE, node.name), "")
+            for node in self._snapshot.nodes
+            if node.name in self._nodes and topic.name in node.subscribes
+        ]
+
+    def _ports(self, refs: Tuple[PortRef, ...]) -> List[Tuple[str, str]]:
+        return [
+            (key_of(Kind.NODELET, ref.nodelet), ref.port)
+            for ref in refs
+            if ref.nodelet in self._nodelets
+        ]
+
+
+def _boxed(vertices: List[Vertex], depth: int) -> Iterator[Vertex]:
+    """Put vertices into the boxes of their namespaces; a box needs more than topics."""
+    spaces = {v.key: tuple(v.name.strip("/").split("/")[:-1])[:depth] for v in vertices}
+    homes: Dict[Tuple[str, ...], int] = {}
+    for vertex in vertices:
+        space = spaces[vertex.key]
+        if vertex.kind is not Kind.TOPIC:
+            for size in range(1, len(space) + 1):
+                homes[space[:size]] = homes.get(space[:size], 0) + 1
+    for vertex in vertices:
+        group = spaces[vertex.key]
+        while group and group not in homes:
+            group = group[:-1]
+        yield Vertex(vertex.key, vertex.kind, vertex.name, group, vertex.inputs, vertex.outputs)

@@ -1,0 +1,101 @@
+"""Filters of names as people type them: ``/robot, /cam.*, -/robot/debug``."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Callable, Iterable, List, Sequence, Tuple
+
+_PLAIN = re.compile(r"[A-Za-z0-9_/]*\Z")
+
+
+class BadFilter(ValueError):
+    """A part of a filter is no regular expression."""
+
+    def __init__(self, part: str, reason: object) -> None:
+        self.part = part
+        super().__init__(f"filter '{part}' is not a regular expression: {reason}")
+
+
+@dataclass(frozen=True)
+class Filter:
+    """Decides over names.
+
+    A part without special characters stands for that name and for the namespace of that name;
+    any other is a regular expression for the beginning of a name. A part that begins with ``-``
+    excludes. Without parts that include, all is included.
+    """
+
+    includes: Tuple[Callable[[str], bool], ...] = ()
+    excludes: Tuple[Callable[[str], bool], ...] = ()
+
+    def __call__(self, name: str) -> bool:
+        """Whether the name is to be shown."""
+        if any(exclude(name) for exclude in self.excludes):
+            return False
+        return not self.includes or any(include(name) for include in self.includes)
+
+
+def parse(text: str) -> Filter:
+    """Read a filter.
+
+    Raises:
+        BadFilter: a part is neither a name nor a regular expression.
+    """
+    includes: List[Callable[[str], bool]] = []
+    excludes: List[Callable[[str], bool]] = []
+    for part in _parts(text):
+        if part.startswith("-"):
+            if part[1:].strip():
+                excludes.append(_matcher(part[1:].strip()))
+        else:
+            includes.append(_matcher(part))
+    return Filter(tuple(includes), tuple(excludes))
+
+
+def completions(text: str, names: Iterable[str]) -> List[str]:
+    """What the last part of a filter could become; whole texts, sorted.
+
+    Args:
+        text: what has been typed.
+        names: what exists; their namespaces are offered too.
+    """
+    head, comma, last = text.rpartition(",")
+    stem = last.strip()
+    minus = "-" if stem.startswith("-") else ""
+    stem = stem[len(minus) :]
+    prefix = head + comma + (" " if comma else "") + minus
+    known = {space for name in names for space in _with_namespaces(name)}
+    return [prefix + name for name in sorted(known) if name.startswith(stem) and name != stem]
+
+
+def _parts(text: str) -> Sequence[str]:
+    return [part.strip() for part in _split(text) if part.strip()]
+
+
+def _split(text: str) -> List[str]:
+    """Split at commas that do not stand in brackets: ``/a{1,2}`` is one part."""
+    parts, depth = [""], 0
+    for character in text:
+        depth += (character in "({[") - (character in ")}]")
+        if character == "," and depth <= 0:
+            parts.append("")
+        else:
+            parts[-1] += character
+    return parts
+
+
+def _matcher(part: str) -> Callable[[str], bool]:
+    if _PLAIN.match(part):
+        whole = part.rstrip("/")
+        return lambda name: name == whole or name.startswith(whole + "/")
+    try:
+        pattern = re.compile(part)
+    except re.error as error:
+        raise BadFilter(part, error) from error
+    return lambda name: pattern.match(name) is not None
+
+
+def _with_namespaces(name: str) -> List[str]:
+    pieces = name.strip("/").split("/")
+    return ["/" + "/".join(pieces[: count + 1]) for count in range(len(pieces))]

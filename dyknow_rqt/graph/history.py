@@ -1,0 +1,65 @@
+"""What was changed from this window, for undo and redo."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import List, Optional, Tuple, Union
+
+from dyknow_rqt.graph.changes import CannotUndo, Change
+
+#: So many changes can be taken back.
+DEPTH = 100
+
+
+@dataclass(frozen=True)
+class Step:
+    """A change that was made, and the way back or why there is none."""
+
+    change: Change
+    back: Union[Change, CannotUndo]
+
+
+class History:
+    """Two stacks: what can be taken back, and what can be done again."""
+
+    def __init__(self) -> None:
+        self._done: List[Step] = []
+        self._undone: List[Change] = []
+
+    def note(self, change: Change, back: Union[Change, CannotUndo]) -> None:
+        """A change was made by hand: nothing can be done again after it."""
+        self._done.append(Step(change, back))
+        del self._done[:-DEPTH]
+        self._undone.clear()
+
+    def note_undone(self, step: Step) -> None:
+        """The last step was taken back."""
+        self._done.remove(step)
+        self._undone.append(step.change)
+
+    def note_redone(self, change: Change, back: Union[Change, CannotUndo]) -> None:
+        """The last undone change was made again."""
+        self._undone.remove(change)
+        self._done.append(Step(change, back))
+
+    def drop(self, step: Step) -> None:
+        """Forget a step without a way back, so that those before it can be reached."""
+        self._done.remove(step)
+
+    @property
+    def last(self) -> Optional[Step]:
+        """What undo takes back."""
+        return self._done[-1] if self._done else None
+
+    @property
+    def next(self) -> Optional[Change]:
+        """What redo does."""
+        return self._undone[-1] if self._undone else None
+
+    @property
+    def texts(self) -> Tuple[str, str]:
+        """What undo and redo would do; empty for nothing."""
+        return (
+            self.last.change.text if self.last is not None else "",
+            self.next.text if self.next is not None else "",
+        )

@@ -1,0 +1,95 @@
+"""Rates of ports, from what their proxies counted between two looks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Dict, Iterable, Tuple
+
+from dyknow_rqt.graph.snapshot import PortRef
+
+if TYPE_CHECKING:
+    from dyknow.ros.views import Statistics
+
+
+@dataclass(frozen=True)
+class Traffic:
+    """What goes through a port now, in messages a second, and since its nodelet was loaded."""
+
+    rate: float
+    drop_rate: float
+    messages: int
+    dropped: int
+
+    @property
+    def text(self) -> str:
+        """For the label of an arrow."""
+        if self.drop_rate > 0:
+            return f"{_number(self.rate)} Hz\n−{_number(self.drop_rate)}/s"
+        return f"{_number(self.rate)} Hz"
+
+
+@dataclass(frozen=True)
+class _Count:
+    time: float
+    uptime: float
+    messages: int
+    dropped: int
+
+
+class Meter:
+    """Remembers the last counts of each port, and takes differences."""
+
+    def __init__(self) -> None:
+        self._last: Dict[PortRef, _Count] = {}
+        self._traffic: Dict[PortRef, Traffic] = {}
+
+    def note(self, nodelet: str, statistics: Statistics, now: float) -> None:
+        """Take in what a proxy counted.
+
+        Args:
+            nodelet: its name.
+            statistics: what it answered.
+            now: when, in seconds by a steady clock.
+        """
+        for port in statistics.ports:
+            ref = PortRef(nodelet, port.port)
+            count = _Count(now, statistics.uptime, port.messages, port.dropped)
+            last = self._last.get(ref)
+            rate, drops = port.rate, 0.0
+            # Counts begin anew when a nodelet is loaded anew.
+            if last is not None and count.uptime >= last.uptime and now > last.time:
+                rate = (count.messages - last.messages) / (now - last.time)
+                drops = (count.dropped - last.dropped) / (now - last.time)
+            self._last[ref] = count
+            self._traffic[ref] = Traffic(
+                max(rate, 0.0), max(drops, 0.0), port.messages, port.dropped
+            )
+
+    def keep(self, nodelets: Iterable[str]) -> None:
+        """Forget all others."""
+        names = set(nodelets)
+        for ref in [ref for ref in self._last if ref.nodelet not in names]:
+            del self._last[ref], self._traffic[ref]
+
+    @property
+    def traffic(self) -> Dict[PortRef, Traffic]:
+        """What goes through each port that was asked for."""
+        return dict(self._traffic)
+
+
+def in_turns(names: Iterable[str], start: int, count: int) -> Tuple[Tuple[str, ...], int]:
+    """Take some names after the others, so that each gets its turn.
+
+    Returns:
+        The names, and where to begin next time.
+    """
+    ordered = sorted(names)
+    if not ordered:
+        return (), 0
+    start %= len(ordered)
+    chosen = (ordered + ordered)[start : start + min(count, len(ordered))]
+    return tuple(chosen), (start + len(chosen)) % len(ordered)
+
+
+def _number(value: float) -> str:
+    return f"{value:.1f}" if value < 99.95 else f"{value:.0f}"

@@ -1,0 +1,181 @@
+"""Keeps a drawing where it is when a part of it changes.
+
+graphviz begins anew each time: one nodelet more can move all others. Where it would move more than
+a few, what was there stays, and only what is new, or had no connection yet, takes a place beside
+its neighbours. When connections alone have changed, or much has, this ends where streams would
+flow backwards for no need: then the new layout is taken as it is.
+"""
+
+from __future__ import annotations
+
+from statistics import median
+from typing import Dict, List, Mapping, Sequence, Set, Tuple
+
+from dyknow_rqt.graph.figure import Edge, Figure, Kind, Vertex
+from dyknow_rqt.graph.geometry import (
+    Layout,
+    Point,
+    Size,
+    around,
+    boxes_around,
+    curve_between,
+)
+
+#: So many may move when something is added or removed.
+MOST_MOVED = 4
+#: So many nodelets may come or go without the others being laid out anew.
+FEW = 2
+#: So many things are placed one by one; where more are new, nobody misses the old places.
+MOST_PLACED = 12
+#: Pixels that nobody takes for a move.
+STILL = 8.0
+_GAP = 14.0
+#: Steps up and down that are tried for something new, and pixels to the sides.
+_TRIES = 10
+_SIDESTEPS = (0.0, -30.0, 30.0, -60.0)
+
+
+def settle(
+    old: Layout, before: Figure, new: Layout, after: Figure, sizes: Mapping[str, Size]
+) -> Layout:
+    """Bring a new layout as near to the old one as its looks allow.
+
+    Args:
+        old: what is on the screen.
+        before: the figure of it.
+        new: what graphviz says of the figure to come.
+        after: the figure to come.
+        sizes: of its vertices.
+    """
+    common = sorted(set(old.centres) & set(new.centres))
+    if not common:
+        return new
+    shift = Point(
+        median(old.centres[key].x - new.centres[key].x for key in common),
+        median(old.centres[key].y - new.centres[key].y for key in common),
+    )
+    fresh = new.moved(shift)
+    if len(moved(old, fresh)) <= MOST_MOVED or len(common) < len(after.vertices) / 2:
+        return fresh
+    connected = before.neighbours()
+    free = [key for key in common if not connected[key] and after.neighbours()[key]]
+    if len(after.vertices) - len(common) + len(free) > MOST_PLACED:
+        return fresh
+    kept = {key: old.centres[key] for key in common if key not in free}
+    centres = _place(kept, fresh, after, sizes)
+    if _strangers(after.vertices, centres, sizes):
+        return fresh
+    if not 1 <= len(_nodelets(before) ^ _nodelets(after)) <= FEW and (
+        backwards(centres, after, sizes) > backwards(fresh.centres, after, sizes)
+    ):
+        return fresh
+    boxes = boxes_around({v.key: v.group for v in after.vertices}, centres, sizes)
+    return Layout(centres, _curves(fresh, centres, after, sizes), boxes)
+
+
+def moved(old: Layout, new: Layout) -> List[str]:
+    """Vertices of both layouts that stand elsewhere in the new one."""
+    return [
+        key
+        for key in sorted(set(old.centres) & set(new.centres))
+        if old.centres[key].distance(new.centres[key]) > STILL
+    ]
+
+
+def backwards(centres: Mapping[str, Point], figure: Figure, sizes: Mapping[str, Size]) -> int:
+    """Count the arrows that do not lead to the right."""
+    return sum(
+        centres[edge.tail].x + sizes[edge.tail].width / 2
+        > centres[edge.head].x - sizes[edge.head].width / 2
+        for edge in figure.edges
+    )
+
+
+def _nodelets(figure: Figure) -> Set[str]:
+    return {vertex.key for vertex in figure.vertices if vertex.kind is Kind.NODELET}
+
+
+def _place(
+    kept: Mapping[str, Point], fresh: Layout, after: Figure, sizes: Mapping[str, Size]
+) -> Dict[str, Point]:
+    """Find free places for what is not kept, from left to right."""
+    centres = dict(kept)
+    neighbours = after.neighbours()
+    vertices = {vertex.key: vertex for vertex in after.vertices}
+    for key in sorted(set(fresh.centres) - set(kept), key=lambda key: (fresh.centres[key], key)):
+        placed = sorted(neighbours[key] & set(centres))
+        wish = fresh.centres[key]
+        if placed:
+            offsets = [centres[n].minus(fresh.centres[n]) for n in placed]
+            wish = wish.plus(
+                Point(
+                    sum(o.x for o in offsets) / len(offsets),
+                    sum(o.y for o in offsets) / len(offsets),
+                )
+            )
+        centres[key] = _free_place(vertices[key], wish, centres, vertices, sizes)
+    return centres
+
+
+def _free_place(
+    vertex: Vertex,
+    wish: Point,
+    centres: Mapping[str, Point],
+    vertices: Mapping[str, Vertex],
+    sizes: Mapping[str, Size],
+) -> Point:
+    """Look around for a place that is free, in a box that does not grow into others."""
+    taken = {key: around(place, sizes[key]) for key, place in centres.items()}
+    step = sizes[vertex.key].height / 2 + _GAP
+    boxes = boxes_around({key: vertices[key].group for key in centres}, centres, sizes)
+    foreign = [box for group, box in boxes.items() if vertex.group[: len(group)] != group]
+    foreign += [area for key, area in taken.items() if vertices[key].group[:1] != vertex.group[:1]]
+    own = boxes.get(vertex.group[:1])
+    nearest = None
+    ways = [Point(x, y * step) for x in _SIDESTEPS for y in range(-_TRIES, _TRIES + 1)]
+    for way in sorted(ways, key=lambda way: (abs(way.x) + abs(way.y), way)):
+        place = wish.plus(way)
+        area = around(place, sizes[vertex.key]).grown(_GAP / 2)
+        if any(area.meets(each) for each in taken.values()):
+            continue
+        nearest = nearest or place
+        reach = area if own is None else own.joined(area)
+        if not any(reach.meets(each) for each in foreign):
+            return place
+    return nearest or wish
+
+
+def _strangers(
+    vertices: Sequence[Vertex], centres: Mapping[str, Point], sizes: Mapping[str, Size]
+) -> bool:
+    """Whether something stands in the box of a namespace that it does not belong to."""
+    boxes = boxes_around({v.key: v.group for v in vertices}, centres, sizes)
+    groups = sorted(boxes)
+    return any(
+        boxes[group].meets(around(centres[v.key], sizes[v.key]))
+        for group in groups
+        for v in vertices
+        if v.group[: len(group)] != group
+    ) or any(
+        boxes[one].meets(boxes[other])
+        for one in groups
+        for other in groups
+        if one < other and other[: len(one)] != one
+    )
+
+
+def _curves(
+    fresh: Layout, centres: Mapping[str, Point], after: Figure, sizes: Mapping[str, Size]
+) -> Dict[Edge, Tuple[Point, ...]]:
+    """Take over the curves whose two ends moved alike; lead the others anew."""
+    curves: Dict[Edge, Tuple[Point, ...]] = {}
+    for edge in after.edges:
+        tail = centres[edge.tail].minus(fresh.centres[edge.tail])
+        head = centres[edge.head].minus(fresh.centres[edge.head])
+        if tail.distance(head) < 1.0:
+            curves[edge] = tuple(place.plus(tail) for place in fresh.curves[edge])
+        else:
+            curves[edge] = curve_between(
+                centres[edge.tail], sizes[edge.tail], centres[edge.head], sizes[edge.head]
+            )
+    return curves

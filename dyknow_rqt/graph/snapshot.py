@@ -1,0 +1,131 @@
+"""The computation graph at one moment, as the window was told of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, AbstractSet, Dict, List, Mapping, Optional, Sequence, Tuple
+
+from dyknow.manager.model import PortState
+from dyknow.manager.transformation import IN
+
+if TYPE_CHECKING:
+    from dyknow.ros.views import NodeletView
+
+#: One side of the master's system state: topics and the nodes that use them.
+Side = Sequence[Tuple[str, Sequence[str]]]
+
+
+@dataclass(frozen=True)
+class PlainNode:
+    """An ordinary ROS node that uses topics of nodelets."""
+
+    name: str
+    publishes: Tuple[str, ...]
+    subscribes: Tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class PortRef:
+    """A port, named from outside."""
+
+    nodelet: str
+    port: str
+
+    def __str__(self) -> str:
+        """Write it as people do."""
+        return f"{self.nodelet}:{self.port}"
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic that ports are connected to.
+
+    Attributes:
+        name: global name.
+        datatype: ROS type, empty when not known.
+        sources: out-ports that publish on it.
+        sinks: in-ports that receive from it.
+        tags: of the out-ports.
+    """
+
+    name: str
+    datatype: str
+    sources: Tuple[PortRef, ...]
+    sinks: Tuple[PortRef, ...]
+    tags: Tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """The computation graph at one moment; two are equal when there is nothing to redraw."""
+
+    nodelets: Tuple[NodeletView, ...] = ()
+    nodes: Tuple[PlainNode, ...] = ()
+
+    def nodelet(self, name: str) -> Optional[NodeletView]:
+        """Return the nodelet of that name, or None."""
+        return self._by_name.get(name)
+
+    def port(self, ref: PortRef) -> Optional[PortState]:
+        """Return the port, or None."""
+        nodelet = self.nodelet(ref.nodelet)
+        return nodelet.port(ref.port) if nodelet is not None else None
+
+    def topics(self) -> Mapping[str, Topic]:
+        """Topics that ports are connected to, by name, in order."""
+        return self._topics
+
+    @cached_property
+    def _by_name(self) -> Dict[str, NodeletView]:
+        return {each.name: each for each in self.nodelets}
+
+    @cached_property
+    def _topics(self) -> Dict[str, Topic]:
+        found: Dict[str, List[Tuple[PortRef, PortState]]] = {}
+        for nodelet in self.nodelets:
+            for port in nodelet.ports:
+                if port.topic:
+                    found.setdefault(port.topic, []).append(
+                        (PortRef(nodelet.name, port.name), port)
+                    )
+        return {name: _topic(name, found[name]) for name in sorted(found)}
+
+
+def _topic(name: str, ends: Sequence[Tuple[PortRef, PortState]]) -> Topic:
+    return Topic(
+        name,
+        next((port.datatype for _, port in ends if port.datatype not in ("", "*")), ""),
+        tuple(ref for ref, port in ends if port.direction != IN),
+        tuple(ref for ref, port in ends if port.direction == IN),
+        tuple(sorted({tag for _, port in ends if port.direction != IN for tag in port.tags})),
+    )
+
+
+def plain_nodes(
+    publishers: Side, subscribers: Side, topics: AbstractSet[str], hosts: AbstractSet[str]
+) -> Tuple[PlainNode, ...]:
+    """Find the ordinary nodes that use some topics.
+
+    Args:
+        publishers: of all topics, as the master tells.
+        subscribers: the same.
+        topics: those that matter.
+        hosts: nodelet managers; what they use, their nodelets use.
+    """
+    sides: List[Mapping[str, List[str]]] = []
+    for side in (publishers, subscribers):
+        used: Dict[str, List[str]] = {}
+        for topic, nodes in side:
+            for node in nodes:
+                if topic in topics and node not in hosts:
+                    used.setdefault(node, []).append(topic)
+        sides.append(used)
+    return tuple(
+        PlainNode(
+            name,
+            tuple(sorted(sides[0].get(name, ()))),
+            tuple(sorted(sides[1].get(name, ()))),
+        )
+        for name in sorted({*sides[0], *sides[1]})
+    )

@@ -1,0 +1,92 @@
+"""Asking for streams, releasing them and planning them anew, as changes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from dyknow.manager.claim import StreamRequest
+from dyknow.ros.client_errors import StreamRefused
+from dyknow_rqt.graph.changes import CannotUndo, Change, Library
+from dyknow_rqt.graph.snapshot import Snapshot
+
+if TYPE_CHECKING:
+    from dyknow_rqt.remote import Remote
+
+
+@dataclass(frozen=True)
+class AcquireStream(Change):
+    """Asks for a stream; one that is not possible yet is made when it becomes so.
+
+    Attributes:
+        request: what is asked for.
+        claim_id: of the claim; known when it has been done.
+        outcome: what became of it, for people; known when it has been done.
+    """
+
+    request: StreamRequest
+    claim_id: str = ""
+    outcome: str = ""
+
+    @property
+    def text(self) -> str:
+        """What is done."""
+        return f"acquire {self.request.tag}" + (f": {self.outcome}" if self.outcome else "")
+
+    def apply(self, remote: Remote) -> Change:
+        """Ask for it."""
+        try:
+            got = remote.acquire_stream(self.request)
+        except StreamRefused as error:
+            if not error.claim_id:
+                raise
+            return replace(self, claim_id=error.claim_id, outcome=f"waits, {error}")
+        return replace(self, claim_id=got.claim_id, outcome=f"on {got.topic}")
+
+    def inverse(self, snapshot: Snapshot, library: Library) -> Change:
+        """Release it."""
+        return ReleaseStream(self.claim_id, self.request.tag)
+
+
+@dataclass(frozen=True)
+class ReleaseStream(Change):
+    """Ends a claim."""
+
+    claim_id: str
+    tag: str
+
+    @property
+    def text(self) -> str:
+        """What is done."""
+        return f"release {self.tag}"
+
+    def apply(self, remote: Remote) -> Change:
+        """Release it."""
+        remote.release_stream(self.claim_id)
+        return self
+
+    def inverse(self, snapshot: Snapshot, library: Library) -> Change:
+        """Nothing brings back the claim of a client."""
+        raise CannotUndo("a stream that is acquired again is another one, on a topic of its own")
+
+
+@dataclass(frozen=True)
+class ReplanStream(Change):
+    """Takes the way for a stream that is the cheapest now."""
+
+    claim_id: str
+    tag: str
+
+    @property
+    def text(self) -> str:
+        """What is done."""
+        return f"replan {self.tag}"
+
+    def apply(self, remote: Remote) -> Change:
+        """Replan it."""
+        remote.replan_stream(self.claim_id)
+        return self
+
+    def inverse(self, snapshot: Snapshot, library: Library) -> Change:
+        """Nothing brings back a dearer way."""
+        raise CannotUndo("the way before was not the cheapest")

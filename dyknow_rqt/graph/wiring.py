@@ -1,0 +1,129 @@
+"""Which ports fit together, over which topic, and the changes that connect them."""
+
+from __future__ import annotations
+
+from typing import Iterator, List, Tuple
+
+from dyknow import names
+from dyknow.errors import DyKnowError
+from dyknow.manager.model import PortState
+from dyknow.manager.transformation import IN
+from dyknow.wiring.ports import types_fit
+from dyknow_rqt.graph.changes import Rewire
+from dyknow_rqt.graph.snapshot import PortRef, Snapshot
+
+
+class DoNotFit(DyKnowError):
+    """Two ports, or a port and a topic, cannot be connected."""
+
+
+def fit(one: PortState, other: PortState) -> bool:
+    """Whether a stream can lead from one of the ports to the other."""
+    return one.direction != other.direction and types_fit(one.datatype, other.datatype)
+
+
+def partners(snapshot: Snapshot, ref: PortRef) -> Iterator[PortRef]:
+    """Ports that a port can be connected with, by nodelet and in their order."""
+    port = snapshot.port(ref)
+    if port is not None:
+        for nodelet in snapshot.nodelets:
+            for other in nodelet.ports:
+                if fit(port, other):
+                    yield PortRef(nodelet.name, other.name)
+
+
+def topics_for(snapshot: Snapshot, ref: PortRef) -> List[str]:
+    """Topics of the graph that a port can be connected to, sorted."""
+    port = snapshot.port(ref)
+    if port is None:
+        return []
+    return [
+        name
+        for name, topic in snapshot.topics().items()
+        if types_fit(port.datatype, topic.datatype)
+    ]
+
+
+def choose_topic(snapshot: Snapshot, source: PortRef, sink: PortRef) -> str:
+    """Choose the topic for a connection.
+
+    The one that the out-port publishes on already, so that others who listen keep their stream;
+    else the one where the in-port waits, if nobody publishes on it; else a new one, named after
+    the out-port.
+
+    Raises:
+        DoNotFit: no stream can lead from one port to the other.
+    """
+    out_port, in_port = snapshot.port(source), snapshot.port(sink)
+    if out_port is None or in_port is None:
+        raise DoNotFit(f"{source if out_port is None else sink} is gone")
+    if out_port.direction == IN or in_port.direction != IN:
+        raise DoNotFit(f"a stream leads from an out-port to an in-port: {source}, {sink}")
+    if not types_fit(out_port.datatype, in_port.datatype):
+        raise DoNotFit(
+            f"{source} sends {out_port.datatype}, but {sink} expects {in_port.datatype}"
+        )
+    if out_port.topic:
+        return out_port.topic
+    topics = snapshot.topics()
+    if in_port.topic and not topics[in_port.topic].sources and not _published(snapshot, in_port):
+        return in_port.topic
+    wish = names.join(source.nodelet, source.port.lstrip("~"))
+    topic, number = wish, 2
+    while topic in topics:
+        topic, number = f"{wish}_{number}", number + 1
+    return topic
+
+
+def connect(snapshot: Snapshot, one: PortRef, other: PortRef) -> Rewire:
+    """Connect two ports, given in any order, over a topic that is chosen for them.
+
+    Raises:
+        DoNotFit: they do not fit.
+    """
+    port = snapshot.port(one)
+    source, sink = (other, one) if port is not None and port.direction == IN else (one, other)
+    topic = choose_topic(snapshot, source, sink)
+    return rewire(snapshot, ((source, topic), (sink, topic)), f"connect {source} with {sink}")
+
+
+def connect_topic(snapshot: Snapshot, ref: PortRef, topic: str) -> Rewire:
+    """Connect a port to a topic that somebody named.
+
+    Raises:
+        DoNotFit: the graph knows another type of the topic, or there is no such port.
+        InvalidName: it is no name of a topic.
+    """
+    port = snapshot.port(ref)
+    if port is None:
+        raise DoNotFit(f"{ref} is gone")
+    topic = names.resolve(names.check(topic, "topic"), names.parent(ref.nodelet), ref.nodelet)
+    known = snapshot.topics().get(topic)
+    if known is not None and not types_fit(port.datatype, known.datatype):
+        raise DoNotFit(f"{ref} is of type {port.datatype}, but {topic} carries {known.datatype}")
+    return rewire(snapshot, ((ref, topic),), f"connect {ref} to {topic}")
+
+
+def disconnect(snapshot: Snapshot, refs: Tuple[PortRef, ...]) -> Rewire:
+    """Disconnect ports."""
+    what = str(refs[0]) if len(refs) == 1 else f"{len(refs)} ports"
+    return rewire(snapshot, tuple((ref, "") for ref in refs), f"disconnect {what}")
+
+
+def rewire(snapshot: Snapshot, topics: Tuple[Tuple[PortRef, str], ...], text: str) -> Rewire:
+    """Change connections; ports that are connected so already are left alone."""
+    found = [(ref, topic, snapshot.port(ref)) for ref, topic in topics]
+    needed = [
+        (ref, topic, port.topic if port is not None else "")
+        for ref, topic, port in found
+        if port is None or port.topic != topic
+    ]
+    return Rewire(
+        tuple((ref, topic) for ref, topic, _ in needed),
+        text,
+        tuple((ref, now) for ref, _, now in needed),
+    )
+
+
+def _published(snapshot: Snapshot, port: PortState) -> bool:
+    return any(port.topic in node.publishes for node in snapshot.nodes)

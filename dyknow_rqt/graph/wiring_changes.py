@@ -1,0 +1,104 @@
+"""Loading a whole wiring as a change that can be taken back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Dict, List, Optional, Tuple
+
+from dyknow.errors import DyKnowError
+from dyknow.wiring.load import carry_out, steps_of
+from dyknow.wiring.plan import Plan, plan_load
+from dyknow.wiring.ports import connections_of
+from dyknow.wiring.wiring import Wiring
+from dyknow_rqt.graph.changes import CannotUndo, Change, DestroyNodelet, Library, Protect, Rewire
+from dyknow_rqt.graph.library_changes import RestoreTransformations
+from dyknow_rqt.graph.snapshot import PortRef, Snapshot
+
+if TYPE_CHECKING:
+    from dyknow_rqt.remote import Remote
+
+
+class CannotLoad(DyKnowError):
+    """Something stands against the loading of a wiring; nothing was changed."""
+
+
+@dataclass(frozen=True)
+class LoadWiring(Change):
+    """Makes what runs as a wiring says; what it does not name is left alone.
+
+    Attributes:
+        wiring: what is wanted.
+        origin: where it comes from, for people.
+        plan: what was changed; known when it has been done.
+    """
+
+    wiring: Wiring
+    origin: str = "a wiring"
+    plan: Optional[Plan] = None
+
+    @property
+    def text(self) -> str:
+        """What is done."""
+        return f"load {self.origin}"
+
+    def apply(self, remote: Remote) -> Change:
+        """Check all of it, then change what differs; if a step fails, take back those before."""
+        model, managers = remote.library(), remote.nodelet_managers()
+        plan = plan_load(self.wiring, model, managers, replace=True, any_manager=True)
+        if plan.problems:
+            raise CannotLoad("\n".join(plan.problems))
+        carry_out(steps_of(plan, remote))
+        return replace(self, plan=plan)
+
+    def inverse(self, snapshot: Snapshot, library: Library) -> Change:
+        """Destroy what was made, bring the rest to what it was."""
+        if self.plan is None:
+            raise CannotUndo("it is not known what was changed")
+        return Several(tuple(_ways_back(self.plan)), f"undo: {self.text}")
+
+
+@dataclass(frozen=True)
+class Several(Change):
+    """Changes, one after the other."""
+
+    changes: Tuple[Change, ...]
+    text_: str
+
+    @property
+    def text(self) -> str:
+        """What is done."""
+        return self.text_
+
+    def apply(self, remote: Remote) -> Change:
+        """Do them all; the first that is refused ends it."""
+        for change in self.changes:
+            change.apply(remote)
+        return self
+
+    def check(self, remote: Remote) -> None:
+        """Ask whether others have changed something of it."""
+        for change in self.changes:
+            change.check(remote)
+
+
+def _ways_back(plan: Plan) -> List[Change]:
+    changes: List[Change] = []
+    for kept in reversed(plan.kept):
+        name, moves, before = kept.wanted.name, kept.moves, connections_of(kept.present)
+        if kept.wanted.is_protected != kept.present.is_protected:
+            changes.append(Protect(name, kept.present.is_protected))
+        if moves:
+            back = {port: before.get(port, "") for port in moves}
+            changes.append(Rewire(_at(name, back), f"reconnect {name}", _at(name, moves)))
+    for nodelet in reversed(plan.spawned):
+        if nodelet.is_protected:
+            changes.append(Protect(nodelet.name, False))
+        changes.append(DestroyNodelet(nodelet.name))
+    if plan.added or plan.replaced:
+        new = tuple(each.label for each in plan.added)
+        changes.append(RestoreTransformations(tuple(plan.replaced), new, "put back the library"))
+    return changes
+
+
+def _at(nodelet: str, topics: Dict[str, str]) -> Tuple[Tuple[PortRef, str], ...]:
+    return tuple((PortRef(nodelet, port), topic) for port, topic in topics.items())

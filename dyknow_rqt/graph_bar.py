@@ -1,0 +1,200 @@
+"""The bar above the graph: what to show and how, where users of rqt_graph look for it."""
+
+from __future__ import annotations
+
+from typing import Any, Dict, Optional
+
+from python_qt_binding.QtCore import QTimer, Signal
+from python_qt_binding.QtWidgets import (
+    QCheckBox,
+    QComboBox,
+    QDoubleSpinBox,
+    QHBoxLayout,
+    QLabel,
+    QLineEdit,
+    QMenu,
+    QPushButton,
+    QSpinBox,
+    QToolButton,
+    QWidget,
+)
+
+from dyknow_rqt.filter_edit import FilterEdit
+from dyknow_rqt.flow_layout import FlowLayout
+from dyknow_rqt.graph.figure import Options
+from dyknow_rqt.guard import guarded
+
+_TYPING = 250  # ms
+
+
+class GraphBar(QWidget):
+    """Gives the options, and keeps its own state in a dictionary of plain values."""
+
+    #: What is to be shown is another.
+    options_changed = Signal()
+    #: So much so that the places of before mean nothing any more.
+    structure_changed = Signal()
+
+    def __init__(self, parent: Optional[QWidget] = None) -> None:
+        super().__init__(parent)
+        self.refresh = QPushButton("&Refresh")
+        self.refresh.setToolTip("Look at everything now (F5, Ctrl+R)")
+        self.mode = QComboBox()
+        self.mode.addItems(["Nodelets/Topics", "Nodelets only"])
+        self.mode.setAccessibleName("What to draw")
+        self.nodelets = FilterEdit("nodelets")
+        self.topics = FilterEdit("topics")
+        self.depth = QSpinBox()
+        self.depth.setRange(0, 5)
+        self.depth.setValue(2)
+        self.depth.setToolTip("How many parts of a namespace make a box; 0 for none")
+        self.dead_sinks = QCheckBox("Dead sin&ks")
+        self.dead_sinks.setToolTip("Hide topics that nobody receives")
+        self.leaf_topics = QCheckBox("&Leaf topics")
+        self.leaf_topics.setToolTip("Hide topics with only one end")
+        self.debug = QCheckBox("Debu&g")
+        self.debug.setChecked(True)
+        self.debug.setToolTip("Hide what is in every graph: /rosout, /clock, rviz, rqt …")
+        self.nodes = QCheckBox("ROS &nodes")
+        self.nodes.setToolTip("Show ordinary nodes that use these topics, greyed")
+        self.highlight = QCheckBox("&Highlight")
+        self.highlight.setChecked(True)
+        self.highlight.setToolTip("Light up what hangs together with the thing under the pointer")
+        self.period = QDoubleSpinBox()
+        self.period.setRange(0.2, 60.0)
+        self.period.setSingleStep(0.5)
+        self.period.setDecimals(1)
+        self.period.setValue(1.0)
+        self.period.setSuffix(" s")
+        self.period.setToolTip("How often to look at rates; changes are shown at once anyway")
+        self.fit = QPushButton("&Fit")
+        self.fit.setToolTip("Fit everything into the view (Ctrl+0)")
+        self.tidy = QPushButton("Tid&y")
+        self.tidy.setToolTip("Lay everything out anew (Ctrl+L)")
+        self.undo = QPushButton("Undo")
+        self.redo = QPushButton("Redo")
+        self.save = QToolButton()
+        self.save.setText("Sa&ve")
+        self.save.setToolTip("Save the drawing, or the wiring to be loaded another day")
+        self.save.setPopupMode(QToolButton.InstantPopup)
+        self.save_menu = QMenu(self.save)
+        self.save.setMenu(self.save_menu)
+        self.load = QPushButton("Loa&d …")
+        self.load.setToolTip("Load a wiring: nodelets and their connections")
+        self.search = QLineEdit()
+        self.search.setPlaceholderText("find (Ctrl+F)")
+        self.search.setClearButtonEnabled(True)
+        self.search.setAccessibleName("Find")
+        self.search.setMaximumWidth(170)
+        self.hits = QLabel()
+        self._typing = QTimer(self)
+        self._typing.setSingleShot(True)
+        self._typing.setInterval(_TYPING)
+        self._typing.timeout.connect(self._tell)
+        self._arrange()
+        self._listen()
+
+    def options(self) -> Options:
+        """What the user wants to see."""
+        return Options(
+            topics=self.mode.currentIndex() == 0,
+            nodelet_filter=self.nodelets.filter,
+            topic_filter=self.topics.filter,
+            hide_dead_sinks=self.dead_sinks.isChecked(),
+            hide_leaf_topics=self.leaf_topics.isChecked(),
+            hide_debug=self.debug.isChecked(),
+            show_nodes=self.nodes.isChecked(),
+            depth=self.depth.value(),
+        )
+
+    def state(self) -> Dict[str, str]:
+        """Settings to be kept, as texts."""
+        checks = {name: str(int(box.isChecked())) for name, box in self._boxes().items()}
+        return {
+            **checks,
+            "mode": str(self.mode.currentIndex()),
+            "nodelets": self.nodelets.text(),
+            "topics": self.topics.text(),
+            "depth": str(self.depth.value()),
+            "period": str(self.period.value()),
+        }
+
+    def restore(self, state: Dict[str, Any]) -> None:
+        """Take settings up again; what is missing or makes no sense stays as it is."""
+        for name, box in self._boxes().items():
+            if state.get(name) in ("0", "1"):
+                box.setChecked(state[name] == "1")
+        self.nodelets.setText(str(state.get("nodelets", "")))
+        self.topics.setText(str(state.get("topics", "")))
+        if state.get("mode") in ("0", "1"):
+            self.mode.setCurrentIndex(int(state["mode"]))
+        for name, field, kind in (("depth", self.depth, int), ("period", self.period, float)):
+            try:
+                field.setValue(kind(state[name]))
+            except (KeyError, TypeError, ValueError):
+                continue
+
+    def show_history(self, undo: str, redo: str) -> None:
+        """Say what undo and redo would do."""
+        for button, text, keys in ((self.undo, undo, "Ctrl+Z"), (self.redo, redo, "Ctrl+Shift+Z")):
+            button.setEnabled(bool(text))
+            button.setToolTip(f"{button.text().replace('&', '')}: {text or 'nothing'} ({keys})")
+
+    def _boxes(self) -> Dict[str, QCheckBox]:
+        return {
+            "dead_sinks": self.dead_sinks,
+            "leaf_topics": self.leaf_topics,
+            "debug": self.debug,
+            "nodes": self.nodes,
+            "highlight": self.highlight,
+        }
+
+    def _arrange(self) -> None:
+        self.mode.setSizeAdjustPolicy(QComboBox.AdjustToContents)
+        rows = FlowLayout(self)
+        rows.setContentsMargins(4, 4, 4, 2)
+        self.nodelets.setMinimumWidth(150)
+        self.topics.setMinimumWidth(150)
+        group, rate = QLabel("Gro&up:"), QLabel("&Every:")
+        group.setBuddy(self.depth)
+        rate.setBuddy(self.period)
+        for part in (
+            _together(self.refresh, self.mode),
+            _together(self.nodelets, self.topics),
+            _together(self.search, self.hits),
+            _together(self.undo, self.redo, self.save, self.load),
+            _together(group, self.depth),
+            _together(QLabel("Hide:"), self.dead_sinks, self.leaf_topics, self.debug),
+            _together(QLabel("Show:"), self.nodes, self.highlight),
+            _together(rate, self.period),
+            _together(self.tidy, self.fit),
+        ):
+            rows.addWidget(part)
+        self.show_history("", "")
+
+    def _listen(self) -> None:
+        self.mode.currentIndexChanged.connect(self._tell_structure)
+        self.depth.valueChanged.connect(self._tell_structure)
+        for box in (self.dead_sinks, self.leaf_topics, self.debug, self.nodes):
+            box.toggled.connect(self._tell)
+        for edit in (self.nodelets, self.topics):
+            edit.filter_changed.connect(self._typing.start)
+
+    @guarded
+    def _tell(self) -> None:
+        self.options_changed.emit()
+
+    @guarded
+    def _tell_structure(self) -> None:
+        self.structure_changed.emit()
+
+
+def _together(*widgets: QWidget) -> QWidget:
+    """Keep widgets in one line."""
+    part = QWidget()
+    row = QHBoxLayout(part)
+    row.setContentsMargins(0, 0, 0, 0)
+    row.setSpacing(6)
+    for widget in widgets:
+        row.addWidget(widget)
+    return part

@@ -1,0 +1,294 @@
+"""The graph with its bar: draws what the monitor knows, and turns gestures into changes."""
+
+from __future__ import annotations
+
+from typing import Iterable, Iterator, Mapping, Optional, Tuple
+
+from python_qt_binding.QtCore import QEvent, QPoint, Qt, Signal
+from python_qt_binding.QtGui import QKeySequence
+from python_qt_binding.QtWidgets import QAction, QFileDialog, QLabel, QVBoxLayout, QWidget
+
+from dyknow_rqt.canvas.items import Item
+from dyknow_rqt.canvas.looks import edge_refs, gap_of, sizes_of
+from dyknow_rqt.canvas.view import GraphView
+from dyknow_rqt.graph.changes import Protect
+from dyknow_rqt.graph.dot import to_dot
+from dyknow_rqt.graph.figure import Figure, Kind, figure_of, key_of
+from dyknow_rqt.graph.geometry import Layout, Size
+from dyknow_rqt.graph.settle import settle
+from dyknow_rqt.graph.snapshot import PortRef, Snapshot
+from dyknow_rqt.graph.wiring import connect, connect_topic, disconnect, partners
+from dyknow_rqt.graph_bar import GraphBar
+from dyknow_rqt.graph_menus import Deeds, menu_for
+from dyknow_rqt.guard import guarded
+from dyknow_rqt.layouter import Layouter
+from dyknow_rqt.monitor import Monitor
+from dyknow_rqt.wiring_files import WiringFiles
+
+_KINDS = ("DOT (*.dot)", "SVG (*.svg)", "PNG (*.png)")
+
+
+class GraphPanel(QWidget):
+    """Bar, drawing, and a sign for when there is nothing to draw."""
+
+    #: Something went wrong, in words.
+    failed = Signal(str)
+
+    def __init__(self, monitor: Monitor, deeds: Deeds, parent: Optional[QWidget] = None) -> None:
+        super().__init__(parent)
+        self._monitor = monitor
+        self._deeds = deeds
+        self._figure = Figure()
+        self._has_fitted = self._wants_tidy = False
+        self.bar = GraphBar()
+        self.view = GraphView(self.report)
+        self.layouter = Layouter()
+        self.files = WiringFiles(monitor, self)
+        self.sign = QLabel(self.view)
+        self.sign.setAlignment(Qt.AlignCenter)
+        self.sign.setWordWrap(True)
+        self.sign.setAttribute(Qt.WA_TransparentForMouseEvents)
+        column = QVBoxLayout(self)
+        column.setContentsMargins(0, 0, 0, 0)
+        column.setSpacing(0)
+        column.addWidget(self.bar)
+        column.addWidget(self.view, 1)
+        self.view.installEventFilter(self)
+        self._listen()
+        self._fill_save_menu()
+        self._show_sign()
+
+    def report(self, text: str) -> None:
+        """Say that something went wrong."""
+        self.failed.emit(text)
+
+    def close_down(self) -> None:
+        """End what runs outside."""
+        self.layouter.close()
+
+    @property
+    def drawn(self) -> Figure:
+        """What is on the screen."""
+        figure: Figure = self.view.scene().figure
+        return figure
+
+    # Drawing
+
+    @guarded
+    def redraw(self) -> None:
+        """Draw what has changed; the layout is made anew only if things came or went."""
+        snapshot = self._monitor.snapshot
+        self.bar.nodelets.set_names(each.name for each in snapshot.nodelets)
+        self.bar.topics.set_names(snapshot.topics())
+        figure = figure_of(snapshot, self.bar.options())
+        self.view.scene().set_snapshot(snapshot)
+        if figure != self._figure or self._wants_tidy:
+            self._figure = figure
+            font = self.view.font()
+            self.layouter.lay_out(figure, sizes_of(figure, font), gap_of(font))
+        self._show_sign()
+
+    @guarded
+    def tidy(self) -> None:
+        """Lay everything out anew, wherever that puts things."""
+        self._wants_tidy = True
+        self.redraw()
+
+    @guarded
+    def find(self) -> None:
+        """Go to the field that finds things."""
+        self.bar.search.setFocus()
+        self.bar.search.selectAll()
+
+    def select_nodelets(self, names: Iterable[str]) -> None:
+        """Select nodelets and nothing else."""
+        wanted = {key_of(Kind.NODELET, name) for name in names}
+        for key, item in self.view.scene().vertices.items():
+            item.setSelected(key in wanted)
+
+    def save(self, path: str) -> None:
+        """Write the drawing as what the name of the file says; DOT if it says nothing.
+
+        Raises:
+            OSError: it cannot be written.
+        """
+        if path.lower().endswith(".svg"):
+            self.view.scene().save_svg(path)
+        elif path.lower().endswith((".png", ".jpg", ".jpeg", ".bmp")):
+            self.view.scene().save_image(path)
+        else:
+            with open(path, "w", encoding="utf-8") as file:
+                file.write(to_dot(self.drawn, sizes_of(self.drawn, self.view.font())))
+
+    @guarded
+    def _draw(self, figure: Figure, sizes: Mapping[str, Size], layout: Layout) -> None:
+        scene = self.view.scene()
+        if not self._wants_tidy:
+            layout = settle(scene.layout, scene.figure, layout, figure, sizes)
+        scene.show_figure(figure, layout, sizes)
+        if figure.vertices and (not self._has_fitted or self._wants_tidy):
+            self._has_fitted = True
+            self.view.fit()
+        self.view.keep_in_view()
+        self._wants_tidy = False
+        self._search()
+
+    @guarded
+    def _show_sign(self) -> None:
+        monitor, text = self._monitor, ""
+        if monitor.is_linked is None:
+            text = f"Looking for {monitor.remote.manager} …"
+        elif not monitor.is_linked:
+            text = f"{monitor.remote.manager} does not answer; waiting for it"
+        elif not monitor.snapshot.nodelets:
+            text = "No nodelets yet: make one in 'Create', or ask for a stream in 'Streams'"
+            if not monitor.library:
+                text = "No nodelets yet: import in 'Library' what they can be made of"
+        elif not self._figure.vertices:
+            text = "The filters hide everything"
+        self.sign.setText(text)
+        self.sign.setVisible(bool(text))
+        self.sign.setGeometry(0, 0, self.view.width(), 60 if monitor.snapshot.nodelets else 160)
+
+    @guarded
+    def _follow_link(self) -> None:
+        self._show_sign()
+        self.view.setEnabled(bool(self._monitor.is_linked))
+
+    # Gestures
+
+    @guarded
+    def _drag_began(self, ref: PortRef) -> None:
+        self.view.scene().offer(set(partners(self._monitor.snapshot, ref)) | {ref})
+
+    @guarded
+    def _port_dropped(self, start: PortRef, end: PortRef) -> None:
+        self._monitor.do(connect(self._monitor.snapshot, start, end))
+
+    @guarded
+    def _topic_dropped(self, start: PortRef, topic: str) -> None:
+        self._monitor.do(connect_topic(self._monitor.snapshot, start, topic))
+
+    @guarded
+    def _delete(self) -> None:
+        """Disconnect the arrows that are selected; destroy nodelets that are, after asking."""
+        scene = self.view.scene()
+        refs = tuple(dict.fromkeys(edge_refs(edge)[0] for edge in scene.selected_edges()))
+        if refs:
+            self._disconnect(refs)
+        elif scene.selected_nodelets():
+            self._deeds.destroy(tuple(scene.selected_nodelets()))
+
+    def _disconnect(self, refs: Tuple[PortRef, ...]) -> None:
+        self._monitor.do(disconnect(self._monitor.snapshot, refs))
+
+    @guarded
+    def _show_menu(self, item: Optional[Item], place: QPoint) -> None:
+        menu = menu_for(item, self._monitor.snapshot, self._deeds, self)
+        menu.setAttribute(Qt.WA_DeleteOnClose)
+        menu.popup(place)
+
+    @guarded
+    def _search(self) -> None:
+        text = self.bar.search.text()
+        hits = self.view.scene().find(text)
+        self.bar.hits.setText(f"{len(hits)} found" if text else "")
+
+    @guarded
+    def _next_hit(self) -> None:
+        """Select the next thing that was found, and show it."""
+        hits = self.view.scene().find(self.bar.search.text())
+        if hits:
+            chosen = [number for number, item in enumerate(hits) if item.isSelected()]
+            self.view.select(hits[(chosen[0] + 1) % len(hits) if chosen else 0])
+
+    @guarded
+    def _ask_where(self, kind: str) -> None:
+        suffix = kind.rpartition(".")[2].rstrip(")")
+        path, _ = QFileDialog.getSaveFileName(self, "Save the graph", f"dyknow.{suffix}", kind)
+        if path:
+            self.save(path)
+
+    @guarded
+    def _set_highlights(self, on: bool) -> None:
+        self.view.scene().highlights = on
+
+    # Inside
+
+    def eventFilter(self, watched: object, event: QEvent) -> bool:  # noqa: N802
+        """Keep the sign in the middle, and the colours those of the palette."""
+        if event.type() == QEvent.Resize:
+            self._show_sign()
+        elif event.type() == QEvent.PaletteChange:
+            self.view.scene().set_palette(self.view.palette())
+        return False
+
+    def _listen(self) -> None:
+        monitor, view, bar = self._monitor, self.view, self.bar
+        monitor.changed.connect(self._take_snapshot)
+        monitor.measured.connect(view.scene().set_traffic)
+        monitor.linked.connect(self._follow_link)
+        monitor.library_changed.connect(self._show_sign)
+        monitor.history_changed.connect(bar.show_history)
+        self.layouter.ready.connect(self._draw)
+        self.layouter.failed.connect(self.failed)
+        view.drag_began.connect(self._drag_began)
+        view.port_dropped.connect(self._port_dropped)
+        view.topic_dropped.connect(self._topic_dropped)
+        view.delete_pressed.connect(self._delete)
+        view.menu_wanted.connect(self._show_menu)
+        bar.options_changed.connect(self.redraw)
+        bar.structure_changed.connect(self.tidy)
+        bar.highlight.toggled.connect(self._set_highlights)
+        bar.period.valueChanged.connect(monitor.set_period)
+        bar.refresh.clicked.connect(self._refresh)
+        bar.undo.clicked.connect(monitor.undo)
+        bar.redo.clicked.connect(monitor.redo)
+        bar.load.clicked.connect(self.files.ask_what_to_load)
+        bar.fit.clicked.connect(view.fit)
+        bar.tidy.clicked.connect(self.tidy)
+        bar.search.textChanged.connect(self._search)
+        bar.search.returnPressed.connect(self._next_hit)
+        for edit in (bar.nodelets, bar.topics):
+            edit.refused.connect(self.failed)
+        self._deeds.disconnect = self._disconnect
+        self._deeds.protect = self._protect
+        self._deeds.refresh, self._deeds.fit = self._refresh, view.fit
+        self._deeds.tidy, self._deeds.find = self.tidy, self.find
+
+    def _protect(self, name: str, on: bool) -> None:
+        self._monitor.do(Protect(name, on))
+
+    @guarded
+    def _take_snapshot(self, snapshot: Snapshot) -> None:
+        self.redraw()
+
+    @guarded
+    def _refresh(self) -> None:
+        self._monitor.read_library()
+        self._monitor.look()
+
+    def actions_of(self) -> Iterator[QAction]:
+        """What keys do, wherever in the window the focus is."""
+        for keys, function in (
+            (("F5", "Ctrl+R"), self._refresh),
+            (("Ctrl+0",), self.view.fit),
+            (("Ctrl+L",), self.tidy),
+            (("Ctrl+F",), self.find),
+            (("F3",), self._next_hit),
+            (("Ctrl+Z",), self._monitor.undo),
+            (("Ctrl+Shift+Z", "Ctrl+Y"), self._monitor.redo),
+        ):
+            action = QAction(self)
+            action.setShortcuts([QKeySequence(key) for key in keys])
+            action.setShortcutContext(Qt.WidgetWithChildrenShortcut)
+            action.triggered.connect(function)
+            yield action
+
+    def _fill_save_menu(self) -> None:
+        wiring = self.bar.save_menu.addAction("&Wiring …")
+        wiring.triggered.connect(self.files.ask_where_to_save)
+        self.bar.save_menu.addSeparator()
+        for kind in _KINDS:
+            action = self.bar.save_menu.addAction(f"&{kind.split()[0]} …")
+            action.triggered.connect(lambda checked=False, kind=kind: self._ask_where(kind))

@@ -1,0 +1,78 @@
+"""``rosrun dyknow dyknow_rqt``: the window on its own, where there is no rqt."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import signal
+import sys
+from types import TracebackType
+from typing import List, Optional, Type
+
+import rospy
+from python_qt_binding.QtCore import QSettings, QTimer
+from python_qt_binding.QtWidgets import QApplication, QMainWindow
+
+from dyknow_rqt.ros_remote import RosRemote
+from dyknow_rqt.window import DyKnowWidget
+
+_LOG = logging.getLogger("rosout.dyknow_rqt")
+
+
+class DyKnowWindow(QMainWindow):
+    """Holds the widget, and keeps its settings."""
+
+    def __init__(self, widget: DyKnowWidget, settings: QSettings) -> None:
+        super().__init__()
+        self._widget, self._settings = widget, settings
+        self.setCentralWidget(widget)
+        self.setWindowTitle("DyKnow")
+        self.resize(1400, 800)
+        geometry = settings.value("geometry")
+        if geometry is not None:
+            self.restoreGeometry(geometry)
+        kept = {name: settings.value(name) for name in widget.state()}
+        widget.restore({name: value for name, value in kept.items() if value is not None})
+
+    def closeEvent(self, event: object) -> None:  # noqa: N802
+        """Keep the settings and end."""
+        for name, value in self._widget.state().items():
+            self._settings.setValue(name, value)
+        self._settings.setValue("geometry", self.saveGeometry())
+        self._widget.shut_down()
+        super().closeEvent(event)
+
+
+def main(argv: Optional[List[str]] = None) -> int:
+    """Run the window until it is closed; returns the exit code."""
+    words = rospy.myargv(argv if argv is not None else sys.argv)
+    parser = argparse.ArgumentParser(
+        prog="dyknow_rqt", description="Shows the computation graph of DyKnow, and changes it."
+    )
+    parser.add_argument("--manager", default="dyknow_manager", help="node name of the manager")
+    arguments = parser.parse_args(words[1:])
+    application = QApplication(words[:1])
+    application.setApplicationName("DyKnow")
+    widget = DyKnowWidget(RosRemote(arguments.manager))
+    window = DyKnowWindow(widget, QSettings("dyknow", "dyknow_rqt"))
+
+    def survive(
+        kind: Type[BaseException], error: BaseException, trace: Optional[TracebackType]
+    ) -> None:
+        # Without a hook PyQt ends the process at an exception that leaves a slot.
+        _LOG.error("not caught", exc_info=(kind, error, trace))
+        widget.line.report(f"{kind.__name__}: {error}")
+
+    sys.excepthook = survive
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *unused: window.close())
+    # Python runs handlers of signals only between its own instructions: give it some.
+    alive = QTimer()
+    alive.timeout.connect(lambda: None)
+    alive.start(200)
+    window.show()
+    widget.start()
+    code = application.exec_()
+    if rospy.core.is_initialized():
+        rospy.signal_shutdown("the window is closed")
+    return int(code)

@@ -1,0 +1,336 @@
+"""What the window knows of the computation graph, kept up to date, and how it changes it.
+
+``Monitor`` owns the remote side and the workers. Everything it knows changes in the thread of the
+window only; everything that may block is done by the workers.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Callable, Dict, Mapping, Optional, Tuple, TypeVar, Union
+
+from python_qt_binding.QtCore import QObject, QTimer, Signal
+
+from dyknow.errors import DyKnowError, HostError, PeerTimeout
+from dyknow.manager.model import State
+from dyknow.manager.transformation import Transformation
+from dyknow_rqt.graph.changes import CannotUndo, Change
+from dyknow_rqt.graph.history import History, Step
+from dyknow_rqt.graph.rates import Meter, in_turns
+from dyknow_rqt.graph.snapshot import PlainNode, Snapshot, plain_nodes
+from dyknow_rqt.guard import guarded
+from dyknow_rqt.remote import Remote
+from dyknow_rqt.workers import Workers
+
+if TYPE_CHECKING:
+    from dyknow.ros.views import ModelView, Statistics
+
+T = TypeVar("T")
+
+_LOG = logging.getLogger("rosout.dyknow_rqt")
+#: Nodelets that are asked for statistics in one look; the others have their turn in the next.
+_ASKED = 40
+#: Seconds that the questions for statistics of one look may take together.
+_ASKING = 1.0
+
+
+@dataclass(frozen=True)
+class _Looked:
+    model: ModelView
+    nodes: Tuple[PlainNode, ...]
+    statistics: Tuple[Tuple[str, Statistics, float], ...]
+
+
+class Monitor(QObject):
+    """Looks at the graph when told of a change, and at a rate."""
+
+    #: The graph is another one: a ``Snapshot``.
+    changed = Signal(object)
+    #: The library is another one: transformations by label.
+    library_changed = Signal(object)
+    #: Rates have been measured: ``Traffic`` by ``PortRef``.
+    measured = Signal(object)
+    #: Something has become of a stream: a ``StreamEventView``.
+    stream_event = Signal(object)
+    #: The manager answers, or why it does not.
+    linked = Signal(bool, str)
+    #: Something went wrong, in words.
+    failed = Signal(str)
+    #: Something was done, in words.
+    done = Signal(str)
+    #: A change has come to its end, good or bad.
+    settled = Signal()
+    #: What undo and redo would do now.
+    history_changed = Signal(str, str)
+
+    def __init__(self, remote: Remote, period: float = 1.0) -> None:
+        """Prepare to look; nothing is asked yet.
+
+        Args:
+            remote: the other side.
+            period: seconds from look to look.
+        """
+        super().__init__()
+        self.remote = remote
+        self.snapshot = Snapshot()
+        self.library: Dict[str, Transformation] = {}
+        self.is_linked: Optional[bool] = None
+        self.history = History()
+        self._workers = Workers()
+        self._meter = Meter()
+        self._revision = -1
+        self._library_revision = -1
+        self._turn = 0
+        self._looking = self._changing = self._reading = False
+        self._timer = QTimer(self)
+        self._timer.timeout.connect(self.look)
+        self._heard: Optional[ModelView] = None
+        self._drawing = QTimer(self)
+        self._drawing.setSingleShot(True)
+        self._drawing.setInterval(0)
+        self._drawing.timeout.connect(self._take_heard)
+        self.set_period(period)
+
+    def start(self) -> None:
+        """Begin to listen and to look."""
+        self.remote.start(
+            lambda model: self._workers.deliver(lambda: self._hear(model)),
+            lambda event: self._workers.deliver(lambda: self.stream_event.emit(event)),
+        )
+        self._timer.start()
+        self.look()
+
+    def close(self) -> None:
+        """Stop; returns at once."""
+        self._timer.stop()
+        self._drawing.stop()
+        self._workers.close()
+        self.remote.close()
+
+    def set_period(self, seconds: float) -> None:
+        """Look so often."""
+        self._timer.setInterval(max(100, int(seconds * 1000)))
+
+    @property
+    def is_changing(self) -> bool:
+        """Whether a change is under way."""
+        return self._changing
+
+    def report(self, text: str) -> None:
+        """Say that something went wrong."""
+        self.failed.emit(text)
+
+    @guarded
+    def look(self) -> None:
+        """Look at everything now, unless a look is under way."""
+        if not self._looking:
+            self._looking = True
+            names, self._turn = in_turns(
+                # One that is lost would only hold up the others.
+                (n.name for n in self.snapshot.nodelets if n.state is State.RUNNING),
+                self._turn,
+                _ASKED,
+            )
+            self._workers.run(lambda: self._looked(names), self._take_look, self._take_failure)
+
+    @guarded
+    def read_library(self) -> None:
+        """Ask for all that can run."""
+        if not self._reading:
+            self._reading = True
+            self._workers.run(self.remote.library, self._take_library, self._take_no_library)
+
+    def ask(
+        self,
+        question: Callable[[Remote], T],
+        then: Callable[[T], None],
+        failed: Optional[Callable[[str], None]] = None,
+    ) -> None:
+        """Ask the other side something in a worker.
+
+        Args:
+            question: may block.
+            then: called in the thread of the window with the answer.
+            failed: called there with what went wrong, in words; by default it is reported.
+        """
+        say = failed or self.report
+        self._workers.run(lambda: question(self.remote), then, lambda error: say(_words(error)))
+
+    def do(self, change: Change, then: Callable[[], None] = lambda: None) -> None:
+        """Make a change; it can be undone after that, as far as that is possible.
+
+        Args:
+            change: what to do.
+            then: called in the thread of the window when it has been done.
+        """
+        snapshot, library = self.snapshot, dict(self.library)
+
+        def note(made: Change) -> None:
+            self.history.note(made, _way_back(made, snapshot, library))
+            then()
+
+        self._apply(change, note)
+
+    @guarded
+    def undo(self) -> None:
+        """Take back what was done last."""
+        step = self.history.last
+        if step is None:
+            raise CannotUndo("there is nothing to undo")
+        if isinstance(step.back, CannotUndo):
+            self.history.drop(step)
+            self._tell_history()
+            raise CannotUndo(f"cannot undo '{step.change.text}': {step.back}")
+        undone: Step = step
+        self._apply(step.back, lambda made: self.history.note_undone(undone), checked=True)
+
+    @guarded
+    def redo(self) -> None:
+        """Do again what was taken back last."""
+        change = self.history.next
+        if change is None:
+            raise CannotUndo("there is nothing to redo")
+        again, snapshot, library = change, self.snapshot, dict(self.library)
+        self._apply(
+            again,
+            lambda made: self.history.note_redone(again, _way_back(made, snapshot, library)),
+            checked=True,
+        )
+
+    # Inside
+
+    def _apply(
+        self, change: Change, note: Callable[[Change], None], checked: bool = False
+    ) -> None:
+        """Make one change at a time: the way back of the next depends on what this one leaves."""
+        if self._changing:
+            self.failed.emit("another change is under way; try again when it is done")
+            return
+        self._changing = True
+
+        def made(done: Change) -> None:
+            self._changing = False
+            note(done)
+            self._tell_history()
+            self.done.emit(f"done: {done.text}")
+            self.settled.emit()
+            self.look()
+
+        def refused(error: Exception) -> None:
+            self._changing = False
+            self.failed.emit(f"{change.text}: {_words(error)}")
+            self.settled.emit()
+            self.look()
+
+        def job() -> Change:
+            if checked:
+                change.check(self.remote)
+            return change.apply(self.remote)
+
+        self._workers.run(job, made, refused)
+
+    def _tell_history(self) -> None:
+        self.history_changed.emit(*self.history.texts)
+
+    def _looked(self, names: Tuple[str, ...]) -> _Looked:
+        """Ask everything that a look needs; in a worker."""
+        model = self.remote.graph()
+        topics = {port.topic for each in model.nodelets for port in each.ports if port.topic}
+        hosts = {each.manager for each in model.nodelets}
+        try:
+            nodes = plain_nodes(*self.remote.system_state(), topics, hosts)
+        except (DyKnowError, LookupError):
+            nodes = ()
+        statistics = []
+        end = time.monotonic() + _ASKING
+        for name in names:
+            if time.monotonic() > end:
+                break
+            try:
+                answer = self.remote.statistics(name)
+            except DyKnowError:
+                continue  # it is gone, or hangs; the model says so
+            statistics.append((name, answer, time.monotonic()))
+        return _Looked(model, nodes, tuple(statistics))
+
+    def _take_look(self, looked: _Looked) -> None:
+        self._looking = False
+        linked_anew = not self.is_linked
+        self._set_linked(True, "")
+        if linked_anew or looked.model.revision >= self._revision:
+            if self._heard is not None and self._heard.revision <= looked.model.revision:
+                self._heard = None  # it would be a step back
+            self._take_model(looked.model, looked.nodes)
+        self._meter.keep(each.name for each in self.snapshot.nodelets)
+        for name, statistics, moment in looked.statistics:
+            self._meter.note(name, statistics, moment)
+        self.measured.emit(self._meter.traffic)
+
+    def _hear(self, model: ModelView) -> None:
+        """Keep the last model until the one before it has been drawn, and as long again."""
+        self._heard = model
+        if not self._drawing.isActive():
+            self._drawing.start()
+
+    @guarded
+    def _take_heard(self) -> None:
+        model, self._heard = self._heard, None
+        if model is None:
+            return
+        start = time.monotonic()
+        self._set_linked(True, "")
+        self._take_model(model, self.snapshot.nodes)
+        self._drawing.setInterval(min(1000, int((time.monotonic() - start) * 2000)))
+
+    def _take_model(self, model: ModelView, nodes: Tuple[PlainNode, ...]) -> None:
+        self._revision = model.revision
+        snapshot = Snapshot(model.nodelets, nodes)
+        if snapshot != self.snapshot:
+            self.snapshot = snapshot
+            self.changed.emit(snapshot)
+        if model.library_revision != self._library_revision:
+            self.read_library()
+
+    def _take_library(self, model: ModelView) -> None:
+        self._reading = False
+        self._library_revision = model.library_revision
+        library = {each.label: each for each in model.transformations}
+        if library != self.library:
+            self.library = library
+            self.library_changed.emit(library)
+
+    def _take_no_library(self, error: Exception) -> None:
+        self._reading = False
+        self._log_unexpected(error)
+
+    def _take_failure(self, error: Exception) -> None:
+        self._looking = False
+        self._log_unexpected(error)
+        self._library_revision = -1
+        self._set_linked(False, _words(error))
+
+    def _log_unexpected(self, error: Exception) -> None:
+        if not isinstance(error, DyKnowError):
+            _LOG.error("a look at the graph failed", exc_info=error)
+
+    def _set_linked(self, linked: bool, reason: str) -> None:
+        if linked != self.is_linked:
+            self.is_linked = linked
+            self.linked.emit(linked, reason)
+
+
+def _way_back(
+    change: Change, snapshot: Snapshot, library: Mapping[str, Transformation]
+) -> Union[Change, CannotUndo]:
+    try:
+        return change.inverse(snapshot, library)
+    except CannotUndo as error:
+        return error
+
+
+def _words(error: Any) -> str:
+    if isinstance(error, (HostError, PeerTimeout, DyKnowError, OSError)):
+        return str(error)
+    return f"{type(error).__name__}: {error}"

@@ -1,0 +1,1 @@
+"""The tabs of the control panel, one a module."""

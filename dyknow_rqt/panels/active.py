@@ -1,0 +1,103 @@
+"""The tab Active: what runs."""
+
+from __future__ import annotations
+
+from typing import Optional, Sequence
+
+from python_qt_binding.QtCore import Signal
+from python_qt_binding.QtWidgets import QHBoxLayout, QPushButton, QVBoxLayout, QWidget
+
+from dyknow.manager.model import State
+from dyknow.manager.transformation import IN
+from dyknow_rqt.graph.changes import DestroyNodelet, Protect
+from dyknow_rqt.graph.snapshot import Snapshot
+from dyknow_rqt.guard import guarded
+from dyknow_rqt.monitor import Monitor
+from dyknow_rqt.panels.tables import Table
+from dyknow_rqt.status_line import StatusLine
+
+_TITLES = ("Nodelet", "Transformation", "In", "Out", "State", "Manager")
+
+
+class ActivePanel(QWidget):
+    """Nodelets with their transformations and ports; ends them, protects them."""
+
+    #: Nodelets were selected: their names.
+    chosen = Signal(object)
+
+    def __init__(
+        self, monitor: Monitor, line: StatusLine, parent: Optional[QWidget] = None
+    ) -> None:
+        super().__init__(parent)
+        self._monitor, self._line = monitor, line
+        self.report = line.report
+        self.table = Table(_TITLES, "Active nodelets")
+        self.destroy = QPushButton("Des&troy …")
+        self.protect = QPushButton("&Protect")
+        row = QHBoxLayout()
+        row.addStretch(1)
+        row.addWidget(self.protect)
+        row.addWidget(self.destroy)
+        column = QVBoxLayout(self)
+        column.addWidget(self.table)
+        column.addLayout(row)
+        self.destroy.clicked.connect(self._destroy_chosen)
+        self.protect.clicked.connect(self._protect_chosen)
+        self.table.selectionModel().selectionChanged.connect(self._follow_selection)
+        self.table.picked.connect(self.chosen)
+        monitor.changed.connect(self._show)
+        self.table.on_delete(self._destroy_chosen)
+        self._follow_selection()
+
+    def ask_to_destroy(self, names: Sequence[str]) -> None:
+        """Ask whether nodelets are to be destroyed, and do so if yes."""
+        what = names[0] if len(names) == 1 else f"{len(names)} nodelets ({', '.join(names)})"
+        self._line.ask(f"Destroy {what}?", "Destroy", lambda: self._destroy(list(names)))
+
+    @guarded
+    def _destroy_chosen(self) -> None:
+        names = self.table.chosen()
+        if names:
+            self.ask_to_destroy(names)
+
+    def _destroy(self, names: Sequence[str]) -> None:
+        """One after the other; one that is refused ends it."""
+        if names:
+            self._monitor.do(DestroyNodelet(names[0]), lambda: self._destroy(names[1:]))
+
+    @guarded
+    def _protect_chosen(self) -> None:
+        for name in self.table.chosen()[:1]:
+            nodelet = self._monitor.snapshot.nodelet(name)
+            if nodelet is not None:
+                self._monitor.do(Protect(name, not nodelet.is_protected))
+
+    @guarded
+    def _show(self, snapshot: Snapshot) -> None:
+        rows = []
+        for nodelet in snapshot.nodelets:
+            inputs = sum(port.direction == IN for port in nodelet.ports)
+            words = [nodelet.state.name.lower()] if nodelet.state is not State.RUNNING else []
+            words += ["protected"] if nodelet.is_protected else []
+            words += ["C++"] if nodelet.rewired_by_reload else []
+            cells = (
+                nodelet.name,
+                nodelet.transformation or "(by others)",
+                str(inputs),
+                str(len(nodelet.ports) - inputs),
+                ", ".join(words) or "running",
+                nodelet.manager,
+            )
+            rows.append((cells, nodelet.detail))
+        self.table.show_rows(rows)
+        self._follow_selection()
+
+    @guarded
+    def _follow_selection(self) -> None:
+        names = self.table.chosen()
+        nodelets = [self._monitor.snapshot.nodelet(name) for name in names]
+        protected = [each for each in nodelets if each is not None and each.is_protected]
+        self.destroy.setEnabled(bool(names) and not protected)
+        self.destroy.setToolTip("Release them from protection first" if protected else "Delete")
+        self.protect.setEnabled(len(names) == 1)
+        self.protect.setText("&Release" if protected else "&Protect")

@@ -1,0 +1,239 @@
+"""The tab Connect: two ports over a topic that is chosen for them, or one port and a topic."""
+
+from __future__ import annotations
+
+from typing import Iterable, List, Optional
+
+from python_qt_binding.QtCore import QStringListModel, Qt
+from python_qt_binding.QtWidgets import (
+    QComboBox,
+    QCompleter,
+    QFormLayout,
+    QGroupBox,
+    QHBoxLayout,
+    QLabel,
+    QLineEdit,
+    QPushButton,
+    QVBoxLayout,
+    QWidget,
+)
+
+from dyknow.manager.model import PortState
+from dyknow.manager.transformation import IN, OUT
+from dyknow_rqt.graph.snapshot import PortRef, Snapshot
+from dyknow_rqt.graph.wiring import (
+    DoNotFit,
+    choose_topic,
+    connect,
+    connect_topic,
+    disconnect,
+    partners,
+    topics_for,
+)
+from dyknow_rqt.guard import guarded
+from dyknow_rqt.monitor import Monitor
+from dyknow_rqt.status_line import StatusLine
+
+
+class _PortChoice:
+    """Two boxes, a nodelet and one of its ports."""
+
+    def __init__(self, what: str) -> None:
+        self.nodelet, self.port = QComboBox(), QComboBox()
+        for box, name in ((self.nodelet, "nodelet"), (self.port, "port")):
+            box.setAccessibleName(f"{what} {name}")
+            box.setMinimumContentsLength(10)
+            box.setSizeAdjustPolicy(QComboBox.AdjustToMinimumContentsLengthWithIcon)
+
+    @property
+    def ref(self) -> Optional[PortRef]:
+        """The port that is chosen."""
+        port = self.port.currentData()
+        return PortRef(self.nodelet.currentText(), port) if port is not None else None
+
+    def offer_nodelets(self, names: Iterable[str]) -> None:
+        _refill(self.nodelet, [(name, name) for name in names])
+
+    def offer_ports(self, ports: Iterable[PortState]) -> None:
+        _refill(self.port, [(_words(port), port.name) for port in ports])
+
+    def choose(self, ref: PortRef) -> None:
+        self.nodelet.setCurrentText(ref.nodelet)
+        found = self.port.findData(ref.port)
+        if found >= 0:
+            self.port.setCurrentIndex(found)
+
+
+class ConnectPanel(QWidget):
+    """Offers only what fits."""
+
+    def __init__(
+        self, monitor: Monitor, line: StatusLine, parent: Optional[QWidget] = None
+    ) -> None:
+        super().__init__(parent)
+        self._monitor = monitor
+        self.report = line.report
+        self.source, self.sink, self.single = (
+            _PortChoice("From"),
+            _PortChoice("To"),
+            _PortChoice("Single"),
+        )
+        self.topic_chosen = QLabel()
+        self.topic_chosen.setTextInteractionFlags(Qt.TextSelectableByMouse)
+        self.topic_chosen.setWordWrap(True)
+        self.connect = QPushButton("Connect")
+        self.topic = QLineEdit()
+        self.topic.setPlaceholderText("/camera/image")
+        self._topics = QStringListModel(self)
+        self.topic.setCompleter(QCompleter(self._topics, self))
+        self.now = QLabel()
+        self.now.setWordWrap(True)
+        self.connect_topic = QPushButton("Connect")
+        self.disconnect_port = QPushButton("D&isconnect")
+        column = QVBoxLayout(self)
+        column.addWidget(self._two_ports())
+        column.addWidget(self._port_and_topic())
+        column.addStretch(1)
+        for choice in (self.source, self.sink, self.single):
+            choice.nodelet.currentIndexChanged.connect(self._follow)
+            choice.port.currentIndexChanged.connect(self._follow)
+        self.topic.textChanged.connect(self._follow)
+        self.topic.returnPressed.connect(self._connect_topic)
+        self.connect.clicked.connect(self._connect)
+        self.connect_topic.clicked.connect(self._connect_topic)
+        self.disconnect_port.clicked.connect(self._disconnect)
+        monitor.changed.connect(self._follow)
+        self._follow()
+
+    def begin(self, nodelet: str, port: str = "") -> None:
+        """Prepare to connect a nodelet, or one of its ports."""
+        snapshot = self._monitor.snapshot
+        found = snapshot.nodelet(nodelet)
+        if found is None or not found.ports:
+            return
+        state = (found.port(port) if port else None) or found.ports[-1]
+        ref = PortRef(nodelet, state.name)
+        if state.direction == IN:
+            # The source is chosen first, since only what fits it is offered for the other end.
+            for other in partners(snapshot, ref):
+                self.source.choose(other)
+                break
+            self.sink.choose(ref)
+        else:
+            self.source.choose(ref)
+        self.single.choose(ref)
+        self.source.nodelet.setFocus()
+
+    @guarded
+    def _connect(self) -> None:
+        source, sink = self.source.ref, self.sink.ref
+        if source is not None and sink is not None:
+            self._monitor.do(connect(self._monitor.snapshot, source, sink))
+
+    @guarded
+    def _connect_topic(self) -> None:
+        ref = self.single.ref
+        if ref is not None and self.topic.text().strip():
+            self._monitor.do(connect_topic(self._monitor.snapshot, ref, self.topic.text().strip()))
+
+    @guarded
+    def _disconnect(self) -> None:
+        ref = self.single.ref
+        if ref is not None:
+            self._monitor.do(disconnect(self._monitor.snapshot, (ref,)))
+
+    @guarded
+    def _follow(self) -> None:
+        """Offer what fits to what is chosen; choices stay where they can."""
+        snapshot = self._monitor.snapshot
+        self._offer(self.source, snapshot, lambda ref: _direction(snapshot, ref) == OUT)
+        fitting = set(partners(snapshot, self.source.ref)) if self.source.ref else set()
+        self._offer(self.sink, snapshot, lambda ref: ref in fitting)
+        self._offer(self.single, snapshot, lambda ref: True)
+        self._show_choice(snapshot)
+        ref = self.single.ref
+        port = snapshot.port(ref) if ref is not None else None
+        self.now.setText((port.topic or "not connected") if port is not None else "–")
+        self._topics.setStringList(topics_for(snapshot, ref) if ref is not None else [])
+        self.disconnect_port.setEnabled(port is not None and bool(port.topic))
+        self.connect_topic.setEnabled(port is not None and bool(self.topic.text().strip()))
+
+    def _show_choice(self, snapshot: Snapshot) -> None:
+        source, sink = self.source.ref, self.sink.ref
+        text, possible = "–", False
+        if source is not None and sink is not None:
+            try:
+                text = choose_topic(snapshot, source, sink)
+            except DoNotFit as error:
+                text = str(error)
+            else:
+                ends = snapshot.port(source), snapshot.port(sink)
+                possible = any(end is not None and end.topic != text for end in ends)
+                text += "" if possible else "  (connected already)"
+        self.topic_chosen.setText(text)
+        self.connect.setEnabled(possible)
+
+    def _offer(self, choice: _PortChoice, snapshot: Snapshot, fits) -> None:  # type: ignore[no-untyped-def]
+        """Offer the ports that fit, and the nodelets that have some."""
+        ports = {
+            nodelet.name: [p for p in nodelet.ports if fits(PortRef(nodelet.name, p.name))]
+            for nodelet in snapshot.nodelets
+        }
+        choice.offer_nodelets(name for name in sorted(ports) if ports[name])
+        choice.offer_ports(ports.get(choice.nodelet.currentText(), []))
+
+    def _two_ports(self) -> QWidget:
+        box = QGroupBox("Two nodelets")
+        form = _form(box)
+        form.addRow("From:", self.source.nodelet)
+        form.addRow("port:", self.source.port)
+        form.addRow("&To:", self.sink.nodelet)
+        form.addRow("port:", self.sink.port)
+        form.addRow("over topic:", self.topic_chosen)
+        form.addRow("", self.connect)
+        return box
+
+    def _port_and_topic(self) -> QWidget:
+        box = QGroupBox("One port and a topic")
+        form = _form(box)
+        form.addRow("Nodelet:", self.single.nodelet)
+        form.addRow("port:", self.single.port)
+        form.addRow("now:", self.now)
+        form.addRow("To&pic:", self.topic)
+        row = QHBoxLayout()
+        row.addWidget(self.connect_topic)
+        row.addWidget(self.disconnect_port)
+        form.addRow("", row)
+        return box
+
+
+def _form(box: QGroupBox) -> QFormLayout:
+    form = QFormLayout(box)
+    form.setFieldGrowthPolicy(QFormLayout.AllNonFixedFieldsGrow)
+    form.setLabelAlignment(Qt.AlignRight | Qt.AlignVCenter)
+    return form
+
+
+def _direction(snapshot: Snapshot, ref: PortRef) -> str:
+    port = snapshot.port(ref)
+    return port.direction if port is not None else ""
+
+
+def _words(port: PortState) -> str:
+    arrow = "→" if port.direction == OUT else "←"
+    return f"{arrow} {port.name}" + (f"  [{port.datatype}]" if port.datatype else "")
+
+
+def _refill(box: QComboBox, wanted: List) -> None:  # type: ignore[type-arg]
+    """Put other entries into a box; the chosen one stays chosen if it is among them."""
+    present = [(box.itemText(i), box.itemData(i)) for i in range(box.count())]
+    if present == wanted:
+        return
+    chosen = box.currentData()
+    box.blockSignals(True)
+    box.clear()
+    for text, data in wanted:
+        box.addItem(text, data)
+    found = box.findData(chosen) if chosen is not None else -1
+    box.setCurrentIndex(found if found >= 0 else (0 if wanted else -1))
+    box.blockSignals(False)

@@ -1,0 +1,149 @@
+"""The tab Create: makes a nodelet of a transformation."""
+
+from __future__ import annotations
+
+import re
+from typing import Mapping, Optional
+
+from python_qt_binding.QtCore import QStringListModel, Qt
+from python_qt_binding.QtWidgets import (
+    QCheckBox,
+    QComboBox,
+    QCompleter,
+    QFormLayout,
+    QLabel,
+    QLineEdit,
+    QPushButton,
+    QVBoxLayout,
+    QWidget,
+)
+
+from dyknow import names
+from dyknow.manager.transformation import NODELET, Transformation
+from dyknow_rqt.graph.changes import SpawnNodelet
+from dyknow_rqt.graph.snapshot import Snapshot
+from dyknow_rqt.guard import guarded
+from dyknow_rqt.monitor import Monitor
+from dyknow_rqt.status_line import StatusLine
+
+_ANY = "(the manager's choice)"
+
+
+class CreatePanel(QWidget):
+    """Name, transformation, protection, process."""
+
+    def __init__(
+        self, monitor: Monitor, line: StatusLine, parent: Optional[QWidget] = None
+    ) -> None:
+        super().__init__(parent)
+        self._monitor, self._line = monitor, line
+        self.report = line.report
+        self.name = QLineEdit()
+        self.name.setPlaceholderText("/robot/ball_detector")
+        self.label = QComboBox()
+        self._labels = QStringListModel(self)
+        self.label.setModel(self._labels)
+        self.label.setEditable(True)
+        self.label.setInsertPolicy(QComboBox.NoInsert)
+        self.label.setMinimumContentsLength(12)
+        self.label.setSizeAdjustPolicy(QComboBox.AdjustToMinimumContentsLengthWithIcon)
+        self.label.completer().setCompletionMode(QCompleter.PopupCompletion)
+        self.label.completer().setFilterMode(Qt.MatchContains)
+        self.label.setCurrentText("")
+        self.is_protected = QCheckBox("&Protected from being destroyed")
+        self.isolated = QCheckBox("In a process of its o&wn")
+        self.manager = QComboBox()
+        self.manager.setEditable(True)
+        self.manager.addItem(_ANY)
+        self.ports = QLabel()
+        self.ports.setTextFormat(Qt.PlainText)
+        self.ports.setWordWrap(True)
+        self.create = QPushButton("Create")
+        form = QFormLayout()
+        form.setFieldGrowthPolicy(QFormLayout.AllNonFixedFieldsGrow)
+        form.addRow("&Transformation:", self.label)
+        form.addRow("Na&me:", self.name)
+        form.addRow("", self.is_protected)
+        form.addRow("", self.isolated)
+        form.addRow("Nodelet manager:", self.manager)
+        form.addRow("Ports:", self.ports)
+        form.addRow("", self.create)
+        column = QVBoxLayout(self)
+        column.addLayout(form)
+        column.addStretch(1)
+        monitor.library_changed.connect(self._show_library)
+        monitor.changed.connect(self._show_managers)
+        monitor.settled.connect(self._follow)
+        self.create.clicked.connect(self._create)
+        self.name.returnPressed.connect(self._create)
+        self.name.textChanged.connect(self._follow)
+        self.label.currentTextChanged.connect(self._follow)
+        self.isolated.toggled.connect(self._follow)
+        self._follow()
+
+    def begin(self, label: str = "") -> None:
+        """Prepare for a nodelet of a transformation."""
+        if label:
+            self.label.setCurrentText(label)
+            self.name.setText(self._proposal(label))
+            self.name.setFocus()
+            self.name.selectAll()
+        else:
+            self.label.setFocus()
+
+    @guarded
+    def _create(self) -> None:
+        if not self.create.isEnabled():
+            return
+        name, manager = names.check(self.name.text().strip()), self.manager.currentText().strip()
+        change = SpawnNodelet(
+            self.label.currentText().strip(),
+            name,
+            is_protected=self.is_protected.isChecked(),
+            isolated=self.isolated.isChecked(),
+            manager="" if manager == _ANY or self.isolated.isChecked() else manager,
+        )
+        self.create.setEnabled(False)
+        self.create.setText("Creating …")
+        self._monitor.do(change, self.name.clear)
+
+    @guarded
+    def _follow(self) -> None:
+        library = self._monitor.library
+        transformation = library.get(self.label.currentText().strip())
+        self.create.setText("Create")
+        self.create.setEnabled(transformation is not None and bool(self.name.text().strip()))
+        self.manager.setEnabled(not self.isolated.isChecked())
+        lines = [
+            f"{port.direction}  {port.name}  {port.datatype}".rstrip()
+            for port in (transformation.ports if transformation is not None else ())
+        ]
+        self.ports.setText("\n".join(lines) or "–")
+
+    @guarded
+    def _show_library(self, library: Mapping[str, Transformation]) -> None:
+        text = self.label.currentText()
+        self.label.blockSignals(True)
+        labels = sorted(label for label, each in library.items() if each.type == NODELET)
+        self._labels.setStringList(labels)
+        self.label.setCurrentText(text)
+        self.label.blockSignals(False)
+        self._follow()
+
+    @guarded
+    def _show_managers(self, snapshot: Snapshot) -> None:
+        found = sorted({each.manager for each in snapshot.nodelets if not each.isolated})
+        if found != [self.manager.itemText(i) for i in range(1, self.manager.count())]:
+            text = self.manager.currentText()
+            self.manager.clear()
+            self.manager.addItems([_ANY, *found])
+            self.manager.setCurrentText(text)
+
+    def _proposal(self, label: str) -> str:
+        """A name after the label that is not taken: /camera for camera(nao1, top)."""
+        wish = re.sub(r"[^A-Za-z0-9_/]+", "_", label).strip("_/") or "nodelet"
+        wish = "/" + (wish if wish[0].isalpha() else f"n{wish}")
+        name, number = wish, 2
+        while self._monitor.snapshot.nodelet(name) is not None:
+            name, number = f"{wish}_{number}", number + 1
+        return name

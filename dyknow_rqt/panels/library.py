@@ -1,0 +1,156 @@
+"""The tab Library: what can run."""
+
+from __future__ import annotations
+
+from typing import Mapping, Optional
+
+from python_qt_binding.QtCore import Qt, Signal
+from python_qt_binding.QtGui import QFont
+from python_qt_binding.QtWidgets import (
+    QFileDialog,
+    QHBoxLayout,
+    QLineEdit,
+    QPlainTextEdit,
+    QPushButton,
+    QSplitter,
+    QVBoxLayout,
+    QWidget,
+)
+
+from dyknow.manager.transformation import IN, Transformation
+from dyknow_rqt.graph.library_changes import (
+    AddTransformations,
+    as_specification,
+    remove_transformations,
+)
+from dyknow_rqt.guard import guarded
+from dyknow_rqt.monitor import Monitor
+from dyknow_rqt.panels.tables import Table
+from dyknow_rqt.status_line import StatusLine
+
+_FILES = "Specifications (*.xml);;All files (*)"
+
+
+class LibraryPanel(QWidget):
+    """Transformations by label; imports, exports and deletes them."""
+
+    #: A nodelet of a transformation is wanted: the label.
+    create_wanted = Signal(str)
+
+    def __init__(
+        self, monitor: Monitor, line: StatusLine, parent: Optional[QWidget] = None
+    ) -> None:
+        super().__init__(parent)
+        self._monitor, self._line = monitor, line
+        self.report = line.report
+        self.search = QLineEdit()
+        self.search.setPlaceholderText("label")
+        self.search.setClearButtonEnabled(True)
+        self.search.setAccessibleName("Find a transformation")
+        self.table = Table(("Label", "Source", "In", "Out", "Cost"), "Transformations")
+        self.specification = QPlainTextEdit()
+        self.specification.setReadOnly(True)
+        self.specification.setTabChangesFocus(True)
+        self.specification.setLineWrapMode(QPlainTextEdit.NoWrap)
+        fixed = QFont("monospace", self.font().pointSize())
+        fixed.setStyleHint(QFont.Monospace)
+        self.specification.setFont(fixed)
+        self.specification.setAccessibleName("Specification")
+        self.import_ = QPushButton("&Import …")
+        self.export = QPushButton("E&xport …")
+        self.delete = QPushButton("Delete …")
+        self.create = QPushButton("Ne&w nodelet …")
+        parts = QSplitter(Qt.Vertical)
+        parts.addWidget(self.table)
+        parts.addWidget(self.specification)
+        parts.setStretchFactor(0, 3)
+        parts.setStretchFactor(1, 2)
+        row = QHBoxLayout()
+        for button in (self.import_, self.export, self.delete, self.create):
+            row.addWidget(button)
+        column = QVBoxLayout(self)
+        column.addWidget(self.search)
+        column.addWidget(parts, 1)
+        column.addLayout(row)
+        monitor.library_changed.connect(self._show)
+        self.search.textChanged.connect(self.table.set_filter)
+        self.table.selectionModel().selectionChanged.connect(self._follow_selection)
+        self.import_.clicked.connect(self._ask_what_to_import)
+        self.export.clicked.connect(self._ask_where_to_export)
+        self.delete.clicked.connect(self._ask_to_delete)
+        self.create.clicked.connect(self._want_create)
+        self.table.on_delete(self._ask_to_delete)
+        self.table.doubleClicked.connect(self._want_create)
+        self._follow_selection()
+
+    def import_file(self, path: str) -> None:
+        """Have the manager read a specification.
+
+        Raises:
+            OSError: the file cannot be read.
+        """
+        with open(path, encoding="utf-8", errors="strict") as file:
+            text = file.read()
+        self._monitor.do(AddTransformations(text, path.rpartition("/")[2]))
+
+    def export_file(self, path: str) -> None:
+        """Write the transformations that are selected.
+
+        Raises:
+            OSError: the file cannot be written.
+        """
+        chosen = [self._monitor.library[label] for label in self.table.chosen()]
+        with open(path, "w", encoding="utf-8") as file:
+            file.write(as_specification(chosen))
+        self._line.note(f"{len(chosen)} transformations written to {path}")
+
+    @guarded
+    def _ask_what_to_import(self) -> None:
+        path, _ = QFileDialog.getOpenFileName(self, "Import transformations", "", _FILES)
+        if path:
+            self.import_file(path)
+
+    @guarded
+    def _ask_where_to_export(self) -> None:
+        name = "transformations.xml"
+        path, _ = QFileDialog.getSaveFileName(self, "Export transformations", name, _FILES)
+        if path:
+            self.export_file(path)
+
+    @guarded
+    def _ask_to_delete(self) -> None:
+        labels = self.table.chosen()
+        if labels:
+            change = remove_transformations(labels)
+            question = f"{change.text[0].upper()}{change.text[1:]} from the library?"
+            self._line.ask(question, "Delete", lambda: self._monitor.do(change))
+
+    @guarded
+    def _want_create(self) -> None:
+        for label in self.table.chosen()[:1]:
+            self.create_wanted.emit(label)
+
+    @guarded
+    def _show(self, library: Mapping[str, Transformation]) -> None:
+        rows = []
+        for label in sorted(library):
+            each = library[label]
+            inputs = sum(port.direction == IN for port in each.ports)
+            source = f"topic {each.source}" if each.type == "topic" else each.source
+            cells = (label, source, str(inputs), str(len(each.ports) - inputs), str(each.cost))
+            rows.append((cells, ""))
+        self.table.show_rows(rows)
+        self._follow_selection()
+
+    @guarded
+    def _follow_selection(self) -> None:
+        labels = self.table.chosen()
+        library = self._monitor.library
+        shown = [library[label] for label in labels[:20] if label in library]
+        text = "\n".join(each.to_xml() for each in shown)
+        if text != self.specification.toPlainText():
+            self.specification.setPlainText(text)
+        for button in (self.export, self.delete):
+            button.setEnabled(bool(labels))
+        spawnable = len(shown) == 1 and shown[0].type != "topic"
+        self.create.setEnabled(spawnable)

@@ -1,0 +1,262 @@
+"""The tab Streams: asks for streams by what they are about, shows what has become of them."""
+
+from __future__ import annotations
+
+import getpass
+import socket
+import time
+from typing import TYPE_CHECKING, Callable, Mapping, Optional
+
+from python_qt_binding.QtCore import QStringListModel, Qt, Signal
+from python_qt_binding.QtGui import QFont
+from python_qt_binding.QtWidgets import (
+    QCheckBox,
+    QCompleter,
+    QDoubleSpinBox,
+    QFormLayout,
+    QHBoxLayout,
+    QHeaderView,
+    QLineEdit,
+    QPlainTextEdit,
+    QPushButton,
+    QSplitter,
+    QVBoxLayout,
+    QWidget,
+)
+
+from dyknow.manager.claim import StreamRequest
+from dyknow.manager.transformation import OUT, Transformation
+from dyknow_rqt.graph.stream_changes import AcquireStream, ReleaseStream, ReplanStream
+from dyknow_rqt.guard import guarded
+from dyknow_rqt.monitor import Monitor
+from dyknow_rqt.panels.tables import Table
+from dyknow_rqt.status_line import StatusLine
+from dyknow_rqt.stream_watch import StreamWatch
+
+if TYPE_CHECKING:
+    from dyknow.ros.stream_views import ReplannedView, StreamEventView, StreamView
+
+#: The first is what rows are known by; it says nothing to people and is not shown.
+_TITLES = ("Claim", "Tag", "State", "Topic", "Type", "Client")
+_EVENTS_KEPT = 500
+
+
+class StreamsPanel(QWidget):
+    """Previews and acquires streams; releases and replans them; tells what becomes of them."""
+
+    #: A stream was selected: the names of its nodelets.
+    chosen = Signal(object)
+
+    def __init__(
+        self, monitor: Monitor, line: StatusLine, parent: Optional[QWidget] = None
+    ) -> None:
+        super().__init__(parent)
+        self._monitor, self._line = monitor, line
+        self.report = line.report
+        self.watch = StreamWatch(monitor)
+        self.tag, self.datatype, self.exclude = QLineEdit(), QLineEdit(), QLineEdit()
+        self.tag.setPlaceholderText("FieldPosition(ball)")
+        self.datatype.setPlaceholderText("any")
+        self.exclude.setPlaceholderText("labels, separated by ;")
+        self.exclude.setToolTip("Transformations that must not be used")
+        self._tags, self._types = QStringListModel(self), QStringListModel(self)
+        for field, model in ((self.tag, self._tags), (self.datatype, self._types)):
+            completer = QCompleter(model, self)
+            completer.setFilterMode(Qt.MatchContains)
+            completer.setCaseSensitivity(Qt.CaseInsensitive)
+            field.setCompleter(completer)
+        self.silence = QDoubleSpinBox()
+        self.silence.setRange(0.0, 3600.0)
+        self.silence.setSuffix(" s")
+        self.silence.setSpecialValueText("never")
+        self.silence.setToolTip("A part that is silent for longer counts as broken")
+        self.preview, self.acquire = QPushButton("&Preview"), QPushButton("Ac&quire")
+        self.plan = _text("Plan")
+        self.plan.setPlaceholderText("How the stream would be made is shown here")
+        self.table = Table(_TITLES, "Streams")
+        self.table.hideColumn(0)
+        self.table.sortByColumn(1, Qt.AscendingOrder)
+        self.table.horizontalHeader().setSectionResizeMode(1, QHeaderView.ResizeToContents)
+        self.ended = QCheckBox("Those that ended too")
+        self.replan, self.release = QPushButton("Replan …"), QPushButton("Release")
+        self.events = _text("Events of streams")
+        self.events.setMaximumBlockCount(_EVENTS_KEPT)
+        self.events.setLineWrapMode(QPlainTextEdit.WidgetWidth)
+        self.events.setPlaceholderText("What becomes of streams from now on is shown here")
+        self._arrange()
+        self._listen()
+        self._follow()
+
+    # Asking for streams
+
+    def request(self) -> StreamRequest:
+        """What the fields ask for."""
+        labels = (part.strip() for part in self.exclude.text().split(";"))
+        return StreamRequest(
+            tag=self.tag.text().strip(),
+            datatype=self.datatype.text().strip(),
+            client_id=f"window of {getpass.getuser()} on {socket.gethostname()}",
+            max_silence=self.silence.value(),
+            exclude=tuple(label for label in labels if label),
+        )
+
+    @guarded
+    def _preview(self) -> None:
+        self._explain(self.request(), lambda: None)
+
+    @guarded
+    def _acquire(self) -> None:
+        """The plan is asked for first: then the stream is there already."""
+        request = self.request()
+        self._explain(request, lambda: self._monitor.do(AcquireStream(request)))
+
+    def _explain(self, request: StreamRequest, then: Callable[[], None]) -> None:
+        """Show how a stream would be made, or why it cannot be."""
+        for field in (self.tag, self.datatype):
+            field.completer().popup().hide()
+
+        def show(text: str) -> None:
+            self.plan.setPlainText(text)
+            then()
+
+        if request.tag:
+            self.plan.setPlainText("…")
+            self._monitor.ask(
+                lambda remote: remote.acquire_stream(request, dry_run=True).plan, show, show
+            )
+
+    # What there is
+
+    @guarded
+    def _release(self) -> None:
+        """One after the other; one that is refused ends it."""
+        self._release_all(self.table.chosen())
+
+    def _release_all(self, claims: list[str]) -> None:
+        streams = [stream for stream in map(self.watch.stream, claims) if stream is not None]
+        if streams:
+            rest = [stream.claim_id for stream in streams[1:]]
+            change = ReleaseStream(streams[0].claim_id, streams[0].tag)
+            self._monitor.do(change, lambda: self._release_all(rest))
+
+    @guarded
+    def _replan(self) -> None:
+        """Show the way that is the cheapest now, and ask whether to take it."""
+        for claim_id in self.table.chosen()[:1]:
+            stream = self.watch.stream(claim_id)
+            if stream is not None:
+                self._ask_to_replan(stream)
+
+    def _ask_to_replan(self, stream: StreamView) -> None:
+        def ask(found: ReplannedView) -> None:
+            self.plan.setPlainText(found.plan)
+            change = ReplanStream(stream.claim_id, stream.tag)
+            self._line.ask(
+                f"Take this way for {stream.tag}, at a cost of {found.cost:g}?",
+                "Replan",
+                lambda: self._monitor.do(change),
+            )
+
+        self._monitor.ask(lambda remote: remote.replan_stream(stream.claim_id, dry_run=True), ask)
+
+    @guarded
+    def _show_streams(self) -> None:
+        rows = []
+        for each in self.watch.streams:
+            if not each.state.ended or self.ended.isChecked():
+                state, topic = each.state.name.lower(), each.topic or "–"
+                cells = (
+                    *(each.claim_id, each.tag, state, topic),
+                    *(each.datatype or "–", each.client_id),
+                )
+                more = [f"claim {each.claim_id}", each.detail, *each.nodelets]
+                rows.append((cells, "\n".join(part for part in more if part)))
+        self.table.show_rows(rows)
+        self._follow()
+
+    @guarded
+    def _show_event(self, event: StreamEventView) -> None:
+        before = event.before.state.name.lower() + " → " if event.before is not None else ""
+        moment = time.strftime("%H:%M:%S", time.localtime(event.stamp))
+        self.events.appendPlainText(
+            f"{moment}  {event.after.tag}: {before}{event.after.state.name.lower()}"
+            + (f" ({event.reason})" if event.reason else "")
+        )
+
+    @guarded
+    def _show_library(self, library: Mapping[str, Transformation]) -> None:
+        outputs = [p for each in library.values() for p in each.ports if p.direction == OUT]
+        self._tags.setStringList(sorted({tag for port in outputs for tag in port.tags}))
+        self._types.setStringList(sorted({p.datatype for p in outputs} - {"", "*"}))
+
+    @guarded
+    def _follow(self) -> None:
+        for button in (self.preview, self.acquire):
+            button.setEnabled(bool(self.tag.text().strip()))
+        found = map(self.watch.stream, self.table.chosen())
+        streams = [stream for stream in found if stream is not None and not stream.state.ended]
+        self.release.setEnabled(bool(streams))
+        self.replan.setEnabled(len(streams) == 1)
+
+    @guarded
+    def _choose(self) -> None:
+        self._follow()
+        found = map(self.watch.stream, self.table.chosen())
+        self.chosen.emit([name for each in found if each is not None for name in each.nodelets])
+
+    # Inside
+
+    def _listen(self) -> None:
+        self.tag.textChanged.connect(self._follow)
+        for field in (self.tag, self.datatype, self.exclude):
+            field.returnPressed.connect(self._preview)
+        self.preview.clicked.connect(self._preview)
+        self.acquire.clicked.connect(self._acquire)
+        self.release.clicked.connect(self._release)
+        self.replan.clicked.connect(self._replan)
+        self.ended.toggled.connect(self._show_streams)
+        self.table.picked.connect(self._choose)
+        self.table.on_delete(self._release)
+        self.watch.changed.connect(self._show_streams)
+        self._monitor.stream_event.connect(self._show_event)
+        self._monitor.library_changed.connect(self._show_library)
+
+    def _arrange(self) -> None:
+        form = QFormLayout()
+        form.setFieldGrowthPolicy(QFormLayout.AllNonFixedFieldsGrow)
+        form.addRow("&Tag:", self.tag)
+        form.addRow("Type:", self.datatype)
+        form.addRow("W&ithout:", self.exclude)
+        form.addRow("Silent at &most:", self.silence)
+        asking, having = QHBoxLayout(), QHBoxLayout()
+        for widget in (self.preview, self.acquire):
+            asking.addWidget(widget)
+        form.addRow("", asking)
+        having.addWidget(self.ended)
+        having.addStretch(1)
+        for widget in (self.replan, self.release):
+            having.addWidget(widget)
+        middle = QWidget()
+        column = QVBoxLayout(middle)
+        column.setContentsMargins(0, 0, 0, 0)
+        column.addWidget(self.table)
+        column.addLayout(having)
+        parts = QSplitter(Qt.Vertical)
+        for part, stretch in ((self.plan, 3), (middle, 2), (self.events, 2)):
+            parts.addWidget(part)
+            parts.setStretchFactor(parts.count() - 1, stretch)
+        whole = QVBoxLayout(self)
+        whole.addLayout(form)
+        whole.addWidget(parts, 1)
+
+
+def _text(name: str) -> QPlainTextEdit:
+    text = QPlainTextEdit()
+    text.setReadOnly(True)
+    text.setTabChangesFocus(True)
+    text.setLineWrapMode(QPlainTextEdit.NoWrap)
+    fixed = QFont("monospace", text.font().pointSize())
+    fixed.setStyleHint(QFont.Monospace)
+    text.setFont(fixed)
+    text.setAccessibleName(name)
+    return text

@@ -1,0 +1,180 @@
+"""Tables that keep selection and place when their contents change, however long they are."""
+
+from __future__ import annotations
+
+from typing import Any, Callable, Dict, Iterable, List, Optional, Sequence, Tuple, Union
+
+from python_qt_binding.QtCore import QAbstractTableModel, QItemSelection, QModelIndex, Qt, Signal
+from python_qt_binding.QtGui import QKeySequence
+from python_qt_binding.QtWidgets import (
+    QAbstractItemView,
+    QAction,
+    QHeaderView,
+    QTableView,
+    QWidget,
+)
+
+from dyknow_rqt.guard import guarded
+
+#: Rows that decide how wide columns are.
+_SAMPLED = 200
+#: Pixels that the first columns may take by themselves.
+_WIDEST = (160, 115)
+#: What a row shows, and what it tells besides when the pointer rests on it.
+Row = Tuple[Tuple[str, ...], str]
+
+
+class _Rows(QAbstractTableModel):
+    """Sorts and filters its rows itself: through a proxy each comparison would be a call."""
+
+    def __init__(self, titles: Sequence[str], parent: QWidget) -> None:
+        super().__init__(parent)
+        self._titles = titles
+        self.all: List[Row] = []
+        self.shown: List[Row] = []
+        self.places: Dict[str, int] = {}
+        self._column, self._backwards, self._filter = 0, False, ""
+
+    def replace(self, rows: Sequence[Row]) -> None:
+        """Take other rows."""
+        self.all = list(rows)
+        self._arrange()
+
+    def set_filter(self, text: str) -> None:
+        """Show rows only whose first cell holds a text."""
+        self._filter = text.lower()
+        self._arrange()
+
+    def sort(self, column: int, order: int = Qt.AscendingOrder) -> None:
+        """Sort by a column; numbers as numbers."""
+        self._column, self._backwards = column, order == Qt.DescendingOrder
+        self._arrange()
+
+    def rowCount(self, parent: QModelIndex = QModelIndex()) -> int:  # noqa: B008, N802
+        """Number of rows."""
+        return 0 if parent.isValid() else len(self.shown)
+
+    def columnCount(self, parent: QModelIndex = QModelIndex()) -> int:  # noqa: B008, N802
+        """Number of columns."""
+        return len(self._titles)
+
+    def data(self, index: QModelIndex, role: int = Qt.DisplayRole) -> Any:
+        """Text and tool tip of a cell."""
+        if role not in (Qt.DisplayRole, Qt.ToolTipRole):
+            return None
+        cells, more = self.shown[index.row()]
+        text = cells[index.column()]
+        return text if role == Qt.DisplayRole else "\n".join(part for part in (text, more) if part)
+
+    def headerData(  # noqa: N802
+        self, section: int, orientation: int, role: int = Qt.DisplayRole
+    ) -> Any:
+        """Titles."""
+        if role == Qt.DisplayRole and orientation == Qt.Horizontal:
+            return self._titles[section]
+        return None
+
+    def _arrange(self) -> None:
+        def key(row: Row) -> Tuple[bool, Union[int, str], str]:
+            cell = row[0][self._column]
+            return (False, int(cell), row[0][0]) if cell.isdigit() else (True, cell, row[0][0])
+
+        self.beginResetModel()
+        rows = [row for row in self.all if self._filter in row[0][0].lower()]
+        self.shown = sorted(rows, key=key, reverse=self._backwards)
+        self.places = {row[0][0]: place for place, row in enumerate(self.shown)}
+        self.endResetModel()
+
+
+class Table(QTableView):
+    """Rows are known by their first cell."""
+
+    #: Other rows are selected, and not because the contents changed: their first cells.
+    picked = Signal(object)
+
+    def __init__(self, titles: Sequence[str], name: str, parent: Optional[QWidget] = None) -> None:
+        super().__init__(parent)
+        self._rows = _Rows(titles, self)
+        self._has_widths = self._refilling = False
+        self.setModel(self._rows)
+        self.setSelectionBehavior(QAbstractItemView.SelectRows)
+        self.setSelectionMode(QAbstractItemView.ExtendedSelection)
+        self.setHorizontalScrollMode(QAbstractItemView.ScrollPerPixel)
+        self.setTabKeyNavigation(False)
+        self.setShowGrid(False)
+        self.setWordWrap(False)
+        self.setAlternatingRowColors(True)
+        self.setAccessibleName(name)
+        self.verticalHeader().hide()
+        self.verticalHeader().setDefaultSectionSize(self.fontMetrics().height() + 8)
+        header = self.horizontalHeader()
+        header.setHighlightSections(False)
+        header.setMinimumSectionSize(24)
+        header.setResizeContentsPrecision(_SAMPLED)
+        header.setDefaultAlignment(Qt.AlignLeft | Qt.AlignVCenter)
+        for column in range(len(_WIDEST), len(titles)):
+            header.setSectionResizeMode(column, QHeaderView.ResizeToContents)
+        header.setSortIndicator(0, Qt.AscendingOrder)
+        self.setSortingEnabled(True)
+
+    def on_delete(self, function: Callable[[], None]) -> None:
+        """Call something when the Delete key is pressed."""
+        action = QAction(self)
+        action.setShortcut(QKeySequence(Qt.Key_Delete))
+        action.setShortcutContext(Qt.WidgetShortcut)
+        action.triggered.connect(function)
+        self.addAction(action)
+
+    def show_rows(self, rows: Sequence[Row]) -> None:
+        """Show other rows; what is selected stays so, and nothing scrolls."""
+        if list(rows) == self._rows.all:
+            return
+        chosen, top = self.chosen(), self.verticalScrollBar().value()
+        current = self._name(self.currentIndex().row()) if self.currentIndex().isValid() else None
+        self._refilling = True
+        self._rows.replace(rows)
+        if rows and not self._has_widths:
+            self._has_widths = True
+            for column, widest in enumerate(_WIDEST):
+                contents = min(widest, self.sizeHintForColumn(column) + 12)
+                title = self.horizontalHeader().sectionSizeHint(column)
+                self.setColumnWidth(column, max(contents, title))
+        self.choose(chosen, current)
+        self._refilling = False
+        self.verticalScrollBar().setValue(top)
+
+    def set_filter(self, text: str) -> None:
+        """Show rows only whose first cell holds a text."""
+        self._rows.set_filter(text)
+
+    def chosen(self) -> List[str]:
+        """First cells of the rows that are selected, from top to bottom."""
+        rows = sorted(index.row() for index in self.selectionModel().selectedRows())
+        return [self._name(row) for row in rows]
+
+    def names(self) -> List[str]:
+        """First cells of all rows that are shown, from top to bottom."""
+        return [row[0][0] for row in self._rows.shown]
+
+    def choose(self, names: Iterable[str], current: Optional[str] = None) -> None:
+        """Select rows, and make one the current."""
+        selection = self.selectionModel()
+        places = [self._rows.places[name] for name in names if name in self._rows.places]
+        if current in self._rows.places:
+            places_of_current = [self._rows.places[str(current)]]
+        else:
+            places_of_current = places[:1]
+        for place in places_of_current:
+            selection.setCurrentIndex(self._rows.index(place, 0), selection.NoUpdate)
+        for place in places:
+            selection.select(self._rows.index(place, 0), selection.Select | selection.Rows)
+
+    @guarded
+    def selectionChanged(self, now: QItemSelection, before: QItemSelection) -> None:  # noqa: N802
+        """Tell which rows are selected."""
+        super().selectionChanged(now, before)
+        if not self._refilling:
+            self.picked.emit(self.chosen())
+
+    def _name(self, row: int) -> str:
+        return self._rows.shown[row][0][0]

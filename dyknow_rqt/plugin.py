@@ -1,0 +1,48 @@
+"""The plugin of rqt; the one module that knows rqt."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rqt_gui_py.plugin import Plugin
+
+from dyknow_rqt.ros_remote import RosRemote
+from dyknow_rqt.window import DyKnowWidget
+
+_KEY = "dyknow"
+
+
+class DyKnowPlugin(Plugin):
+    """Docks the window into rqt, which has made the process a node already."""
+
+    def __init__(self, context: Any) -> None:
+        super().__init__(context)
+        self.setObjectName("DyKnowPlugin")
+        self._widget = DyKnowWidget(RosRemote(_manager(context.argv())))
+        if context.serial_number() > 1:
+            self._widget.setWindowTitle(f"DyKnow ({context.serial_number()})")
+        context.add_widget(self._widget)
+        self._widget.start()
+
+    def shutdown_plugin(self) -> None:
+        """Leave nothing running."""
+        self._widget.shut_down()
+
+    def save_settings(self, plugin_settings: Any, instance_settings: Any) -> None:
+        """Keep filters, options and the place of the splitter."""
+        for name, value in self._widget.state().items():
+            instance_settings.set_value(f"{_KEY}_{name}", value)
+
+    def restore_settings(self, plugin_settings: Any, instance_settings: Any) -> None:
+        """Take them up again."""
+        names = self._widget.state()
+        found = {name: instance_settings.value(f"{_KEY}_{name}") for name in names}
+        self._widget.restore({name: value for name, value in found.items() if value is not None})
+
+
+def _manager(argv: Any) -> str:
+    """Name of the manager: ``rqt --args --manager NAME``; the usual one if not given."""
+    words = list(argv)
+    if "--manager" in words[:-1]:
+        return str(words[words.index("--manager") + 1])
+    return "dyknow_manager"

@@ -1,0 +1,179 @@
+"""``make screenshots``: takes the pictures of the documentation, from a graph that is made up.
+
+It needs neither a screen nor ROS processes.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from typing import Callable, List, Optional
+
+from python_qt_binding.QtCore import QEvent, QPointF, Qt
+from python_qt_binding.QtGui import QColor, QFontDatabase, QPalette
+from python_qt_binding.QtTest import QTest
+from python_qt_binding.QtWidgets import QApplication, QStyleFactory
+
+from dyknow_rqt.graph.snapshot import PortRef
+from dyknow_rqt.soccer_graph import soccer
+from dyknow_rqt.window import DyKnowWidget
+
+
+def dressed(application: QApplication) -> QApplication:
+    """Let it look the same on every machine."""
+    application.setStyle(QStyleFactory.create("Fusion"))
+    application.setFont(_font())
+    return application
+
+
+def dark_palette() -> QPalette:
+    """A palette as dark themes have it."""
+    palette = QPalette(QColor("#31363b"), QColor("#2b2f33"))
+    for role, colour in (
+        (QPalette.Base, "#1f2326"),
+        (QPalette.AlternateBase, "#26292d"),
+        (QPalette.Text, "#e6e8ea"),
+        (QPalette.WindowText, "#e6e8ea"),
+        (QPalette.ButtonText, "#e6e8ea"),
+        (QPalette.Highlight, "#3d8fd1"),
+        (QPalette.HighlightedText, "#ffffff"),
+        (QPalette.ToolTipBase, "#31363b"),
+        (QPalette.ToolTipText, "#e6e8ea"),
+    ):
+        palette.setColor(QPalette.All, role, QColor(colour))
+    for role in (QPalette.Text, QPalette.WindowText, QPalette.ButtonText):
+        palette.setColor(QPalette.Disabled, role, QColor("#7b8085"))
+    return palette
+
+
+def wait(condition: Callable[[], object], seconds: float, what: str) -> None:
+    """Let the window live until something holds.
+
+    Raises:
+        TimeoutError: it does not, in time.
+    """
+    end = time.monotonic() + seconds
+    while not condition():
+        if time.monotonic() > end:
+            raise TimeoutError(f"not within {seconds:g} s: {what}")
+        QTest.qWait(20)
+
+
+def main(argv: Optional[List[str]] = None) -> int:
+    """Take all pictures into the folder that is given; returns the exit code."""
+    words = list(argv if argv is not None else sys.argv)
+    folder = words[1] if words[1:] else os.path.join("doc", "images")
+    os.makedirs(folder, exist_ok=True)
+    application = dressed(QApplication(words[:1]))
+    light = QPalette(application.palette())
+    for name, palette, pose in (
+        ("graph", light, _pose_graph),
+        ("highlight", light, _pose_highlight),
+        ("nodelets_only", light, _pose_nodelets_only),
+        ("library", light, _pose_library),
+        ("create", light, _pose_create),
+        ("connect", light, _pose_connect),
+        ("dark", dark_palette(), _pose_dark),
+    ):
+        application.setPalette(palette)
+        _take(os.path.join(folder, f"gui_{name}.png"), pose)
+        print(f"screenshots: {folder}/gui_{name}.png")
+    return 0
+
+
+def _take(path: str, pose: Callable[[DyKnowWidget], None]) -> None:
+    widget = DyKnowWidget(soccer())
+    widget.resize(1600, 760)
+    widget.show()
+    widget.start()
+    try:
+        wait(lambda: len(widget.graph.drawn.vertices) > 15, 20.0, "the graph is drawn")
+        wait(lambda: widget.monitor.library, 10.0, "the library is there")
+        pose(widget)
+        wait(lambda: _has_rates(widget), 20.0, "the rates are there")
+        QTest.qWait(300)
+        if not widget.grab().save(path):
+            raise OSError(f"cannot write '{path}'")
+    finally:
+        widget.shut_down()
+        widget.close()
+        widget.deleteLater()
+        QTest.qWait(50)
+
+
+def _has_rates(widget: DyKnowWidget) -> bool:
+    traffic = [item.traffic for item in widget.graph.view.scene().edges.values()]
+    return any(each is not None and each.drop_rate > 0 for each in traffic)
+
+
+def _pose_graph(widget: DyKnowWidget) -> None:
+    widget.graph.bar.nodes.setChecked(True)
+    wait(lambda: len(widget.graph.drawn.vertices) > 20, 10.0, "nodes are shown")
+    widget.graph.tidy()
+    QTest.qWait(500)
+    widget.active.table.choose(["/nao1/ball_detector"])
+
+
+def _pose_highlight(widget: DyKnowWidget) -> None:
+    view = widget.graph.view
+    QTest.qWait(300)
+    view.scene().highlight("n_/nao1/subsampler")
+
+
+def _pose_nodelets_only(widget: DyKnowWidget) -> None:
+    widget.graph.bar.mode.setCurrentIndex(1)
+    QTest.qWait(500)
+    widget.graph.tidy()
+    QTest.qWait(500)
+
+
+def _pose_library(widget: DyKnowWidget) -> None:
+    widget.tabs.setCurrentWidget(widget.library)
+    widget.library.table.choose(["ball_detector(nao1)"])
+
+
+def _pose_create(widget: DyKnowWidget) -> None:
+    widget.tabs.setCurrentWidget(widget.create_)
+    widget.create_.begin("tracker")
+
+
+def _pose_connect(widget: DyKnowWidget) -> None:
+    """A connection half drawn by hand, and the same in the panel."""
+    widget.tabs.setCurrentWidget(widget.connect_)
+    widget.connect_.begin("/field/ceiling_camera", "field_position")
+    widget.connect_.begin("/field/tracker", "position")
+    view = widget.graph.view
+    QTest.qWait(300)
+    start = view.place_of(PortRef("/field/ceiling_camera", "field_position"))
+    end = view.place_of(PortRef("/field/tracker", "position"))
+    if start is not None and end is not None:
+        QTest.mousePress(view.viewport(), Qt.LeftButton, Qt.NoModifier, start)
+        move = _mouse_move(end)
+        QApplication.sendEvent(view.viewport(), move)
+
+
+def _pose_dark(widget: DyKnowWidget) -> None:
+    _pose_highlight(widget)
+    widget.line.report(
+        "connect /field/ceiling_camera:field_position with /nao1/line_detector:hsv: "
+        "/field/ceiling_camera:field_position sends geometry_msgs/PointStamped, "
+        "but /nao1/line_detector:hsv expects sensor_msgs/Image"
+    )
+
+
+def _mouse_move(place: object) -> object:
+    from python_qt_binding.QtGui import QMouseEvent
+
+    return QMouseEvent(QEvent.MouseMove, QPointF(place), Qt.NoButton, Qt.LeftButton, Qt.NoModifier)
+
+
+def _font() -> object:
+    font = QFontDatabase.systemFont(QFontDatabase.GeneralFont)
+    font.setFamily("DejaVu Sans")
+    font.setPointSize(9)
+    return font
+
+
+if __name__ == "__main__":
+    sys.exit(main())

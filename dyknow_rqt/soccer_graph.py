@@ -1,0 +1,152 @@
+"""A graph that is made up, for pictures and tests: a robot on a soccer field."""
+
+from __future__ import annotations
+
+from typing import Dict, Tuple
+
+from dyknow.manager.model import State
+from dyknow_rqt.graph.snapshot import PortRef
+from dyknow_rqt.simulated import SimulatedRemote
+
+_IMAGE, _POINT, _JOINTS = (
+    "sensor_msgs/Image",
+    "geometry_msgs/PointStamped",
+    "sensor_msgs/JointState",
+)
+#: Label, source, ports (`>name` for in, `name>` for out) with their types and tags.
+_LIBRARY = (
+    ("camera(nao1, bottom)", "soccer/Camera", (("yuv>", _IMAGE, "RawYUV(nao1, bottom)"),)),
+    ("camera(nao1, top)", "soccer/Camera", (("yuv>", _IMAGE, "RawYUV(nao1, top)"),)),
+    (
+        "ceiling_camera",
+        "soccer/CeilingCamera",
+        (("field_position>", _POINT, "FieldPosition(ball)"),),
+    ),
+    (
+        "subsampler(nao1, bottom)",
+        "soccer/Subsampler",
+        (
+            (">yuv", _IMAGE, "RawYUV(nao1, bottom)"),
+            ("bgr>", _IMAGE, "BGR(nao1, bottom)"),
+            ("hsv>", _IMAGE, "HSV(nao1, bottom)"),
+            ("channels>", _IMAGE, "SubsampledYUV(nao1, bottom)"),
+        ),
+    ),
+    (
+        "ball_detector(nao1)",
+        "soccer/BallDetector",
+        (
+            (">channels", _IMAGE, "SubsampledYUV(nao1, bottom)"),
+            (">joint_states", _JOINTS, "JointStates(nao1)"),
+            ("ball>", _POINT, "BallObject(nao1)"),
+        ),
+    ),
+    (
+        "line_detector(nao1)",
+        "soccer/LineDetector",
+        (
+            (">hsv", _IMAGE, "HSV(nao1, bottom)"),
+            ("lines>", "sensor_msgs/PointCloud2", "Lines(nao1)"),
+        ),
+    ),
+    (
+        "localization(nao1)",
+        "soccer/Localization",
+        (
+            (">objects", _POINT, "WorldObject(nao1)"),
+            (">lines", "sensor_msgs/PointCloud2", "Lines(nao1)"),
+            ("field_position>", _POINT, "FieldPosition(ball)"),
+        ),
+    ),
+    (
+        "tracker",
+        "soccer/Tracker",
+        ((">position", _POINT, "FieldPosition(ball)"), ("track>", "nav_msgs/Path", "Track(ball)")),
+    ),
+    ("resize", "image_proc/resize", ((">image", _IMAGE, ""), ("resized>", _IMAGE, ""))),
+    ("recorder", "dyknow/Sink", ((">in", _IMAGE, ""),)),
+)
+#: Name, label, topics of ports.
+_NODELETS: Tuple[Tuple[str, str, Dict[str, str]], ...] = (
+    ("/nao1/bottom_camera", "camera(nao1, bottom)", {"yuv": "/nao1/bottom_camera/yuv"}),
+    ("/nao1/top_camera", "camera(nao1, top)", {"yuv": "/nao1/top_camera/yuv"}),
+    (
+        "/nao1/subsampler",
+        "subsampler(nao1, bottom)",
+        {
+            "yuv": "/nao1/bottom_camera/yuv",
+            "hsv": "/nao1/subsampler/hsv",
+            "channels": "/nao1/subsampler/channels",
+        },
+    ),
+    (
+        "/nao1/ball_detector",
+        "ball_detector(nao1)",
+        {
+            "channels": "/nao1/subsampler/channels",
+            "joint_states": "/nao1/joint_states",
+            "ball": "/nao1/ball_detector/ball",
+        },
+    ),
+    (
+        "/nao1/line_detector",
+        "line_detector(nao1)",
+        {"hsv": "/nao1/subsampler/hsv", "lines": "/nao1/line_detector/lines"},
+    ),
+    (
+        "/nao1/localization",
+        "localization(nao1)",
+        {
+            "objects": "/nao1/ball_detector/ball",
+            "lines": "/nao1/line_detector/lines",
+            "field_position": "/field/ball",
+        },
+    ),
+    ("/field/ceiling_camera", "ceiling_camera", {}),
+    ("/field/tracker", "tracker", {"position": "/field/ball", "track": "/field/tracker/track"}),
+    ("/nao1/resize", "resize", {"image": "/nao1/top_camera/yuv", "resized": "/nao1/preview"}),
+    ("/nao1/recorder", "recorder", {"in": "/nao1/preview"}),
+)
+
+
+def soccer() -> SimulatedRemote:
+    """A robot on a soccer field: from its cameras to the track of the ball."""
+    remote = SimulatedRemote()
+    remote.add_transformation(_specification())
+    for name, label, topics in _NODELETS:
+        remote.spawn(label, name, topics)
+    remote.alter("/nao1/bottom_camera", is_protected=True)
+    remote.alter("/nao1/resize", rewired_by_reload=True, manager="/dyknow_nodelet_manager_cpp")
+    remote.alter("/nao1/recorder", state=State.LOST, detail="its process is gone")
+    remote.alter("/field/ceiling_camera", state=State.FAILED, detail="no device /dev/video4")
+    for nodelet, port, rate, lost in (
+        ("/nao1/bottom_camera", "yuv", 30.0, 0.0),
+        ("/nao1/top_camera", "yuv", 15.0, 0.0),
+        ("/nao1/subsampler", "hsv", 30.0, 0.0),
+        ("/nao1/subsampler", "channels", 29.9, 0.0),
+        ("/nao1/ball_detector", "ball", 21.4, 0.0),
+        ("/nao1/ball_detector", "channels", 21.4, 8.5),
+        ("/nao1/ball_detector", "joint_states", 50.0, 0.0),
+        ("/nao1/line_detector", "lines", 29.8, 0.0),
+        ("/nao1/localization", "field_position", 21.4, 0.0),
+        ("/field/tracker", "track", 10.0, 0.0),
+        ("/nao1/resize", "resized", 15.0, 0.0),
+    ):
+        remote.rates[PortRef(nodelet, port)] = (rate, lost)
+    remote.publishers = {"/nao1/joint_states": ["/nao1/driver"]}
+    remote.subscribers = {"/field/tracker/track": ["/team_view"]}
+    return remote
+
+
+def _specification() -> str:
+    parts = []
+    for label, source, ports in _LIBRARY:
+        lines = [f"<transformation><label>{label}</label><source>{source}</source><ports>"]
+        tags = []
+        for name, datatype, tag in ports:
+            side, plain = ("in" if name[0] == ">" else "out"), name.strip(">")
+            lines.append(f'<port type="{side}" datatype="{datatype}">{plain}</port>')
+            tags += [f'<tag port="{plain}">{tag}</tag>'] if tag else []
+        lines.append("</ports>" + (f"<tags>{''.join(tags)}</tags>" if tags else ""))
+        parts.append("".join(lines) + "</transformation>")
+    return f"<transformations>{''.join(parts)}</transformations>"

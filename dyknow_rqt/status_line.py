@@ -1,0 +1,106 @@
+"""One line at the foot of the window: what was done, what went wrong, what is asked."""
+
+from __future__ import annotations
+
+from typing import Any, Callable, List, Optional
+
+from python_qt_binding.QtCore import Qt, QTimer
+from python_qt_binding.QtGui import QPalette
+from python_qt_binding.QtWidgets import QHBoxLayout, QLabel, QPushButton, QSizePolicy, QWidget
+
+from dyknow_rqt.canvas.colours import colours_of
+from dyknow_rqt.guard import guarded
+
+_NOTE_TIME = 6000  # ms
+_KEPT = 50
+
+
+class StatusLine(QWidget):
+    """Errors stay until they are dismissed or something succeeds; nothing is ever in the way."""
+
+    def __init__(self, parent: Optional[QWidget] = None) -> None:
+        super().__init__(parent)
+        self.history: List[str] = []
+        self._text = QLabel()
+        self._text.setTextInteractionFlags(Qt.TextSelectableByMouse | Qt.TextSelectableByKeyboard)
+        self._text.setSizePolicy(QSizePolicy.Ignored, QSizePolicy.Preferred)
+        self._text.setAccessibleName("Message")
+        self._text.setTextFormat(Qt.PlainText)
+        self.yes = QPushButton()
+        self.no = QPushButton("Cancel")
+        self.dismiss = QPushButton("Dismiss")
+        row = QHBoxLayout(self)
+        row.setContentsMargins(6, 2, 6, 2)
+        row.addWidget(self._text, 1)
+        for button in (self.yes, self.no, self.dismiss):
+            row.addWidget(button)
+        self._answer: Optional[Callable[[], None]] = None
+        self._timer = QTimer(self)
+        self._timer.setSingleShot(True)
+        self._timer.timeout.connect(self.clear)
+        self.yes.clicked.connect(self._confirm)
+        self.no.clicked.connect(self.clear)
+        self.dismiss.clicked.connect(self.clear)
+        self.clear()
+
+    @property
+    def text(self) -> str:
+        """What the line says."""
+        return str(self._text.text())
+
+    def report(self, text: str) -> None:
+        """Show an error; its first line in the window, all of it in the tool tip."""
+        self._show(text, alarm=True)
+        self.dismiss.show()
+
+    def note(self, text: str) -> None:
+        """Show for a while that something was done."""
+        if self._answer is None:
+            self._show(text, alarm=False)
+            self._timer.start(_NOTE_TIME)
+
+    def ask(self, question: str, yes: str, answer: Callable[[], None]) -> None:
+        """Ask something; ``answer`` is called if the user agrees."""
+        self._show(question, alarm=False)
+        self._answer = answer
+        self.yes.setText(yes)
+        self.yes.show()
+        self.no.show()
+        self.yes.setFocus()
+
+    @guarded
+    def keyPressEvent(self, event: Any) -> None:  # noqa: N802
+        """Escape says no."""
+        if event.key() == Qt.Key_Escape:
+            self.clear()
+        else:
+            super().keyPressEvent(event)
+
+    @guarded
+    def clear(self) -> None:
+        """Say nothing."""
+        self._answer = None
+        self._timer.stop()
+        self._text.setText("")
+        self._text.setToolTip("")
+        for button in (self.yes, self.no, self.dismiss):
+            button.hide()
+
+    @guarded
+    def _confirm(self) -> None:
+        answer = self._answer
+        self.clear()
+        if answer is not None:
+            answer()
+
+    def _show(self, text: str, alarm: bool) -> None:
+        self.clear()
+        lines = text.strip().split("\n")
+        more = f"  (and {len(lines) - 1} more lines: rest the pointer here)" if lines[1:] else ""
+        self._text.setText(lines[0] + more)
+        self._text.setToolTip(text)
+        palette = QPalette(self.palette())
+        if alarm:
+            palette.setColor(QPalette.WindowText, colours_of(self.palette()).alarm)
+        self._text.setPalette(palette)
+        self.history = [*self.history[-_KEPT:], text]

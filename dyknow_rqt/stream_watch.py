@@ -1,0 +1,53 @@
+"""Which streams there are, kept up to date."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Optional, Sequence, Tuple
+
+from python_qt_binding.QtCore import QObject, Signal
+
+from dyknow_rqt.guard import guarded
+from dyknow_rqt.monitor import Monitor
+
+if TYPE_CHECKING:
+    from dyknow.ros.stream_views import StreamView
+
+
+class StreamWatch(QObject):
+    """Asks for the list after each event and change, and with each look: events can be missed."""
+
+    #: The streams are others.
+    changed = Signal()
+
+    def __init__(self, monitor: Monitor) -> None:
+        super().__init__()
+        self._monitor = monitor
+        self.streams: Tuple[StreamView, ...] = ()
+        self._asking = self._again = False
+        for signal in (monitor.stream_event, monitor.settled, monitor.measured):
+            signal.connect(self.ask)
+
+    def stream(self, claim_id: str) -> Optional[StreamView]:
+        """The claim with that id, or None."""
+        return next((each for each in self.streams if each.claim_id == claim_id), None)
+
+    @guarded
+    def ask(self) -> None:
+        """Ask for all claims; one question at a time, and one more if something came between."""
+        if self._asking:
+            self._again = True
+            return
+        self._asking, self._again = True, False
+        self._monitor.ask(lambda remote: tuple(remote.streams()), self._take, self._take_none)
+
+    def _take(self, streams: Sequence[StreamView]) -> None:
+        self._asking = False
+        if tuple(streams) != self.streams:
+            self.streams = tuple(streams)
+            self.changed.emit()
+        if self._again:
+            self.ask()
+
+    def _take_none(self, reason: str) -> None:
+        # That the manager does not answer is said of every look already.
+        self._asking = False

@@ -1,0 +1,113 @@
+"""All of the window: control panel on the left, graph in the middle, one line at the foot."""
+
+from __future__ import annotations
+
+from typing import Any, Dict, List, Optional
+
+from python_qt_binding.QtCore import Qt
+from python_qt_binding.QtWidgets import QSplitter, QTabWidget, QVBoxLayout, QWidget
+
+from dyknow_rqt.graph_menus import Deeds
+from dyknow_rqt.graph_panel import GraphPanel
+from dyknow_rqt.guard import guarded
+from dyknow_rqt.monitor import Monitor
+from dyknow_rqt.panels.active import ActivePanel
+from dyknow_rqt.panels.connect import ConnectPanel
+from dyknow_rqt.panels.create import CreatePanel
+from dyknow_rqt.panels.library import LibraryPanel
+from dyknow_rqt.panels.streams import StreamsPanel
+from dyknow_rqt.remote import Remote
+from dyknow_rqt.status_line import StatusLine
+
+
+class DyKnowWidget(QWidget):
+    """What rqt docks and what a window of its own holds.
+
+    It owns the monitor; ``shut_down`` ends it.
+    """
+
+    def __init__(self, remote: Remote, parent: Optional[QWidget] = None) -> None:
+        super().__init__(parent)
+        self.setObjectName("DyKnow")
+        self.setWindowTitle("DyKnow")
+        self.monitor = Monitor(remote)
+        self.line = StatusLine()
+        self.report = self.line.report
+        self._deeds = Deeds()
+        self.graph = GraphPanel(self.monitor, self._deeds)
+        self.active = ActivePanel(self.monitor, self.line)
+        self.library = LibraryPanel(self.monitor, self.line)
+        self.create_ = CreatePanel(self.monitor, self.line)
+        self.connect_ = ConnectPanel(self.monitor, self.line)
+        self.streams = StreamsPanel(self.monitor, self.line)
+        self.tabs = QTabWidget()
+        self.tabs.setAccessibleName("Control panel")
+        for title, panel in (
+            ("&Active", self.active),
+            ("Li&brary", self.library),
+            ("&Create", self.create_),
+            ("C&onnect", self.connect_),
+            ("&Streams", self.streams),
+        ):
+            self.tabs.addTab(panel, title)
+        self.parts = QSplitter(Qt.Horizontal)
+        self.parts.addWidget(self.tabs)
+        self.parts.addWidget(self.graph)
+        self.parts.setStretchFactor(1, 1)
+        self.parts.setSizes([480, 1120])
+        column = QVBoxLayout(self)
+        column.setContentsMargins(0, 0, 0, 0)
+        column.setSpacing(0)
+        column.addWidget(self.parts, 1)
+        column.addWidget(self.line)
+        self._listen()
+
+    def start(self) -> None:
+        """Begin to look."""
+        self.monitor.start()
+
+    def shut_down(self) -> None:
+        """Stop looking, end what runs outside; returns at once."""
+        self.monitor.close()
+        self.graph.close_down()
+
+    def state(self) -> Dict[str, str]:
+        """Settings to be kept, as texts."""
+        sizes = ",".join(str(size) for size in self.parts.sizes())
+        return {**self.graph.bar.state(), "tab": str(self.tabs.currentIndex()), "parts": sizes}
+
+    def restore(self, state: Dict[str, Any]) -> None:
+        """Take settings up again; what makes no sense is left out."""
+        self.graph.bar.restore(state)
+        tab = str(state.get("tab", ""))
+        if tab.isdigit() and int(tab) < self.tabs.count():
+            self.tabs.setCurrentIndex(int(tab))
+        sizes = str(state.get("parts", "")).split(",")
+        if len(sizes) == 2 and all(size.isdigit() for size in sizes):
+            self.parts.setSizes([int(size) for size in sizes])
+
+    def _listen(self) -> None:
+        self.monitor.failed.connect(self.line.report)
+        self.monitor.done.connect(self.line.note)
+        self.graph.failed.connect(self.line.report)
+        self.active.chosen.connect(self._show_chosen)
+        self.streams.chosen.connect(self._show_chosen)
+        self.library.create_wanted.connect(self._begin_create)
+        self.addActions(list(self.graph.actions_of()))
+        self._deeds.destroy = self.active.ask_to_destroy
+        self._deeds.create = lambda: self._begin_create("")
+        self._deeds.begin_connection = self._begin_connection
+
+    @guarded
+    def _begin_create(self, label: str) -> None:
+        self.tabs.setCurrentWidget(self.create_)
+        self.create_.begin(label)
+
+    def _begin_connection(self, nodelet: str, port: str = "") -> None:
+        self.tabs.setCurrentWidget(self.connect_)
+        self.connect_.begin(nodelet, port)
+
+    @guarded
+    def _show_chosen(self, names: List[str]) -> None:
+        """Select in the graph what is selected in a table."""
+        self.graph.select_nodelets(names)

@@ -1,0 +1,69 @@
+"""Whole wirings in files, as ``dyknow save`` and ``dyknow load`` know them."""
+
+from __future__ import annotations
+
+from typing import List, Tuple
+
+from python_qt_binding.QtWidgets import QFileDialog, QWidget
+
+from dyknow.wiring.reader import read_wiring
+from dyknow.wiring.wiring import wiring_of
+from dyknow_rqt.graph.wiring_changes import LoadWiring
+from dyknow_rqt.guard import guarded
+from dyknow_rqt.monitor import Monitor
+from dyknow_rqt.remote import Remote
+
+_FILES = "Wirings (*.xml);;All files (*)"
+
+
+class WiringFiles:
+    """Saves what runs, and loads it again."""
+
+    def __init__(self, monitor: Monitor, window: QWidget) -> None:
+        self._monitor, self._window = monitor, window
+        self.report = monitor.report
+
+    def save(self, path: str) -> None:
+        """Write what runs, with the transformations that it is made from."""
+
+        def write(remote: Remote) -> Tuple[int, List[str]]:
+            wiring, left_out = wiring_of(remote.library())
+            with open(path, "w", encoding="utf-8") as file:
+                file.write(wiring.to_xml())
+            return len(wiring.nodelets), [each.name for each in left_out]
+
+        def say(written: Tuple[int, List[str]]) -> None:
+            count, left_out = written
+            text = f"{count} nodelet{'' if count == 1 else 's'} saved in {path}"
+            if left_out:
+                text += f"; without {', '.join(left_out)}, which others have loaded"
+            self._monitor.done.emit(text)
+
+        self._monitor.ask(write, say)
+
+    def load(self, path: str) -> None:
+        """Make what runs as a file says; what it does not name is left alone.
+
+        Raises:
+            OSError: the file cannot be read.
+            SpecificationError: it is no wiring; with all of its problems.
+        """
+        with open(path, "rb") as file:
+            wiring = read_wiring(file.read(), path.rpartition("/")[2])
+        self._monitor.do(LoadWiring(wiring, path.rpartition("/")[2]))
+
+    @guarded
+    def ask_where_to_save(self) -> None:
+        """Let the user choose a file, then save."""
+        path, _ = QFileDialog.getSaveFileName(
+            self._window, "Save the wiring", "wiring.xml", _FILES
+        )
+        if path:
+            self.save(path)
+
+    @guarded
+    def ask_what_to_load(self) -> None:
+        """Let the user choose a file, then load."""
+        path, _ = QFileDialog.getOpenFileName(self._window, "Load a wiring", "", _FILES)
+        if path:
+            self.load(path)

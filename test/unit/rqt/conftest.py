@@ -1,0 +1,29 @@
+"""A window on a manager that is made up."""
+
+from __future__ import annotations
+
+import pytest
+
+
+@pytest.fixture
+def remote():
+    from dyknow_rqt.soccer_graph import soccer
+
+    return soccer()
+
+
+@pytest.fixture
+def window(qtbot, remote):
+    """The whole window, once it shows the graph."""
+    from dyknow_rqt.window import DyKnowWidget
+
+    widget = DyKnowWidget(remote)
+    qtbot.addWidget(widget, before_close_func=lambda w: w.shut_down())
+    widget.resize(1400, 800)
+    with qtbot.waitActive(widget):
+        widget.show()
+        widget.activateWindow()
+    widget.start()
+    qtbot.waitUntil(lambda: len(widget.graph.drawn.vertices) > 15, timeout=20000)
+    qtbot.waitUntil(lambda: bool(widget.monitor.library), timeout=20000)
+    return widget

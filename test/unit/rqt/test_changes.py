@@ -1,0 +1,197 @@
+"""Changes of the graph, and the ways back, on a manager that is made up."""
+
+from __future__ import annotations
+
+import pytest
+
+from dyknow.errors import InvalidName, Refused
+from dyknow_rqt.graph.changes import (
+    CannotUndo,
+    DestroyNodelet,
+    Protect,
+    SpawnNodelet,
+)
+from dyknow_rqt.graph.history import History
+from dyknow_rqt.graph.library_changes import AddTransformations, remove_transformations
+from dyknow_rqt.graph.rates import Meter, in_turns
+from dyknow_rqt.graph.snapshot import PortRef, Snapshot
+from dyknow_rqt.graph.wiring import (
+    DoNotFit,
+    connect,
+    connect_topic,
+    disconnect,
+    partners,
+    topics_for,
+)
+from dyknow_rqt.soccer_graph import soccer
+
+CEILING = PortRef("/field/ceiling_camera", "field_position")
+TRACKER = PortRef("/field/tracker", "position")
+LOCALIZED = PortRef("/nao1/localization", "field_position")
+HSV_IN = PortRef("/nao1/line_detector", "hsv")
+BGR = PortRef("/nao1/subsampler", "bgr")
+
+
+@pytest.fixture
+def remote():
+    return soccer()
+
+
+def seen(remote):
+    return Snapshot(remote.graph().nodelets)
+
+
+def library(remote):
+    return {each.label: each for each in remote.library().transformations}
+
+
+def there_and_back(remote, change):
+    """Make a change and take it back; everything has to be as before."""
+    before, known = seen(remote), library(remote)
+    made = change.apply(remote)
+    assert (seen(remote), library(remote)) != (before, known)
+    back = made.inverse(before, known)
+    back.check(remote)
+    back.apply(remote)
+    assert (seen(remote), library(remote)) == (before, known)
+
+
+def test_two_ports_meet_on_the_topic_of_the_source(remote):
+    change = connect(seen(remote), LOCALIZED, PortRef("/nao1/localization", "objects"))
+    assert dict(change.topics) == {PortRef("/nao1/localization", "objects"): "/field/ball"}
+
+
+def test_the_order_of_the_two_ports_does_not_matter(remote):
+    assert connect(seen(remote), TRACKER, CEILING) == connect(seen(remote), CEILING, TRACKER)
+
+
+def test_a_source_without_topic_gets_one_after_its_name(remote):
+    change = connect(seen(remote), CEILING, TRACKER)
+    assert dict(change.topics) == {
+        CEILING: "/field/ceiling_camera/field_position",
+        TRACKER: "/field/ceiling_camera/field_position",
+    }
+
+
+def test_the_name_of_a_topic_that_is_in_use_is_not_taken(remote):
+    remote.set_config("/field/tracker", {"position": "/nao1/subsampler/bgr"})
+    change = connect(seen(remote), BGR, HSV_IN)
+    assert set(dict(change.topics).values()) == {"/nao1/subsampler/bgr_2"}
+
+
+def test_an_in_port_that_waits_alone_on_a_topic_is_met_there(remote):
+    remote.set_config("/field/tracker", {"position": "/asked_for"})
+    change = connect(seen(remote), CEILING, TRACKER)
+    assert dict(change.topics) == {CEILING: "/asked_for"}
+
+
+def test_what_does_not_fit_is_refused_with_both_types(remote):
+    with pytest.raises(DoNotFit, match="sends geometry_msgs/PointStamped, but .* sensor_msgs/Im"):
+        connect(seen(remote), CEILING, HSV_IN)
+    with pytest.raises(DoNotFit, match="from an out-port to an in-port"):
+        connect(seen(remote), CEILING, LOCALIZED)
+    with pytest.raises(DoNotFit, match="carries geometry_msgs/PointStamped"):
+        connect_topic(seen(remote), HSV_IN, "/field/ball")
+    with pytest.raises(InvalidName):
+        connect_topic(seen(remote), HSV_IN, "not a topic")
+
+
+def test_only_what_fits_is_offered(remote):
+    offered = set(partners(seen(remote), CEILING))
+    assert offered == {TRACKER, PortRef("/nao1/localization", "objects")}
+    assert topics_for(seen(remote), TRACKER) == ["/field/ball", "/nao1/ball_detector/ball"]
+
+
+def test_names_of_topics_begin_in_the_namespace_of_the_nodelet(remote):
+    for text, topic in (("x", "/field/x"), ("~x", "/field/tracker/x"), ("/x", "/x")):
+        assert dict(connect_topic(seen(remote), TRACKER, text).topics) == {TRACKER: topic}
+
+
+def test_changes_can_be_taken_back(remote):
+    for change in (
+        connect(seen(remote), CEILING, TRACKER),
+        connect_topic(seen(remote), TRACKER, "/other"),
+        disconnect(seen(remote), (TRACKER, LOCALIZED)),
+        SpawnNodelet("tracker", "/second", (("position", "/field/ball"),)),
+        DestroyNodelet("/field/tracker"),
+        Protect("/field/tracker", True),
+        remove_transformations(["tracker", "recorder"]),
+        AddTransformations(
+            "<transformations>"
+            "<transformation><label>new</label><source>p/New</source></transformation>"
+            "<transformation><label>tracker</label><source>p/Other</source></transformation>"
+            "</transformations>"
+        ),
+    ):
+        there_and_back(remote, change)
+
+
+def test_a_connection_is_made_whole_or_not_at_all(remote):
+    before = seen(remote)
+    change = connect(before, CEILING, TRACKER)
+    remote.destroy("/field/tracker")
+    between = seen(remote)
+    with pytest.raises(Refused, match="no nodelet named '/field/tracker'"):
+        change.apply(remote)
+    assert seen(remote) == between
+
+
+def test_what_others_changed_is_not_taken_back(remote):
+    before = seen(remote)
+    change = connect_topic(before, TRACKER, "/mine")
+    back = change.apply(remote).inverse(before, {})
+    remote.set_config("/field/tracker", {"position": "/theirs"})
+    with pytest.raises(CannotUndo, match="has been connected to /theirs by somebody else"):
+        back.check(remote)
+
+
+def test_a_nodelet_of_nobodys_making_cannot_be_made_anew(remote):
+    remote.remove_transformation("tracker")
+    with pytest.raises(CannotUndo, match="no transformation"):
+        DestroyNodelet("/field/tracker").inverse(seen(remote), library(remote))
+
+
+def test_history_is_a_pair_of_stacks():
+    history = History()
+    one, two = Protect("/a", True), Protect("/b", True)
+    history.note(one, Protect("/a", False))
+    history.note(two, CannotUndo("never"))
+    assert history.texts == ("protect /b", "")
+    history.drop(history.last)
+    history.note_undone(history.last)
+    assert history.texts == ("", "protect /a")
+    history.note_redone(one, Protect("/a", False))
+    assert history.texts == ("protect /a", "")
+    history.note_undone(history.last)
+    history.note(two, CannotUndo("never"))
+    assert history.texts == ("protect /b", "")
+
+
+class _Counts:
+    def __init__(self, uptime, messages, dropped):
+        from dyknow.ros.views import PortTraffic
+
+        self.uptime = uptime
+        self.ports = (PortTraffic("out", "out", "/t", messages, dropped, 7.0, 0.0, 0.0),)
+
+
+def test_rates_are_differences():
+    meter, ref = Meter(), PortRef("/n", "out")
+    meter.note("/n", _Counts(10, 100, 0), 50.0)
+    assert meter.traffic[ref].rate == 7.0  # nothing to compare with: what the proxy says
+    meter.note("/n", _Counts(12, 160, 10), 52.0)
+    assert (meter.traffic[ref].rate, meter.traffic[ref].drop_rate) == (30.0, 5.0)
+    assert meter.traffic[ref].text == "30.0 Hz\n−5.0/s"
+    meter.note("/n", _Counts(1, 3, 0), 54.0)  # loaded anew
+    assert (meter.traffic[ref].rate, meter.traffic[ref].drop_rate) == (7.0, 0.0)
+    meter.keep(["/other"])
+    assert meter.traffic == {}
+
+
+def test_everybody_has_a_turn():
+    assert in_turns([], 3, 2) == ((), 0)
+    turn, asked = 0, []
+    for _ in range(3):
+        names, turn = in_turns(["c", "a", "b"], turn, 2)
+        asked += names
+    assert asked == ["a", "b", "c", "a", "b", "c"]
