@@ -1,4 +1,4 @@
-"""The processes of the demonstration: a roscore where there is none, and a nodelet manager.
+"""The processes of the demonstrations: a roscore where there is none, and managers.
 
 Who owns what: ``Processes`` owns what it started and ends exactly that, by process id, in reverse
 order, however the demonstration ends.
@@ -15,7 +15,7 @@ import tempfile
 import time
 from pathlib import Path
 from types import TracebackType
-from typing import Callable, Dict, List, Optional, Sequence, Tuple, Type
+from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple, Type
 
 from dyknow.errors import DyKnowError, PeerTimeout
 from dyknow.ros.master import Master
@@ -41,6 +41,11 @@ class Processes:
     def __init__(self) -> None:
         self._children: List[Tuple[str, subprocess.Popen[bytes], Path]] = []
         self._folder = tempfile.TemporaryDirectory(prefix="dyknow_demo_")
+
+    @property
+    def folder(self) -> str:
+        """A folder that is removed at the end."""
+        return self._folder.name
 
     def __enter__(self) -> Processes:
         return self
@@ -125,6 +130,20 @@ def master_answers() -> bool:
     return True
 
 
+def uses_simulated_time() -> bool:
+    """Whether time is what a simulator says."""
+    master = Master("/dyknow_demo")
+    name = "/use_sim_time"
+    return bool(master.ask("hasParam", name)) and bool(master.ask("getParam", name))
+
+
+def find_master(processes: Processes) -> str:
+    """Use the ROS master that is there, or start one; says which."""
+    if master_answers():
+        return f"the one at {system_master()}"
+    return f"our own, at {start_roscore(processes)}"
+
+
 def start_roscore(processes: Processes) -> str:
     """Start a roscore on a free port of the loopback interface, and use it from now on.
 
@@ -141,13 +160,28 @@ def start_roscore(processes: Processes) -> str:
     return uri
 
 
-def start_manager(processes: Processes, name: str, ready: Callable[[], bool]) -> int:
+def start_nodelet_manager(processes: Processes, name: str, ready: Callable[[], bool]) -> int:
     """Start a nodelet manager under a global name and return its process id."""
     namespace, _, base = name.rpartition("/")
     command = [sys.executable, "-m", "dyknow.cli.nodelet", "manager", f"__name:={base}"]
     return processes.start(
         "the nodelet manager", command, {"ROS_NAMESPACE": namespace or "/"}, ready
     )
+
+
+def start_manager(
+    processes: Processes, name: str, ready: Callable[[], bool], **parameters: Any
+) -> int:
+    """Start a DyKnow manager under a global name and return its process id.
+
+    Its durable state is forgotten with the folder of ``processes``.
+    """
+    namespace, _, base = name.rpartition("/")
+    given = {"state_dir": processes.folder, **parameters}
+    arguments = [f"_{key}:={value}" for key, value in given.items()]
+    code = "import sys; from dyknow.ros.manager_node import main; sys.exit(main())"
+    command = [sys.executable, "-c", code, f"__name:={base}", *arguments]
+    return processes.start("the manager", command, {"ROS_NAMESPACE": namespace or "/"}, ready)
 
 
 def _end(child: subprocess.Popen[bytes]) -> None:

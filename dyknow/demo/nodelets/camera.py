@@ -12,7 +12,7 @@ from std_msgs.msg import Header
 import dyknow
 from dyknow.demo import images
 from dyknow.demo.field import render
-from dyknow.demo.frame_names import FrameName
+from dyknow.demo.rewiring.frame_names import FrameName
 from dyknow.errors import BadParameter
 from dyknow.ros.parameters import get_positive
 

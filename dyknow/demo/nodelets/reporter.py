@@ -9,7 +9,7 @@ from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger, TriggerResponse
 
 import dyknow
-from dyknow.demo.frame_names import FrameName
+from dyknow.demo.rewiring.frame_names import FrameName
 from dyknow.ros.parameters import get_positive
 
 #: One image: its frame_id, when it was stamped, when it came (s, ROS time), width and height.

@@ -18,6 +18,8 @@ _LAB = (120, 118, 112)
 
 #: Standard deviation of the sensor's noise, in grey levels.
 _NOISE = 3.0
+#: Pixels by which the pattern of noise is shifted at most, either way, from frame to frame.
+_SHIFTS = 256
 
 
 class FieldCamera:
@@ -30,9 +32,12 @@ class FieldCamera:
         self._lab = _yuv(_LAB)
         self._ball = _yuv(ORANGE)
         self._generator = np.random.default_rng([seed, 3])
-        noise = self._generator.normal(0.0, _NOISE, (2 * camera.height, 2 * camera.width, 2))
-        self._brighter = np.clip(noise + 0.5, 0, 255).astype(np.uint8)
-        self._darker = np.clip(0.5 - noise, 0, 255).astype(np.uint8)
+        shape = (camera.height + _SHIFTS, camera.width + _SHIFTS, 2)
+        noise = self._generator.standard_normal(shape, np.float32)
+        noise *= _NOISE
+        steps = np.rint(noise, out=noise).astype(np.int8)
+        self._brighter = np.maximum(steps, 0).view(np.uint8)
+        self._darker = np.maximum(-steps, 0).view(np.uint8)
         self._still: tuple[bytes, Pixels] = (b"", self._field)
 
     def render(self, field_from_camera: Array, ball: Array, number: int, frame: Pixels) -> None:
@@ -50,9 +55,7 @@ class FieldCamera:
         up = camera_from_field[:3, 2]
         draw_ball(picture, self.camera, centre, field.BALL_RADIUS, self._ball, up)
         pack(picture, frame)
-        row, column = (
-            int(each) for each in np.random.default_rng(number).integers(0, frame.shape[:2])
-        )
+        row, column = np.random.default_rng(number).integers(0, _SHIFTS, 2).tolist()
         window = np.s_[row : row + frame.shape[0], column : column + frame.shape[1]]
         cv2.add(frame, self._brighter[window], dst=frame)
         cv2.subtract(frame, self._darker[window], dst=frame)

@@ -13,7 +13,7 @@ from typing import Any, List, Optional, Sequence
 
 import numpy as np
 
-from dyknow.demo.main import SHARED_FRAMES
+from dyknow.demo.shared_frames import SHARED_FRAMES
 from dyknow.demo.soccer.accuracy import EYES, measure
 from dyknow.demo.soccer.annotations import read_frames
 from dyknow.demo.soccer.contact_sheet import write_sheet

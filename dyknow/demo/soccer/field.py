@@ -45,10 +45,8 @@ def picture(seed: int) -> Pixels:
     """Draw grass and lines, (rows, columns, 3), BGR; the grass is mottled."""
     shape = (round((WIDTH + 2 * BORDER) / SCALE), round((LENGTH + 2 * BORDER) / SCALE))
     mottle = np.random.default_rng(seed).normal(0.0, 14.0, (shape[0] // 8, shape[1] // 8))
-    shade = cv2.resize(mottle, shape[::-1], interpolation=cv2.INTER_LINEAR)
-    field: Pixels = np.clip(np.array(GRASS, np.float64) + shade[..., None], 0, 255).astype(
-        np.uint8
-    )
+    shade = cv2.resize(mottle.astype(np.float32), shape[::-1], interpolation=cv2.INTER_LINEAR)
+    field: Pixels = cv2.merge([cv2.convertScaleAbs(cv2.max(shade + each, 0)) for each in GRASS])
     half, box = LENGTH / 2, LENGTH / 2 - BOX_DEPTH
     _stroke(field, -half, -WIDTH / 2, half, WIDTH / 2)
     _stroke(field, 0.0, -WIDTH / 2, 0.0, WIDTH / 2)

@@ -11,7 +11,7 @@ from std_msgs.msg import Header
 
 from dyknow.demo import images
 from dyknow.demo.field import render
-from dyknow.demo.frame_names import FrameName
+from dyknow.demo.rewiring.frame_names import FrameName
 
 
 def test_an_array_is_a_view_of_the_message():

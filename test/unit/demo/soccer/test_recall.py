@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from dyknow.demo.main import SHARED_FRAMES
+from dyknow.demo.shared_frames import SHARED_FRAMES
 from dyknow.demo.soccer import evaluate
 from dyknow.demo.soccer.annotations import read_frames
 from dyknow.demo.soccer.finder import Find

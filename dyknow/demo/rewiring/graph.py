@@ -44,12 +44,6 @@ class Graph:
         except (LookupError, PeerTimeout):
             return False
 
-    def uses_simulated_time(self) -> bool:
-        """Whether time is what a simulator says."""
-        return bool(self._master.ask("hasParam", "/use_sim_time")) and bool(
-            self._master.ask("getParam", "/use_sim_time")
-        )
-
     def load(
         self,
         name: str,

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Callable, Dict, List, Sequence, Tuple
 
-from dyknow.demo.accounting import Account, Arrival, Published, Switch, account, gaps
-from dyknow.demo.frame_names import FrameName
-from dyknow.demo.graph import Graph
-from dyknow.demo.table import Table
+from dyknow.demo.rewiring.accounting import Account, Arrival, Published, Switch, account, gaps
+from dyknow.demo.rewiring.frame_names import FrameName
+from dyknow.demo.rewiring.graph import Graph
+from dyknow.demo.rewiring.table import Table
 
 _CAMERAS = ("camera_1", "camera_2")
 _CHAIN = ("colour", "subsample", "reporter")

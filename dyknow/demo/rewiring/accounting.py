@@ -21,7 +21,7 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import Dict, Iterator, List, Sequence, Set, Tuple
 
-from dyknow.demo.frame_names import FrameName
+from dyknow.demo.rewiring.frame_names import FrameName
 
 
 @dataclass(frozen=True)

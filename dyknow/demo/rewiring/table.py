@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from typing import TextIO
 
-from dyknow.demo.accounting import Account
+from dyknow.demo.rewiring.accounting import Account
 
 _HEAD = (
     f"{'wiring':44}{'image':>9}{'frames':>8}{'Hz':>7}{'mean ms':>9}{'p99 ms':>8}"
