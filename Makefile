@@ -5,10 +5,10 @@ ROS_PYTHON := /usr/bin/python3
 IN_WORKSPACE := bash tools/in-workspace.sh
 
 .DEFAULT_GOAL := help
-.PHONY: help deps build venv demo gui test benchmark screenshots docs clean
+.PHONY: help deps build venv demo demo-rewiring gui test benchmark screenshots docs clean
 
 help: ## what there is to make
-	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 20
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 20
 
 deps: ## install the distribution's packages that are missing
 	@bash tools/deps.sh
@@ -16,8 +16,11 @@ deps: ## install the distribution's packages that are missing
 build: deps ## build the checkout in a catkin workspace of its own, build/ws
 	@bash tools/build.sh
 
-demo: build ## run the demonstration (options: make demo ARGS="...")
+demo: build ## run the demonstration on the soccer field (options: make demo ARGS="...")
 	@$(IN_WORKSPACE) $(ROS_PYTHON) -m dyknow.demo $(ARGS)
+
+demo-rewiring: build ## re-wire a chain of camera frames by hand, and count the frames
+	@$(IN_WORKSPACE) $(ROS_PYTHON) -m dyknow.demo --rewiring $(ARGS)
 
 gui: build ## open the window on the computation graph
 	@$(IN_WORKSPACE) rosrun dyknow dyknow_rqt $(ARGS)

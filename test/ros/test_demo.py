@@ -1,152 +1,116 @@
 #!/usr/bin/env python3
-"""The demonstration, run as its users run it."""
+"""The demonstration on the soccer field, run as its users run it."""
 
 from __future__ import annotations
 
 import os
 import re
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
-import unittest
 from pathlib import Path
 
-import cv2
-import numpy as np
 import rosgraph
 import rostest
+from demo_suite import TIMEOUT, DemoCase, alone, is_running
 
-DEMO = [sys.executable, "-u", "-m", "dyknow.demo"]
-TIMEOUT = 60.0  # s
-ROWS = 6
-BALANCED = re.compile(r"(\d+) frames at the end of the chain: 0 lost, 0 doubled, 0 out of order")
+PICTURES = [f"{name}.{form}" for name in ("after", "before", "during") for form in ("png", "svg")]
 
 
-def port_without_master():
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return free.getsockname()[1]
+class DemoTest(DemoCase):
+    def setUp(self):
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        self.pictures = Path(folder.name) / "new"
 
+    def assert_told(self, output):
+        for line in (
+            r"└─ localization\(nao, ball\)\.field_position \(new, cost 1\)",
+            r"\+ bottom_camera_1",
+            r"ACTIVE +\d+\.\d Hz  error 0\.\d+ m \(at most 0\.\d+\)  pause \d\.\d+ s  bottom_camera",
+            r"RECOVERING: transformation bottom_camera was removed",
+            r"- bottom_camera_1",
+            r"image_subsampler_nao_1.yuv <- ceiling_camera_1/image \(was bottom_camera_1/image\)",
+            r"ACTIVE .* ceiling_camera",
+            r"a cheaper way has appeared",
+            r"replanned: new /\S*bottom_camera_1, the rest re-wired",
+            r"longest pause \d\.\d+ s of 2 s that are allowed",
+            r"The same nodelets tracked the ball all the time",
+        ):
+            self.assertRegex(output, line)
+        self.assertNotIn("Traceback", output)
+        self.assertEqual(sorted(file.name for file in self.pictures.iterdir()), PICTURES)
+        during = (self.pictures / "during.svg").read_text()
+        self.assertIn("ceiling_camera_1", during)
+        self.assertTrue((self.pictures / "during.png").read_bytes().startswith(b"\x89PNG"))
 
-def alone():
-    """Environment of a machine on which no master runs."""
-    return {**os.environ, "ROS_MASTER_URI": f"http://127.0.0.1:{port_without_master()}"}
-
-
-def is_running(pid):
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    return True
-
-
-class DemoTest(unittest.TestCase):
-    def start(self, *arguments, env=None):
-        demo = subprocess.Popen(
-            [*DEMO, *arguments],
-            env=env,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-        )
-        self.addCleanup(demo.stdout.close)
-        self.addCleanup(self.end, demo)
-        return demo
-
-    @staticmethod
-    def end(demo):
-        if demo.poll() is None:
-            demo.terminate()
-            demo.communicate(timeout=TIMEOUT)
-
-    def read_until(self, demo, pattern):
-        """Read what the demonstration prints up to a line, and return what matched in it."""
-        lines = []
-        for line in demo.stdout:
-            lines.append(line)
-            found = re.search(pattern, line)
-            if found:
-                return found
-        self.fail(f"no line matches {pattern!r} in:\n{''.join(lines)}")
-
-    def run_demo(self, *arguments, env=None):
-        demo = self.start(*arguments, env=env)
-        output, _ = demo.communicate(timeout=TIMEOUT)
-        return demo.returncode, output
-
-    def assert_balanced(self, code, output):
-        self.assertEqual(code, 0, output)
-        found = BALANCED.search(output)
-        self.assertIsNotNone(found, output)
-        rows = re.findall(r"^camera_.* ms$", output, re.MULTILINE)
-        self.assertEqual(len(rows), ROWS, output)
-        self.assertGreater(int(found[1]), 0)
-
-    def test_on_the_master_that_is_there_and_leaves_nothing_there(self):
+    def test_the_story_on_the_master_that_is_there(self):
         master = rosgraph.Master("/test_demo")
         parameters = master.getParamNames()
-        code, output = self.run_demo("--rendered", "--seconds", "1")
-        self.assert_balanced(code, output)
+        code, output = self.run_demo("--seconds", "1.5", "--pictures", str(self.pictures))
+        self.assertEqual(code, 0, output)
+        self.assert_told(output)
         self.assertIn(f"ROS master: the one at {os.environ['ROS_MASTER_URI']}", output)
-        self.assertIn("frames: rendered", output)
         left = [name for side in master.getSystemState() for name, _ in side if "demo" in name]
         self.assertEqual(left, [])
         self.assertEqual(sorted(master.getParamNames()), sorted(parameters))
 
-    def test_on_a_master_of_its_own_with_frames_from_files(self):
-        with tempfile.TemporaryDirectory() as folder:
-            for number in range(3):
-                pixels = np.full((48, 64, 3), 50 * number, np.uint8)
-                cv2.imwrite(str(Path(folder) / f"{number}.jpg"), pixels)
-            code, output = self.run_demo("--frames", folder, "--seconds", "1", env=alone())
-        self.assert_balanced(code, output)
-        self.assertIn(f"frames: 3 real ones from {folder}", output)
-        self.assertIn("32x24", output)  # subsampled
-        self.assertIn("64x48", output)  # without the subsampler
-        uri = re.search(r"ROS master: our own, at (\S+)", output)[1]
-        self.assertFalse(rosgraph.is_master_online(uri))
-        pid = int(re.search(r"nodelet manager: .* process (\d+)", output)[1])
-        self.assertFalse(is_running(pid))
+    def test_the_launch_file(self):
+        with tempfile.TemporaryDirectory() as state:
+            launch = subprocess.run(
+                [
+                    *("roslaunch", "--no-summary", "dyknow", "soccer.launch", "seconds:=1.5"),
+                    *(f"pictures:={self.pictures}", f"state_dir:={state}"),
+                ],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                text=True,
+                timeout=TIMEOUT,
+                check=False,
+            )
+        self.assertEqual(launch.returncode, 0, launch.stdout)
+        self.assertIn("process has finished cleanly", launch.stdout)
+        self.assert_told(launch.stdout)
 
     def test_ctrl_c_ends_everything_that_was_started(self):
-        for number in (signal.SIGINT, signal.SIGTERM):
-            with self.subTest(signal=number):
-                demo = self.start("--rendered", "--seconds", "30", env=alone())
-                uri = self.read_until(demo, r"ROS master: our own, at (\S+)")[1]
-                pid = int(self.read_until(demo, r"nodelet manager: .* process (\d+)")[1])
-                self.read_until(demo, "-----")
-                demo.send_signal(number)
-                output, _ = demo.communicate(timeout=TIMEOUT)
-                self.assertEqual(demo.returncode, 130, output)
-                self.assertNotIn("Traceback", output)
-                self.assertFalse(is_running(pid))
-                self.assertFalse(rosgraph.is_master_online(uri))
+        demo = self.start("--seconds", "30", "--pictures", str(self.pictures), env=alone())
+        uri = self.read_until(demo, r"ROS master: our own, at (\S+)")[1]
+        pid = int(self.read_until(demo, r"manager: .* process (\d+)")[1])
+        self.read_until(demo, r"ACTIVE .* Hz")
+        children = nodelet_managers_of(pid)
+        self.assertTrue(children)
+        demo.send_signal(signal.SIGINT)
+        output, _ = demo.communicate(timeout=TIMEOUT)
+        self.assertEqual(demo.returncode, 130, output)
+        self.assertNotIn("Traceback", output)
+        for each in (pid, *children):
+            self.assertFalse(is_running(each))
+        self.assertFalse(rosgraph.is_master_online(uri))
 
     def test_a_manager_that_dies_is_named(self):
-        demo = self.start("--rendered", "--seconds", "30", env=alone())
-        pid = int(self.read_until(demo, r"nodelet manager: .* process (\d+)")[1])
-        self.read_until(demo, "-----")
+        demo = self.start("--seconds", "30", "--pictures", str(self.pictures), env=alone())
+        pid = int(self.read_until(demo, r"manager: .* process (\d+)")[1])
+        self.read_until(demo, r"ACTIVE .* Hz")
         os.kill(pid, signal.SIGKILL)
         output, _ = demo.communicate(timeout=TIMEOUT)
         self.assertEqual(demo.returncode, 1, output)
-        self.assertIn("the nodelet manager ended with exit code -9", output)
-        self.assertNotIn("Traceback", output)
+        self.assertIn("the manager ended with exit code -9", output)
 
     def test_usage(self):
         code, output = self.run_demo("--help")
         self.assertEqual(code, 0)
-        self.assertIn("--frames DIR", output)
-        for wrong in (["--frames", "/nowhere"], ["--seconds", "0"], ["--rate", "x"]):
+        self.assertIn("--rewiring", output)
+        for wrong in (["--seconds", "0"], ["--max-silence", "x"], ["--frames", "."]):
             code, output = self.run_demo(*wrong)
             self.assertEqual(code, 2, output)
-        with tempfile.TemporaryDirectory() as folder:
-            code, output = self.run_demo("--frames", folder)
-        self.assertEqual(code, 1, output)
-        self.assertIn(f"no JPEG or PNG files in '{folder}'", output)
+
+
+def nodelet_managers_of(pid):
+    """Process ids of the children of a manager."""
+    tasks = Path(f"/proc/{pid}/task").glob("*/children")
+    return [int(each) for task in tasks for each in re.findall(r"\d+", task.read_text())]
 
 
 if __name__ == "__main__":

@@ -17,8 +17,9 @@ FORMS = ("png", "svg")
 _LAYOUT_TIMEOUT = 20.0  # s
 _KEPT, _NEW, _IDLE = "#cfe2f3", "#c6e7c8", "#eeeeee"
 _HEAD = """digraph story {
-  rankdir=LR; nodesep=0.2; ranksep=0.25; labelloc=t; fontname="sans-serif"; fontsize=15;
-  node [fontname="sans-serif", fontsize=12, margin="0.08,0.04", height=0.3]; edge [fontname="sans-serif", fontsize=10];"""
+  rankdir=TB; nodesep=0.2; ranksep=0.25; labelloc=t; fontname="sans-serif"; fontsize=15;
+  node [fontname="sans-serif", fontsize=12, margin="0.08,0.04", height=0.3];
+  edge [fontname="sans-serif", fontsize=10];"""
 
 
 class CannotDraw(DyKnowError):

@@ -28,7 +28,7 @@ from dyknow.ros.master import Master
 MANAGER = "/dyknow_demo/manager"
 
 #: Seconds that nodelets may go on should the manager be killed.
-_ORPHAN_TIMEOUT = 10.0
+_ORPHAN_TIMEOUT = 3.0
 
 
 def play(manager: str, seconds: float, max_silence: float, pictures: Path) -> bool:
