@@ -1,0 +1,85 @@
+"""What the demonstration tells: the track's figures, changes of the graph, and its pictures."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from dyknow.demo.soccer.narration import changes
+from dyknow.demo.soccer.picture import Moment, draw, to_dot
+from dyknow.demo.soccer.track import Track
+from dyknow.manager.model import PortState, State
+from dyknow.ros.views import ModelView, NodeletView
+
+
+def nodelet(name, state=State.RUNNING, **ports):
+    """A nodelet with in-ports, and one out-port ``out``."""
+    own = [PortState(port, "in", topic=topic) for port, topic in ports.items() if port != "out"]
+    own.append(PortState("out", "out", topic=ports.get("out", f"{name}/out")))
+    return NodeletView(name, "", "/m", False, False, False, state, "", tuple(own))
+
+
+def model(*nodelets):
+    return ModelView(1, 1, nodelets, ())
+
+
+BEFORE = model(nodelet("/ns/eye"), nodelet("/ns/tracker", image="/ns/eye/out", out="/goal"))
+AFTER = model(
+    nodelet("/ns/ceiling"),
+    nodelet("/ns/late", State.STARTING),
+    nodelet("/ns/tracker", image="/ns/ceiling/out", out="/goal"),
+)
+
+
+def test_rate_error_and_pause_of_a_stretch():
+    track = Track(10.0, lambda stamp: np.array([stamp, 0.0, 0.0]))
+    for step in range(11):
+        arrival = 10.5 + 0.1 * step
+        track.note(arrival, arrival - 0.02, arrival, 0.02 * (step == 10))
+    found = track.stretch(10.5, 11.5)
+    assert (found.count, round(found.rate), round(found.pause, 6)) == (11, 11, 0.5)
+    assert math.isclose(found.median, 0.02, abs_tol=1e-9)
+    assert math.isclose(found.worst, math.hypot(0.02, 0.02), abs_tol=1e-9)
+    whole = track.whole(12.5)
+    assert (whole.count, round(whole.pause, 6)) == (11, 1.0)
+
+
+def test_without_positions_all_of_it_is_a_pause():
+    found = Track(10.0, lambda stamp: np.zeros(3)).whole(13.0)
+    assert (found.count, found.rate, found.pause) == (0, 0.0, 3.0)
+    assert math.isnan(found.median) and math.isnan(found.worst)
+
+
+def test_what_came_went_and_was_re_wired_is_told():
+    assert changes(BEFORE, AFTER, "/ns") == [
+        "+ ceiling",
+        "  tracker.image <- ceiling/out (was eye/out)",
+        "- eye",
+    ]
+    assert changes(model(), BEFORE) == [
+        "+ ns/eye",
+        "+ ns/tracker",
+        "  ns/tracker.image <- ns/eye/out",
+        "  ns/tracker.out -> goal",
+    ]
+    assert changes(AFTER, AFTER) == []
+
+
+def test_a_picture_shows_who_was_kept_came_and_went(tmp_path):
+    moment = Moment("A title", AFTER, frozenset(["/ns/tracker", "/ns/ceiling"]), "/goal", "/ns")
+    dot = to_dot(moment, BEFORE)
+    assert '"n/ns/tracker" [label="tracker", style=filled, fillcolor="#cfe2f3"]' in dot
+    assert '"n/ns/ceiling" [label="ceiling", style=filled, fillcolor="#c6e7c8"]' in dot
+    assert '"n/ns/eye" [label="eye", style=dashed' in dot
+    assert '"t/ns/ceiling/out" -> "n/ns/tracker" [label="image"]' in dot
+    assert '"t/goal" [label="/goal", shape=box, style=bold]' in dot
+    assert "late" not in dot
+    png, svg = draw(dot, tmp_path / "new", "moment")
+    assert png.read_bytes().startswith(b"\x89PNG")
+    assert "A title" in svg.read_text()
+
+
+def test_a_nodelet_that_the_stream_needs_no_more_is_grey():
+    dot = to_dot(Moment("", BEFORE, frozenset(["/ns/tracker"]), "/goal"), BEFORE)
+    assert '[label="ns\\n/eye", style=filled, fillcolor="#eeeeee"]' in dot
