@@ -15,7 +15,9 @@ import rosgraph
 import rostest
 from demo_suite import TIMEOUT, DemoCase, alone, is_running
 
-PICTURES = [f"{name}.{form}" for name in ("after", "before", "during") for form in ("png", "svg")]
+PICTURES = [
+    f"soccer_{name}.{form}" for name in ("after", "before", "during") for form in ("png", "svg")
+]
 
 
 class DemoTest(DemoCase):
@@ -41,9 +43,9 @@ class DemoTest(DemoCase):
             self.assertRegex(output, line)
         self.assertNotIn("Traceback", output)
         self.assertEqual(sorted(file.name for file in self.pictures.iterdir()), PICTURES)
-        during = (self.pictures / "during.svg").read_text()
+        during = (self.pictures / "soccer_during.svg").read_text()
         self.assertIn("ceiling_camera_1", during)
-        self.assertTrue((self.pictures / "during.png").read_bytes().startswith(b"\x89PNG"))
+        self.assertTrue((self.pictures / "soccer_during.png").read_bytes().startswith(b"\x89PNG"))
 
     def test_the_story_on_the_master_that_is_there(self):
         master = rosgraph.Master("/test_demo")

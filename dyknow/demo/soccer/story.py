@@ -126,15 +126,17 @@ class Story:
         self._tell_now(f"the position is on {stream.topic}")
         listening = rospy.Subscriber(stream.topic, PointStamped, self._on_position)
         try:
-            self._track_by(OWN_CAMERA, "before", "The robot tracks the ball with its own camera")
+            self._track_by(
+                OWN_CAMERA, "soccer_before", "The robot tracks the ball with its own camera"
+            )
             self._leave()
             self._track_by(
                 OTHER_CAMERA,
-                "during",
+                "soccer_during",
                 "The robot's own tracking works on the ceiling camera's footage",
             )
             self._return()
-            self._track_by(OWN_CAMERA, "after", "The robot's camera is back")
+            self._track_by(OWN_CAMERA, "soccer_after", "The robot's camera is back")
             return self._verdict()
         finally:
             listening.unregister()

@@ -55,11 +55,11 @@ class Field:
             self.manager.look()
             self.keeper.reconcile()
 
-    def feeds(self, camera: str) -> None:
+    def feeds(self, camera: str, number: int = 1) -> None:
         """Both what the robot's vision takes from a camera comes from this one."""
         for nodelet, port, source in (
-            ("/image_subsampler_nao_1", "yuv", "image"),
-            ("/ball_detector_nao_1", "camera_info", "camera_info"),
+            (f"/image_subsampler_nao_{number}", "yuv", "image"),
+            (f"/ball_detector_nao_{number}", "camera_info", "camera_info"),
         ):
             wired = self.host.nodelet(nodelet).ports[port].topic
             assert wired == self.host.nodelet(camera).ports[source].topic
@@ -114,3 +114,17 @@ def test_without_any_robot_the_ceiling_camera_has_its_own(field: Field) -> None:
         "/localization_ceiling_camera_ball_1",
     }
     assert claim.state is ClaimState.ACTIVE
+
+
+def test_two_cameras_at_a_time_are_not_mixed_up(field: Field) -> None:
+    field.keeper.acquire(StreamRequest("FieldPosition(ball)"))
+    other = field.keeper.acquire(StreamRequest("FieldPosition(ball)", exclude=("bottom_camera",)))
+    assert CEILING in other.spawned
+    field.settle()
+    field.feeds(CAMERA)
+    field.feeds(CEILING, 2)
+    balls = field.keeper.acquire(StreamRequest("SubsampledYUV(nao, eighth)"))
+    field.settle()
+    assert balls.spawned == ()
+    field.feeds(CAMERA)
+    field.feeds(CEILING, 2)
