@@ -23,6 +23,7 @@ VENV = ROOT / "build" / "venv" / "bin"
 IN_WORKSPACE = ("bash", str(ROOT / "tools" / "in-workspace.sh"))
 ROS_PYTHON = "/usr/bin/python3"
 STAGE_TIMEOUT = 420.0  # s
+IN_PARALLEL = ("-n", "2", "--dist", "worksteal")
 LAYERS_WITHOUT_ROS = ("nodelet", "proxy", "manager")
 
 
@@ -83,7 +84,7 @@ def unit_tests() -> Outcome:
     return run_pytest(
         "unit.xml",
         *IN_WORKSPACE,
-        *(str(VENV / "python"), "-m", "pytest", "-q", "test/unit"),
+        *(str(VENV / "python"), "-m", "pytest", "-q", *IN_PARALLEL, "test/unit"),
         QT_QPA_PLATFORM="offscreen",
     )
 
@@ -103,7 +104,8 @@ def unit_tests_py38() -> Outcome:
     if code != 0:
         return Outcome(0, 1, output)
     venv_python = str(ROOT / "build" / "venv38" / "bin" / "python")
-    return run_pytest("unit-py38.xml", venv_python, "-m", "pytest", "-q", *folders, PYTHONPATH="")
+    argv = (venv_python, "-m", "pytest", "-q", *IN_PARALLEL, *folders)
+    return run_pytest("unit-py38.xml", *argv, PYTHONPATH="")
 
 
 def find_python38() -> str | None:
@@ -130,7 +132,7 @@ def ros_tests() -> Outcome:
     if not suites:
         return Outcome(0, 1, note="no tests found")
     passed, failed = rostests.run_all(
-        suites, RESULTS, jobs=int(os.environ.get("ROSTEST_JOBS", "2"))
+        suites, RESULTS, jobs=int(os.environ.get("ROSTEST_JOBS", "3"))
     )
     return Outcome(passed, failed, note=f"{passed} passed, {failed} failed")
 

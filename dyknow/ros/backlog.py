@@ -25,26 +25,23 @@ class Backlog:
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
-        self._expected = 0
+        self._due: Set[str] = set()
         self._deadline = 0.0
         self._missed: Deque[Any] = collections.deque()
-        self._served: Set[str] = set()
         #: Whether somebody is expected; looked at on every publish.
         self.open = False
 
-    def expect(self, subscribers: Collection[str], present: Collection[str], size: int) -> None:
+    def expect(self, due: Collection[str], size: int) -> None:
         """Begin to keep messages.
 
         Args:
-            subscribers: who was told of the publisher.
-            present: callers that have connected already.
+            due: addresses of the nodes that were told of the publisher and have yet to connect.
             size: messages to keep, the newest; 0 for no bound of the publisher's own.
         """
-        self._expected = len(subscribers)
-        self._served = set(present)
+        self._due = set(due)
         self._missed = collections.deque(maxlen=size or _MOST)
         self._deadline = self._clock() + LONGEST
-        self.open = len(present) < self._expected
+        self.open = bool(self._due)
 
     def waiting(self) -> bool:
         """Whether somebody is still expected."""
@@ -57,13 +54,13 @@ class Backlog:
         if self.waiting():
             self._missed.append(message)
 
-    def greet(self, caller: str) -> List[Any]:
+    def greet(self, address: str) -> List[Any]:
         """Somebody has connected: return what it missed, oldest first."""
-        if not self.waiting() or caller in self._served:
+        if not self.waiting() or address not in self._due:
             return []
-        self._served.add(caller)
+        self._due.remove(address)
         missed = list(self._missed)
-        if len(self._served) >= self._expected:
+        if not self._due:
             self._close()
         return missed
 

@@ -26,10 +26,12 @@ import rospy.impl.registration
 import rospy.impl.tcpros
 from rospy.impl.transport import INBOUND, Transport
 
+from dyknow.errors import PeerTimeout
 from dyknow.nodelet.endpoints import NOTHING, Connection
 from dyknow.nodelet.scheduler import Executor, Strand
 from dyknow.ros.anymsg import TypedReceiver
 from dyknow.ros.backlog import Backlog
+from dyknow.ros.master import Master
 
 Callback = Tuple[Callable[..., Any], Any]
 
@@ -69,8 +71,11 @@ def twin(message: Any) -> Any:
 class LocalTopic:
     """Ordinary rospy handles of this process on one topic of the bus."""
 
-    def __init__(self, name: str, uri: str, executor: Executor) -> None:
+    def __init__(
+        self, name: str, uri: str, address: Callable[[str], str], executor: Executor
+    ) -> None:
         self.name = name
+        self._address = address
         self.halves: Set[Any] = set()
         self.backlog = Backlog()
         self._latches: Dict[Any, Any] = {}
@@ -123,10 +128,11 @@ class LocalTopic:
             with self._refreshing:
                 for half in list(self.halves):
                     half.heard = True  # first: whoever sees the connection is heard already
+            address = self._address(connection.endpoint_id) if self.backlog.open else ""
             implementation.acquire()  # nothing is published between what was missed and the rest
             try:
                 added = add(connection)
-                for message in self.backlog.greet(connection.endpoint_id):
+                for message in self.backlog.greet(address):
                     outwards(message, implementation.connections[-1])
                 return added
             finally:
@@ -139,15 +145,16 @@ class LocalTopic:
         if subscriber is not None and subscriber.has_connection(self._uri):
             self.link(subscriber)  # takes the place of rospy's connection to itself
 
-    def expect(self, subscribers: Collection[str], size: int) -> None:
+    def expect(self, told: Collection[str], size: int) -> None:
         """Keep what is published for subscribers that were told and have yet to connect."""
         implementation = self._adopted
-        implementation.acquire()
+        implementation.acquire()  # before it is asked who is there, so nobody slips through
         try:
-            present = [connection.endpoint_id for connection in implementation.connections]
-            self.backlog.expect(subscribers, present, size)
+            callers = [connection.endpoint_id for connection in implementation.connections]
+            self.backlog.expect(set(told) - set(map(self._address, callers)), size)
         finally:
             implementation.release()
+        self.refresh()
 
     def link(self, subscriber: Any) -> None:
         """Show the link on rospy's subscriber and follow its ordinary callbacks."""
@@ -244,6 +251,7 @@ class IntraProcess:
     def __init__(self, executor: Executor) -> None:
         """Install the hook; the node must be initialised."""
         self._executor = executor
+        self._master = Master(rospy.get_name())
         self._lock = threading.Lock()
         self._topics: Dict[str, LocalTopic] = {}
         self._uri: str = rospy.core.get_node_uri()
@@ -256,7 +264,9 @@ class IntraProcess:
         """Take over a topic, before rospy's publisher is made."""
         with self._lock:
             if topic not in self._topics:
-                self._topics[topic] = LocalTopic(topic, self._uri, self._executor)
+                self._topics[topic] = LocalTopic(
+                    topic, self._uri, self._address_of, self._executor
+                )
             return self._topics[topic]
 
     def retire(self, topic: str) -> None:
@@ -269,6 +279,12 @@ class IntraProcess:
                 return
             del self._topics[topic]
         local.unlink()
+
+    def _address_of(self, caller: str) -> str:
+        try:
+            return self._master.node(caller)
+        except PeerTimeout:
+            return ""
 
     def _create_transport(self, topic: str, uri: str, parameters: Any) -> Tuple[int, str, int]:
         if uri == self._uri:

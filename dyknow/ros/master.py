@@ -11,6 +11,8 @@ from dyknow.errors import PeerTimeout
 
 #: Seconds that the master may take to answer.
 TIMEOUT = 3.0
+#: Seconds for a node to say what it subscribes to, while somebody waits for a switch.
+_AT_ONCE = 0.2
 
 
 class _Transport(xmlrpc.client.Transport):
@@ -100,16 +102,22 @@ class Master:
     def datatype(self, topic: str) -> str:
         """Type of a topic with a live publisher or subscriber, else empty.
 
-        The master's types outlive the publishers, so the system state is asked too where the
-        master knows a type.
+        The master's types outlive the publishers that they come from, so they count only while
+        there is a publisher; without one the subscribers are asked.
         """
         known: List[Tuple[str, str]] = self.ask("getTopicTypes")
         found = next((datatype for name, datatype in known if name == topic), "")
         if not found:
             return ""
         state = self.ask("getSystemState")
-        alive = any(name == topic and nodes for side in state[:2] for name, nodes in side)
-        return found if alive else ""
+        publishers, subscribers = (
+            sorted(node for name, nodes in side if name == topic for node in nodes)
+            for side in state[:2]
+        )
+        if publishers:
+            return found
+        answers = (self._subscribed(node, topic) for node in subscribers)
+        return next((answer for answer in answers if answer not in ("", "*")), "")
 
     def node(self, name: str) -> str:
         """Address of a node that is registered, whether it lives or not; else empty."""
@@ -149,6 +157,20 @@ class Master:
         for service, nodes in services:
             if node in nodes:
                 dead.ask("unregisterService", service, self.ask("lookupService", service))
+
+    def _subscribed(self, node: str, topic: str) -> str:
+        """As what a node subscribes to a topic; empty if it does not say so at once."""
+        uri = self.node(node)
+        if not uri:
+            return ""
+        server = _Server(uri, f"node {node}", _AT_ONCE)
+        try:
+            types: List[Tuple[str, str]] = server.ask("getSubscriptions", self.caller)
+        except (PeerTimeout, LookupError):
+            return ""
+        finally:
+            server.close()
+        return next((datatype for name, datatype in types if name == topic), "")
 
     def _nodes(self, topic: str, side: int) -> Set[str]:
         state = self.ask("getSystemState")

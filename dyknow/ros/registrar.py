@@ -50,7 +50,7 @@ class Registrar(RegistrationListener):
     def __init__(self, master: Optional[Master] = None) -> None:
         """Take the place of rospy's own; ``master`` is that of the environment by default."""
         self._master = master or Master(rospy.get_name())
-        self._uri: str = rospy.core.get_node_uri()
+        self._uri: str = rospy.core.get_node_uri() or ""
         self._lock = threading.Lock()
         self._owed: Dict[Key, str] = {}
         self._peers: Dict[Key, FrozenSet[str]] = {}

@@ -41,6 +41,7 @@ class RospyPublisher(OutsidePublisher):
         "_local",
         "_publisher",
         "_sent",
+        "_told",
         "_topic",
         "heard",
     )
@@ -84,9 +85,7 @@ class RospyPublisher(OutsidePublisher):
             raise
         self._implementation = self._publisher.impl
         self._local.adopt(self._implementation)
-        subscribers = registrar.subscribers(topic)
-        if subscribers:
-            self._local.expect(subscribers, queue_size)
+        self._told = registrar.subscribers(topic) or frozenset()
         self._local.refresh()
 
     def listeners(self) -> int:
@@ -110,6 +109,8 @@ class RospyPublisher(OutsidePublisher):
     def wait(self, seconds: float) -> None:
         """Wait for the connections of the subscribers that the master told of this publisher."""
         deadline = time.monotonic() + seconds
+        if self._told:
+            self._local.expect(self._told, self._implementation.queue_size)
         while self._local.backlog.waiting() and time.monotonic() < deadline:
             time.sleep(_STEP)
 

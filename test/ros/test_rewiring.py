@@ -135,7 +135,8 @@ class AcrossProcessesTest(RewiringTest):
         call("/n", "start", 200.0)
         eventually(lambda: port_statistics("/n", "out").messages > 20, 10.0, "it talks")
         peer.stop(signal.SIGSTOP)
-        self.assertTrue(set_config("/n", out="/b").success)
+        answer = set_config("/n", out="/b")
+        self.assertTrue(answer.success, answer.message)
         sent = port_statistics("/n", "out").messages
         eventually(lambda: port_statistics("/n", "out").messages > sent + 20, 5.0, "it talks on")
         self.assertNotIn("/b ", peer.output)
