@@ -43,7 +43,7 @@ def inspect(
         published: topics of ordinary nodes that have a publisher.
     """
     if not claim.topic:
-        return Damage(claim.detail or "it has no stream yet")
+        return Damage("it has no stream yet")
     doubts = []
     for name in claim.nodelets:
         record = manager.graph.find(name)

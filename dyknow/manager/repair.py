@@ -137,7 +137,8 @@ class Repair:
             self._table.change(claim_id, damage.what, **failed)
             return
         self._quarantine.forgive(claim_id)
-        reason = with_remarks(f"mended: {damage.what}", done)
+        reason = f"mended: {damage.what}" if claim.topic else "it can be made now"
+        reason = with_remarks(reason, done)
         self._table.change(claim_id, reason, **outcome(done))
 
     def _despair(self, claim: Claim, damage: Damage, answer: NoPlan) -> None:
@@ -146,11 +147,13 @@ class Repair:
             if claim.state is ClaimState.FAILED:
                 return  # it says why already
             state = ClaimState.RECOVERING
-            detail = f"{damage.what}; what could replace it failed lately and is left for a while"
+            detail = f"{damage.what}; what could supply it failed lately and is left for a while"
         else:
             state = ClaimState.PENDING
             detail = str(answer) if damage.severed else f"{damage.what}; {answer}"
-        if claim.topic and not damage.severed:
+        if not claim.topic:
+            state = ClaimState.PENDING
+        elif not damage.severed:
             state = ClaimState.DEGRADED
         self._table.change(claim.claim_id, damage.what, state=state, detail=detail)
 

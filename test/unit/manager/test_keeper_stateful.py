@@ -185,7 +185,7 @@ class Claims(RuleBasedStateMachine):
 
 
 Claims.TestCase.settings = settings(
-    max_examples=25,
+    max_examples=30,
     stateful_step_count=15,
     deadline=None,
     suppress_health_check=list(HealthCheck),

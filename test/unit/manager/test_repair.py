@@ -178,6 +178,28 @@ def test_a_pending_claim_costs_no_planning_while_nothing_changes(field: Field) -
     assert plans == []
 
 
+def test_a_pending_claim_says_so_while_what_it_needs_is_left_alone(field: Field) -> None:
+    field.host.topics.clear()
+    with pytest.raises(NoPlanFound) as raised:
+        field.acquire()
+    claim_id = raised.value.claim_id
+
+    def fail(operation: str, argument: str) -> None:
+        if operation == "load" and "detector" in argument:
+            raise HostError("out of memory")
+
+    field.host.fail = fail
+    field.host.topics.add("/joint_states")
+    field.settle(30.0)
+    assert field.state(claim_id) is ClaimState.FAILED
+    assert len(field.claim(claim_id).detail) < 100
+    assert len(field.events) < 4
+    field.host.fail = lambda operation, argument: None
+    field.settle(70.0)
+    assert field.state(claim_id) is ClaimState.ACTIVE
+    assert field.reasons()[-1] == "it can be made now"
+
+
 # Several claims
 
 
