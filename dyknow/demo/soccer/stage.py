@@ -20,7 +20,7 @@ from dyknow.demo.processes import (
     start_manager,
     uses_simulated_time,
 )
-from dyknow.demo.soccer.story import Script, Story, wait_for
+from dyknow.demo.soccer.story import Script, tell_story, wait_for
 from dyknow.errors import DyKnowError, HostError, PeerTimeout
 from dyknow.ros.client import ManagerClient
 from dyknow.ros.master import Master
@@ -53,7 +53,7 @@ def play(manager: str, seconds: float, max_silence: float, pictures: Path) -> bo
         with _manager(manager) as (client, check), _node():
             wait_for(client, check, START_TIMEOUT)
             script = Script(seconds, max_silence, pictures.absolute(), _tell, check)
-            return Story(client, script).run()
+            return tell_story(client, script)
 
 
 @contextlib.contextmanager
