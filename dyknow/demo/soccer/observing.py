@@ -20,8 +20,6 @@ from dyknow.ros.views import ModelView, model_view
 #: The robot's own tracking: labels of what is to be kept, and re-wired.
 TRACKING = ("image_subsampler(nao)", "ball_detector(nao)", "localization(nao, ball)")
 
-PERIOD = 1.0  # s that a report is about
-
 
 class Observation:
     """Listens while it is open, and tells what changes as it does.
@@ -64,7 +62,8 @@ class Observation:
     def follow(self, stream: Any) -> None:
         """Take the positions of an acquired stream, from now on."""
         self._stream = stream
-        self.track = Track(time.monotonic(), World().ball_on_field)
+        self._reported = time.monotonic()
+        self.track = Track(self._reported, World().ball_on_field)
         subscriber = rospy.Subscriber(stream.topic, PointStamped, self._on_position)
         self._listening.append(subscriber)
 
@@ -73,9 +72,10 @@ class Observation:
         self._tell(f"{time.monotonic() - self._began:6.2f} s  {text}")
 
     def report(self) -> None:
-        """Print how the tracking went lately."""
+        """Print how the tracking went since the last report."""
         now = time.monotonic()
-        latest = self.track.stretch(now - PERIOD, now)
+        latest = self.track.stretch(self._reported, now)
+        self._reported = now
         self.say(
             f"{self._stream.state.name:10} {latest.rate:5.1f} Hz  "
             f"error {latest.median:.3f} m (at most {latest.worst:.3f})  "

@@ -15,8 +15,9 @@ from geometry_msgs.msg import PointStamped
 
 import dyknow
 from dyknow import names
-from dyknow.demo.soccer.observing import PERIOD, TRACKING, Observation, feeding, tracking_of
+from dyknow.demo.soccer.observing import TRACKING, Observation, feeding, tracking_of
 from dyknow.demo.soccer.picture import Moment, draw, to_dot
+from dyknow.demo.soccer.track import shortcomings
 from dyknow.errors import DyKnowError, Refused
 from dyknow.manager.claim import StreamRequest
 from dyknow.ros.client import ManagerClient
@@ -25,9 +26,7 @@ from dyknow.ros.views import ModelView
 TAG = "FieldPosition(ball)"
 OWN_CAMERA, OTHER_CAMERA = "bottom_camera", "ceiling_camera"
 
-#: Metres: several times what is measured, so that a stream of wrong positions is no success.
-LARGE_ERROR = 0.3
-
+_PERIOD = 1.0  # s between two reports
 _LOOK = 0.05  # s
 _PATIENCE = 15.0  # s for what the manager does by itself
 
@@ -116,7 +115,7 @@ class _Story:
         """Follow the ball for a while; then look at who does the work, and draw it."""
         end = time.monotonic() + self._script.seconds
         while time.monotonic() < end:
-            time.sleep(min(PERIOD, max(0.0, end - time.monotonic())))
+            time.sleep(min(_PERIOD, max(0.0, end - time.monotonic())))
             self._script.check()
             self._observation.report()
         model = self._client.get_model()
@@ -166,16 +165,13 @@ class _Story:
         limit, problems = self._script.max_silence, self._problems
         if self._stream.topic != self._topic:
             problems.append(f"the topic has changed to {self._stream.topic}")
-        if not whole.median < LARGE_ERROR:
-            problems.append(f"the positions are wrong by {whole.median:.2f} m")
-        if whole.pause > limit:
-            problems.append(f"the position was lost for {whole.pause:.2f} s, not {limit:g} s")
+        problems.extend(shortcomings(whole, limit))
         self._tell("")
         self._tell(
             f"{whole.count} positions on {self._topic}, error {whole.median:.3f} m at the median; "
             f"longest pause {whole.pause:.2f} s of {limit:g} s that are allowed."
         )
-        for problem in problems:
+        for problem in dict.fromkeys(problems):
             self._tell(f"Not as promised: {problem}.")
         if not problems:
             kept = ", ".join(sorted(self._tracking.values()))
@@ -216,7 +212,7 @@ def wait_for(client: ManagerClient, check: Callable[[], None], patience: float) 
     while True:
         check()
         try:
-            labels = {each.label for each in client.get_model(PERIOD).transformations}
+            labels = {each.label for each in client.get_model(_PERIOD).transformations}
         except DyKnowError:
             labels = set()
         missing = sorted({OWN_CAMERA, OTHER_CAMERA, *TRACKING} - labels)

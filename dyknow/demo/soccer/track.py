@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import statistics
 from dataclasses import dataclass
-from typing import Callable, Sequence
+from typing import Callable, List, Sequence
 
 from dyknow.demo.soccer.rigid import Array
+
+#: Metres: several times what is measured, so that a stream of wrong positions is no success.
+LARGE_ERROR = 0.3
 
 
 @dataclass(frozen=True)
@@ -72,6 +75,16 @@ class Track:
     def whole(self, end: float) -> Stretch:
         """Sum up everything."""
         return self.stretch(self._begin, end)
+
+
+def shortcomings(stretch: Stretch, max_silence: float) -> List[str]:
+    """Say what is not as a claim promises that allows so many seconds without a position."""
+    found = []
+    if stretch.pause > max_silence:
+        found.append(f"the position was lost for {stretch.pause:.2f} s, not {max_silence:g} s")
+    if not stretch.median < LARGE_ERROR:
+        found.append(f"the positions are wrong by {stretch.median:.2f} m")
+    return found
 
 
 def _longest(times: Sequence[float]) -> float:

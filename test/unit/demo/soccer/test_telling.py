@@ -8,7 +8,7 @@ import numpy as np
 
 from dyknow.demo.soccer.narration import changes
 from dyknow.demo.soccer.picture import Moment, draw, to_dot
-from dyknow.demo.soccer.track import Track
+from dyknow.demo.soccer.track import Stretch, Track, shortcomings
 from dyknow.manager.model import PortState, State
 from dyknow.ros.views import ModelView, NodeletView
 
@@ -49,6 +49,16 @@ def test_without_positions_all_of_it_is_a_pause():
     found = Track(10.0, lambda stamp: np.zeros(3)).whole(13.0)
     assert (found.count, found.rate, found.pause) == (0, 0.0, 3.0)
     assert math.isnan(found.median) and math.isnan(found.worst)
+
+
+def test_a_claim_is_kept_if_positions_are_right_and_never_too_far_apart():
+    assert shortcomings(Stretch(100, 20.0, 0.04, 0.1, 0.5), 0.5) == []
+    late = shortcomings(Stretch(100, 20.0, 0.04, 0.1, 2.25), 2.0)
+    assert late == ["the position was lost for 2.25 s, not 2 s"]
+    wrong = shortcomings(Stretch(100, 20.0, 0.5, 0.9, 0.5), 2.0)
+    assert wrong == ["the positions are wrong by 0.50 m"]
+    none = Track(0.0, lambda stamp: np.zeros(3)).whole(3.0)
+    assert len(shortcomings(none, 2.0)) == 2
 
 
 def test_what_came_went_and_was_re_wired_is_told():
