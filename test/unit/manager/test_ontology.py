@@ -44,7 +44,7 @@ def test_the_soccer_example_is_clean(soccer):
 
     assert (report.problems, report.warnings) == ((), ())
     assert len(report.labels) == 10
-    assert "image_subsampler(bottom_camera)" in report.labels
+    assert "image_subsampler(ceiling_camera)" in report.labels
 
 
 def test_a_concept_that_is_not_there(soccer):
