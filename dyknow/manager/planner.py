@@ -128,4 +128,8 @@ def _no_collection() -> Iterator[None]:
     try:
         yield
     finally:
+        if not gc.get_freeze_count():
+            # Hands what is new to the oldest generation as it is: no walk through it here either.
+            gc.freeze()
+            gc.unfreeze()
         gc.enable()
