@@ -33,7 +33,7 @@ class Term(NamedTuple):
     @property
     def is_ground(self) -> bool:
         """Whether it has no variable."""
-        return not any(arg.startswith("?") for arg in self.args)
+        return not [arg for arg in self.args if arg[:1] == "?"]  # a list is quicker than any()
 
 
 class Subsumption(Protocol):
