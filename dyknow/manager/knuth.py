@@ -63,8 +63,8 @@ def cheapest(
     chosen.update(dict.fromkeys(ready, LIVE))
     value_of = value.__getitem__
     while True:
-        for demand in ready:
-            for action in consumers[demand]:
+        while ready:
+            for action in consumers[ready.pop()]:
                 left = missing[action] = missing[action] - 1
                 if not left and action not in banned:
                     own = 0 if action in free else costs[action]
@@ -75,7 +75,8 @@ def cheapest(
         price, _, action = heapq.heappop(heap)
         if below is not None and price >= below:
             return values
-        ready = [demand for demand in served[action] if demand not in value]
-        for demand in ready:
-            value[demand] = price
-            chosen[demand] = action
+        for demand in served[action]:
+            if demand not in value:
+                value[demand] = price
+                chosen[demand] = action
+                ready.append(demand)

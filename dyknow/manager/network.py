@@ -7,7 +7,6 @@ change the answer comes or goes.
 
 from __future__ import annotations
 
-import contextlib
 from dataclasses import dataclass, field
 from typing import AbstractSet, Dict, Iterable, List, Optional, Set, Tuple
 
@@ -54,6 +53,7 @@ class Network:
         self.demands: List[Demand] = []
         self._by_label: Dict[str, int] = {}
         self._by_demand: Dict[Demand, int] = {}
+        self._by_text: Dict[Tuple[Tuple[str, ...], str], int] = {}
         self._by_functor: Dict[str, List[int]] = {}
         self._suppliers: List[Optional[Dict[int, New]]] = []
         self._touched: Set[str] = set()
@@ -93,8 +93,10 @@ class Network:
         if known is None:
             found = []
             for text in texts:
-                with contextlib.suppress(InvalidTag):
+                try:
                     found.append(parse_tag(text))
+                except InvalidTag:
+                    continue
             known = self._read[texts] = tuple(found)
         return known
 
@@ -126,10 +128,11 @@ class Network:
         consumers, served, needs = reach.consumers, reach.served, self.needs
         known = self._suppliers
         excluded = self.numbers(exclude)
+        any_live = len(streams) > 0
         consumers[reach.goal] = []
         waiting = [reach.goal]
         for number in waiting:  # grows while it is walked through
-            if streams:
+            if any_live:
                 alive = streams.suppliers(self.demands[number])
                 if alive:
                     reach.live[number] = min(alive)
@@ -161,20 +164,21 @@ class Network:
         inputs = []
         given = []
         for name, direction, datatype, tags in ports:
-            terms = self.terms(tags)
-            if not terms:
+            if not tags:
                 continue
             if direction == IN:
-                demand = self.number(Demand(frozenset(terms), datatype))
-                names.append(name)
-                inputs.append(demand)
-                needs.append(Need(name, self.demands[demand]))
+                demand = self._demanded(tags, datatype)
+                if demand is not None:
+                    names.append(name)
+                    inputs.append(demand)
+                    needs.append(Need(name, self.demands[demand]))
             elif direction == OUT:
-                source = New(label, name)
-                given.append((source, terms))
-                self._supply.add(source, terms, datatype)
-                for term in terms:
-                    self._touched.add(term.functor)
+                terms = self.terms(tags)
+                if terms:
+                    source = New(label, name)
+                    given.append((source, terms))
+                    self._supply.add(source, terms, datatype)
+                    self._touched.update([term.functor for term in terms])
         self._by_label[label] = len(self.labels)
         self._given[label] = given
         self.labels.append(label)
@@ -184,6 +188,17 @@ class Network:
         self.ports.append(self._shared.setdefault(in_ports, in_ports))
         self.inputs.append(inputs)
         self.actions.append(Action(label, cost, tuple(needs)))
+
+    def _demanded(self, tags: Tuple[str, ...], datatype: str) -> Optional[int]:
+        """Return the number of what an in-port asks for, None if it has no tags."""
+        key = tags, datatype
+        found = self._by_text.get(key)
+        if found is None:
+            terms = self.terms(tags)
+            if not terms:
+                return None
+            found = self._by_text[key] = self.number(Demand(frozenset(terms), datatype))
+        return found
 
     def _forget_suppliers(self) -> None:
         """Look up again who supplies the demands that a change may concern."""
