@@ -34,7 +34,7 @@ def drafted(
     """Follow a choice from the goal; None if it has a cycle."""
     needs, costs = network.needs, network.costs
     order: List[int] = []
-    first = chosen[reach.goal][0]
+    first = chosen[reach.goal]
     if first == LIVE:
         return Draft(chosen, order, 0)
     state: Dict[int, bool] = {first: False}  # True: done, False: its inputs are being followed
@@ -42,7 +42,7 @@ def drafted(
     while stack:
         action, rest = stack[-1]
         for demand in rest:
-            below = chosen[demand][0]
+            below = chosen[demand]
             if below == LIVE:
                 continue
             known = state.get(below)
@@ -92,12 +92,15 @@ def improve(
 
 def _worthwhile(network: Network, reach: Reach, bound: Dict[int, int]) -> Reach:
     """Leave out what needs something that alone costs as much as the plan at hand."""
-    part = Reach(reach.goal, [d for d in reach.demands if d in bound], {}, reach.live)
-    for action, places in reach.served.items():
+    part = Reach(reach.goal, live=reach.live)
+    for action, demands in reach.served.items():
         if all(need in bound for need in network.needs[action]):
-            kept = [place for place in places if place[0] in bound]
+            kept = [demand for demand in demands if demand in bound]
             if kept:
                 part.served[action] = kept
+    for demand, users in reach.consumers.items():
+        if demand in bound:
+            part.consumers[demand] = [action for action in users if action in part.served]
     return part
 
 
@@ -113,22 +116,19 @@ def _search(
     """Look at every choice that could undercut the best way; exact if it ends in time."""
     needs = network.needs
     cost_of = {action: 0 if action in free else network.costs[action] for action in part.served}
-    offers: Dict[int, List[Tuple[int, str]]] = {demand: [] for demand in part.demands}
-    for action, places in part.served.items():
-        for demand, port in places:
-            offers[demand].append((action, port))
-    for demand in part.live:
-        offers[demand] = [(LIVE, "")]  # costs and needs nothing: nothing is better
+    offers: Dict[int, List[int]] = {demand: [] for demand in part.consumers}
+    for action, demands in part.served.items():
+        for demand in demands:
+            offers[demand].append(action)
 
-    def price(offer: Tuple[int, str]) -> Tuple[int, str, str]:
-        action, port = offer
-        if action == LIVE:
-            return 0, "", port
+    def price(action: int) -> Tuple[int, str]:
         inputs = sum(bound[need] for need in needs[action])
-        return cost_of[action] + inputs, network.labels[action], port
+        return cost_of[action] + inputs, network.labels[action]
 
-    for demand, found in offers.items():
-        offers[demand] = sorted(found, key=price)
+    for found in offers.values():
+        found.sort(key=price)
+    for demand in part.live:
+        offers[demand] = [LIVE]  # costs and needs nothing: nothing is better
 
     chosen: Chosen = {}
     users: Dict[int, int] = {}  # how many choices rest on an action
@@ -136,29 +136,29 @@ def _search(
     cost = 0
     # One frame for each decision: the demand, its offers, the next of them, and how many demands
     # the present one opened (-1: none is taken yet).
-    frames: List[Tuple[int, List[Tuple[int, str]], int, int]] = []
+    frames: List[Tuple[int, List[int], int, int]] = []
 
     def least() -> int:
         most = 0
         for demand in open_demands:
             low = min(
                 0 if action == LIVE or action in users else cost_of[action]
-                for action, _ in offers[demand]
+                for action in offers[demand]
             )
             most = max(most, low)
         return cost + most
 
     def enter() -> None:
         demand = open_demands.pop()
-        used = [offer for offer in offers[demand] if offer[0] in users]
-        rest = [offer for offer in offers[demand] if offer[0] not in users]
+        used = [action for action in offers[demand] if action in users]
+        rest = [action for action in offers[demand] if action not in users]
         frames.append((demand, used + rest, 0, -1))
 
     enter()
     while frames:
         demand, order, position, opened = frames.pop()
         if opened >= 0:  # take the last choice back
-            action = chosen.pop(demand)[0]
+            action = chosen.pop(demand)
             if action != LIVE:
                 users[action] -= 1
                 if not users[action]:
@@ -168,8 +168,7 @@ def _search(
         if position == len(order):
             open_demands.append(demand)
             continue
-        action = order[position][0]
-        chosen[demand] = order[position]
+        action = chosen[demand] = order[position]
         fresh: List[int] = []
         if action != LIVE:
             if action not in users:
@@ -200,7 +199,7 @@ def _exchange(
     network: Network, part: Reach, draft: Draft, free: AbstractSet[int], floor: int, steps: int
 ) -> Draft:
     """Leave one part after the other out, and see whether the rest serves better."""
-    size = len(part.served) + len(part.demands)
+    size = len(part.served) + len(part.consumers)
     improved = True
     while improved and draft.cost > floor:
         improved = False

@@ -49,50 +49,34 @@ def cheapest(
     values = Values()
     value, chosen = values.value, values.chosen
     costs, needs, labels = network.costs, network.needs, network.labels
-    consumers: Dict[int, List[int]] = {}
+    consumers, served = reach.consumers, reach.served
+    combine = sum if use_sum else max
     missing: Dict[int, int] = {}
-    inputs: Dict[int, int] = {}
     heap: List[Tuple[int, str, int]] = []
-    for action in reach.served:
-        if action in banned:
-            continue
-        wanted = needs[action]
-        if not wanted:
+    for action in served:
+        missing[action] = len(needs[action])
+        if not missing[action] and action not in banned:
             heap.append((0 if action in free else costs[action], labels[action], action))
-            continue
-        missing[action] = len(wanted)
-        inputs[action] = 0
-        for demand in wanted:
-            if demand in consumers:
-                consumers[demand].append(action)
-            else:
-                consumers[demand] = [action]
-    ready: List[int] = []
-    for demand in reach.live:
-        value[demand] = 0
-        chosen[demand] = (LIVE, "")
-        ready.append(demand)
     heapq.heapify(heap)
+    ready = list(reach.live)
+    value.update(dict.fromkeys(ready, 0))
+    chosen.update(dict.fromkeys(ready, LIVE))
+    value_of = value.__getitem__
     while True:
         while ready:
-            demand = ready.pop()
-            price = value[demand]
-            for action in consumers.get(demand, ()):
-                if use_sum:
-                    inputs[action] += price
-                elif price > inputs[action]:
-                    inputs[action] = price
-                missing[action] -= 1
-                if not missing[action]:
+            for action in consumers[ready.pop()]:
+                left = missing[action] = missing[action] - 1
+                if not left and action not in banned:
                     own = 0 if action in free else costs[action]
-                    heapq.heappush(heap, (own + inputs[action], labels[action], action))
+                    inputs = combine(map(value_of, needs[action]))
+                    heapq.heappush(heap, (own + inputs, labels[action], action))
         if not heap or until in value:
             return values
         price, _, action = heapq.heappop(heap)
         if below is not None and price >= below:
             return values
-        for demand, port in reach.served[action]:
+        for demand in served[action]:
             if demand not in value:
                 value[demand] = price
-                chosen[demand] = (action, port)
+                chosen[demand] = action
                 ready.append(demand)

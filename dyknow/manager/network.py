@@ -8,14 +8,16 @@ change the answer comes or goes.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import AbstractSet, Dict, Iterable, List, Optional, Tuple
+from typing import AbstractSet, Dict, Iterable, List, Optional, Set, Tuple
 
 from dyknow.errors import InvalidTag
 from dyknow.manager.planning import Action, Live, Need, New, Source
 from dyknow.manager.supply import Demand, Supply
 from dyknow.manager.tags import NO_ONTOLOGY, Subsumption, Term, parse_tag
-from dyknow.manager.transformation import IN, OUT, TOPIC, Transformation
+from dyknow.manager.transformation import IN, OUT, TOPIC, Port, Transformation
 
+Chosen = Dict[int, int]
+"""For each demand the action that supplies it, or -1 for a live stream."""
 _Terms = Tuple[Term, ...]
 
 
@@ -25,14 +27,14 @@ class Reach:
 
     Attributes:
         goal: number of the demand that is asked for.
-        demands: numbers of the demands, in the order of their discovery.
-        served: for each action, the demands that it supplies and from which port, in that order.
+        consumers: for each demand the actions that need it; demands in the order of discovery.
+        served: for each action, the demands that it supplies, in that order.
         live: the best live stream for each demand that has one.
     """
 
     goal: int
-    demands: List[int] = field(default_factory=list)
-    served: Dict[int, List[Tuple[int, str]]] = field(default_factory=dict)
+    consumers: Dict[int, List[int]] = field(default_factory=dict)
+    served: Dict[int, List[int]] = field(default_factory=dict)
     live: Dict[int, Live] = field(default_factory=dict)
 
 
@@ -45,53 +47,36 @@ class Network:
         self.labels: List[str] = []
         self.costs: List[int] = []
         self.needs: List[Tuple[int, ...]] = []
+        self.actions: List[Action] = []
+        self.ports: List[Tuple[str, ...]] = []
+        self.inputs: List[List[int]] = []
         self.demands: List[Demand] = []
-        self._actions: List[Action] = []
         self._by_label: Dict[str, int] = {}
         self._by_demand: Dict[Demand, int] = {}
-        self._suppliers: List[Tuple[int, List[Tuple[str, str, int]]]] = []
-        self._functors: List[Tuple[str, ...]] = []
-        self._changes: Dict[str, int] = {}
+        self._by_text: Dict[Tuple[Tuple[str, ...], str], int] = {}
+        self._by_functor: Dict[str, List[int]] = {}
+        self._suppliers: List[Optional[Dict[int, New]]] = []
+        self._touched: Set[str] = set()
         self._supply: Supply[New] = Supply(ontology)
         self._given: Dict[str, List[Tuple[New, _Terms]]] = {}
-        self._terms: Dict[str, Optional[Term]] = {}
+        self._shared: Dict[Tuple[str, ...], Tuple[str, ...]] = {}
+        self._read: Dict[Tuple[str, ...], _Terms] = {}
 
     def __len__(self) -> int:
         """Count the transformations."""
         return len(self._by_label)
 
-    def action(self, number: int) -> Action:
-        """Return an action by its number."""
-        return self._actions[number]
-
-    def source(self, number: int, port: str) -> New:
-        """Name the out-port of an action."""
-        return New(self.labels[number], port)
+    def numbers(self, labels: AbstractSet[str]) -> Set[int]:
+        """Return the actions of those labels that are known."""
+        by_label = self._by_label
+        return {by_label[label] for label in labels if label in by_label}
 
     def add(self, transformations: Iterable[Transformation]) -> None:
         """Add transformations; those of known labels are replaced. Topics are no actions."""
         for each in transformations:
             self.remove(each.label)
-            if each.type == TOPIC:
-                continue
-            needs = []
-            given = []
-            for port in each.ports:
-                terms = self.terms(port.tags)
-                if not terms:
-                    continue
-                if port.direction == IN:
-                    needs.append(Need(port.name, Demand(frozenset(terms), port.datatype)))
-                elif port.direction == OUT:
-                    given.append((New(each.label, port.name), terms))
-                    self._supply.add(given[-1][0], terms, port.datatype)
-                    self._changed(terms)
-            self._by_label[each.label] = len(self.labels)
-            self._given[each.label] = given
-            self.labels.append(each.label)
-            self.costs.append(each.cost)
-            self.needs.append(tuple(dict.fromkeys(self.number(need.demand) for need in needs)))
-            self._actions.append(Action(each.label, each.cost, tuple(needs)))
+            if each.type != TOPIC:
+                self._insert(each.label, each.cost, each.ports)
 
     def remove(self, label: str) -> None:
         """Forget a transformation, if it is known; its number is not used again."""
@@ -99,21 +84,21 @@ class Network:
             return
         for source, terms in self._given.pop(label):
             self._supply.remove(source, terms)
-            self._changed(terms)
+            self._touched.update([term.functor for term in terms])
 
     def terms(self, tags: Iterable[str]) -> _Terms:
         """Read tags; what is no term says nothing to the planner."""
-        found = []
-        for text in tags:
-            if text not in self._terms:
+        texts = tuple(tags)
+        known = self._read.get(texts)
+        if known is None:
+            found = []
+            for text in texts:
                 try:
-                    self._terms[text] = parse_tag(text)
+                    found.append(parse_tag(text))
                 except InvalidTag:
-                    self._terms[text] = None
-            term = self._terms[text]
-            if term is not None:
-                found.append(term)
-        return tuple(found)
+                    continue
+            known = self._read[texts] = tuple(found)
+        return known
 
     def number(self, demand: Demand) -> int:
         """Return the number of a demand."""
@@ -121,62 +106,104 @@ class Network:
         if found is None:
             found = self._by_demand[demand] = len(self.demands)
             self.demands.append(demand)
-            self._suppliers.append((-1, []))
-            self._functors.append(tuple({term.functor for term in demand.tags}))
+            self._suppliers.append(None)
+            for functor in {term.functor for term in demand.tags}:
+                self._by_functor.setdefault(functor, []).append(found)
         return found
 
-    def suppliers(self, number: int) -> List[Tuple[str, str, int]]:
-        """Who supplies a demand: label, port and number of each, sorted."""
-        changes = 0
-        for functor in self._functors[number]:
-            changes += self._changes.get(functor, 0)
-        known_since, found = self._suppliers[number]
-        if known_since != changes:
-            by_label = self._by_label
-            sources = self._supply.suppliers(self.demands[number])
-            found = sorted((label, port, by_label[label]) for label, port in sources)
-            self._suppliers[number] = (changes, found)
+    def suppliers(self, number: int) -> Dict[int, New]:
+        """Who supplies a demand: actions in the order of their labels, each with its out-port."""
+        found = self._suppliers[number]
+        if found is None:
+            found = {}
+            for source in sorted(self._supply.suppliers(self.demands[number])):
+                found.setdefault(self._by_label[source.label], source)
+            self._suppliers[number] = found
         return found
 
     def reach(self, goal: Demand, streams: Supply[Live], exclude: AbstractSet[str]) -> Reach:
         """Collect what the goal can reach; where a live stream is, nothing more is needed."""
+        self._forget_suppliers()
         reach = Reach(self.number(goal))
-        served = reach.served
-        needs = self.needs
-        demands = reach.demands
-        demands.append(reach.goal)
-        seen = {reach.goal}
-        for number in demands:  # grows while it is walked through
-            if streams:
+        consumers, served, needs = reach.consumers, reach.served, self.needs
+        known = self._suppliers
+        excluded = self.numbers(exclude)
+        any_live = len(streams) > 0
+        consumers[reach.goal] = []
+        waiting = [reach.goal]
+        for number in waiting:  # grows while it is walked through
+            if any_live:
                 alive = streams.suppliers(self.demands[number])
                 if alive:
                     reach.live[number] = min(alive)
                     continue
-            for label, port, action in self.suppliers(number):
-                places = served.get(action)
-                if places is not None:
-                    places.append((number, port))
-                    continue
-                if exclude and label in exclude:
-                    continue
-                served[action] = [(number, port)]
-                for need in needs[action]:
-                    if need not in seen:
-                        seen.add(need)
-                        demands.append(need)
+            for action in known[number] or self.suppliers(number):
+                if action in served:
+                    served[action].append(number)
+                elif action not in excluded:
+                    served[action] = [number]
+                    for need in needs[action]:
+                        if need in consumers:
+                            consumers[need].append(action)
+                        else:
+                            consumers[need] = [action]
+                            waiting.append(need)
         return reach
 
-    def _changed(self, terms: _Terms) -> None:
-        for term in terms:
-            for functor in self.ontology.names_above(term.functor):
-                self._changes[functor] = self._changes.get(functor, 0) + 1
+    def sources(self, reach: Reach, chosen: Chosen) -> Dict[int, Source]:
+        """Name what was chosen for each demand that was reached."""
+        known, live = self._suppliers, reach.live
+        return {
+            demand: live[demand] if action < 0 else (known[demand] or {})[action]
+            for demand, action in chosen.items()
+        }
 
+    def _insert(self, label: str, cost: int, ports: Iterable[Port]) -> None:
+        needs = []
+        names = []
+        inputs = []
+        given = []
+        for name, direction, datatype, tags in ports:
+            if not tags:
+                continue
+            if direction == IN:
+                demand = self._demanded(tags, datatype)
+                if demand is not None:
+                    names.append(name)
+                    inputs.append(demand)
+                    needs.append(Need(name, self.demands[demand]))
+            elif direction == OUT:
+                terms = self.terms(tags)
+                if terms:
+                    source = New(label, name)
+                    given.append((source, terms))
+                    self._supply.add(source, terms, datatype)
+                    self._touched.update([term.functor for term in terms])
+        self._by_label[label] = len(self.labels)
+        self._given[label] = given
+        self.labels.append(label)
+        self.costs.append(cost)
+        self.needs.append(tuple(dict.fromkeys(inputs)))
+        in_ports = tuple(names)
+        self.ports.append(self._shared.setdefault(in_ports, in_ports))
+        self.inputs.append(inputs)
+        self.actions.append(Action(label, cost, tuple(needs)))
 
-Chosen = Dict[int, Tuple[int, str]]
-"""For each demand the action, or -1 for a live stream, and the port that supplies it."""
+    def _demanded(self, tags: Tuple[str, ...], datatype: str) -> Optional[int]:
+        """Return the number of what an in-port asks for, None if it has no tags."""
+        key = tags, datatype
+        found = self._by_text.get(key)
+        if found is None:
+            terms = self.terms(tags)
+            if not terms:
+                return None
+            found = self._by_text[key] = self.number(Demand(frozenset(terms), datatype))
+        return found
 
-
-def source_of(network: Network, reach: Reach, chosen: Chosen, demand: int) -> Source:
-    """Name what was chosen for a demand."""
-    action, port = chosen[demand]
-    return reach.live[demand] if action < 0 else network.source(action, port)
+    def _forget_suppliers(self) -> None:
+        """Look up again who supplies the demands that a change may concern."""
+        for functor in self._touched:
+            for name in self.ontology.names_above(functor):
+                for number in self._by_functor.get(name, ()):
+                    self._suppliers[number] = None
+        self._touched.clear()

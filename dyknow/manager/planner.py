@@ -11,11 +11,11 @@ from __future__ import annotations
 
 import contextlib
 import gc
-from typing import AbstractSet, Iterable, Iterator, Tuple
+from typing import AbstractSet, Dict, Iterable, Iterator, List, Tuple
 
 from dyknow.manager.improvement import Draft, drafted, improve
 from dyknow.manager.knuth import Values, cheapest
-from dyknow.manager.network import Network, Reach, source_of
+from dyknow.manager.network import Network, Reach
 from dyknow.manager.planning import NO_LABELS, Answer, Live, NoPlan, Plan, Step
 from dyknow.manager.supply import Demand, Supply
 from dyknow.manager.tags import NO_ONTOLOGY, Subsumption, Term
@@ -75,7 +75,7 @@ class Planner:
                 streams.add(stream, terms, stream.datatype)
         with _no_collection():
             reach = network.reach(demand, streams, exclude | paused)
-            nothing = {action for action in reach.served if network.labels[action] in free}
+            nothing = network.numbers(free) & reach.served.keys()
             trees = cheapest(network, reach, nothing, until=reach.goal)
             if reach.goal not in trees.value:
                 return _no_plan(network, reach, trees)
@@ -86,25 +86,23 @@ class Planner:
 
 
 def _plan(network: Network, reach: Reach, draft: Draft, free: AbstractSet[int]) -> Plan:
+    sources = network.sources(reach, draft.chosen)
+    source_of = sources.__getitem__
     steps = []
     for number in draft.actions:
-        action = network.action(number)
+        action = network.actions[number]
         if number in free:
             action = action._replace(cost=0)
-        inputs = tuple(
-            (need.port, source_of(network, reach, draft.chosen, network.number(need.demand)))
-            for need in action.needs
-        )
-        steps.append(Step(action, inputs))
-    goal = source_of(network, reach, draft.chosen, reach.goal)
-    return Plan(network.demands[reach.goal], goal, tuple(steps), draft.cost)
+        inputs = zip(network.ports[number], map(source_of, network.inputs[number]))
+        steps.append(Step(action, tuple(inputs)))
+    return Plan(network.demands[reach.goal], sources[reach.goal], tuple(steps), draft.cost)
 
 
 def _no_plan(network: Network, reach: Reach, trees: Values) -> NoPlan:
-    offers = {demand: set() for demand in reach.demands}  # type: dict[int, set[int]]
-    for action, places in reach.served.items():
-        for demand, _ in places:
-            offers[demand].add(action)
+    offers: Dict[int, List[int]] = {demand: [] for demand in reach.consumers}
+    for action, demands in reach.served.items():
+        for demand in demands:
+            offers[demand].append(action)
     unmet = {reach.goal}  # reached through unmet demands only: each of them is a reason
     waiting = [reach.goal]
     while waiting:
@@ -128,4 +126,8 @@ def _no_collection() -> Iterator[None]:
     try:
         yield
     finally:
+        if not gc.get_freeze_count():
+            # Hands what is new to the oldest generation as it is: no walk through it here either.
+            gc.freeze()
+            gc.unfreeze()
         gc.enable()

@@ -12,7 +12,7 @@ from typing import Dict, NamedTuple, Protocol, Tuple
 
 from dyknow.errors import InvalidTag
 
-_TERM = re.compile(r"\s*(?P<functor>[^(),?]*[^(),?\s])\s*(?:\((?P<args>[^()]*)\)\s*)?\Z")
+_TERM = re.compile(r"\s*([^(),?]*[^(),?\s])\s*(?:\(([^()]*)\)\s*)?\Z")
 _ARGUMENT = re.compile(r"\??[^(),?]*[^(),?\s]\Z")
 
 #: Longest tag that is read, in characters, and most arguments.
@@ -33,7 +33,7 @@ class Term(NamedTuple):
     @property
     def is_ground(self) -> bool:
         """Whether it has no variable."""
-        return not any(arg.startswith("?") for arg in self.args)
+        return not [arg for arg in self.args if arg[:1] == "?"]  # a list is quicker than any()
 
 
 class Subsumption(Protocol):
@@ -66,16 +66,16 @@ def parse_tag(text: str) -> Term:
     found = _TERM.match(text)
     if found is None:
         raise InvalidTag(text, "expected Functor or Functor(arg, …)")
-    inner = found.group("args")
+    functor, inner = found.groups()
     if inner is None:
-        return Term(found.group("functor").strip())
+        return Term(functor.strip())
     args = tuple(arg.strip() for arg in inner.split(","))
     if len(args) > MAX_ARGUMENTS:
         raise InvalidTag(text, f"expected at most {MAX_ARGUMENTS} arguments")
     for arg in args:
         if not _ARGUMENT.match(arg):
             raise InvalidTag(text, f"expected a name or a ?variable as argument, not '{arg}'")
-    return Term(found.group("functor").strip(), args)
+    return Term(functor.strip(), args)
 
 
 def matches(supplied: Term, demanded: Term, ontology: Subsumption) -> bool:
