@@ -15,7 +15,7 @@ from python_qt_binding.QtCore import QObject, QTimer, Signal
 
 from dyknow.errors import DyKnowError, HostError, PeerTimeout
 from dyknow.manager.model import State
-from dyknow.manager.transformation import Transformation
+from dyknow.manager.specifications.transformation import Transformation
 from dyknow_rqt.graph.changes import CannotUndo, Change
 from dyknow_rqt.graph.history import History, Step
 from dyknow_rqt.graph.rates import Meter, in_turns

@@ -26,8 +26,8 @@ from dyknow.errors import (
 )
 from dyknow.manager.claim import StreamRequest
 from dyknow.manager.model import PortState, State
-from dyknow.manager.specification import parse
-from dyknow.manager.transformation import OUT, TOPIC, Transformation
+from dyknow.manager.specifications.specification import parse
+from dyknow.manager.specifications.transformation import OUT, TOPIC, Transformation
 from dyknow.ros.client import Added
 from dyknow.ros.stream_views import AcquiredView, ReplannedView, StreamEventView, StreamView
 from dyknow.ros.views import ModelView, NodeletView, PortTraffic, Statistics

@@ -10,11 +10,11 @@ from dyknow.benchmark import machine, options, progress, system
 from dyknow.benchmark.outcome import Outcome
 from dyknow.benchmark.session import MeasurementFailed, Session
 from dyknow.benchmark.targets import Verdict
-from dyknow.manager.planner import Planner
-from dyknow.manager.planning import Plan
-from dyknow.manager.specification import parse
-from dyknow.manager.supply import Demand
-from dyknow.manager.tags import parse_tag
+from dyknow.manager.planning.planner import Planner
+from dyknow.manager.planning.problem import Plan
+from dyknow.manager.planning.supply import Demand
+from dyknow.manager.planning.tags import parse_tag
+from dyknow.manager.specifications.specification import parse
 
 HEADER = ("what", "count", "min_s", "median_s", "max_s")
 _PLANS = 10

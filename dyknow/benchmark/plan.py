@@ -16,11 +16,11 @@ from dyknow.benchmark.outcome import Outcome
 from dyknow.benchmark.session import MeasurementFailed
 from dyknow.benchmark.summary import median
 from dyknow.benchmark.targets import Verdict
-from dyknow.manager.planner import Planner
-from dyknow.manager.planning import Plan
-from dyknow.manager.supply import Demand
-from dyknow.manager.tags import parse_tag
-from dyknow.manager.transformation import IN, OUT, Port, Transformation
+from dyknow.manager.planning.planner import Planner
+from dyknow.manager.planning.problem import Plan
+from dyknow.manager.planning.supply import Demand
+from dyknow.manager.planning.tags import parse_tag
+from dyknow.manager.specifications.transformation import IN, OUT, Port, Transformation
 
 HEADER = ("library", "transformations", "steps", "load_s", "first_s", "median_s", "max_s")
 #: Length of a chain of the deep library, and layers of the dense one.

@@ -11,7 +11,7 @@ from dyknow.cli.arguments import PortReference
 from dyknow.cli.views import state_of, unknown_nodelet
 from dyknow.errors import DyKnowError
 from dyknow.manager.model import PortState
-from dyknow.manager.transformation import IN, OUT
+from dyknow.manager.specifications.transformation import IN, OUT
 from dyknow.ros.client_errors import Silent
 from dyknow.wiring.ports import types_fit
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Dict
 
 from dyknow.cli.views import state_of
 from dyknow.manager.model import PortState
-from dyknow.manager.transformation import Transformation
+from dyknow.manager.specifications.transformation import Transformation
 from dyknow.wiring.ports import by_name
 
 if TYPE_CHECKING:

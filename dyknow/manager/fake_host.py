@@ -9,7 +9,7 @@ from typing import Callable, Dict, FrozenSet, Iterable, List, Mapping, Optional,
 from dyknow.errors import HostError, NameTaken
 from dyknow.manager.host import Host, Kind, LoadRequest, ManagerState
 from dyknow.manager.model import PortState
-from dyknow.manager.transformation import Parameter
+from dyknow.manager.specifications.transformation import Parameter
 
 
 @dataclass

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Dict, FrozenSet, Iterable, List, Mapping, Sequence, Tuple
 
 from dyknow.manager.model import PortState
-from dyknow.manager.transformation import Parameter
+from dyknow.manager.specifications.transformation import Parameter
 
 
 class Kind(enum.Enum):

@@ -7,13 +7,15 @@ import threading
 from typing import TYPE_CHECKING, Dict, List, Optional, Sequence
 
 from dyknow.errors import TooMuch, UnknownTransformation
-from dyknow.manager.limits import DEFAULT_LIMITS, Limits
-from dyknow.manager.specification import Specifications, parse
+from dyknow.manager.specifications.limits import DEFAULT_LIMITS, Limits
+from dyknow.manager.specifications.specification import Specifications, parse
+from dyknow.manager.specifications.transformation import TOPIC, Transformation
 from dyknow.manager.store import Store
-from dyknow.manager.transformation import TOPIC, Transformation
 
 if TYPE_CHECKING:
-    from dyknow.manager.ontology import Ontology  # it imports rdflib, which takes its time
+    from dyknow.manager.specifications.ontology import (
+        Ontology,  # it imports rdflib, which takes its time
+    )
 
 
 class Library:

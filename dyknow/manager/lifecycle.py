@@ -23,7 +23,7 @@ from dyknow.manager import placement
 from dyknow.manager.graph import Graph
 from dyknow.manager.host import Host, Kind, LoadRequest
 from dyknow.manager.model import PortState, Record, State, declared_ports, seen_ports
-from dyknow.manager.transformation import TOPIC, Transformation
+from dyknow.manager.specifications.transformation import TOPIC, Transformation
 
 #: Seconds to wait for a look, or for somebody else, to be done with a nodelet.
 PATIENCE = 5.0

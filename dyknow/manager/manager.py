@@ -20,9 +20,9 @@ from dyknow.manager.library import Library
 from dyknow.manager.lifecycle import PATIENCE, Lifecycle, SpawnRequest
 from dyknow.manager.model import Model, Record
 from dyknow.manager.observer import Observer, at_once
-from dyknow.manager.specification import Specifications
+from dyknow.manager.specifications.specification import Specifications
+from dyknow.manager.specifications.transformation import Transformation
 from dyknow.manager.store import Store
-from dyknow.manager.transformation import Transformation
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import enum
 from dataclasses import dataclass, field
 from typing import Dict, Mapping, Optional, Tuple
 
-from dyknow.manager.transformation import Transformation
+from dyknow.manager.specifications.transformation import Transformation
 
 
 class State(enum.IntEnum):

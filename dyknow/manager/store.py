@@ -16,7 +16,7 @@ from typing import Any, Dict, Iterable, List, Optional, Sequence, Tuple
 
 from dyknow.errors import StoreError
 from dyknow.manager.model import Record, State
-from dyknow.manager.transformation import Parameter, Port, Transformation
+from dyknow.manager.specifications.transformation import Parameter, Port, Transformation
 
 #: Changes with the tables.
 FORMAT = 1

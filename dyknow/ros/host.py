@@ -19,7 +19,7 @@ from dyknow.errors import HostError, NameTaken, PeerTimeout
 from dyknow.guards import NO_GUARDS, Guards
 from dyknow.manager.host import Host, Kind, LoadRequest, ManagerState
 from dyknow.manager.model import PortState
-from dyknow.manager.transformation import Parameter
+from dyknow.manager.specifications.transformation import Parameter
 from dyknow.ros.children import Child, Children
 from dyknow.ros.declared import Declared
 from dyknow.ros.guard_parameters import GUARDS, to_parameter

@@ -19,8 +19,8 @@ from dyknow.errors import DyKnowError, PeerTimeout
 from dyknow.manager.host import Kind
 from dyknow.manager.library import Library
 from dyknow.manager.manager import Manager, Settings
+from dyknow.manager.planning.tags import NO_ONTOLOGY
 from dyknow.manager.store import Store
-from dyknow.manager.tags import NO_ONTOLOGY
 from dyknow.nodelet.middleware import Closable
 from dyknow.ros.announcements import Listener
 from dyknow.ros.children import Children
@@ -41,7 +41,7 @@ from dyknow.ros.watch import Watch
 from dyknow.ros.workers import Workers
 
 if TYPE_CHECKING:
-    from dyknow.manager.ontology import Ontology
+    from dyknow.manager.specifications.ontology import Ontology
 
 #: Nodelets that are brought back at the same time.
 _WORKERS = 4
@@ -194,7 +194,9 @@ def _is_running(argv: Sequence[str]) -> bool:
 def _ontology(paths: Sequence[str]) -> Ontology | None:
     if not paths:
         return None
-    from dyknow.manager.ontology import load_ontology  # rdflib takes its time to import
+    from dyknow.manager.specifications.ontology import (
+        load_ontology,  # rdflib takes its time to import
+    )
 
     return load_ontology(paths)
 

@@ -15,7 +15,7 @@ import rospy
 from dyknow import names
 from dyknow.errors import DyKnowError
 from dyknow.guards import NO_GUARDS, Guards
-from dyknow.manager.limits import DEFAULT_LIMITS, Limits
+from dyknow.manager.specifications.limits import DEFAULT_LIMITS, Limits
 
 _PARAMETERS = (
     "nodelet_managers",

@@ -19,8 +19,8 @@ from dyknow_msgs.msg import Transformation as TransformationMessage
 from dyknow_msgs.srv import GetModelResponse
 
 from dyknow.manager.model import Model, PortState, Record
-from dyknow.manager.transformation import OUT, Transformation
-from dyknow.manager.transformation import Port as DeclaredPort
+from dyknow.manager.specifications.transformation import OUT, Transformation
+from dyknow.manager.specifications.transformation import Port as DeclaredPort
 
 _HEAD = struct.Struct("<QQII")
 _COUNT = struct.Struct("<I")

@@ -7,7 +7,7 @@ import threading
 from typing import Callable
 
 from dyknow.errors import DyKnowError
-from dyknow.manager.keeper import Keeper
+from dyknow.manager.claims.keeper import Keeper
 
 #: Seconds between two rounds as long as there is something to be looked after.
 PERIOD = 0.5

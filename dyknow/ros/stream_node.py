@@ -13,9 +13,9 @@ import rospy
 from dyknow_msgs.msg import StreamEvent
 
 from dyknow.manager.claim import ClaimEvent
-from dyknow.manager.keeper import Keeper
+from dyknow.manager.claims.keeper import Keeper
 from dyknow.manager.manager import Manager
-from dyknow.manager.tags import Subsumption
+from dyknow.manager.planning.tags import Subsumption
 from dyknow.ros.claim_bonds import ClaimBonds
 from dyknow.ros.reconciling import Reconciling
 from dyknow.ros.stream_messages import StreamMessages

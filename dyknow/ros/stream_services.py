@@ -31,8 +31,8 @@ from dyknow.errors import (
 )
 from dyknow.guards import Guards
 from dyknow.manager.claim import Claim, StreamRequest
-from dyknow.manager.explanation import as_tree
-from dyknow.manager.keeper import Acquired, Keeper
+from dyknow.manager.claims.keeper import Acquired, Keeper
+from dyknow.manager.planning.explanation import as_tree
 from dyknow.ros.guard_parameters import caller_of
 from dyknow.ros.stream_messages import StreamMessages
 

@@ -11,7 +11,7 @@ from dyknow_msgs.msg import Port as PortMessage
 from dyknow_msgs.msg import Transformation as TransformationMessage
 
 from dyknow.manager.model import PortState, State
-from dyknow.manager.transformation import IN, OUT, Parameter, Port, Transformation
+from dyknow.manager.specifications.transformation import IN, OUT, Parameter, Port, Transformation
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Callable, Collection, Dict, List, Mapping, Set, Tuple
 
-from dyknow.manager.transformation import TOPIC, Transformation
+from dyknow.manager.specifications.transformation import TOPIC, Transformation
 from dyknow.wiring.ports import connections_of, types_fit
 from dyknow.wiring.wiring import WiredNodelet, Wiring
 

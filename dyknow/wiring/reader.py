@@ -13,9 +13,9 @@ from xml.parsers.expat import errors as expat_errors
 
 from dyknow import names
 from dyknow.errors import InvalidName, Problem, SpecificationError
-from dyknow.manager.limits import DEFAULT_LIMITS
-from dyknow.manager.specification import parse
-from dyknow.manager.transformation import Transformation
+from dyknow.manager.specifications.limits import DEFAULT_LIMITS
+from dyknow.manager.specifications.specification import parse
+from dyknow.manager.specifications.transformation import Transformation
 from dyknow.wiring.wiring import VERSION, WiredNodelet, Wiring
 
 _CHILDREN: Mapping[str, Tuple[str, ...]] = {

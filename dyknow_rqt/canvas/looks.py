@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Dict, List, Mapping, NamedTuple, Optional
 from python_qt_binding.QtGui import QFont, QFontMetricsF
 
 from dyknow.manager.model import State
-from dyknow.manager.transformation import IN
+from dyknow.manager.specifications.transformation import IN
 from dyknow_rqt.graph.figure import Edge, Figure, Kind, Vertex
 from dyknow_rqt.graph.geometry import Size
 from dyknow_rqt.graph.rates import Traffic

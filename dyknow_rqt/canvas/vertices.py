@@ -10,7 +10,7 @@ from python_qt_binding.QtGui import QBrush, QFont, QFontMetricsF, QPainter, QPai
 from python_qt_binding.QtWidgets import QGraphicsItem
 
 from dyknow.manager.model import State
-from dyknow.manager.transformation import IN, OUT
+from dyknow.manager.specifications.transformation import IN, OUT
 from dyknow_rqt.canvas.colours import Colours, Tone
 from dyknow_rqt.canvas.items import Item, PortItem
 from dyknow_rqt.canvas.looks import Look

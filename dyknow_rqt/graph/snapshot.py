@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, AbstractSet, Dict, List, Mapping, Optional, Sequence, Tuple
 
 from dyknow.manager.model import PortState
-from dyknow.manager.transformation import IN
+from dyknow.manager.specifications.transformation import IN
 
 if TYPE_CHECKING:
     from dyknow.ros.views import NodeletView

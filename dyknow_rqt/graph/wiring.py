@@ -7,7 +7,7 @@ from typing import Iterator, List, Tuple
 from dyknow import names
 from dyknow.errors import DyKnowError
 from dyknow.manager.model import PortState
-from dyknow.manager.transformation import IN
+from dyknow.manager.specifications.transformation import IN
 from dyknow.wiring.ports import types_fit
 from dyknow_rqt.graph.changes import Rewire
 from dyknow_rqt.graph.snapshot import PortRef, Snapshot

@@ -8,7 +8,7 @@ from python_qt_binding.QtCore import Signal
 from python_qt_binding.QtWidgets import QHBoxLayout, QPushButton, QVBoxLayout, QWidget
 
 from dyknow.manager.model import State
-from dyknow.manager.transformation import IN
+from dyknow.manager.specifications.transformation import IN
 from dyknow_rqt.graph.changes import DestroyNodelet, Protect
 from dyknow_rqt.graph.snapshot import Snapshot
 from dyknow_rqt.guard import guarded

@@ -19,7 +19,7 @@ from python_qt_binding.QtWidgets import (
 )
 
 from dyknow.manager.model import PortState
-from dyknow.manager.transformation import IN, OUT
+from dyknow.manager.specifications.transformation import IN, OUT
 from dyknow_rqt.graph.snapshot import PortRef, Snapshot
 from dyknow_rqt.graph.wiring import (
     DoNotFit,

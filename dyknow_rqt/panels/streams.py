@@ -25,7 +25,7 @@ from python_qt_binding.QtWidgets import (
 )
 
 from dyknow.manager.claim import StreamRequest
-from dyknow.manager.transformation import OUT, Transformation
+from dyknow.manager.specifications.transformation import OUT, Transformation
 from dyknow_rqt.graph.stream_changes import AcquireStream, ReleaseStream, ReplanStream
 from dyknow_rqt.guard import guarded
 from dyknow_rqt.monitor import Monitor

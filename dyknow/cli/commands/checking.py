@@ -65,11 +65,11 @@ def _report(
     file: str, ontologies: Sequence[str]
 ) -> Tuple[Sequence[str], Sequence[Problem], Sequence[Problem]]:
     from dyknow.errors import SpecificationError
-    from dyknow.manager.specification import parse, parse_file
+    from dyknow.manager.specifications.specification import parse, parse_file
 
     ontology = None
     if ontologies:
-        from dyknow.manager.ontology import load_ontology
+        from dyknow.manager.specifications.ontology import load_ontology
 
         ontology = load_ontology(ontologies)
     try:

@@ -15,7 +15,7 @@ from dyknow.cli.shapes import transformation_shape
 from dyknow.cli.shell import FAILED, Shell
 from dyknow.cli.tables import columns, count
 from dyknow.errors import DyKnowError, Refused, UnknownTransformation
-from dyknow.manager.transformation import IN, OUT, Transformation
+from dyknow.manager.specifications.transformation import IN, OUT, Transformation
 from dyknow.ros.client_errors import Unreachable
 
 STDIN = "-"

@@ -12,7 +12,7 @@ from dyknow.cli.shell import FAILED, Shell
 from dyknow.cli.streams import demand_arguments, request_of
 from dyknow.cli.tables import columns
 from dyknow.errors import DyKnowError
-from dyknow.manager.explanation import tree_as_dot
+from dyknow.manager.planning.explanation import tree_as_dot
 from dyknow.ros.client_errors import Unreachable
 
 if TYPE_CHECKING:

@@ -15,10 +15,10 @@ from dyknow.cli.parser import parse
 from dyknow.cli.shell import Shell
 from dyknow.errors import DyKnowError, HostError, NoPlanFound, Refused
 from dyknow.manager.claim import Claim, ClaimEvent, StreamRequest
-from dyknow.manager.explanation import as_tree
-from dyknow.manager.keeper import Acquired, Keeper
+from dyknow.manager.claims.keeper import Acquired, Keeper
 from dyknow.manager.lifecycle import SpawnRequest
 from dyknow.manager.model import Record
+from dyknow.manager.planning.explanation import as_tree
 from dyknow.ros.client import Added
 from dyknow.ros.client_errors import Result, Silent, StreamRefused
 from dyknow.ros.stream_views import AcquiredView, ReplannedView, StreamEventView, StreamView

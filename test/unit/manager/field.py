@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any, Dict, List
 
 from dyknow.manager.claim import Claim, ClaimEvent, ClaimState, StreamRequest
+from dyknow.manager.claims.keeper import Acquired, Keeper
 from dyknow.manager.fake_host import FakeHost
-from dyknow.manager.keeper import Acquired, Keeper
 from dyknow.manager.library import Library
 from dyknow.manager.lifecycle import SpawnRequest
 from dyknow.manager.manager import Manager

@@ -9,10 +9,10 @@ import pytest
 from unit.manager.field import GOAL, Field
 
 from dyknow.manager.claim import StreamRequest
-from dyknow.manager.explanation import Entry, as_dot, as_tree, read_tree, tree_as_dot
-from dyknow.manager.planning import Action, Live, Need, New, NoPlan, Plan, Step
-from dyknow.manager.supply import Demand
-from dyknow.manager.tags import parse_tag
+from dyknow.manager.planning.explanation import Entry, as_dot, as_tree, read_tree, tree_as_dot
+from dyknow.manager.planning.problem import Action, Live, Need, New, NoPlan, Plan, Step
+from dyknow.manager.planning.supply import Demand
+from dyknow.manager.planning.tags import parse_tag
 
 
 def demand(tag: str, datatype: str = "") -> Demand:

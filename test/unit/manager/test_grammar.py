@@ -6,10 +6,10 @@ from hypothesis import strategies as st
 from lxml import etree
 from specification_strategies import transformations
 
-from dyknow.manager.findings import Findings
-from dyknow.manager.grammar import SCHEMA, UnsupportedSchema, roots
-from dyknow.manager.limits import DEFAULT_LIMITS
-from dyknow.manager.reader import read
+from dyknow.manager.specifications.findings import Findings
+from dyknow.manager.specifications.grammar import SCHEMA, UnsupportedSchema, roots
+from dyknow.manager.specifications.limits import DEFAULT_LIMITS
+from dyknow.manager.specifications.reader import read
 
 SCHEMA_OF_LIBXML2 = etree.RelaxNG(etree.parse(str(SCHEMA)))
 

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from dyknow.errors import IndividualsError, OntologyFileError, UnknownConcept
-from dyknow.manager.ontology import load_ontology
-from dyknow.manager.specification import check
+from dyknow.manager.specifications.ontology import load_ontology
+from dyknow.manager.specifications.specification import check
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 SOCCER = "http://dyknow.example.org/soccer#"

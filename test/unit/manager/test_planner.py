@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dyknow.manager.planner import Planner
-from dyknow.manager.planning import Answer, Live, New, NoPlan, Plan
-from dyknow.manager.supply import Demand
-from dyknow.manager.tags import parse_tag
-from dyknow.manager.transformation import Port, Transformation
+from dyknow.manager.planning.planner import Planner
+from dyknow.manager.planning.problem import Answer, Live, New, NoPlan, Plan
+from dyknow.manager.planning.supply import Demand
+from dyknow.manager.planning.tags import parse_tag
+from dyknow.manager.specifications.transformation import Port, Transformation
 
 
 def make(

@@ -6,8 +6,8 @@ import sys
 import pytest
 
 from dyknow.errors import SpecificationError
-from dyknow.manager.limits import Limits
-from dyknow.manager.specification import parse
+from dyknow.manager.specifications.limits import Limits
+from dyknow.manager.specifications.specification import parse
 
 GOOD = "<transformation><label>a</label><source>p/A</source></transformation>"
 

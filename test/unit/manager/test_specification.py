@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from specification_strategies import transformations
 
 from dyknow.errors import Problem, SpecificationError
-from dyknow.manager.specification import check, parse, parse_file
-from dyknow.manager.transformation import Parameter, Port, Transformation
+from dyknow.manager.specifications.specification import check, parse, parse_file
+from dyknow.manager.specifications.transformation import Parameter, Port, Transformation
 
 HERE = Path(__file__).parent
 EXAMPLES = HERE.parents[2] / "examples" / "transformations"

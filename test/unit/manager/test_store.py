@@ -9,8 +9,8 @@ import pytest
 
 from dyknow.errors import StoreError
 from dyknow.manager.model import Record, State
+from dyknow.manager.specifications.transformation import Parameter, Port, Transformation
 from dyknow.manager.store import Store
-from dyknow.manager.transformation import Parameter, Port, Transformation
 
 TRANSFORMATION = Transformation(
     "a(1)",

@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dyknow.errors import InvalidTag
-from dyknow.manager.supply import Demand, Supply
-from dyknow.manager.tags import NoOntology, Term, matches, parse_tag
+from dyknow.manager.planning.supply import Demand, Supply
+from dyknow.manager.planning.tags import NoOntology, Term, matches, parse_tag
 
 
 class Kinds:

@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dyknow.errors import SpecificationError, UnknownConcept
-from dyknow.manager.limits import Limits
-from dyknow.manager.specification import parse
-from dyknow.manager.transformation import Parameter, Port
+from dyknow.manager.specifications.limits import Limits
+from dyknow.manager.specifications.specification import parse
+from dyknow.manager.specifications.transformation import Parameter, Port
 
 TERMS = st.text(st.sampled_from("ab1 ${}X<&"), min_size=1, max_size=6).map(str.strip)
 SETS = st.lists(TERMS.filter(bool), min_size=1, max_size=4, unique=True)

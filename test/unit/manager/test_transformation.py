@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from specification_strategies import transformations
 
-from dyknow.manager.specification import parse
-from dyknow.manager.transformation import Parameter, Port, Transformation
+from dyknow.manager.specifications.specification import parse
+from dyknow.manager.specifications.transformation import Parameter, Port, Transformation
 
 UNDISTORT = Transformation(
     label="undistort(cam1)",

@@ -2,8 +2,8 @@
 
 import pytest
 
-from dyknow.manager.limits import Limits
-from dyknow.manager.values import BadValue, infer_type, parse_value
+from dyknow.manager.specifications.limits import Limits
+from dyknow.manager.specifications.values import BadValue, infer_type, parse_value
 
 
 @pytest.mark.parametrize(

@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 
 from dyknow.manager.claim import ClaimState, StreamRequest
+from dyknow.manager.claims.keeper import Keeper
 from dyknow.manager.fake_host import FakeHost
-from dyknow.manager.keeper import Keeper
 from dyknow.manager.library import Library
 from dyknow.manager.manager import Manager
-from dyknow.manager.ontology import load_ontology
-from dyknow.manager.specification import parse_file
+from dyknow.manager.specifications.ontology import load_ontology
+from dyknow.manager.specifications.specification import parse_file
 from dyknow.manager.store import Store
 
 EXAMPLES = Path(__file__).parents[4] / "examples"

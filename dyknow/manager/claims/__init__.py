@@ -1,0 +1,1 @@
+"""Streams on request: made, kept, mended and collected."""

@@ -1,0 +1,79 @@
+"""What is wrong with a claim's stream."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import AbstractSet, Mapping, Optional
+
+from dyknow.errors import UnknownTransformation
+from dyknow.manager.claim import Claim
+from dyknow.manager.claims.relay import is_relay
+from dyknow.manager.library import Library
+from dyknow.manager.manager import Manager
+from dyknow.manager.model import Record, State
+
+
+@dataclass(frozen=True)
+class Damage:
+    """Why a stream has to be mended.
+
+    Attributes:
+        what: in words.
+        severed: nothing can flow as it is; else it may flow, but is not to be relied on.
+    """
+
+    what: str
+    severed: bool = True
+
+
+def inspect(
+    manager: Manager,
+    claim: Claim,
+    silent: Mapping[str, str],
+    mute: AbstractSet[str],
+    published: AbstractSet[str],
+) -> Optional[Damage]:
+    """Look at every part of a claim's stream.
+
+    Args:
+        manager: knows the nodelets.
+        claim: whose stream it is.
+        silent: nodelets and topics that are silent, and what to say about it.
+        mute: nodelets that do not answer.
+        published: topics of ordinary nodes that have a publisher.
+    """
+    if not claim.topic:
+        return Damage("it has no stream yet")
+    doubts = []
+    for name in claim.nodelets:
+        record = manager.graph.find(name)
+        if record is None or record.transformation is None:
+            return Damage(f"nodelet {name} is gone")
+        if record.state is not State.RUNNING:
+            return Damage(record.detail or f"nodelet {name} is {record.state.name.lower()}")
+        for port, topic in claim.wiring[name].items():
+            if record.topics.get(port, "") != topic:
+                return Damage(f"port {port} of {name} was connected elsewhere")
+        if name in silent:
+            doubts.append(silent[name])
+        elif name in mute:
+            doubts.append(f"nodelet {name} does not answer")
+        elif record.claimed and not is_current(manager.library, record):
+            doubts.append(f"transformation {record.label} was removed")
+    for topic in claim.sources:
+        if topic not in published:
+            return Damage(f"topic {topic} is not published any more")
+        if topic in silent:
+            doubts.append(silent[topic])
+    return Damage(doubts[0], severed=False) if doubts else None
+
+
+def is_current(library: Library, record: Record) -> bool:
+    """Whether the library still has what a nodelet was made from, perhaps in a newer version."""
+    if record.transformation is not None and is_relay(record.transformation):
+        return True
+    try:
+        library.get(record.label)
+    except UnknownTransformation:
+        return False
+    return True

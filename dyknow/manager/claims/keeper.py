@@ -1,0 +1,251 @@
+"""Keeps requested streams alive: the reconciler of claims.
+
+Desired are the claims, observed is the graph. Whatever happened, the keeper asks of each claim the
+same question, what is wrong with its stream, and if something is makes a new plan with what is
+there now. The client's topic stays.
+
+One change of claims at a time (``_turn``); looking at them, renewing and ending them waits for
+nobody.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+import uuid
+from dataclasses import dataclass, replace
+from typing import Callable, List, Mapping, Optional, Tuple
+
+from dyknow.errors import DyKnowError, NoPlanFound
+from dyknow.manager.claim import Claim, ClaimEvent, ClaimState, StreamRequest
+from dyknow.manager.claims.claim_table import ClaimTable
+from dyknow.manager.claims.delivery import Delivery
+from dyknow.manager.claims.housekeeping import Housekeeping
+from dyknow.manager.claims.offers import Offers
+from dyknow.manager.claims.prospects import Prospects, demand_of
+from dyknow.manager.claims.quarantine import Quarantine
+from dyknow.manager.claims.repair import Repair, outcome, with_remarks
+from dyknow.manager.claims.silence import SilenceWatch
+from dyknow.manager.manager import Manager
+from dyknow.manager.planning.problem import NoPlan, Plan
+from dyknow.manager.planning.tags import NO_ONTOLOGY, Subsumption
+
+_log = logging.getLogger("rosout.dyknow")
+
+
+@dataclass(frozen=True)
+class KeeperSettings:
+    """How the keeper behaves.
+
+    Attributes:
+        linger: seconds that a nodelet that no claim needs any more is kept.
+        handover: seconds that replacements may take to deliver before the old goes all the same.
+        ended_kept: claims that ended and can still be asked about.
+    """
+
+    linger: float = 5.0
+    handover: float = 2.0
+    ended_kept: int = 100
+
+
+DEFAULT_KEEPER_SETTINGS = KeeperSettings()
+"""Nodelets linger for five seconds; replacements have two to deliver."""
+
+
+@dataclass(frozen=True)
+class Acquired:
+    """Answer to a request.
+
+    Attributes:
+        claim: the claim; without an id for a dry run.
+        plan: how the stream is made; None for a claim that was there.
+        spawned: nodelets that were made, or would be (labels, for a dry run).
+        reused: nodelets that are used as they are.
+    """
+
+    claim: Claim
+    plan: Optional[Plan]
+    spawned: Tuple[str, ...] = ()
+    reused: Tuple[str, ...] = ()
+
+    @property
+    def cost(self) -> int:
+        """What was, or would be, paid for new nodelets."""
+        return 0 if self.plan is None else self.plan.cost
+
+
+class Keeper:
+    """All claims, and what is done for them."""
+
+    def __init__(
+        self,
+        manager: Manager,
+        ontology: Subsumption = NO_ONTOLOGY,
+        settings: KeeperSettings = DEFAULT_KEEPER_SETTINGS,
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        """Take up the claims that the store has; nothing is done before ``reconcile``.
+
+        Args:
+            manager: makes and destroys nodelets.
+            ontology: what is a kind of what.
+            settings: how to behave.
+            clock: seconds, steady.
+            sleep: waits that long, while a replacement comes up.
+        """
+        self._manager = manager
+        self._turn = threading.Lock()
+        self._ended = False
+        self._table = ClaimTable(manager.store, clock, settings.ended_kept)
+        self._silence = SilenceWatch(manager.host, manager.graph, clock)
+        quarantine = Quarantine(clock)
+        self._prospects = Prospects(
+            manager, ontology, self._table, quarantine, self._silence, clock
+        )
+        self._offers = Offers(self._table, self._prospects)
+        self._housekeeping = Housekeeping(
+            manager, self._table, self._silence, settings.linger, clock
+        )
+        delivery = Delivery(manager.host, settings.handover, clock, sleep)
+        self._repair = Repair(
+            manager,
+            self._table,
+            self._prospects,
+            delivery,
+            self._housekeeping,
+            quarantine,
+            self._silence,
+            clock,
+        )
+
+    @property
+    def on_event(self) -> Callable[[ClaimEvent], None]:
+        """Called with every change of a claim, on the thread that made it."""
+        return self._table.on_event
+
+    @on_event.setter
+    def on_event(self, callback: Callable[[ClaimEvent], None]) -> None:
+        self._table.on_event = callback
+
+    # What clients ask
+
+    def acquire(self, request: StreamRequest, dry_run: bool = False) -> Acquired:
+        """Make a stream, and keep it until it is released or its lease ends.
+
+        A request that cannot be met now stays pending: ``NoPlanFound`` names its claim.
+
+        Raises:
+            InvalidTag: the tag is no term.
+            NoPlanFound: nothing supplies it; the tags that are missing are named.
+            StreamTypeMismatch: the stream turned out to have another type.
+            Denied: the mode is read-only.
+            DyKnowError: it could not be made; nothing is left of it.
+        """
+        claim = Claim("" if dry_run else uuid.uuid4().hex[:12], request)
+        demand_of([claim])
+        if not dry_run:
+            self._manager.guards.check_writable(f"acquiring '{request.tag}'")
+        with self._turn:
+            known = self._table.same(request)
+            if known is not None and not known.topic:
+                raise NoPlanFound(known.detail, known.claim_id)
+            if known is not None:
+                return Acquired(known, None, (), known.nodelets)
+            self._prospects.look(at_once=True)
+            answer = self._prospects.plan(claim, lenient=True)
+            if isinstance(answer, NoPlan):
+                if not dry_run:
+                    self._table.add(replace(claim, detail=str(answer)), "requested")
+                raise NoPlanFound(str(answer), claim.claim_id)
+            if dry_run:
+                return Acquired(claim, answer, *_intended(answer, {}))
+            plan, done = self._repair.carry_out(claim, answer, lenient=True)
+            claim = self._table.add(replace(claim, **outcome(done)), "requested")
+        return Acquired(claim, plan, tuple(done.spawned), tuple(sorted(done.reused)))
+
+    def release(self, claim_id: str) -> None:
+        """End a claim; ending it again, or one that nobody knows any more, is no error."""
+        self._table.end(claim_id, ClaimState.RELEASED, "released")
+
+    def expire(self, claim_id: str, reason: str) -> None:
+        """End a claim whose client is gone, such as one whose bond broke; no error if it ended."""
+        self._table.end(claim_id, ClaimState.EXPIRED, reason)
+
+    def renew(self, claim_id: str, lease: float) -> Claim:
+        """Let the claim live for so many seconds from now (0: until it is released).
+
+        Raises:
+            UnknownClaim: there is no such claim, or it ended.
+        """
+        return self._table.renew(claim_id, lease)
+
+    def replan(self, claim_id: str, dry_run: bool = False) -> Acquired:
+        """Take the cheapest way of today, if it is cheaper than the present one or that is broken.
+
+        Raises:
+            UnknownClaim: there is no such claim, or it ended.
+            NoPlanFound: there is no way at all now.
+            DyKnowError: it could not be made; the stream is as it was.
+        """
+        if not dry_run:
+            self._manager.guards.check_writable(f"replanning claim '{claim_id}'")
+        with self._turn:
+            claim = self._table.get(claim_id)
+            self._prospects.look(at_once=True)
+            damage = self._repair.inspect(claim)
+            own = self._prospects.own(claim)
+            cheaper = self._offers.cheaper(claim) if damage is None else None
+            answer = cheaper or self._prospects.plan(claim, lenient=True)
+            if isinstance(answer, NoPlan):
+                raise NoPlanFound(str(answer), claim_id)
+            if dry_run:
+                return Acquired(claim, answer, *_intended(answer, own))
+            plan, done = self._repair.carry_out(claim, answer, lenient=True)
+            changed = self._table.change(
+                claim_id, with_remarks("replanned on request", done), **outcome(done)
+            )
+            self._housekeeping.clear_topics()
+        return Acquired(changed or claim, plan, tuple(done.spawned), tuple(sorted(done.reused)))
+
+    def claims(self) -> List[Claim]:
+        """Return every claim, those that ended lately too, by id."""
+        return self._table.all()
+
+    # What is done for them
+
+    def end(self) -> None:
+        """End every claim, as the manager is stopped on purpose; nothing is mended any more."""
+        with self._turn:
+            self._ended = True
+        for claim in self._table.living():
+            self._table.end(claim.claim_id, ClaimState.RELEASED, "the manager was stopped")
+
+    def reconcile(self) -> None:
+        """Look at every claim once, and mend what is broken."""
+        with self._turn:
+            if self._ended:
+                return
+            self._table.end_late()
+            self._prospects.look()
+            self._repair.note_births()
+            claims = self._table.living()
+            for name in self._silence.look(claims):
+                self._repair.blame(name)
+            for claim in claims:
+                try:
+                    self._repair.mend(claim.claim_id)
+                except DyKnowError as error:
+                    _log.warning("claim %s: %s", claim.claim_id, error)
+            self._housekeeping.clear_topics()
+            self._housekeeping.collect()
+            self._offers.tell()
+
+
+def _intended(plan: Plan, own: Mapping[str, str]) -> Tuple[Tuple[str, ...], Tuple[str, ...]]:
+    """Labels of what would be made, and names of what would be used."""
+    labels = [step.action.label for step in plan.steps]
+    used = {stream.nodelet or stream.topic for stream in plan.live}
+    used.update(own[label] for label in labels if label in own)
+    return tuple(label for label in labels if label not in own), tuple(sorted(used))

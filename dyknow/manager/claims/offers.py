@@ -1,0 +1,48 @@
+"""Cheaper ways: told about once, taken on request only."""
+
+from __future__ import annotations
+
+from typing import Dict, Hashable, Optional, Tuple
+
+from dyknow.manager.claim import Claim, ClaimState
+from dyknow.manager.claims.claim_table import ClaimTable
+from dyknow.manager.claims.prospects import Prospects
+from dyknow.manager.planning.problem import NoPlan, Plan
+
+
+class Offers:
+    """Compares what streams cost with what they would cost today."""
+
+    def __init__(self, table: ClaimTable, prospects: Prospects) -> None:
+        """Compare nothing yet."""
+        self._table = table
+        self._prospects = prospects
+        self._compared: Dict[str, Tuple[Hashable, str]] = {}
+
+    def cheaper(self, claim: Claim) -> Optional[Plan]:
+        """Plan a way that costs less than the present one, if there is any."""
+        answer = self._prospects.plan_anew(claim)
+        if isinstance(answer, NoPlan) or answer.cost >= self._prospects.price(claim):
+            return None
+        return self._prospects.with_own(answer, self._prospects.own(claim))
+
+    def tell(self) -> None:
+        """Look for a cheaper way for one claim, if anything new is offered, and report it."""
+        offers = self._prospects.offers()
+        claims = self._table.living()
+        for claim in claims:
+            before, told = self._compared.get(claim.claim_id, (None, ""))
+            if claim.state is not ClaimState.ACTIVE or before == offers:
+                continue
+            news = ""
+            cheaper = self.cheaper(claim)
+            if cheaper is not None:
+                labels = ", ".join(sorted(step.action.label for step in cheaper.steps))
+                way = f"with {labels}" if labels else "with what others use"
+                news = f"a cheaper way has appeared, {way}; replanning takes it"
+                if news != told:
+                    self._table.report(claim.claim_id, news)
+            self._compared[claim.claim_id] = (offers, news)
+            break
+        living = {claim.claim_id for claim in claims}
+        self._compared = {key: each for key, each in self._compared.items() if key in living}

@@ -1,0 +1,38 @@
+"""The relay that brings a stream to where a client listens.
+
+It is made where the stream itself has to stay on its topic: an ordinary node publishes it, or
+others listen there.
+"""
+
+from __future__ import annotations
+
+from typing import Tuple
+
+from dyknow.errors import SpawnFailed
+from dyknow.manager.specifications.transformation import IN, OUT, Parameter, Port, Transformation
+
+#: Labels of relays begin with this.
+_PREFIX = "relay of "
+
+
+def relay(topic: str, datatype: str, tags: Tuple[str, ...]) -> Transformation:
+    """Describe a relay for a topic: it supplies what the topic does.
+
+    Raises:
+        SpawnFailed: the type of the topic is not known.
+    """
+    if datatype in ("", "*"):
+        raise SpawnFailed(_PREFIX + topic, "the type of its messages is not known")
+    return Transformation(
+        _PREFIX + topic,
+        "dyknow/Relay",
+        parameters=(Parameter("datatype", "string", datatype),),
+        ports=(Port("in", IN, datatype, tags), Port("out", OUT, datatype, tags)),
+    )
+
+
+def is_relay(transformation: Transformation) -> bool:
+    """Whether a transformation is one of ours, not of the library."""
+    return transformation.label.startswith(_PREFIX + "/") and (
+        transformation.source == "dyknow/Relay"
+    )

@@ -1,0 +1,206 @@
+"""Mends streams: finds out what is wrong with one, and makes it anew from what is there."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+from typing import Any, Callable, Dict, Hashable, Optional, Tuple
+
+from dyknow.errors import DyKnowError, StreamTypeMismatch
+from dyknow.manager.claim import Claim, ClaimState
+from dyknow.manager.claims.assembly import Assembly
+from dyknow.manager.claims.claim_table import ClaimTable
+from dyknow.manager.claims.delivery import Delivery
+from dyknow.manager.claims.housekeeping import Housekeeping
+from dyknow.manager.claims.inspection import Damage, inspect
+from dyknow.manager.claims.order import Assembled, Order
+from dyknow.manager.claims.prospects import Prospects, wanted_type
+from dyknow.manager.claims.quarantine import Quarantine
+from dyknow.manager.claims.silence import SilenceWatch
+from dyknow.manager.manager import Manager
+from dyknow.manager.model import Record, State
+from dyknow.manager.planning.problem import NoPlan, Plan
+
+_log = logging.getLogger("rosout.dyknow")
+
+
+class Repair:
+    """Mends one claim after the other; one call at a time."""
+
+    def __init__(
+        self,
+        manager: Manager,
+        table: ClaimTable,
+        prospects: Prospects,
+        delivery: Delivery,
+        housekeeping: Housekeeping,
+        quarantine: Quarantine,
+        silence: SilenceWatch,
+        clock: Callable[[], float],
+    ) -> None:
+        """Mend nothing yet; hear of nodelets that die from now on."""
+        self._manager = manager
+        self._table = table
+        self._prospects = prospects
+        self._assembly = Assembly(manager, delivery, self._note_failure)
+        self._housekeeping = housekeeping
+        self._quarantine = quarantine
+        self._silence = silence
+        self._clock = clock
+        self._born: Dict[str, float] = {}
+        self._culprit = ""
+        self._hopeless: Dict[str, Tuple[Hashable, str]] = {}
+        manager.observer.on_death = self._note_death
+
+    def inspect(self, claim: Claim) -> Optional[Damage]:
+        """Say what is wrong with a claim's stream; None if it is whole."""
+        silence, published = self._silence, self._prospects.published
+        return inspect(self._manager, claim, silence.silent, silence.mute, published)
+
+    def carry_out(self, claim: Claim, plan: Plan, lenient: bool = False) -> Tuple[Plan, Assembled]:
+        """Make a claim's stream as a plan says, or another way where types turn out wrong.
+
+        Args:
+            claim: whose stream it is.
+            plan: what to try first.
+            lenient: use what failed lately too, if there is no other way.
+
+        Raises:
+            StreamTypeMismatch: every way carries another type than is needed.
+            DyKnowError: a step failed; what was made is undone.
+        """
+        wrong: Dict[str, StreamTypeMismatch] = {}
+        while True:
+            try:
+                return plan, self._carry_out(claim, plan)
+            except StreamTypeMismatch as error:
+                if error.label in wrong:
+                    raise
+                wrong[error.label] = error
+                answer = self._prospects.plan(claim, lenient, frozenset(wrong))
+                if isinstance(answer, NoPlan):
+                    raise next(iter(wrong.values())) from None
+                plan = answer
+
+    def _carry_out(self, claim: Claim, plan: Plan) -> Assembled:
+        others = [each for each in self._table.living() if each.claim_id != claim.claim_id]
+        order = Order(
+            plan,
+            claim.request.tag,
+            claim.topic,
+            wanted_type(claim),
+            self._prospects.own(claim),
+            self._silence.unhealthy,
+            self._silence.mute,
+            frozenset(each.topic for each in others if each.topic),
+        )
+        done = self._assembly.carry_out(order)
+        self._silence.excuse(done.wiring)
+        self._housekeeping.replaced(replace(claim, **outcome(done)))
+        return done
+
+    def mend(self, claim_id: str) -> None:
+        """Mend a claim's stream if something is wrong with it and there is a way.
+
+        Raises:
+            DyKnowError: nobody can tell what is wrong.
+        """
+        claim = self._table.find(claim_id)
+        if claim is None:
+            return
+        damage = self.inspect(claim)
+        if damage is None:
+            if claim.state is not ClaimState.ACTIVE:
+                whole = {"state": ClaimState.ACTIVE, "detail": ""}
+                self._table.change(claim_id, "it is whole again", **whole)
+            return
+        despair = (self._prospects.signature(), damage.what)
+        if self._hopeless.get(claim_id) == despair:
+            return
+        answer = self._prospects.plan(claim)
+        if isinstance(answer, NoPlan):
+            self._hopeless[claim_id] = despair
+            self._despair(claim, damage, answer)
+            return
+        if not self._quarantine.allows(claim_id):
+            return
+        if claim.state is ClaimState.ACTIVE and answer.steps:
+            changes = {"state": ClaimState.RECOVERING, "detail": damage.what}
+            claim = self._table.change(claim_id, damage.what, **changes) or claim
+        self._culprit = ""
+        try:
+            _, done = self.carry_out(claim, answer)
+        except DyKnowError as error:
+            if not self._culprit:
+                self._quarantine.blame(claim_id)
+            failed = {"state": ClaimState.FAILED, "detail": str(error)}
+            self._table.change(claim_id, damage.what, **failed)
+            return
+        self._quarantine.forgive(claim_id)
+        reason = f"mended: {damage.what}" if claim.topic else "it can be made now"
+        reason = with_remarks(reason, done)
+        self._table.change(claim_id, reason, **outcome(done))
+
+    def _despair(self, claim: Claim, damage: Damage, answer: NoPlan) -> None:
+        """There is no way now: say why, and whether one is to be expected by itself."""
+        if self._prospects.is_waiting(claim):
+            if claim.state is ClaimState.FAILED:
+                return  # it says why already
+            state = ClaimState.RECOVERING
+            detail = f"{damage.what}; what could supply it failed lately and is left for a while"
+        else:
+            state = ClaimState.PENDING
+            detail = str(answer) if damage.severed else f"{damage.what}; {answer}"
+        if not claim.topic:
+            state = ClaimState.PENDING
+        elif not damage.severed:
+            state = ClaimState.DEGRADED
+        self._table.change(claim.claim_id, damage.what, state=state, detail=detail)
+
+    # Failures
+
+    def note_births(self) -> None:
+        """Remember since when nodelets serve."""
+        now = self._clock()
+        present = set()
+        for record in self._manager.graph.all():
+            if record.state is State.RUNNING:
+                present.add(record.name)
+                self._born.setdefault(record.name, now)
+        for name in [name for name in self._born if name not in present]:
+            del self._born[name]
+
+    def _note_failure(self, label: str) -> None:
+        """Count against a transformation that no nodelet could be made of it."""
+        self._culprit = label
+        self._quarantine.blame(label)
+
+    def _note_death(self, record: Record) -> None:
+        """Count the death of a nodelet's process against its transformation."""
+        now = self._clock()
+        self._quarantine.blame(record.label, now - self._born.get(record.name, now))
+
+    def blame(self, name: str) -> None:
+        """Count the silence of a nodelet or topic against its transformation."""
+        _log.warning("%s", self._silence.silent[name])
+        record = self._manager.graph.find(name)
+        if record is not None:
+            self._note_death(record)
+
+
+def outcome(done: Assembled) -> Dict[str, Any]:
+    """Write what became of a plan as changes of its claim."""
+    return {
+        "topic": done.topic,
+        "datatype": done.datatype,
+        "goal": done.goal,
+        "wiring": done.wiring,
+        "sources": tuple(sorted(done.sources)),
+        "state": ClaimState.ACTIVE,
+        "detail": "",
+    }
+
+
+def with_remarks(reason: str, done: Assembled) -> str:
+    """Add to a reason what did not go as it should."""
+    return "; ".join([reason, *done.remarks])

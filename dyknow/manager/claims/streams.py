@@ -1,0 +1,94 @@
+"""Which streams are there now, and what they are about.
+
+A nodelet's out-ports supply their tags only while the nodelet runs and each of its tagged in-ports
+is connected to a stream that satisfies it: a detector that nobody feeds supplies nothing.
+"""
+
+from __future__ import annotations
+
+from typing import AbstractSet, Callable, Iterable, List, Tuple
+
+from dyknow.manager.model import Record, State
+from dyknow.manager.planning.problem import Live
+from dyknow.manager.planning.supply import Demand, Supply
+from dyknow.manager.planning.tags import Subsumption, Term
+from dyknow.manager.specifications.transformation import IN, OUT, Transformation
+
+Terms = Callable[[Iterable[str]], Tuple[Term, ...]]
+Stream = Tuple[Live, Tuple[Term, ...]]
+
+
+def live_streams(
+    records: Iterable[Record],
+    published: Iterable[Transformation],
+    terms: Terms,
+    ontology: Subsumption,
+    unhealthy: AbstractSet[str] = frozenset(),
+) -> List[Stream]:
+    """List the streams that a plan can use as they are.
+
+    Args:
+        records: the nodelets of the graph.
+        published: transformations of type topic whose topic has a publisher.
+        terms: reads tags.
+        ontology: what is a kind of what.
+        unhealthy: nodelets that are not to be relied on.
+    """
+    streams: List[Stream] = []
+    on_topic: Supply[str] = Supply(ontology)
+
+    def supply(stream: Live, tags: Tuple[Term, ...]) -> None:
+        streams.append((stream, tags))
+        if stream.topic:
+            on_topic.add(stream.topic, tags, stream.datatype)
+
+    for each in published:
+        port = each.ports[0]
+        supply(Live(each.source, "", "", each.label, port.datatype), terms(port.tags))
+    waiting = [
+        record
+        for record in records
+        if record.state is State.RUNNING
+        and record.transformation is not None
+        and record.name not in unhealthy
+    ]
+    fed = True
+    while fed:
+        fed = False
+        for record in list(waiting):
+            if _is_fed(record, terms, on_topic):
+                waiting.remove(record)
+                fed = True
+                for stream, tags in _outputs(record, terms):
+                    supply(stream, tags)
+    return streams
+
+
+def _is_fed(record: Record, terms: Terms, on_topic: Supply[str]) -> bool:
+    assert record.transformation is not None
+    for port in record.transformation.ports:
+        tags = terms(port.tags)
+        if port.direction == IN and tags:
+            topic = record.topics.get(port.name, "")
+            demand = Demand(frozenset(tags), port.datatype)
+            if not topic or topic not in on_topic.suppliers(demand):
+                return False
+    return True
+
+
+def _outputs(record: Record, terms: Terms) -> List[Stream]:
+    assert record.transformation is not None
+    real = {port.name: port.datatype for port in record.ports}
+    found = []
+    for port in record.transformation.ports:
+        tags = terms(port.tags)
+        if port.direction == OUT and tags:
+            stream = Live(
+                record.topics.get(port.name, ""),
+                port.name,
+                record.name,
+                record.transformation.label,
+                real.get(port.name) or port.datatype,
+            )
+            found.append((stream, tags))
+    return found

@@ -1,0 +1,1 @@
+"""The cheapest way to a stream, from what can run and what does run."""

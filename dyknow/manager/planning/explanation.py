@@ -1,0 +1,159 @@
+"""Explains a plan: as a tree for people, and as a drawing in the language of Graphviz.
+
+The tree can be read back, so that whoever was sent one can draw it::
+
+    FieldPosition(ball): cost 2
+    └─ localization.position (new, cost 1)
+       └─ ball ← detector.ball (new, cost 1)
+          ├─ planes ← subsampler.planes (runs as /subsampler_1)
+          └─ joints ← /joint_states (topic)
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Dict, List, NamedTuple, Set, Tuple
+
+from dyknow.manager.planning.problem import Answer, Live, NoPlan, Plan, Source, Step
+
+_LINE = re.compile(r"(?P<lead>[ │├└─]*─ )(?:(?P<port>\S+) ← )?(?P<what>.*) \((?P<how>[^()]*)\)\Z")
+_INDENT = 3
+_ABOVE = "see above"
+
+
+class Entry(NamedTuple):
+    """A line of the tree: one supplier.
+
+    Attributes:
+        depth: 0 for the goal.
+        port: in-port that it supplies, empty for the goal.
+        what: transformation and out-port, or topic.
+        how: how it comes about.
+    """
+
+    depth: int
+    port: str
+    what: str
+    how: str
+
+
+def as_tree(answer: Answer) -> str:
+    """Write a plan, or what is missing for one, for people."""
+    if isinstance(answer, NoPlan):
+        reasons = [f"nothing supplies {each}" for each in answer.missing]
+        *others, last = reasons or ["everything that supplies it needs it first"]
+        lines = [f"{answer.demand}: no plan", *(f"├─ {each}" for each in others), f"└─ {last}"]
+        return "\n".join(lines)
+    lines = [f"{answer.demand}: cost {answer.cost}"]
+    entries = _entries(answer)
+    last_ones = _last_ones(entries)
+    open_depths: Set[int] = set()
+    for number, entry in enumerate(entries):
+        lead = "".join("│  " if depth in open_depths else "   " for depth in range(entry.depth))
+        branch = "└─ " if number in last_ones else "├─ "
+        (open_depths.discard if number in last_ones else open_depths.add)(entry.depth)
+        port = f"{entry.port} ← " if entry.port else ""
+        lines.append(f"{lead}{branch}{port}{entry.what} ({entry.how})")
+    return "\n".join(lines)
+
+
+def read_tree(text: str) -> Tuple[str, List[Entry]]:
+    """Read what ``as_tree`` wrote of a plan: its title and its lines.
+
+    Raises:
+        ValueError: it is something else.
+    """
+    title, *lines = text.rstrip("\n").split("\n")
+    entries = []
+    for line in lines:
+        found = _LINE.match(line)
+        if found is None:
+            raise ValueError(f"not a line of a plan: '{line}'")
+        depth = len(found.group("lead")) // _INDENT - 1
+        entries.append(
+            Entry(depth, found.group("port") or "", found.group("what"), found.group("how"))
+        )
+    return title, entries
+
+
+def as_dot(answer: Answer) -> str:
+    """Draw a plan for Graphviz: what is to be made is dashed, topics are rectangles."""
+    if isinstance(answer, NoPlan):
+        label = _quoted(as_tree(answer).replace("├─ ", "").replace("└─ ", ""))
+        return f"digraph plan {{\n  label={label};\n}}\n"
+    return tree_as_dot(as_tree(answer))
+
+
+def tree_as_dot(text: str) -> str:
+    """Draw a plan that was written as a tree.
+
+    Raises:
+        ValueError: it is something else.
+    """
+    title, entries = read_tree(text)
+    nodes: Dict[str, str] = {}
+    edges: List[str] = []
+    path: List[str] = []
+    for entry in entries:
+        is_topic = entry.how == "topic"
+        name = entry.what if is_topic else entry.what.rpartition(".")[0]
+        out = "" if is_topic else entry.what.rpartition(".")[2]
+        if entry.how != _ABOVE:
+            shape = "box" if is_topic else "ellipse"
+            style = "dashed" if entry.how.startswith("new") else "solid"
+            label = name if is_topic else f"{name}\n{entry.how}"
+            nodes[name] = (
+                f"  {_quoted(name)} [shape={shape}, style={style}, label={_quoted(label)}];"
+            )
+        del path[entry.depth :]
+        consumer = path[-1] if path else title
+        arrow = f"  {_quoted(name)} -> {_quoted(consumer)}"
+        edges.append(f"{arrow} [taillabel={_quoted(out)}, headlabel={_quoted(entry.port)}];")
+        path.append(name)
+    goal = f"  {_quoted(title)} [shape=plaintext];"
+    body = [goal, *(nodes[name] for name in sorted(nodes)), *dict.fromkeys(edges)]
+    return "digraph plan {\n  rankdir=LR;\n" + "\n".join(body) + "\n}\n"
+
+
+def _entries(plan: Plan) -> List[Entry]:
+    steps: Dict[str, Step] = {step.action.label: step for step in plan.steps}
+    entries: List[Entry] = []
+    told: Set[str] = set()
+    waiting: List[Tuple[int, str, Source]] = [(0, "", plan.goal)]
+    while waiting:
+        depth, port, source = waiting.pop()
+        if isinstance(source, Live):
+            if source.nodelet:
+                how = f"runs as {source.nodelet}"
+                entries.append(Entry(depth, port, f"{source.label}.{source.port}", how))
+            else:
+                entries.append(Entry(depth, port, source.topic, "topic"))
+            continue
+        step = steps[source.label]
+        how = f"new, cost {step.action.cost}" if step.action.cost else "at no cost"
+        if source.label in told and step.inputs:
+            how = _ABOVE
+        entries.append(Entry(depth, port, f"{source.label}.{source.port}", how))
+        if source.label not in told:
+            told.add(source.label)
+            for in_port, supplier in reversed(step.inputs):
+                waiting.append((depth + 1, in_port, supplier))
+    return entries
+
+
+def _last_ones(entries: List[Entry]) -> Set[int]:
+    """Numbers of the lines that are the last below their parent."""
+    last: Set[int] = set()
+    seen: Set[int] = set()
+    for number in range(len(entries) - 1, -1, -1):
+        depth = entries[number].depth
+        seen = {each for each in seen if each <= depth}
+        if depth not in seen:
+            last.add(number)
+        seen.add(depth)
+    return last
+
+
+def _quoted(text: str) -> str:
+    escaped = text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
+    return f'"{escaped}"'

@@ -1,0 +1,133 @@
+"""Finds the cheapest way to a stream.
+
+First Knuth's generalisation of Dijkstra's algorithm (``knuth``) gives the cheapest *tree*, in
+which a part that is used twice is paid twice. Then the plan is improved by counting shared parts
+once (``improvement``): exactly while the problem is small, within a number of steps beyond. Costs
+are Python's integers: stacked diamonds make trees of 2**1000 without overflow. Nothing is
+recursive. Equal costs are decided by labels and ports, so equal problems have equal plans.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+from typing import AbstractSet, Dict, Iterable, Iterator, List, Tuple
+
+from dyknow.manager.planning.improvement import Draft, drafted, improve
+from dyknow.manager.planning.knuth import Values, cheapest
+from dyknow.manager.planning.network import Network, Reach
+from dyknow.manager.planning.problem import NO_LABELS, Answer, Live, NoPlan, Plan, Step
+from dyknow.manager.planning.supply import Demand, Supply
+from dyknow.manager.planning.tags import NO_ONTOLOGY, Subsumption, Term
+from dyknow.manager.specifications.transformation import Transformation
+
+#: Steps that the improvement may take: about a tenth of a second.
+STEPS = 100_000
+
+
+class Planner:
+    """Plans over a library that changes a little at a time; one call at a time."""
+
+    def __init__(self, ontology: Subsumption = NO_ONTOLOGY) -> None:
+        """Start with an empty library."""
+        self._network = Network(ontology)
+
+    def __len__(self) -> int:
+        """Count the transformations that can be planned with."""
+        return len(self._network)
+
+    def add(self, transformations: Iterable[Transformation]) -> None:
+        """Add transformations; those of known labels are replaced. Topics are no actions."""
+        with _no_collection():
+            self._network.add(transformations)
+
+    def remove(self, label: str) -> None:
+        """Forget a transformation, if it is known."""
+        self._network.remove(label)
+
+    def terms(self, tags: Iterable[str]) -> Tuple[Term, ...]:
+        """Read tags; what is no term says nothing to the planner."""
+        return self._network.terms(tags)
+
+    def plan(
+        self,
+        demand: Demand,
+        live: Iterable[Tuple[Live, Tuple[Term, ...]]] = (),
+        exclude: AbstractSet[str] = NO_LABELS,
+        free: AbstractSet[str] = NO_LABELS,
+        steps: int = STEPS,
+        paused: AbstractSet[str] = NO_LABELS,
+    ) -> Answer:
+        """Find the cheapest way to a stream.
+
+        Args:
+            demand: tags and type of the stream.
+            live: streams that are there, with their tags; they cost nothing.
+            exclude: labels that must not be used, live or new.
+            free: labels of which a nodelet is there that can be re-wired: they cost nothing.
+            steps: how much the improvement may try.
+            paused: labels of which nothing new is to be made; what is live may be used.
+        """
+        network = self._network
+        streams: Supply[Live] = Supply(network.ontology)
+        for stream, terms in live:
+            if stream.label not in exclude:
+                streams.add(stream, terms, stream.datatype)
+        with _no_collection():
+            reach = network.reach(demand, streams, exclude | paused)
+            nothing = network.numbers(free) & reach.served.keys()
+            trees = cheapest(network, reach, nothing, until=reach.goal)
+            if reach.goal not in trees.value:
+                return _no_plan(network, reach, trees)
+            draft = drafted(network, reach, trees.chosen, nothing)
+            assert draft is not None  # a tree of least cost has no cycle
+            draft = improve(network, reach, draft, nothing, steps)
+            return _plan(network, reach, draft, nothing)
+
+
+def _plan(network: Network, reach: Reach, draft: Draft, free: AbstractSet[int]) -> Plan:
+    sources = network.sources(reach, draft.chosen)
+    source_of = sources.__getitem__
+    steps = []
+    for number in draft.actions:
+        action = network.actions[number]
+        if number in free:
+            action = action._replace(cost=0)
+        inputs = zip(network.ports[number], map(source_of, network.inputs[number]))
+        steps.append(Step(action, tuple(inputs)))
+    return Plan(network.demands[reach.goal], sources[reach.goal], tuple(steps), draft.cost)
+
+
+def _no_plan(network: Network, reach: Reach, trees: Values) -> NoPlan:
+    offers: Dict[int, List[int]] = {demand: [] for demand in reach.consumers}
+    for action, demands in reach.served.items():
+        for demand in demands:
+            offers[demand].append(action)
+    unmet = {reach.goal}  # reached through unmet demands only: each of them is a reason
+    waiting = [reach.goal]
+    while waiting:
+        for action in offers[waiting.pop()]:
+            for need in network.needs[action]:
+                if need not in trees.value and need not in unmet:
+                    unmet.add(need)
+                    waiting.append(need)
+    missing = [network.demands[demand] for demand in unmet if not offers[demand]]
+    goal = network.demands[reach.goal]
+    return NoPlan(goal, tuple(sorted(missing, key=str)), not missing)
+
+
+@contextlib.contextmanager
+def _no_collection() -> Iterator[None]:
+    """Keep the garbage collector from walking through a large library again and again."""
+    if not gc.isenabled():
+        yield
+        return
+    gc.disable()
+    try:
+        yield
+    finally:
+        if not gc.get_freeze_count():
+            # Hands what is new to the oldest generation as it is: no walk through it here either.
+            gc.freeze()
+            gc.unfreeze()
+        gc.enable()

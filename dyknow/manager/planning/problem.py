@@ -1,0 +1,117 @@
+"""The planning problem and its answer, as values.
+
+An AND/OR graph: a transformation needs *all* its tagged in-ports supplied (AND); a demand is met
+by *any* matching out-port or live stream (OR). A plan chooses for each demand that it meets one
+supplier, without a cycle; each transformation stands in it at most once and costs once.
+"""
+
+from __future__ import annotations
+
+from typing import FrozenSet, NamedTuple, Tuple, Union
+
+from dyknow.manager.planning.supply import Demand
+
+
+class Live(NamedTuple):
+    """A stream that is there already: it costs nothing.
+
+    Attributes:
+        topic: global name.
+        port: out-port that publishes it, empty for topics of ordinary nodes.
+        nodelet: who publishes it, empty for topics of ordinary nodes.
+        label: the transformation behind it.
+        datatype: ROS type.
+    """
+
+    topic: str
+    port: str
+    nodelet: str
+    label: str
+    datatype: str
+
+
+class New(NamedTuple):
+    """An out-port of a transformation that is to be made."""
+
+    label: str
+    port: str
+
+
+Source = Union[Live, New]
+
+
+class Need(NamedTuple):
+    """One tagged in-port of a transformation."""
+
+    port: str
+    demand: Demand
+
+
+class Action(NamedTuple):
+    """A transformation as the planner sees it.
+
+    Attributes:
+        label: its name.
+        cost: what it costs to have it, 0 if a nodelet of it can be re-wired.
+        needs: tagged in-ports, in the order written.
+    """
+
+    label: str
+    cost: int
+    needs: Tuple[Need, ...]
+
+
+class Step(NamedTuple):
+    """A transformation to be made, and where its inputs come from."""
+
+    action: Action
+    inputs: Tuple[Tuple[str, Source], ...]
+
+
+class Plan(NamedTuple):
+    """How to get a stream.
+
+    Attributes:
+        demand: what was asked for.
+        goal: where it comes from.
+        steps: what is to be made, suppliers before consumers.
+        cost: sum over the steps.
+    """
+
+    demand: Demand
+    goal: Source
+    steps: Tuple[Step, ...]
+    cost: int
+
+    @property
+    def live(self) -> Tuple[Live, ...]:
+        """Streams that are used as they are."""
+        used = {source for step in self.steps for _, source in step.inputs}
+        used.add(self.goal)
+        return tuple(sorted(source for source in used if isinstance(source, Live)))
+
+
+class NoPlan(NamedTuple):
+    """Why there is none.
+
+    Attributes:
+        demand: what was asked for.
+        missing: demands that nothing supplies, sorted by their text.
+        circular: whether, instead, everything that supplies it needs it first.
+    """
+
+    demand: Demand
+    missing: Tuple[Demand, ...]
+    circular: bool
+
+    def __str__(self) -> str:
+        """Name what is missing."""
+        if self.missing:
+            listed = "; ".join(map(str, self.missing))
+            return f"no plan for {self.demand}: nothing supplies {listed}"
+        return f"no plan for {self.demand}: everything that supplies it needs it first"
+
+
+Answer = Union[Plan, NoPlan]
+NO_LABELS: FrozenSet[str] = frozenset()
+"""Nothing is excluded."""

@@ -1,0 +1,160 @@
+"""Who supplies what: an index of out-ports and live streams by the tags that they satisfy."""
+
+from __future__ import annotations
+
+import itertools
+from typing import (
+    AbstractSet,
+    Dict,
+    FrozenSet,
+    Generic,
+    Hashable,
+    Iterable,
+    List,
+    NamedTuple,
+    Optional,
+    Set,
+    Tuple,
+    TypeVar,
+)
+
+from dyknow.manager.planning.tags import NO_ONTOLOGY, Subsumption, Term, matches
+
+_Functor = Tuple[str, int]  # with the number of arguments
+Supplier = TypeVar("Supplier", bound=Hashable)
+
+#: Combinations of superordinate names that are spelled out in the index for one tag.
+_SPELLED_OUT = 64
+
+
+class Demand(NamedTuple):
+    """What an in-port, or a client, asks of one stream: all tags, and a type unless empty."""
+
+    tags: FrozenSet[Term]
+    datatype: str = ""
+
+    def __str__(self) -> str:
+        """Write the demand for people."""
+        text = " & ".join(sorted(map(str, self.tags)))
+        return f"{text} [{self.datatype}]" if self.datatype else text
+
+
+class Supply(Generic[Supplier]):
+    """An index that grows and shrinks; ground demands are one look-up."""
+
+    def __init__(
+        self, ontology: Subsumption = NO_ONTOLOGY, spelled_out: int = _SPELLED_OUT
+    ) -> None:
+        """Start empty.
+
+        Args:
+            ontology: what is a kind of what.
+            spelled_out: combinations of superordinate names to spell out for one tag; tags with
+                more are compared one by one.
+        """
+        self._ontology = ontology
+        self._spelled_out = spelled_out
+        self._by_term: Dict[Term, Set[Supplier]] = {}
+        self._by_functor: Optional[Dict[_Functor, Dict[Supplier, Set[Term]]]] = None
+        self._wide: Dict[Supplier, Set[Term]] = {}
+        self._tags: Dict[Supplier, Tuple[Term, ...]] = {}
+        self._datatypes: Dict[Supplier, str] = {}
+
+    def __len__(self) -> int:
+        """Count the suppliers."""
+        return len(self._datatypes)
+
+    def add(self, supplier: Supplier, tags: Iterable[Term], datatype: str) -> None:
+        """Add an out-port or stream; tags with variables supply nothing and are passed over."""
+        tags = tuple(tags)
+        self._tags[supplier] = self._tags.get(supplier, ()) + tags
+        self._datatypes[supplier] = datatype
+        by_term = self._by_term
+        for term in tags:
+            if not term.is_ground:
+                continue
+            if self._by_functor is not None:
+                self._enter(self._by_functor, supplier, term)
+            keys = self._keys(term)
+            if keys is None:
+                self._wide.setdefault(supplier, set()).add(term)
+                continue
+            for key in keys:
+                if key in by_term:
+                    by_term[key].add(supplier)
+                else:
+                    by_term[key] = {supplier}
+
+    def remove(self, supplier: Supplier, tags: Iterable[Term]) -> None:
+        """Remove what was added with the same tags."""
+        self._tags.pop(supplier, None)
+        self._datatypes.pop(supplier, None)
+        self._wide.pop(supplier, None)
+        for term in tags:
+            if not term.is_ground:
+                continue
+            if self._by_functor is not None:
+                for functor in self._ontology.names_above(term.functor):
+                    self._by_functor.get((functor, len(term.args)), {}).pop(supplier, None)
+            for key in self._keys(term) or ():
+                self._by_term.get(key, set()).discard(supplier)
+
+    def suppliers(self, demand: Demand) -> List[Supplier]:
+        """Who satisfies every tag of the demand with the demanded type, in no special order."""
+        found: Optional[AbstractSet[Supplier]] = None
+        for term in demand.tags:
+            one = self._of_term(term)
+            found = one if found is None else found & one
+            if not found:
+                return []
+        wanted = demand.datatype
+        if wanted in ("", "*"):
+            return list(found or ())
+        types = self._datatypes
+        return [each for each in found or () if types[each] in ("", "*", wanted)]
+
+    def _of_term(self, demanded: Term) -> AbstractSet[Supplier]:
+        if demanded.is_ground:
+            named: AbstractSet[Supplier] = self._by_term.get(demanded, frozenset())
+            candidates = self._wide
+        else:
+            named = frozenset()
+            candidates = self._with_functor((demanded.functor, len(demanded.args)))
+        if not candidates:
+            return named
+        found = set(named)
+        for supplier, terms in candidates.items():
+            if any(matches(term, demanded, self._ontology) for term in terms):
+                found.add(supplier)
+        return found
+
+    def _with_functor(self, functor: _Functor) -> Dict[Supplier, Set[Term]]:
+        """Who supplies a functor; the index of functors is made when it is first asked for."""
+        if self._by_functor is None:
+            self._by_functor = {}
+            for supplier, terms in self._tags.items():
+                for term in terms:
+                    if term.is_ground:
+                        self._enter(self._by_functor, supplier, term)
+        return self._by_functor.get(functor, {})
+
+    def _enter(
+        self, index: Dict[_Functor, Dict[Supplier, Set[Term]]], supplier: Supplier, term: Term
+    ) -> None:
+        for functor in self._ontology.names_above(term.functor):
+            place = index.setdefault((functor, len(term.args)), {})
+            place.setdefault(supplier, set()).add(term)
+
+    def _keys(self, term: Term) -> Optional[Iterable[Term]]:
+        """Every ground demand that a tag satisfies, or None if these are too many."""
+        if self._ontology is NO_ONTOLOGY:
+            return (term,)
+        above = self._ontology.names_above
+        functors = above(term.functor)
+        choices = [above(arg) for arg in term.args]
+        count = len(functors)
+        for names in choices:
+            count *= len(names)
+        if count > self._spelled_out:
+            return None
+        return [Term(name, args) for name in functors for args in itertools.product(*choices)]

@@ -1,0 +1,220 @@
+"""From drafts without variables to transformations: the checks that no grammar can make."""
+
+from __future__ import annotations
+
+import re
+from functools import lru_cache
+from typing import Dict, List, Optional, Set, Tuple
+
+from dyknow.manager.specifications.draft import Draft
+from dyknow.manager.specifications.findings import EnoughProblems, Findings
+from dyknow.manager.specifications.limits import Limits
+from dyknow.manager.specifications.transformation import (
+    NODELET,
+    OUT,
+    TOPIC,
+    Parameter,
+    Port,
+    Transformation,
+)
+from dyknow.manager.specifications.values import BadValue, infer_type, parse_value
+from dyknow.manager.specifications.wording import listed, shorten
+
+MAX_COST = 2**32 - 1
+
+_ROS_NAME = re.compile(r"[A-Za-z~/][A-Za-z0-9_/]*\Z")
+_DATATYPE = re.compile(r"[A-Za-z][A-Za-z0-9_]*/[A-Za-z][A-Za-z0-9_]*\Z")
+_COST = re.compile(r"\+?[0-9]+\Z")
+
+
+class Builder:
+    """Builds the transformations of one text; their labels have to differ."""
+
+    def __init__(self, findings: Findings, limits: Limits) -> None:
+        self._findings = findings
+        self._limits = limits
+        self._labels: Dict[str, int] = {}
+        self._good_yaml: Set[str] = set()
+        self._yaml_size = 0
+
+    def build(self, draft: Draft) -> Optional[Transformation]:
+        """Check a draft and make the transformation.
+
+        Returns:
+            The transformation, which is to be used only if no problem was noted; None if the
+            draft has no label or source.
+        """
+        self._check_label(draft)
+        self._check_source(draft)
+        cost = self._cost(draft)
+        parameters = self._parameters(draft)
+        ports = self._ports(draft)
+        if draft.label is None or draft.source is None:
+            return None
+        return Transformation(
+            draft.label, draft.source, draft.type or NODELET, cost, parameters, ports
+        )
+
+    def _check_label(self, draft: Draft) -> None:
+        label, line = draft.label, draft.label_line
+        if label is None:
+            return
+        if not label:
+            self._findings.problem(line, "<label> is empty; expected the transformation's name")
+        elif label in self._labels:
+            first = self._labels[label]
+            place = "results twice" if first == line else f"is there already, in line {first}"
+            self._findings.problem(
+                line, f"the label '{shorten(label)}' {place}; expected labels that differ"
+            )
+        else:
+            self._labels[label] = line
+
+    def _check_source(self, draft: Draft) -> None:
+        if draft.source is None:
+            return
+        if draft.type == TOPIC:
+            self._check_name("topic", draft.source, draft.source_line)
+        else:
+            trouble, _ = _name_trouble(draft.source)
+            if trouble:
+                self._findings.problem(
+                    draft.source_line, f"<source> {trouble}; expected the nodelet, package/Class"
+                )
+
+    def _cost(self, draft: Draft) -> int:
+        if not _COST.match(draft.cost) or len(draft.cost) > 20 or int(draft.cost) > MAX_COST:
+            self._findings.problem(
+                draft.line,
+                f'cost="{shorten(draft.cost)}": expected an integer from 0 to {MAX_COST}',
+            )
+            return 1
+        return int(draft.cost)
+
+    def _parameters(self, draft: Draft) -> Tuple[Parameter, ...]:
+        made: List[Parameter] = []
+        lines: Dict[str, int] = {}
+        for name, type_, text, line in draft.parameters:
+            self._check_name("parameter", name, line)
+            if name[:1] in ("/", "~"):
+                self._findings.problem(
+                    line,
+                    f"the parameter '{shorten(name)}' is set in the nodelet's own namespace; "
+                    f"expected '{shorten(name.lstrip('~/'))}'",
+                )
+            if name in lines:
+                self._findings.problem(
+                    line,
+                    f"the parameter '{shorten(name)}' is there already, in line {lines[name]}",
+                )
+            lines[name] = line
+            type_ = type_ or infer_type(text)
+            self._check_value(name, type_, text, line)
+            made.append(Parameter(name, type_, text))
+        if made and draft.type == TOPIC:
+            self._findings.warning(
+                draft.line, "a topic has no parameters; these will never be set"
+            )
+        return tuple(made)
+
+    def _check_value(self, name: str, type_: str, text: str, line: int) -> None:
+        if type_ == "yaml":
+            if text in self._good_yaml:
+                return
+            self._yaml_size += len(text)
+            if self._yaml_size > self._limits.yaml_size:
+                limit = self._limits.yaml_size
+                self._findings.problem(line, f"more than {limit} characters of YAML in this text")
+                raise EnoughProblems
+        try:
+            parse_value(type_, text, self._limits)
+        except BadValue as error:
+            self._findings.problem(line, f"the parameter '{shorten(name)}': {error}")
+            return
+        if type_ == "yaml":
+            self._good_yaml.add(text)
+
+    def check_template(self, draft: Draft) -> None:
+        """Check what can be checked of a template that cannot be expanded: ports and tags."""
+        self._ports(draft, is_template=True)
+
+    def _ports(self, draft: Draft, is_template: bool = False) -> Tuple[Port, ...]:
+        lines: Dict[str, int] = {}
+        tags: Dict[str, List[str]] = {}
+        for name, _, datatype, line in draft.ports:
+            if not is_template:
+                self._check_name("port", name, line)
+                self._check_datatype(datatype, line)
+            if name in lines:
+                self._findings.problem(
+                    line,
+                    f"the port '{shorten(name)}' is there already, in line {lines[name]}; "
+                    "expected names that differ, also between in and out",
+                )
+            else:
+                lines[name] = line
+                tags[name] = []
+        self._distribute_tags(draft, tags)
+        one_out = len(draft.ports) == 1 and draft.ports[0].direction == OUT
+        if draft.type == TOPIC and draft.ports_known and not one_out:
+            self._findings.problem(
+                draft.line,
+                f"a topic with {_count_ports(draft)}; expected exactly one port, of type out",
+            )
+        return tuple(
+            Port(name, direction, datatype, tuple(tags[name]))
+            for name, direction, datatype, _ in draft.ports
+        )
+
+    def _distribute_tags(self, draft: Draft, tags: Dict[str, List[str]]) -> None:
+        for port, text, line in draft.tags:
+            if not text:
+                self._findings.problem(line, "<tag> is empty; expected a term such as Image(cam1)")
+            of_port = tags.get(port)
+            if of_port is not None:
+                if text in of_port:
+                    self._findings.warning(
+                        line, f"the port '{shorten(port)}' has this tag already"
+                    )
+                else:
+                    of_port.append(text)
+            elif draft.ports_known:
+                self._findings.problem(
+                    line,
+                    f"the tag is for the port '{shorten(port)}', which is not declared; known "
+                    f"ports: {listed(tags)}",
+                )
+
+    def _check_datatype(self, datatype: str, line: int) -> None:
+        if datatype and not _DATATYPE.match(datatype):
+            self._findings.problem(
+                line,
+                f'datatype="{shorten(datatype)}": expected a ROS type such as sensor_msgs/Image',
+            )
+
+    def _check_name(self, what: str, name: str, line: int) -> None:
+        trouble, doubt = _name_trouble(name)
+        if trouble:
+            self._findings.problem(line, f"the name of a {what} {trouble}; expected a ROS name")
+        elif doubt:
+            self._findings.warning(
+                line, f"the {what} '{shorten(name)}' {doubt}; some tools will not find it"
+            )
+
+
+@lru_cache(maxsize=4096)
+def _name_trouble(name: str) -> Tuple[str, str]:
+    """Say what is wrong and what is doubtful about a name; both empty if it is a ROS name."""
+    if not name:
+        return "is empty", ""
+    if name.split() != [name]:
+        return f"has white space in it, '{shorten(name)}'", ""
+    if _ROS_NAME.match(name) and "//" not in name:
+        return "", ""
+    return "", "is no ROS name (a letter, then letters, digits, '_' and '/')"
+
+
+def _count_ports(draft: Draft) -> str:
+    ins = sum(port.direction != OUT for port in draft.ports)
+    outs = len(draft.ports) - ins
+    return f"{ins} in-port{'s' * (ins != 1)} and {outs} out-port{'s' * (outs != 1)}"

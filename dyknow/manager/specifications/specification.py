@@ -1,0 +1,136 @@
+"""Transformation specifications: from XML text to transformations, or to every problem at once."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from typing import Iterator, Optional, Tuple, Union
+
+from dyknow.errors import Problem, SpecificationError
+from dyknow.manager.specifications.builder import Builder
+from dyknow.manager.specifications.draft import Draft
+from dyknow.manager.specifications.findings import EnoughProblems, Findings
+from dyknow.manager.specifications.limits import DEFAULT_LIMITS, Limits
+from dyknow.manager.specifications.reader import read
+from dyknow.manager.specifications.template import Concepts, Expander
+from dyknow.manager.specifications.transformation import Transformation
+
+
+@dataclass(frozen=True)
+class Specifications:
+    """What a text specifies.
+
+    Attributes:
+        transformations: The transformations, templates expanded, in the order written.
+        warnings: What is accepted, but probably not meant.
+    """
+
+    transformations: Tuple[Transformation, ...]
+    warnings: Tuple[Problem, ...]
+
+
+@dataclass(frozen=True)
+class Report:
+    """What `check` found.
+
+    Attributes:
+        labels: The labels of the transformations; empty if there are problems.
+        problems: Why the text would be refused; empty if it would be accepted.
+        warnings: What is accepted, but probably not meant.
+    """
+
+    labels: Tuple[str, ...]
+    problems: Tuple[Problem, ...]
+    warnings: Tuple[Problem, ...]
+
+
+def parse(
+    text: Union[str, bytes],
+    file_name: str = "specification",
+    ontology: Optional[Concepts] = None,
+    limits: Limits = DEFAULT_LIMITS,
+) -> Specifications:
+    """Parse a specification, or many in a `<transformations>` element.
+
+    Args:
+        text: The XML, as characters or as UTF-8.
+        file_name: The name to use in messages.
+        ontology: Where the terms of templates come from that name a class.
+        limits: The caps to hold.
+
+    Returns:
+        The transformations and the warnings.
+
+    Raises:
+        SpecificationError: With every problem of the text.
+    """
+    findings = Findings(file_name, limits.problems)
+    try:
+        transformations = tuple(_transformations(text, findings, ontology, limits))
+    except EnoughProblems:
+        transformations = ()
+    findings.raise_if_any()
+    return Specifications(transformations, findings.warnings)
+
+
+def parse_file(
+    path: str, ontology: Optional[Concepts] = None, limits: Limits = DEFAULT_LIMITS
+) -> Specifications:
+    """Parse a file.
+
+    Args:
+        path: The file; messages name it as it is given here.
+        ontology: Where the terms of templates come from that name a class.
+        limits: The caps to hold; no more than the allowed size is read.
+
+    Raises:
+        SpecificationError: With every problem of the text, or because the file cannot be read.
+    """
+    name = os.fspath(path)
+    try:
+        with open(name, "rb") as file:
+            data = file.read(limits.text_size + 1)
+    except OSError as error:
+        reason = f"cannot be read: {error.strerror or error}"
+        raise SpecificationError([Problem(name, 0, reason)]) from error
+    return parse(data, name, ontology, limits)
+
+
+def check(
+    path: str, ontology: Optional[Concepts] = None, limits: Limits = DEFAULT_LIMITS
+) -> Report:
+    """Find out what `parse_file` would say, without an exception for a bad file."""
+    try:
+        found = parse_file(path, ontology, limits)
+    except SpecificationError as error:
+        return Report((), error.problems, error.warnings)
+    return Report(tuple(t.label for t in found.transformations), (), found.warnings)
+
+
+def _transformations(
+    text: Union[str, bytes], findings: Findings, ontology: Optional[Concepts], limits: Limits
+) -> Iterator[Transformation]:
+    builder = Builder(findings, limits)
+    for draft in _expanded(text, findings, ontology, limits, builder):
+        transformation = builder.build(draft)
+        if transformation is not None:
+            yield transformation
+
+
+def _expanded(
+    text: Union[str, bytes],
+    findings: Findings,
+    ontology: Optional[Concepts],
+    limits: Limits,
+    builder: Builder,
+) -> Iterator[Draft]:
+    expander = Expander(findings, limits, ontology)
+    for draft in read(text, findings, limits):
+        if not draft.args and not draft.has_variables:
+            yield draft
+            continue
+        drafts = expander.expand(draft)
+        if drafts is None:
+            builder.check_template(draft)
+        else:
+            yield from drafts

@@ -1,0 +1,218 @@
+"""Templates: one specification that stands for many transformations.
+
+Each `<arg>` is a variable with a set of terms, written out as `{cam1; cam2}` or taken from a
+class of the ontology. A transformation results for every combination of terms. Every occurrence
+of `${Cam}` is replaced, in one pass: what a term brings in is not looked at again. `$${` stands
+for `${` itself.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from itertools import product
+from math import prod
+from typing import Dict, Iterator, List, Optional, Protocol, Sequence, Tuple, Union
+
+from dyknow.errors import OntologyError
+from dyknow.manager.specifications.draft import BLANK, ArgDraft, Draft
+from dyknow.manager.specifications.findings import Findings
+from dyknow.manager.specifications.limits import Limits
+from dyknow.manager.specifications.wording import listed, shorten
+
+_VARIABLE = re.compile(r"\$\$\{|\$\{([^{}]*)\}|\$\{")
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_.-]*\Z")
+_URI = re.compile(r"[A-Za-z][A-Za-z0-9+.-]*:[^\s<>\"{}|\\^`]+\Z")
+
+_Pieces = Tuple[Union[str, int], ...]
+"""A text cut at its variables: literals, and for each variable its position among the args."""
+
+_Terms = Sequence[Tuple[str, ...]]
+
+
+class Concepts(Protocol):
+    """What a template needs of an ontology."""
+
+    def individuals(self, concept: str) -> Tuple[str, ...]:
+        """Give the labels of a class's individuals, sorted, or raise an `OntologyError`."""
+
+
+class Expander:
+    """Expands the templates of one text; the limits hold for all of them together."""
+
+    def __init__(self, findings: Findings, limits: Limits, ontology: Optional[Concepts]) -> None:
+        self._findings = findings
+        self._limits = limits
+        self._ontology = ontology
+        self._transformations = 0
+        self._items = 0
+        self._characters = 0
+
+    def expand(self, draft: Draft) -> Optional[Iterator[Draft]]:
+        """Expand a draft.
+
+        Args:
+            draft: A draft with variables, or without any.
+
+        Returns:
+            A draft without variables for every combination of terms, the last variable varying
+            fastest; made one by one. None if the template has problems, which were noted.
+        """
+        terms = self._all_terms(draft.args)
+        positions = {arg.label: position for position, arg in enumerate(draft.args)}
+        pieces = {text: _cut(text, positions) for text, _ in draft.texts()}
+        known = self._variables_are_known(draft, positions)
+        if terms is None or not known or not self._labels_differ(draft, positions, terms):
+            return None
+        if not self._fits(draft, pieces, terms):
+            return None
+        return _substitutions(draft, pieces, terms)
+
+    def _all_terms(self, args: List[ArgDraft]) -> Optional[_Terms]:
+        lines: Dict[str, int] = {}
+        sets: List[Tuple[str, ...]] = []
+        for arg in args:
+            if not _NAME.match(arg.label):
+                self._problem(
+                    arg, "has no name for a label; expected letters, digits, '_', '-' and '.'"
+                )
+            if arg.label in lines:
+                self._problem(arg, f"is there already, in line {lines[arg.label]}")
+            lines.setdefault(arg.label, arg.line)
+            sets.append(self._terms(arg))
+        return sets if all(sets) and len(lines) == len(args) else None
+
+    def _terms(self, arg: ArgDraft) -> Tuple[str, ...]:
+        """Give the terms of one arg; none if there is a problem with them."""
+        text = arg.terms
+        if text.startswith("{") and text.endswith("}") and len(text) > 1:
+            return self._explicit_terms(arg)
+        if not _URI.match(text):
+            self._problem(
+                arg,
+                "has no terms; expected a set such as {cam1; cam2} or the URI of a class",
+            )
+            return ()
+        if self._ontology is None:
+            self._problem(arg, f"names the class <{shorten(text)}>, but no ontology is loaded")
+            return ()
+        try:
+            terms = self._ontology.individuals(text)
+        except OntologyError as error:
+            self._problem(arg, f"has no terms: {error}")
+            return ()
+        if not terms:
+            self._problem(arg, f"has no terms: the class <{shorten(text)}> has no individuals")
+        return terms
+
+    def _explicit_terms(self, arg: ArgDraft) -> Tuple[str, ...]:
+        terms = tuple(term.strip(BLANK) for term in arg.terms[1:-1].split(";"))
+        if "" in terms:
+            self._problem(arg, "has an empty term; expected terms around each ';' in {...}")
+            return ()
+        if len(set(terms)) < len(terms):
+            doubled = [term for term, count in Counter(terms).items() if count > 1]
+            self._problem(arg, f"has a term twice: {listed(doubled)}")
+            return ()
+        return terms
+
+    def _problem(self, arg: ArgDraft, message: str) -> None:
+        self._findings.problem(arg.line, f"the arg '{shorten(arg.label)}' {message}")
+
+    def _variables_are_known(self, draft: Draft, positions: Dict[str, int]) -> bool:
+        known = listed(positions)
+        good = True
+        for text, line in draft.texts():
+            for match in _VARIABLE.finditer(text):
+                if match.group() == "$${" or match.group(1) in positions:
+                    continue
+                good = False
+                found = "'${' without '}'" if match.group() == "${" else shorten(match.group())
+                self._findings.problem(
+                    line,
+                    f"unknown variable {found}; known variables: {known} (write $${{ for ${{ "
+                    "itself)",
+                )
+        return good
+
+    def _labels_differ(self, draft: Draft, positions: Dict[str, int], terms: _Terms) -> bool:
+        used = {match.group(1) for match in _VARIABLE.finditer(draft.label or "")}
+        good = draft.label is not None
+        for name, position in positions.items():
+            if good and name not in used and len(terms[position]) > 1:
+                good = False
+                self._findings.problem(
+                    draft.label_line,
+                    f"{len(terms[position])} transformations would have the same label; expected "
+                    f"${{{name}}} in the label '{shorten(draft.label or '')}'",
+                )
+        return good
+
+    def _fits(self, draft: Draft, pieces: Dict[str, _Pieces], terms: _Terms) -> bool:
+        """Check the limits by arithmetic, before anything is expanded."""
+        count = prod(len(each) for each in terms)
+        if self._transformations + count > self._limits.transformations:
+            self._findings.problem(
+                draft.line,
+                f"{self._transformations + count} transformations in this text; expected at most "
+                f"{self._limits.transformations}",
+            )
+            return False
+        each_items = len(draft.parameters) + len(draft.ports) + len(draft.tags)
+        if self._items + count * each_items > self._limits.expanded_items:
+            self._findings.problem(
+                draft.line,
+                f"{self._items + count * each_items} params, ports and tags would result in all; "
+                f"expected at most {self._limits.expanded_items}",
+            )
+            return False
+        totals = [sum(map(len, each)) * (count // len(each)) for each in terms]
+        longest = [max(map(len, each)) for each in terms]
+        characters = 0
+        for text, line in draft.texts():
+            most = sum(len(p) if isinstance(p, str) else longest[p] for p in pieces[text])
+            if most > self._limits.string_length:
+                self._findings.problem(
+                    line,
+                    f"a value of {most} characters would result; expected at most "
+                    f"{self._limits.string_length}",
+                )
+                return False
+            characters += sum(
+                len(p) * count if isinstance(p, str) else totals[p] for p in pieces[text]
+            )
+        if self._characters + characters > self._limits.expanded_size:
+            self._findings.problem(
+                draft.line,
+                f"{self._characters + characters} characters would result in all; expected at "
+                f"most {self._limits.expanded_size}",
+            )
+            return False
+        self._transformations += count
+        self._items += count * each_items
+        self._characters += characters
+        return True
+
+
+def _cut(text: str, positions: Dict[str, int]) -> _Pieces:
+    """Cut a text at its variables; unknown ones stay as they are written."""
+    pieces: List[Union[str, int]] = []
+    end = 0
+    for match in _VARIABLE.finditer(text):
+        pieces.append(text[end : match.start()])
+        if match.group() == "$${":
+            pieces.append("${")
+        else:
+            pieces.append(positions.get(match.group(1), match.group()))
+        end = match.end()
+    pieces.append(text[end:])
+    return tuple(piece for piece in pieces if piece != "")
+
+
+def _substitutions(draft: Draft, pieces: Dict[str, _Pieces], terms: _Terms) -> Iterator[Draft]:
+    for values in product(*terms):
+
+        def render(text: str, values: Tuple[str, ...] = values) -> str:
+            return "".join([p if isinstance(p, str) else values[p] for p in pieces[text]])
+
+        yield draft.map(render)

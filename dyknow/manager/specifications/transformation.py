@@ -1,0 +1,117 @@
+"""Transformations: the blueprints that nodelets are made from, as values."""
+
+from __future__ import annotations
+
+from typing import List, NamedTuple, Tuple
+from xml.sax.saxutils import escape, quoteattr
+
+from dyknow.manager.specifications.values import Value, parse_value
+
+NODELET = "nodelet"
+TOPIC = "topic"
+IN = "in"
+OUT = "out"
+
+
+class Parameter(NamedTuple):
+    """A parameter that is set in the nodelet's namespace before the nodelet is loaded.
+
+    Attributes:
+        name: The name, relative to the nodelet.
+        type: `string`, `int`, `double`, `bool` or `yaml`.
+        text: The value as text.
+    """
+
+    name: str
+    type: str
+    text: str
+
+    @property
+    def value(self) -> Value:
+        """The value as the parameter server holds it; lists and mappings are the caller's own."""
+        return parse_value(self.type, self.text)
+
+
+class Port(NamedTuple):
+    """A port of a nodelet, or the topic of a topic transformation.
+
+    Attributes:
+        name: The name, unique in the transformation across both directions.
+        direction: `in` or `out`.
+        datatype: The ROS type, such as `sensor_msgs/Image`; empty when it is not stated.
+        tags: Semantic descriptions of the stream, in the order written.
+    """
+
+    name: str
+    direction: str
+    datatype: str = ""
+    tags: Tuple[str, ...] = ()
+
+
+class Transformation(NamedTuple):
+    """A blueprint for nodelets, or an existing topic that serves as a source.
+
+    These are values: equal when they say the same, safe to share between threads. They are
+    named tuples because a library may hold hundreds of thousands of them.
+
+    Attributes:
+        label: The name under which the manager keeps the transformation.
+        source: The nodelet's plugin name, `package/Class`; the topic if `type` is `topic`.
+        type: `nodelet` or `topic`.
+        cost: What a nodelet of this kind costs the planner, 0 to 2**32 - 1.
+        parameters: What is set before the load, in the order written.
+        ports: What can be connected, in the order written.
+    """
+
+    label: str
+    source: str
+    type: str = NODELET
+    cost: int = 1
+    parameters: Tuple[Parameter, ...] = ()
+    ports: Tuple[Port, ...] = ()
+
+    def to_xml(self) -> str:
+        """Write the transformation as canonical XML: the same text for equal transformations.
+
+        Parsing the text gives back an equal transformation, provided that this one could have
+        come from a text: no value begins or ends with white space, for instance.
+        """
+        lines = [f'<transformation type="{self.type}" cost="{self.cost}">']
+        lines.append(f"  <label>{_text(self.label)}</label>")
+        lines.append(f"  <source>{_text(self.source)}</source>")
+        _add_section(lines, "params", [_param_xml(p) for p in self.parameters])
+        _add_section(lines, "ports", [_port_xml(p) for p in self.ports])
+        tags = [_tag_xml(port.name, tag) for port in self.ports for tag in port.tags]
+        _add_section(lines, "tags", tags)
+        lines.append("</transformation>\n")
+        return "\n".join(lines)
+
+
+def _param_xml(parameter: Parameter) -> str:
+    name, type_, text = parameter
+    return f'<param name={_attribute(name)} type="{type_}">{_text(text)}</param>'
+
+
+def _port_xml(port: Port) -> str:
+    datatype = f" datatype={_attribute(port.datatype)}" if port.datatype else ""
+    return f'<port type="{port.direction}"{datatype}>{_text(port.name)}</port>'
+
+
+def _tag_xml(port: str, tag: str) -> str:
+    return f"<tag port={_attribute(port)}>{_text(tag)}</tag>"
+
+
+def _add_section(lines: List[str], name: str, items: List[str]) -> None:
+    if items:
+        lines.append(f"  <{name}>")
+        lines.extend(f"    {item}" for item in items)
+        lines.append(f"  </{name}>")
+
+
+def _text(text: str) -> str:
+    # In a specification `${` opens a variable, and `$${` stands for `${` itself.
+    return escape(text.replace("${", "$${"), {"\r": "&#13;"})
+
+
+def _attribute(text: str) -> str:
+    return quoteattr(text.replace("${", "$${"), {"\r": "&#13;"})

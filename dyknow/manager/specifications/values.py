@@ -1,0 +1,148 @@
+"""The values of parameters: from the text of a specification to what the parameter server holds.
+
+The parameter server speaks XML-RPC. It holds strings, integers of 32 bits, doubles, booleans,
+and lists and string-keyed mappings of these; anything else is refused here, with the line, and
+not later, in the middle of a spawn.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Any, Dict, List, Union
+
+import yaml
+
+from dyknow.manager.specifications.limits import DEFAULT_LIMITS, Limits
+from dyknow.manager.specifications.wording import shorten
+
+Value = Union[str, int, float, bool, List[Any], Dict[str, Any]]
+
+_INT = re.compile(r"[+-]?[0-9]+\Z")
+_DOUBLE = re.compile(
+    r"[+-]?([0-9]+\.?[0-9]*([eE][+-]?[0-9]+)?|\.[0-9]+([eE][+-]?[0-9]+)?|inf|nan)\Z"
+)
+_LONG_NUMBER = re.compile(r"[-+0-9a-fA-Fxo_.:]+\Z")
+_BOOLS: Dict[str, bool] = {"true": True, "1": True, "false": False, "0": False}
+_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+
+class BadValue(ValueError):
+    """The text is no value of its type; the exception's text says what was expected."""
+
+
+def infer_type(text: str) -> str:
+    """Give the type of a parameter that states none, as roslaunch does."""
+    if _INT.match(text):
+        return "int"
+    if _DOUBLE.match(text):
+        return "double"
+    return "bool" if text.lower() in ("true", "false") else "string"
+
+
+def parse_value(type_: str, text: str, limits: Limits = DEFAULT_LIMITS) -> Value:
+    """Parse the text of a parameter.
+
+    Args:
+        type_: `string`, `int`, `double`, `bool` or `yaml`.
+        text: The value as written.
+        limits: The caps on YAML.
+
+    Returns:
+        What the parameter server is to hold.
+
+    Raises:
+        BadValue: The text is not of this type, or the parameter server cannot hold it.
+    """
+    if type_ == "string":
+        return text
+    if type_ == "int":
+        return _parse_int(text)
+    if type_ == "double":
+        if not _DOUBLE.match(text.lower()):
+            raise BadValue(f"expected a double, such as 0.5 or 1e-3, found '{shorten(text)}'")
+        return float(text)
+    if type_ == "bool":
+        if text.lower() not in _BOOLS:
+            raise BadValue(f"expected a bool, true or false, found '{shorten(text)}'")
+        return _BOOLS[text.lower()]
+    if type_ == "yaml":
+        return _parse_yaml(text, limits)
+    raise BadValue(f"expected the type string, int, double, bool or yaml, found '{type_}'")
+
+
+def _parse_int(text: str) -> int:
+    if not _INT.match(text):
+        raise BadValue(f"expected an int, such as 42, found '{shorten(text)}'")
+    # Longer ones need not be parsed to be too large.
+    value = int(text) if len(text) <= 40 else 2**31
+    _check_int(value, text)
+    return value
+
+
+def _check_int(value: int, text: str) -> None:
+    if not -(2**31) <= value < 2**31:
+        raise BadValue(
+            f"expected an int of 32 bits, which the parameter server holds, found {shorten(text)}"
+        )
+
+
+def _parse_yaml(text: str, limits: Limits) -> Value:
+    try:
+        _check_yaml_events(text, limits)
+        value = yaml.load(text, Loader=_LOADER)
+    except BadValue:
+        raise
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        place = f" (line {mark.line + 1} of the value)" if mark is not None else ""
+        reason = getattr(error, "problem", None) or str(error).split("\n")[0]
+        raise BadValue(f"expected YAML; {reason}{place}") from None
+    except (ValueError, TypeError, OverflowError, AttributeError, LookupError) as error:
+        # PyYAML's constructors let these out for scalars such as `!!int x` or 2001-99-99.
+        raise BadValue(f"expected YAML; a value cannot be read: {error}") from None
+    _check_plain(value)
+    return value  # type: ignore[no-any-return]
+
+
+def _check_yaml_events(text: str, limits: Limits) -> None:
+    """Refuse what would grow when it is loaded, before it is loaded."""
+    depth = nodes = 0
+    for event in yaml.parse(text, Loader=_LOADER):
+        if isinstance(event, yaml.AliasEvent):
+            raise BadValue("expected YAML without aliases (*name), write the value out")
+        if isinstance(event, yaml.CollectionStartEvent):
+            depth += 1
+            if depth > limits.nesting:
+                raise BadValue(f"expected YAML nested at most {limits.nesting} deep")
+        elif isinstance(event, yaml.CollectionEndEvent):
+            depth -= 1
+        elif isinstance(event, yaml.ScalarEvent):
+            number = not event.style or event.tag is not None
+            if number and len(event.value) > 400 and _LONG_NUMBER.match(event.value):
+                raise BadValue(
+                    f"expected numbers of at most 400 digits in YAML, found "
+                    f"{shorten(event.value)}; quote it if it is a string"
+                )
+        if isinstance(event, yaml.NodeEvent):
+            nodes += 1
+            if nodes > limits.yaml_nodes:
+                raise BadValue(f"expected YAML of at most {limits.yaml_nodes} values")
+
+
+def _check_plain(value: Any) -> None:
+    if isinstance(value, list):
+        for item in value:
+            _check_plain(item)
+    elif isinstance(value, dict):
+        for key, item in value.items():
+            if not isinstance(key, str):
+                raise BadValue(f"expected YAML with strings as keys, found the key {key!r}")
+            _check_plain(item)
+    elif isinstance(value, int):
+        _check_int(value, f"{value:#x}" if abs(value) > 2**64 else str(value))
+    elif not isinstance(value, (str, float)):
+        found = "an empty value" if value is None else f"a {type(value).__name__}"
+        raise BadValue(
+            "expected YAML of strings, numbers, bools, lists and mappings, which the parameter "
+            f"server holds, found {found}"
+        )
