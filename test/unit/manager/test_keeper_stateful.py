@@ -47,7 +47,8 @@ class Claims(RuleBasedStateMachine):
         super().__init__()
         numbers = itertools.count(1)  # claims are looked at in the order of their ids
         self.ids = mock.patch(
-            "dyknow.manager.keeper.uuid.uuid4", lambda: mock.Mock(hex=f"{next(numbers):012x}")
+            "dyknow.manager.claims.keeper.uuid.uuid4",
+            lambda: mock.Mock(hex=f"{next(numbers):012x}"),
         )
         self.ids.start()
         self.folder = tempfile.TemporaryDirectory()
