@@ -11,8 +11,8 @@ wrong and says what was expected. Only ``dyknow.ros`` turns them into answers of
     ├── BadParameter             a parameter has a value that cannot be worked with
     ├── RemappedTopic            the command line of the process sends this topic elsewhere
     ├── PeerTimeout              somebody outside did not answer in time
-    ├── DuplicateBond            a bond with that id is there (dyknow.ros.bond_table)
-    ├── BondsClosed              no more bonds: this end is closed (dyknow.ros.bonds)
+    ├── DuplicateBond            a bond with that id is there (dyknow.ros.bonding.bond_table)
+    ├── BondsClosed              no more bonds: this end is closed (dyknow.ros.bonding.bonds)
     ├── HandleClosed             the nodelet of this handle is unloaded, or it was unregistered
     ├── Denied                   a guard forbids it: deny list, read-only mode
     ├── TooMuch                  a limit is exceeded

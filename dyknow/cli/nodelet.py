@@ -56,16 +56,16 @@ def _run(command: Command, argv: Sequence[str]) -> int:
         print(USAGE, end="")
         return DONE
     if isinstance(command, RunManager):
-        from dyknow.ros.nodelet_manager import run_manager
+        from dyknow.ros.nodelets.nodelet_manager import run_manager
 
         return run_manager(argv)
     if isinstance(command, RunStandalone):
-        from dyknow.ros.nodelet_manager import run_standalone
+        from dyknow.ros.nodelets.nodelet_manager import run_standalone
 
         print(f"type is {command.type}", flush=True)
         return run_standalone(command.type, command.my_argv, argv)
     if isinstance(command, Load):
-        from dyknow.ros.nodelet_client import run_load
+        from dyknow.ros.nodelets.nodelet_client import run_load
 
         return run_load(
             default_node_name(command.type),
@@ -75,7 +75,7 @@ def _run(command: Command, argv: Sequence[str]) -> int:
             command.bond,
             argv,
         )
-    from dyknow.ros.nodelet_client import run_unload
+    from dyknow.ros.nodelets.nodelet_client import run_unload
 
     return run_unload(command.name, command.manager, argv)
 

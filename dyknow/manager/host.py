@@ -1,7 +1,7 @@
 """The seam between the manager and the nodelet managers.
 
 The manager reaches nodelets only through a ``Host``. The real one speaks ROS
-(``dyknow.ros.host``), the public fake beside this file keeps everything in memory.
+(``dyknow.ros.hosting.host``), the public fake beside this file keeps everything in memory.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """The seam between the runtime and ROS.
 
 The runtime calls nothing of ROS itself: it is given a ``Middleware``. The real one is
-``dyknow.ros.middleware.RospyMiddleware``, the public fake beside it ``dyknow.nodelet.local``.
+``dyknow.ros.transport.middleware.RospyMiddleware``, the public fake beside it
+``dyknow.nodelet.local``.
 
 "Outside" means other processes, and ordinary rospy handles in this one: everything that the bus
 does not reach by reference.

@@ -14,7 +14,7 @@ import rospy
 from bond.msg import Constants, Status
 
 from dyknow import names
-from dyknow.ros.claim_bonds import TOPIC
+from dyknow.ros.bonding.claim_bonds import TOPIC
 
 _QUEUE_SIZE = 10
 

@@ -20,8 +20,8 @@ from bond.msg import Constants, Status
 from nodelet.srv import NodeletLoad, NodeletLoadResponse, NodeletUnload, NodeletUnloadResponse
 from processes import STOCK_NODELET, Running, eventually
 
-from dyknow.ros.bond_table import DuplicateBond
-from dyknow.ros.bonds import STOCK_TIMINGS, Bonds, BondsClosed
+from dyknow.ros.bonding.bond_table import DuplicateBond
+from dyknow.ros.bonding.bonds import STOCK_TIMINGS, Bonds, BondsClosed
 
 SISTERS = str(Path(__file__).with_name("bond_sisters.py"))
 HASTY = dataclasses.replace(STOCK_TIMINGS, heartbeat_timeout=1.6)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from dyknow.ros.backlog import LONGEST, Backlog
+from dyknow.ros.transport.backlog import LONGEST, Backlog
 
 
 class Clock:

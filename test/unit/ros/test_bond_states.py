@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from dyknow.ros.bond_states import NOTHING, BondEnd, BondState, BondTimings, Outcome
+from dyknow.ros.bonding.bond_states import NOTHING, BondEnd, BondState, BondTimings, Outcome
 
 TIMINGS = BondTimings(
     connect_timeout=10.0,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from dyknow.ros.bond_states import BondTimings
-from dyknow.ros.bond_table import BondTable, DuplicateBond
+from dyknow.ros.bonding.bond_states import BondTimings
+from dyknow.ros.bonding.bond_table import BondTable, DuplicateBond
 
 TIMINGS = BondTimings(
     connect_timeout=10.0,

@@ -8,7 +8,7 @@ from typing import Any, Iterator
 import pytest
 
 from dyknow.manager.claim import Claim, ClaimState, StreamRequest
-from dyknow.ros.reconciling import PAUSE, PERIOD, Reconciling
+from dyknow.ros.manager.reconciling import PAUSE, PERIOD, Reconciling
 
 
 class FakeKeeper:

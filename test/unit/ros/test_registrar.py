@@ -10,7 +10,7 @@ import xmlrpc.server
 import pytest
 
 from dyknow.ros.master import Master
-from dyknow.ros.registrar import Registrar
+from dyknow.ros.transport.registrar import Registrar
 
 
 class Server(socketserver.ThreadingMixIn, xmlrpc.server.SimpleXMLRPCServer):

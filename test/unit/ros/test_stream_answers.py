@@ -8,8 +8,8 @@ from dyknow_msgs.srv import AcquireStreamResponse
 from dyknow.errors import Denied, HostError, InvalidTag, NoPlanFound, PeerTimeout, SpawnFailed
 from dyknow.manager.claim import Claim, ClaimEvent, ClaimState, StreamRequest
 from dyknow.ros.client_errors import Result, StreamRefused
-from dyknow.ros.stream_messages import StreamMessages
-from dyknow.ros.stream_services import _result
+from dyknow.ros.manager.stream_messages import StreamMessages
+from dyknow.ros.manager.stream_services import _result
 from dyknow.ros.stream_views import acquired_view, event_view, stream_view
 
 

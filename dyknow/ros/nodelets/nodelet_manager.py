@@ -31,14 +31,14 @@ from dyknow.nodelet.middleware import Closable
 from dyknow.nodelet.plugins import Plugins
 from dyknow.nodelet.scheduler import WorkerPool
 from dyknow.proxy.proxy import NodeletProxy
-from dyknow.ros.announcements import Announcer
-from dyknow.ros.bonds import Bonds
-from dyknow.ros.guard_parameters import GuardParameters, caller_of
-from dyknow.ros.middleware import RospyMiddleware
-from dyknow.ros.owner import end_when_orphaned
-from dyknow.ros.packages import plugin_files
+from dyknow.ros.bonding.bonds import Bonds
+from dyknow.ros.nodelets.announcements import Announcer
+from dyknow.ros.nodelets.guard_parameters import GuardParameters, caller_of
+from dyknow.ros.nodelets.owner import end_when_orphaned
+from dyknow.ros.nodelets.packages import plugin_files
+from dyknow.ros.nodelets.proxy_services import ProxyServices
 from dyknow.ros.process import NodeProcess
-from dyknow.ros.proxy_services import ProxyServices
+from dyknow.ros.transport.middleware import RospyMiddleware
 
 
 @dataclass(frozen=True)

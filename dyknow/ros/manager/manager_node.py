@@ -22,23 +22,23 @@ from dyknow.manager.manager import Manager, Settings
 from dyknow.manager.planning.tags import NO_ONTOLOGY
 from dyknow.manager.store import Store
 from dyknow.nodelet.middleware import Closable
-from dyknow.ros.announcements import Listener
-from dyknow.ros.children import Children
-from dyknow.ros.cpp_nodelets import CppNodelets
 from dyknow.ros.exit_codes import FAILED
-from dyknow.ros.guard_parameters import GUARDS, to_parameter
-from dyknow.ros.host import RosHost
-from dyknow.ros.launcher import Launcher
-from dyknow.ros.manager_services import ManagerServices
-from dyknow.ros.manager_settings import ManagerSettings
+from dyknow.ros.hosting.children import Children
+from dyknow.ros.hosting.cpp_nodelets import CppNodelets
+from dyknow.ros.hosting.host import RosHost
+from dyknow.ros.hosting.launcher import Launcher
+from dyknow.ros.manager.manager_services import ManagerServices
+from dyknow.ros.manager.manager_settings import ManagerSettings
+from dyknow.ros.manager.model_publisher import ModelPublisher
+from dyknow.ros.manager.stream_node import StreamNode
+from dyknow.ros.manager.watch import Watch
 from dyknow.ros.master import Master
 from dyknow.ros.model_messages import ModelMessages
-from dyknow.ros.model_publisher import ModelPublisher
-from dyknow.ros.owner import OwnerLock
+from dyknow.ros.nodelets.announcements import Listener
+from dyknow.ros.nodelets.guard_parameters import GUARDS, to_parameter
+from dyknow.ros.nodelets.owner import OwnerLock
+from dyknow.ros.nodelets.workers import Workers
 from dyknow.ros.process import NodeProcess
-from dyknow.ros.stream_node import StreamNode
-from dyknow.ros.watch import Watch
-from dyknow.ros.workers import Workers
 
 if TYPE_CHECKING:
     from dyknow.manager.specifications.ontology import Ontology

@@ -12,13 +12,13 @@ import rospy.timer
 from dyknow.errors import PeerTimeout
 from dyknow.nodelet.middleware import Closable, Handler, Middleware, Receive
 from dyknow.nodelet.scheduler import Executor
-from dyknow.ros import anymsg, members
 from dyknow.ros.errors import ClosedHandle, Interrupted, MessageTimeout
-from dyknow.ros.intraprocess import IntraProcess
 from dyknow.ros.master import Master
-from dyknow.ros.registrar import Registrar
-from dyknow.ros.ticker import make_ticker
-from dyknow.ros.topics import RospyPublisher, RospySubscriber
+from dyknow.ros.transport import anymsg, members
+from dyknow.ros.transport.intraprocess import IntraProcess
+from dyknow.ros.transport.registrar import Registrar
+from dyknow.ros.transport.ticker import make_ticker
+from dyknow.ros.transport.topics import RospyPublisher, RospySubscriber
 
 #: Not below "rosout": to publish there rospy asks the master about a parameter first.
 _log = logging.getLogger("dyknow.master")

@@ -18,8 +18,8 @@ from dyknow import names
 from dyknow.errors import DyKnowError
 from dyknow.nodelet.middleware import Closable
 from dyknow.proxy.proxy import NodeletProxy
-from dyknow.ros.guard_parameters import GuardParameters, caller_of
 from dyknow.ros.messages import config_pairs, port_messages, statistics_message
+from dyknow.ros.nodelets.guard_parameters import GuardParameters, caller_of
 
 
 class ProxyServices(Closable):

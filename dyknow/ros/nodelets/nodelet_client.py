@@ -23,7 +23,7 @@ import rospy
 from nodelet.srv import NodeletLoad, NodeletLoadRequest, NodeletUnload
 
 from dyknow.errors import PeerTimeout
-from dyknow.ros.bonds import Bonds
+from dyknow.ros.bonding.bonds import Bonds
 from dyknow.ros.exit_codes import DONE, FAILED, INTERRUPTED
 from dyknow.ros.remote_calls import call_within
 from dyknow.ros.signals import on_signals

@@ -15,7 +15,7 @@ from lxml import etree
 from dyknow.errors import HostError
 from dyknow.manager.host import Kind
 from dyknow.nodelet.plugins import Plugins
-from dyknow.ros.packages import exported_files, plugin_files
+from dyknow.ros.nodelets.packages import exported_files, plugin_files
 
 _BASE_CLASS = "nodelet::Nodelet"
 

@@ -15,11 +15,11 @@ from roslib.packages import find_node
 from dyknow import names
 from dyknow.errors import HostError, PeerTimeout
 from dyknow.manager.host import Kind
-from dyknow.ros import os_process
+from dyknow.ros.hosting import os_process
+from dyknow.ros.hosting.os_process import ProcessId
 from dyknow.ros.master import Master
-from dyknow.ros.os_process import ProcessId
+from dyknow.ros.nodelets.owner import OwnerLock
 from dyknow.ros.output import Follower
-from dyknow.ros.owner import OwnerLock
 
 _ANSWER_TIMEOUT = 1.0
 
@@ -137,7 +137,14 @@ class Launcher:
     def _watch(self, found: ProcessId, output: str) -> None:
         """Let another process end it without us, since the stock program would not."""
         lock, timeout = self._owner.path, str(self._orphan_timeout)
-        command = (sys.executable, "-m", "dyknow.ros.owner", lock, timeout, str(found.pid))
+        command = (
+            sys.executable,
+            "-m",
+            "dyknow.ros.nodelets.owner",
+            lock,
+            timeout,
+            str(found.pid),
+        )
         os_process.start(command, output, rospkg.get_ros_home())
 
     def _output(self, name: str) -> str:

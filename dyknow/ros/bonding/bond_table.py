@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Callable, Iterable
 
 from dyknow.errors import DyKnowError
-from dyknow.ros.bond_states import BondEnd, BondState, BondTimings, Outcome
+from dyknow.ros.bonding.bond_states import BondEnd, BondState, BondTimings, Outcome
 
 OnBroken = Callable[[], None]
 

@@ -12,10 +12,10 @@ import rospy
 
 from dyknow.errors import PeerTimeout, RemappedTopic
 from dyknow.nodelet.middleware import OutsidePublisher, OutsideSubscriber, Receive
-from dyknow.ros.anymsg import TypedReceiver
-from dyknow.ros.intraprocess import IntraProcess
 from dyknow.ros.master import Master
-from dyknow.ros.registrar import Registrar
+from dyknow.ros.transport.anymsg import TypedReceiver
+from dyknow.ros.transport.intraprocess import IntraProcess
+from dyknow.ros.transport.registrar import Registrar
 
 #: Messages kept for each slow outside subscriber when the nodelet does not say how many.
 DEFAULT_QUEUE_SIZE = 100

@@ -16,10 +16,10 @@ from dyknow.manager.claim import ClaimEvent
 from dyknow.manager.claims.keeper import Keeper
 from dyknow.manager.manager import Manager
 from dyknow.manager.planning.tags import Subsumption
-from dyknow.ros.claim_bonds import ClaimBonds
-from dyknow.ros.reconciling import Reconciling
-from dyknow.ros.stream_messages import StreamMessages
-from dyknow.ros.stream_services import StreamServices
+from dyknow.ros.bonding.claim_bonds import ClaimBonds
+from dyknow.ros.manager.reconciling import Reconciling
+from dyknow.ros.manager.stream_messages import StreamMessages
+from dyknow.ros.manager.stream_services import StreamServices
 
 #: Events that may wait for a slow subscriber.
 _QUEUE_SIZE = 1000

@@ -14,7 +14,7 @@ import rospy
 from dyknow import names
 from dyknow.errors import DyKnowError
 from dyknow.manager.claim import Claim
-from dyknow.ros.bonds import Bonds
+from dyknow.ros.bonding.bonds import Bonds
 
 TOPIC = "bond"
 

@@ -22,8 +22,8 @@ import rospy
 from bond.msg import Constants, Status
 
 from dyknow.errors import DyKnowError, PeerTimeout
-from dyknow.ros.bond_states import BondTimings
-from dyknow.ros.bond_table import BondTable, Effects, OnBroken, Word
+from dyknow.ros.bonding.bond_states import BondTimings
+from dyknow.ros.bonding.bond_table import BondTable, Effects, OnBroken, Word
 from dyknow.ros.remote_calls import call_within
 
 STOCK_TIMINGS = BondTimings(

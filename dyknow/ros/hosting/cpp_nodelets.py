@@ -25,9 +25,9 @@ from dyknow import names
 from dyknow.errors import DuplicatePort, DyKnowError, UnknownNodelet
 from dyknow.manager.manager import Manager
 from dyknow.manager.model import Record, State
-from dyknow.ros.guard_parameters import caller_of
 from dyknow.ros.messages import config_pairs
 from dyknow.ros.model_messages import running_port
+from dyknow.ros.nodelets.guard_parameters import caller_of
 
 
 class CppNodelet:

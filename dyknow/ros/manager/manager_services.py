@@ -24,9 +24,9 @@ from dyknow_msgs.srv import (
 from dyknow.errors import DuplicatePort, DyKnowError, InvalidConfiguration
 from dyknow.manager.lifecycle import SpawnRequest
 from dyknow.manager.manager import Manager
-from dyknow.ros.guard_parameters import caller_of
 from dyknow.ros.messages import config_pairs
 from dyknow.ros.model_messages import ModelMessages
+from dyknow.ros.nodelets.guard_parameters import caller_of
 
 _log = logging.getLogger("rosout.dyknow")
 

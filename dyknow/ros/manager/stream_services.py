@@ -33,8 +33,8 @@ from dyknow.guards import Guards
 from dyknow.manager.claim import Claim, StreamRequest
 from dyknow.manager.claims.keeper import Acquired, Keeper
 from dyknow.manager.planning.explanation import as_tree
-from dyknow.ros.guard_parameters import caller_of
-from dyknow.ros.stream_messages import StreamMessages
+from dyknow.ros.manager.stream_messages import StreamMessages
+from dyknow.ros.nodelets.guard_parameters import caller_of
 
 _log = logging.getLogger("rosout.dyknow")
 

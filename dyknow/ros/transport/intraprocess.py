@@ -29,9 +29,9 @@ from rospy.impl.transport import INBOUND, Transport
 from dyknow.errors import PeerTimeout
 from dyknow.nodelet.endpoints import NOTHING, Connection
 from dyknow.nodelet.scheduler import Executor, Strand
-from dyknow.ros.anymsg import TypedReceiver
-from dyknow.ros.backlog import Backlog
 from dyknow.ros.master import Master
+from dyknow.ros.transport.anymsg import TypedReceiver
+from dyknow.ros.transport.backlog import Backlog
 
 Callback = Tuple[Callable[..., Any], Any]
 

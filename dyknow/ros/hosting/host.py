@@ -20,12 +20,12 @@ from dyknow.guards import NO_GUARDS, Guards
 from dyknow.manager.host import Host, Kind, LoadRequest, ManagerState
 from dyknow.manager.model import PortState
 from dyknow.manager.specifications.transformation import Parameter
-from dyknow.ros.children import Child, Children
-from dyknow.ros.declared import Declared
-from dyknow.ros.guard_parameters import GUARDS, to_parameter
-from dyknow.ros.hearing import Hearing
+from dyknow.ros.hosting.children import Child, Children
+from dyknow.ros.hosting.declared import Declared
+from dyknow.ros.hosting.hearing import Hearing
+from dyknow.ros.hosting.peers import ListClient, Peer
 from dyknow.ros.master import Master
-from dyknow.ros.peers import ListClient, Peer
+from dyknow.ros.nodelets.guard_parameters import GUARDS, to_parameter
 from dyknow.ros.service_client import ServiceClient, ServiceFailed
 
 #: Seconds for an unload, which waits up to 1 s for ``on_shutdown``.

@@ -17,10 +17,10 @@ from typing import AbstractSet, Callable, Dict, FrozenSet, List, Optional
 from dyknow import names
 from dyknow.errors import HostError, PeerTimeout
 from dyknow.manager.host import Kind
-from dyknow.ros import child_records
-from dyknow.ros.child_records import ChildRecord
-from dyknow.ros.launcher import Launcher
-from dyknow.ros.os_process import ProcessId
+from dyknow.ros.hosting import child_records
+from dyknow.ros.hosting.child_records import ChildRecord
+from dyknow.ros.hosting.launcher import Launcher
+from dyknow.ros.hosting.os_process import ProcessId
 from dyknow.ros.output import Follower
 
 #: Seconds that a child may take to offer its services.

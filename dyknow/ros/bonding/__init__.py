@@ -1,0 +1,1 @@
+"""Bonds as bondpy has them, one thread for all of them."""

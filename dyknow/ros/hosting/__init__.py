@@ -1,0 +1,1 @@
+"""How the DyKnow manager starts, finds and reaches the nodelet managers of every kind."""

@@ -1,0 +1,1 @@
+"""The DyKnow manager as a node: its services, parameters and topics."""

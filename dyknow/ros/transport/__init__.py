@@ -1,0 +1,1 @@
+"""The bus over rospy: registrations, topics, and the link inside the process."""
