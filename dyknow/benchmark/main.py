@@ -69,8 +69,8 @@ def parser() -> argparse.ArgumentParser:
     """Declare the commands."""
     top = argparse.ArgumentParser(
         prog="rosrun dyknow benchmark",
-        description="Measures DyKnow beside its peers. Each measurement but plan starts a ROS master "
-        "and processes of its own, on the loopback interface, and ends them.",
+        description="Measures DyKnow beside its peers. Each measurement but plan starts a ROS "
+        "master and processes of its own, on the loopback interface, and ends them.",
     )
     commands = top.add_subparsers(dest="command", metavar="MEASUREMENT", required=True)
     for name, module in _MEASUREMENTS.items():
