@@ -34,29 +34,29 @@ def drafted(
     """Follow a choice from the goal; None if it has a cycle."""
     needs, costs = network.needs, network.costs
     order: List[int] = []
-    first = chosen[reach.goal]
-    if first == LIVE:
+    if chosen[reach.goal] == LIVE:
         return Draft(chosen, order, 0)
-    state: Dict[int, bool] = {first: False}  # True: done, False: its inputs are being followed
-    stack = [(first, iter(needs[first]))]
+    done: Dict[int, bool] = {}  # False: its inputs are being followed
+    stack = [chosen[reach.goal]]  # actions to enter; ~action to leave it again
     while stack:
-        action, rest = stack[-1]
-        for demand in rest:
-            below = chosen[demand]
-            if below == LIVE:
-                continue
-            known = state.get(below)
-            if known is False:
-                return None
-            if known is None:
-                state[below] = False
-                stack.append((below, iter(needs[below])))
-                break
-        else:
-            state[action] = True
-            order.append(action)
-            stack.pop()
-    return Draft(chosen, order, sum(costs[action] for action in order if action not in free))
+        action = stack.pop()
+        if action < 0:
+            done[~action] = True
+            order.append(~action)
+        elif action not in done:
+            done[action] = False
+            stack.append(~action)
+            for demand in reversed(needs[action]):  # the first is followed first
+                below = chosen[demand]
+                if below == LIVE:
+                    continue
+                known = done.get(below)
+                if known is None:
+                    stack.append(below)
+                elif not known:
+                    return None
+    paid = [action for action in order if action not in free] if free else order
+    return Draft(chosen, order, sum(map(costs.__getitem__, paid)))
 
 
 def improve(
