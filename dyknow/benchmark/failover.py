@@ -11,7 +11,7 @@ import os
 import signal
 import threading
 import time
-from typing import Callable, Dict, List
+from typing import Callable, Dict, List, NamedTuple
 
 import rospy
 from nodelet.srv import NodeletUnload
@@ -25,18 +25,13 @@ from dyknow.benchmark.targets import Verdict
 from dyknow.ros.acquiring import AcquiredStream
 
 HEADER = ("failure", "failures", "min_s", "median_s", "max_s")
-_TARGET = 1.0
-#: The same where a process has to be started first, as for ``recover``.
-_TARGET_WITH_START = 3.0
-#: Seconds of silence that the claim allows.
-_MAX_SILENCE = 0.4
 _GOAL = "Signed(x)"
 _SOURCE = "/source"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("--failures", type=options.positive, default=10, help="of each kind")
+    parser.add_argument("--failures", type=options.positive, default=5, help="of each kind")
 
 
 class _Listener:
@@ -77,34 +72,51 @@ def run(arguments: argparse.Namespace) -> Outcome:
         # What feeds the stream survives, in a process of its own.
         client.spawn("signed source", _SOURCE, {"out": "/raw"}, isolated=True)
         load = machine.Load()
-        for kind, fail in _FAILURES.items():
-            silence = _MAX_SILENCE if fail is _fall_silent else 0.0
-            with dyknow.acquire(_GOAL, Header, max_silence=silence) as stream:
-                listener = _Listener(stream.topic)
-                times = [
-                    _measure(stream, listener, fail) - silence
-                    for _ in progress.steps(range(arguments.failures), kind, arguments.failures)
-                ]
-            rows.append((kind, len(times), *system.spread(times)))
-            what = f"{kind}: replaced, median in s"
-            target = _TARGET_WITH_START if fail is _kill else _TARGET
-            verdicts.append(Verdict(what, system.spread(times)[1], target))
+        for failure in _FAILURES:
+            times = _measure(failure, arguments.failures)
+            rows.append((failure.kind, len(times), *system.spread(times)))
+            what = f"{failure.kind}: replaced, median in s"
+            verdicts.append(Verdict(what, system.spread(times)[1], failure.target))
     outcome = Outcome(verdicts)
     outcome.table("failover", "failover of a claimed stream", HEADER, rows)
     outcome.table("machine", "the machine", machine.HEADER, load.rows())
     return outcome
 
 
-def _measure(stream: AcquiredStream, listener: _Listener, fail: Callable[[str], None]) -> float:
-    """Let the part fail once; returns how long (s) the client was without it."""
-    wait_until(lambda: bool(listener.life), "the stream")
-    wait_until(lambda: stream.wait_until_active(0.0), "the stream to be whole")
-    time.sleep(0.3)
-    life = listener.life
-    fail(_part(stream))
-    failed = time.monotonic()
-    wait_until(lambda: listener.life != life, "the replacement")
-    return listener.first(listener.life) - min(failed, listener.last(life))
+class _Failure(NamedTuple):
+    """A way to fail.
+
+    Attributes:
+        kind: what it is called.
+        fail: does it to a nodelet.
+        target: seconds to reach.
+        silence: seconds of silence that the claim allows; 0: it does not care.
+        rest: seconds between two, so that they are not taken for a crash in a loop.
+    """
+
+    kind: str
+    fail: Callable[[str], None]
+    target: float = 1.0
+    silence: float = 0.0
+    rest: float = 0.3
+
+
+def _measure(failure: _Failure, count: int) -> List[float]:
+    """Let the part fail again and again; returns how long (s) the client was without it."""
+    times = []
+    with dyknow.acquire(_GOAL, Header, max_silence=failure.silence) as stream:
+        listener = _Listener(stream.topic)
+        for _ in progress.steps(range(count), failure.kind, count):
+            wait_until(lambda: bool(listener.life), "the stream")
+            wait_until(lambda: stream.wait_until_active(0.0), "the stream to be whole")
+            time.sleep(failure.rest)
+            life = listener.life
+            failure.fail(_part(stream))
+            failed = time.monotonic()
+            wait_until(lambda life=life: listener.life != life, "the replacement")  # type: ignore[misc]
+            begin = min(failed, listener.last(life))
+            times.append(listener.first(listener.life) - begin - failure.silence)
+    return times
 
 
 def _part(stream: AcquiredStream) -> str:
@@ -129,12 +141,12 @@ def _fall_silent(nodelet: str) -> None:
     publisher.unregister()
 
 
-#: What is done to the part.
-_FAILURES: Dict[str, Callable[[str], None]] = {
-    "unloaded by others": _unload,
-    "kill -9 of its nodelet manager": _kill,
-    "silent": _fall_silent,
-}
+#: What is done to the part. Where a process has to be started first, the target is ``recover``'s.
+_FAILURES = (
+    _Failure("unloaded by others", _unload),
+    _Failure("silent", _fall_silent, silence=0.4),
+    _Failure("kill -9 of its nodelet manager", _kill, target=3.0, rest=11.0),
+)
 
 
 def _library(count: int) -> str:

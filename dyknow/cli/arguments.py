@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import enum
 import math
+import os
 import sys
 from dataclasses import dataclass
 from typing import NoReturn, Optional, Tuple
@@ -73,6 +74,11 @@ def graph_name(text: str) -> str:
         return names.check(text)
     except InvalidName as error:
         raise argparse.ArgumentTypeError(str(error)) from error
+
+
+def manager_node(text: str) -> str:
+    """Read the name of the manager's node; relative ones begin in ROS_NAMESPACE."""
+    return names.resolve(graph_name(text), os.environ.get("ROS_NAMESPACE") or "/", "/")
 
 
 def namespace(text: str) -> str:

@@ -19,7 +19,6 @@ from typing import (
 
 from dyknow import names
 from dyknow.cli.arguments import Kind, kind_of
-from dyknow.cli.parser import build_parser
 from dyknow.cli.topics import topics_of
 from dyknow.manager.transformation import IN, NODELET, OUT
 from dyknow.wiring.ports import types_fit
@@ -27,6 +26,8 @@ from dyknow.wiring.ports import types_fit
 if TYPE_CHECKING:
     from dyknow.ros.shell_client import ShellClient
     from dyknow.ros.views import NodeletView
+
+Parsers = Tuple[argparse.ArgumentParser, Mapping[str, argparse.ArgumentParser]]
 
 
 @dataclass
@@ -46,23 +47,26 @@ class Place:
     given: Dict[str, List[str]] = field(default_factory=dict)
 
 
-def complete(words: Sequence[str], last: str, client: Callable[[str], ShellClient]) -> List[str]:
+def complete(
+    parsers: Parsers, words: Sequence[str], last: str, client: Callable[[str], ShellClient]
+) -> List[str]:
     """List what the last word may become.
 
     Args:
+        parsers: That of the program, and those of its commands by name.
         words: The words before it, without the program's name.
         last: What is there of it.
         client: Makes a client of the manager of that name, empty for the default.
     """
     option, equals, value = last.partition("=")
     if option.startswith("--") and equals:
-        return [f"{option}={each}" for each in complete([*words, option], value, client)]
-    program, parsers = build_parser()
-    place = find_place(program, parsers, words)
+        return [f"{option}={each}" for each in complete(parsers, [*words, option], value, client)]
+    program, commands = parsers
+    place = find_place(program, commands, words)
     if last.startswith("-") and not place.only:
         found: Iterable[str] = _options(place.parser)
     elif place.parser is program and place.action is None:
-        found = [name for name in parsers if name != "complete"]
+        found = [name for name in commands if name != "complete"]
     else:
         kind = kind_of(place.action) if place.action is not None else None
         found = _values(kind, place, last, client)

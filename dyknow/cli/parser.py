@@ -7,8 +7,7 @@ import difflib
 import os
 from typing import Dict, List, Sequence, Tuple
 
-from dyknow import names
-from dyknow.cli.arguments import Kind, Parser, graph_name, seconds, takes
+from dyknow.cli.arguments import Kind, Parser, manager_node, seconds, takes
 from dyknow.cli.command import Command
 from dyknow.cli.commands import GROUPS
 
@@ -51,11 +50,12 @@ def parse(words: Sequence[str]) -> argparse.Namespace:
         SystemExit: help was asked for (0), or the usage is wrong (2).
     """
     words = [word for word in words if ":=" not in word]
-    parser, _ = build_parser()
+    parser, parsers = build_parser()
     if not words:
         parser.error("a command is missing: dyknow COMMAND [ARGUMENT ...]")
     _check_command(parser, words)
     arguments = parser.parse_args(words)
+    arguments.parsers = parser, parsers
     arguments.json = getattr(arguments, "json", False)
     arguments.timeout = getattr(arguments, "timeout", None)
     arguments.manager_node = getattr(arguments, "manager_node", None) or _default_manager(parser)
@@ -78,11 +78,6 @@ def _default_manager(parser: Parser) -> str:
         return manager_node(text)
     except argparse.ArgumentTypeError as error:
         parser.error(f"$DYKNOW_MANAGER: {error}")
-
-
-def manager_node(text: str) -> str:
-    """Read the name of the manager's node; relative ones begin in ROS_NAMESPACE."""
-    return names.resolve(graph_name(text), os.environ.get("ROS_NAMESPACE") or "/", "/")
 
 
 def _add(chosen: argparse._SubParsersAction[Parser], command: Command) -> Parser:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import os
 import re
 from dataclasses import dataclass
@@ -15,6 +16,19 @@ from dyknow import names
 from dyknow.errors import DyKnowError
 from dyknow.guards import NO_GUARDS, Guards
 from dyknow.manager.limits import DEFAULT_LIMITS, Limits
+
+_PARAMETERS = (
+    "nodelet_managers",
+    "num_nodelet_managers",
+    "state_dir",
+    "ontologies",
+    "transformations",
+    "spawn_timeout",
+    "orphan_timeout",
+    "denied_topics",
+    "read_only",
+    "limits",
+)
 
 
 @dataclass(frozen=True)
@@ -51,6 +65,7 @@ class ManagerSettings:
             DyKnowError: a parameter has no sensible value.
         """
         node = rospy.get_name()
+        _warn_of_strangers()
         return cls(
             nodelet_managers=tuple(
                 names.resolve(name, names.parent(node), node, "name in ~nodelet_managers")
@@ -80,6 +95,16 @@ class ManagerSettings:
         host, port = rosgraph.network.parse_http_host_and_port(rosgraph.get_master_uri())
         key = re.sub(r"[^A-Za-z0-9.]+", "-", f"{host}-{port}{rospy.get_name()}")
         return os.path.join(self.state_dir, f"{key}.{ending}")
+
+
+def _warn_of_strangers() -> None:
+    """A parameter with a wrong name would silently change nothing."""
+    given = rospy.get_param("~", {})
+    for name in sorted(given) if isinstance(given, dict) else ():
+        if name not in _PARAMETERS:
+            close = difflib.get_close_matches(name, _PARAMETERS, 1)
+            hint = f"did you mean ~{close[0]}?" if close else "known: ~" + " ~".join(_PARAMETERS)
+            rospy.logwarn("the parameter ~%s says nothing to the manager; %s", name, hint)
 
 
 def _refuse(name: str, expected: str, value: Any) -> DyKnowError:

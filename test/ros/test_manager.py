@@ -362,7 +362,12 @@ class StartTest(ManagerCase):
         self.assertNotEqual(manager.process.wait(20.0), 0)
         self.assertIn("~spawn_timeout: expected seconds", manager.output)
         manager.parameters["spawn_timeout"] = 10.0
+        manager.parameters["ontology"] = "field.ttl"
         manager.start()
+        self.assertIn(
+            "~ontology says nothing to the manager; did you mean ~ontologies?", manager.output
+        )
+        del manager.parameters["ontology"]
         manager.stop()
         [state] = Path(manager.state).glob("*.sqlite3")
         state.write_bytes(b"not a database" * 1000)

@@ -34,6 +34,6 @@ def test_a_name_of_the_author_loads_no_ros(name: str) -> None:
 
 
 def test_names_are_listed_and_others_refused() -> None:
-    assert {"Nodelet", "NodeHandle"} <= set(dir(dyknow))
+    assert {"Nodelet", "NodeHandle", "acquire"} <= set(dir(dyknow))
     with pytest.raises(AttributeError, match="nonesuch"):
         dyknow.nonesuch  # noqa: B018

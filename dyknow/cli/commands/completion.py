@@ -7,7 +7,9 @@ import os
 import signal
 from typing import TYPE_CHECKING
 
+from dyknow.cli.arguments import manager_node
 from dyknow.cli.command import Command
+from dyknow.cli.completion import complete
 from dyknow.cli.shell import Shell
 from dyknow.cli.shell_words import split
 
@@ -29,9 +31,6 @@ def _give_up(number: int, frame: object) -> None:
 
 
 def _complete(arguments: argparse.Namespace, shell: Shell) -> None:
-    from dyknow.cli.completion import complete
-    from dyknow.cli.parser import manager_node
-
     def client(manager: str) -> ShellClient:
         from dyknow.ros.shell_client import ShellClient
 
@@ -41,7 +40,7 @@ def _complete(arguments: argparse.Namespace, shell: Shell) -> None:
     signal.signal(signal.SIGALRM, _give_up)
     signal.setitimer(signal.ITIMER_REAL, _LIMIT)
     try:
-        found = complete(line.words[1:], line.last, client)
+        found = complete(arguments.parsers, line.words[1:], line.last, client)
     except Exception:  # a boundary: nobody wants to read of it between two key strokes
         if os.environ.get("DYKNOW_DEBUG_COMPLETION"):
             raise

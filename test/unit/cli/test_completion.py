@@ -16,6 +16,7 @@ from unit.cli.fake_client import FakeClient
 from unit.manager.world import World
 
 from dyknow.cli.completion import complete
+from dyknow.cli.parser import build_parser
 from dyknow.cli.shell_words import split
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -33,7 +34,7 @@ def client() -> FakeClient:
 def offered(client: FakeClient, text: str) -> list[str]:
     """What is offered at the end of a command line, as it is inserted."""
     line = split("dyknow " + text)
-    found = complete(line.words[1:], line.last, lambda manager: client)
+    found = complete(build_parser(), line.words[1:], line.last, lambda manager: client)
     return [line.written(each) for each in found]
 
 

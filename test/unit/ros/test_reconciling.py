@@ -1,0 +1,85 @@
+"""The thread that looks after streams: it works when there is reason to, and sleeps else."""
+
+from __future__ import annotations
+
+import threading
+from typing import Any, Iterator
+
+import pytest
+
+from dyknow.manager.claim import Claim, ClaimState, StreamRequest
+from dyknow.ros.reconciling import PAUSE, PERIOD, Reconciling
+
+
+class FakeKeeper:
+    """Counts rounds; the first one fails."""
+
+    def __init__(self) -> None:
+        self.living: list[Claim] = []
+        self.rounds = 0
+        self.done = threading.Condition()
+
+    def claims(self) -> list[Claim]:
+        return self.living
+
+    def reconcile(self) -> None:
+        with self.done:
+            self.rounds += 1
+            self.done.notify_all()
+        if self.rounds == 1:
+            raise RuntimeError("the first round fails")
+
+    def await_rounds(self, count: int, timeout: float = 10.0) -> bool:
+        with self.done:
+            return self.done.wait_for(lambda: self.rounds >= count, timeout)
+
+
+def claim(max_silence: float = 0.0, state: ClaimState = ClaimState.ACTIVE) -> Claim:
+    return Claim("c", StreamRequest("Tag", max_silence=max_silence), state=state)
+
+
+@pytest.fixture
+def keeper() -> FakeKeeper:
+    return FakeKeeper()
+
+
+@pytest.fixture
+def reconciling(keeper: Any) -> Iterator[Reconciling]:
+    made = Reconciling(keeper, lambda: bool(keeper.living))
+    made.start()
+    yield made
+    made.close(5.0)
+    assert not made._thread.is_alive()
+
+
+def test_nothing_is_done_while_nothing_is_claimed(
+    keeper: FakeKeeper, reconciling: Reconciling
+) -> None:
+    reconciling.note_change()
+    assert not keeper.await_rounds(1, 0.3)
+    assert reconciling._period() is None
+
+
+def test_claims_are_looked_after_again_and_again_whatever_fails(
+    keeper: FakeKeeper, reconciling: Reconciling
+) -> None:
+    keeper.living = [claim()]
+    reconciling.note_change()
+    assert keeper.await_rounds(3)
+
+
+@pytest.mark.parametrize(
+    ("claims", "period"),
+    [
+        ([claim()], PERIOD),
+        ([claim(60.0)], PERIOD),
+        ([claim(1.0), claim(0.4)], 0.1),
+        ([claim(0.001)], PAUSE),
+        ([claim(0.4, ClaimState.RELEASED), claim()], PERIOD),
+    ],
+)
+def test_the_shortest_silence_sets_the_pace(
+    keeper: FakeKeeper, reconciling: Reconciling, claims: list[Claim], period: float
+) -> None:
+    keeper.living = claims
+    assert reconciling._period() == pytest.approx(period)
