@@ -5,7 +5,7 @@ ROS_PYTHON := /usr/bin/python3
 IN_WORKSPACE := bash tools/in-workspace.sh
 
 .DEFAULT_GOAL := help
-.PHONY: help deps build venv demo demo-rewiring gui test benchmark screenshots docs clean
+.PHONY: help deps build venv demo demo-rewiring gui test benchmark performance screenshots docs clean
 
 help: ## what there is to make
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 20
@@ -30,6 +30,9 @@ test: deps ## run every check and test (ROSTEST_JOBS=1 runs the rostest suites o
 
 benchmark: build ## measure the time to arrival over a chain of nodelets (options: make benchmark ARGS="...")
 	@$(IN_WORKSPACE) rosrun dyknow benchmark $(ARGS)
+
+performance: build ## measure everything that doc/performance.md shows, and write it there (most of an hour; ARGS="chain" for one)
+	@$(IN_WORKSPACE) $(ROS_PYTHON) tools/performance.py $(ARGS)
 
 screenshots: build ## take the pictures of the documentation anew
 	@QT_QPA_PLATFORM=offscreen $(IN_WORKSPACE) $(ROS_PYTHON) -m dyknow_rqt.screenshots doc/images

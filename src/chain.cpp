@@ -66,7 +66,8 @@ Hop::Hop(ros::NodeHandle nh, ros::NodeHandle private_nh)
   // The other topics first: nothing must arrive before it can be dealt with.
   if (record_)
   {
-    report_ = nh.advertise<std_msgs::Float64MultiArray>(controlTopic(private_nh, "report"), 10);
+    // The hops of a process share the queue of the topic, and all report at once.
+    report_ = nh.advertise<std_msgs::Float64MultiArray>(controlTopic(private_nh, "report"), 1000);
     collect_ = nh.subscribe(controlTopic(private_nh, "collect"), 10, &Hop::onCollect, this);
   }
   in_ = nh.subscribe("in", 10, &Hop::onMessage, this, ros::TransportHints().tcpNoDelay());
@@ -74,12 +75,13 @@ Hop::Hop(ros::NodeHandle nh, ros::NodeHandle private_nh)
 
 void Hop::onMessage(const std_msgs::TimeConstPtr& message)
 {
-  if (record_)
+  const ros::Duration latency = ros::Time::now() - message->data;
+  if (!record_)
   {
-    const ros::Duration latency = ros::Time::now() - message->data;
-    arrivals_.push_back(message->data.toSec());
-    arrivals_.push_back(latency.toNSec() / 1e3);
+    arrivals_.clear();
   }
+  arrivals_.push_back(message->data.toSec());
+  arrivals_.push_back(latency.toNSec() / 1e3);
   out_.publish(message);
 }
 

@@ -39,7 +39,7 @@ private:
   std::thread sender_;
 };
 
-/// Forwards what it receives on `in` to `out`; with ~record, remembers how long it was on its way.
+/// Forwards what it receives on `in` to `out` and notes how long it was on its way; with ~record it reports that.
 class Hop
 {
 public:
@@ -50,7 +50,7 @@ private:
   void onCollect(const std_msgs::EmptyConstPtr&);
 
   int hop_;
-  bool record_;
+  bool record_;  // otherwise only the latest arrival is kept
   std::vector<double> arrivals_;
   ros::Publisher out_;
   ros::Publisher report_;

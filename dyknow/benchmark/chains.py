@@ -9,6 +9,9 @@ from dyknow.benchmark.control import ChainControl
 from dyknow.benchmark.managers import Manager
 from dyknow.benchmark.session import Session, executable
 
+#: What the names of a kind's nodelets begin with.
+_PREFIXES = {"dyknow": "", "nodelet": "Plain", "cpp_nodelet": "Cpp"}
+
 
 class Chains:
     """Sets chains up in a session; those of nodelets share one manager of their language."""
@@ -42,7 +45,7 @@ class Chains:
         return self._cpp
 
     def build(
-        self, kind: str, length: int, record: Sequence[int], payload: str = "time"
+        self, kind: str, length: int, record: Sequence[int], payload: str = "time", name: str = ""
     ) -> ChainControl:
         """Set up a chain and return once messages go all the way through it.
 
@@ -50,42 +53,48 @@ class Chains:
             kind: a key of ``kinds.KINDS``.
             length: number of hops.
             record: hops that report.
-            payload: what is sent: ``time`` or ``image``.
+            payload: what is sent: ``time``, or a size of images.
+            name: tells it from others of the same kind and payload.
 
         Raises:
             MeasurementFailed: it does not come up.
         """
-        control = f"/benchmark/{kind}_{payload}"
+        control = f"/benchmark/{kind}_{payload}{name}"
         self._builders[kind](control, length, record, payload)
+        return self._settled(control, record)
+
+    def build_fan(self, kind: str, receivers: int) -> ChainControl:
+        """Set up a source and receivers that all listen to it; all of them report.
+
+        Args:
+            kind: ``dyknow``, ``nodelet`` or ``cpp_nodelet``.
+            receivers: how many.
+
+        Raises:
+            MeasurementFailed: it does not come up.
+        """
+        control = f"/benchmark/{kind}_fan_{receivers}"
+        everyone = range(1, receivers + 1)
+        manager = self.cpp if kind == "cpp_nodelet" else self.python
+        prefix = _PREFIXES[kind]
+        for number in everyone:
+            load_hop(manager, prefix, control, number, f"{control}/hop_0", True)
+        load_source(manager, prefix, control)
+        return self._settled(control, everyone)
+
+    def _settled(self, control: str, record: Sequence[int]) -> ChainControl:
         chain = ChainControl(control, record)
         chain.settle(self._session)
         return chain
 
-    def _nodelets(
-        self,
-        manager: Manager,
-        prefix: str,
-        control: str,
-        length: int,
-        record: Sequence[int],
-        payload: str,
-    ) -> None:
-        load_hops(manager, prefix, control, length, record, payload)
-        manager.load(
-            f"{control}/source",
-            f"dyknow/{prefix}ChainSource",
-            {f"{control}/out": f"{control}/hop_0"},
-            {"control": control, "payload": payload},
-        )
-
     def _dyknow(self, control: str, length: int, record: Sequence[int], payload: str) -> None:
-        self._nodelets(self.python, "", control, length, record, payload)
+        _load_chain(self.python, "dyknow", control, length, record, payload)
 
     def _nodelet(self, control: str, length: int, record: Sequence[int], payload: str) -> None:
-        self._nodelets(self.python, "Plain", control, length, record, payload)
+        _load_chain(self.python, "nodelet", control, length, record, payload)
 
     def _cpp_nodelet(self, control: str, length: int, record: Sequence[int], payload: str) -> None:
-        self._nodelets(self.cpp, "Cpp", control, length, record, payload)
+        _load_chain(self.cpp, "cpp_nodelet", control, length, record, payload)
 
     def _function(self, control: str, length: int, record: Sequence[int], payload: str) -> None:
         self._process("function", control, payload, "--length", length, "--record", *record)
@@ -141,12 +150,39 @@ def load_hops(
         payload: what is sent.
     """
     for hop in range(length, 0, -1):
-        manager.load(
-            f"{control}/nodelet_{hop}",
-            f"dyknow/{prefix}ChainHop",
-            {
-                f"{control}/in": f"{control}/hop_{hop - 1}",
-                f"{control}/out": f"{control}/hop_{hop}",
-            },
-            {"control": control, "payload": payload, "hop": hop, "record": hop in record},
-        )
+        load_hop(manager, prefix, control, hop, f"{control}/hop_{hop - 1}", hop in record, payload)
+
+
+def load_hop(
+    manager: Manager,
+    prefix: str,
+    control: str,
+    hop: int,
+    topic: str,
+    record: bool,
+    payload: str = "time",
+) -> None:
+    """Load a hop that listens to a topic; the arguments are those of ``load_hops``."""
+    manager.load(
+        f"{control}/nodelet_{hop}",
+        f"dyknow/{prefix}ChainHop",
+        {f"{control}/in": topic, f"{control}/out": f"{control}/hop_{hop}"},
+        {"control": control, "payload": payload, "hop": hop, "record": record},
+    )
+
+
+def load_source(manager: Manager, prefix: str, control: str, payload: str = "time") -> None:
+    """Load the source of a chain; the arguments are those of ``load_hops``."""
+    manager.load(
+        f"{control}/source",
+        f"dyknow/{prefix}ChainSource",
+        {f"{control}/out": f"{control}/hop_0"},
+        {"control": control, "payload": payload},
+    )
+
+
+def _load_chain(
+    manager: Manager, kind: str, control: str, length: int, record: Sequence[int], payload: str
+) -> None:
+    load_hops(manager, _PREFIXES[kind], control, length, record, payload)
+    load_source(manager, _PREFIXES[kind], control, payload)

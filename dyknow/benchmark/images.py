@@ -1,32 +1,49 @@
-"""``benchmark images``: the same chain with images of 1920 x 1080 and with time stamps.
+"""``benchmark images``: the same chain with images of growing size and with time stamps.
 
-Messages pass by reference, so their size should not matter. Both chains run in one nodelet
+Messages pass by reference, so their size should not matter. All chains run in one nodelet
 manager, and their messages alternate. The source makes every image afresh, before it is stamped.
 """
 
 from __future__ import annotations
 
 import argparse
-from typing import Dict
+from typing import Dict, Sequence
 
 from dyknow.benchmark import machine, options, progress
 from dyknow.benchmark.chains import Chains
 from dyknow.benchmark.control import Block, Order, run_alternating
 from dyknow.benchmark.outcome import Outcome
-from dyknow.benchmark.session import Session
+from dyknow.benchmark.session import MeasurementFailed, Session
 from dyknow.benchmark.summary import Summary
 from dyknow.benchmark.targets import Verdict
 
 HEADER = ("payload", "hops", "messages", "lost", "mean_us", "median_us", "p99_us", "max_us")
+SIZES = ("320x240", "640x480", "1280x720", "1920x1080")
+#: The size that the target is stated for.
+LARGEST = SIZES[-1]
 #: The most that an image may take longer than a time stamp.
 LIMIT = 1.2
+#: Hz, of each payload.
+RATE = 20.0
 _WARM_UP = 5
+#: Messages of each payload in one block.
+_BLOCK = 50
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("--hops", type=options.positive, default=50)
-    parser.add_argument("--rate", type=float, default=20.0, help="Hz (default: %(default)g)")
+    parser.add_argument(
+        "--sizes",
+        nargs="+",
+        type=options.size,
+        metavar="WIDTHxHEIGHT",
+        default=list(SIZES),
+        help=f"default: {' '.join(SIZES)}",
+    )
+    parser.add_argument(
+        "--rate", type=options.rate, default=RATE, help="Hz (default: %(default)g)"
+    )
     parser.add_argument(
         "--messages", type=options.positive, default=500, help="of each (default: %(default)d)"
     )
@@ -34,33 +51,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> Outcome:
     """Measure and put the results together."""
-    blocks: Dict[str, Block] = {"time": Block(), "image": Block()}
-    turns = max(1, arguments.messages // 50)
-    order = Order(_WARM_UP, arguments.messages // turns, arguments.rate)
+    hops = arguments.hops
+    payloads = ["time", *dict.fromkeys(arguments.sizes)]
     with Session() as session:
         chains = Chains(session)
-        controls = {
-            payload: chains.build("dyknow", arguments.hops, [arguments.hops], payload)
-            for payload in blocks
-        }
         load = machine.Load()
-        for _ in progress.steps(range(turns), "images", turns):
-            measured = run_alternating(list(controls.values()), order)
-            for payload, block in zip(controls, measured):
-                blocks[payload].add(block)
-    summaries = {
-        payload: Summary.of(block.latencies[arguments.hops]) for payload, block in blocks.items()
-    }
-    outcome = Outcome(
-        [
-            Verdict(
-                f"median with images / median with time stamps, {arguments.hops} hops",
-                summaries["image"].median / summaries["time"].median,
-                LIMIT,
-            )
-        ]
-    )
-    hops = arguments.hops
+        blocks = measure(chains, payloads, hops, arguments.rate, arguments.messages)
+    summaries = {name: Summary.of(block.latencies[hops]) for name, block in blocks.items()}
+    outcome = Outcome([verdict(blocks, size, hops) for size in payloads[1:] if size == LARGEST])
     rows = [
         (name, hops, s.count, blocks[name].sent - s.count, s.mean, s.median, s.p99, s.max)
         for name, s in summaries.items()
@@ -68,3 +66,40 @@ def run(arguments: argparse.Namespace) -> Outcome:
     outcome.table("images", "time to arrival", HEADER, rows)
     outcome.table("machine", "the machine", machine.HEADER, load.rows())
     return outcome
+
+
+def measure(
+    chains: Chains, payloads: Sequence[str], hops: int, rate: float, messages: int
+) -> Dict[str, Block]:
+    """Let a chain of DyKnow's nodelets for each payload send in turns.
+
+    Args:
+        chains: where they are set up.
+        payloads: what they carry.
+        hops: their length.
+        rate: Hz, of each.
+        messages: of each.
+    """
+    controls = []
+    for payload in payloads:
+        progress.say(f"setting up {hops} hops: {payload}")
+        controls.append(chains.build("dyknow", hops, [hops], payload, "_alternating"))
+    blocks = {payload: Block() for payload in payloads}
+    turns = -(-messages // _BLOCK)
+    order = Order(_WARM_UP, messages // turns, rate)
+    for _ in progress.steps(range(turns), "images", turns):
+        for payload, block in zip(payloads, run_alternating(controls, order)):
+            blocks[payload].add(block)
+    return blocks
+
+
+def verdict(blocks: Dict[str, Block], size: str, hops: int) -> Verdict:
+    """Compare images with time stamps.
+
+    Medians, because one message that the machine delays would outweigh all that is measured.
+    """
+    image, stamp = (Summary.of(blocks[name].latencies[hops]) for name in (size, "time"))
+    if not image.count or not stamp.count:
+        raise MeasurementFailed(f"no message came through {hops} hops")
+    what = f"median with images of {size} / with time stamps, {hops} hops"
+    return Verdict(what, image.median / stamp.median, LIMIT)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Dict
+from typing import Dict, Sequence
 
 #: What each kind is, in the order in which it is shown.
 KINDS: Dict[str, str] = {
@@ -14,6 +14,9 @@ KINDS: Dict[str, str] = {
     "cpp_nodelet": "C++ nodelets in the stock nodelet manager",
     "cpp_node": "C++ nodes, a process each",
 }
+
+#: Those of the paper's figure, with the floor below and C++ beside them.
+THE_PAPERS: Sequence[str] = tuple(kind for kind in KINDS if kind != "rospy")
 
 #: What the figure calls them.
 LABELS: Dict[str, str] = {

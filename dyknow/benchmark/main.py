@@ -10,13 +10,17 @@ from typing import Dict, Optional, Sequence
 import rospy
 
 from dyknow.benchmark import (
+    busy,
     chain,
     failover,
+    fan,
+    footprint,
     idle,
     images,
     leak,
     library,
     model,
+    outside,
     plan,
     recover,
     rewire,
@@ -29,9 +33,13 @@ _MEASUREMENTS: Dict[str, object] = {
     "chain": chain,
     "images": images,
     "throughput": throughput,
+    "fan": fan,
+    "busy": busy,
+    "outside": outside,
     "rewire": rewire,
     "leak": leak,
     "idle": idle,
+    "footprint": footprint,
     "model": model,
     "library": library,
     "plan": plan,
@@ -48,7 +56,8 @@ def main(argv: Optional[Sequence[str]] = None) -> int:
     Returns:
         0; with ``--check`` 1 if a target is not met; 2 if it could not be measured.
     """
-    arguments = parser().parse_args(rospy.myargv(argv)[1:] if argv is None else argv)
+    words = rospy.myargv()[1:] if argv is None else argv
+    arguments = parser().parse_args(with_measurement(words))
     try:
         with interruptible():
             outcome = arguments.run(arguments)
@@ -65,12 +74,25 @@ def main(argv: Optional[Sequence[str]] = None) -> int:
     return TARGET_NOT_MET if arguments.check and not outcome.met else 0
 
 
+def with_measurement(words: Sequence[str]) -> Sequence[str]:
+    """Put in ``chain`` where a command line begins with an option or is empty."""
+    if words and (not words[0].startswith("-") or words[0] in ("-h", "--help")):
+        return words
+    return ["chain", *words]
+
+
 def parser() -> argparse.ArgumentParser:
     """Declare the commands."""
     top = argparse.ArgumentParser(
         prog="rosrun dyknow benchmark",
+<<<<<<< HEAD
         description="Measures DyKnow beside its peers. Each measurement but plan starts a ROS "
         "master and processes of its own, on the loopback interface, and ends them.",
+=======
+        description="Measures DyKnow beside its peers. Each measurement starts a ROS master and "
+        "processes of its own, on the loopback interface, and ends them. Without a name it is "
+        "chain.",
+>>>>>>> bench6
     )
     commands = top.add_subparsers(dest="command", metavar="MEASUREMENT", required=True)
     for name, module in _MEASUREMENTS.items():
@@ -78,7 +100,9 @@ def parser() -> argparse.ArgumentParser:
         text = summary.partition(": ")[2].rstrip(".")
         command = commands.add_parser(name, help=text, description=f"{text}. {description}")
         module.add_arguments(command)  # type: ignore[attr-defined]
-        command.add_argument("--out", type=Path, metavar="DIR", help="write CSV files here")
+        out = command.get_default("out")
+        where = f"write the files here (default: {out})" if out else "write CSV files here"
+        command.add_argument("--out", type=Path, metavar="DIR", help=where)
         command.add_argument(
             "--check", action="store_true", help="exit with 1 if a target is not met"
         )

@@ -6,19 +6,19 @@ from typing import Any
 
 import dyknow
 from dyknow.benchmark import wiring
-from dyknow.benchmark.parts import PAYLOADS, Hop, Ring, Source
+from dyknow.benchmark.parts import Hop, Ring, Source, payload_of
 
 
 class ChainSource(dyknow.Nodelet):
     """Publishes stamped messages on the port ``out`` when it is told to.
 
-    Parameters: ``~control`` (namespace of the control topics), ``~payload`` (time or image).
+    Parameters: ``~control`` (namespace of the control topics), ``~payload`` (time, or a size).
     """
 
     def on_init(self) -> None:
         """Set up the port and listen for orders."""
         handle = self._handle()
-        payload = PAYLOADS[handle.get_param("~payload", "time")]
+        payload = payload_of(handle.get_param("~payload", "time"))
         publisher = handle.Publisher("out", payload.datatype, queue_size=10)
         self._source = Source(publisher.publish, payload)
         wiring.listen_send(self.node_handle, handle.get_param("~control"), self._source)
@@ -34,14 +34,14 @@ class ChainSource(dyknow.Nodelet):
 class ChainHop(dyknow.Nodelet):
     """Forwards stamped messages from the port ``in`` to the port ``out``.
 
-    Parameters: ``~control`` (namespace of the control topics), ``~payload`` (time or image),
+    Parameters: ``~control`` (namespace of the control topics), ``~payload`` (time, or a size),
     ``~hop`` (its number, from 1), ``~record`` (whether to report how long messages took).
     """
 
     def on_init(self) -> None:
         """Set up the ports."""
         handle = self._handle()
-        payload = PAYLOADS[handle.get_param("~payload", "time")]
+        payload = payload_of(handle.get_param("~payload", "time"))
         record = handle.get_param("~record", False)
         publisher = handle.Publisher("out", payload.datatype, queue_size=10)
         number = handle.get_param("~hop", 0)
@@ -63,13 +63,32 @@ class ChainRing(dyknow.Nodelet):
     def on_init(self) -> None:
         """Set up the ports and listen for orders."""
         handle = dyknow.NodeHandle(self.node_handle)
-        payload = PAYLOADS["time"]
+        payload = payload_of("time")
         publisher = handle.Publisher("out", payload.datatype, queue_size=10)
         ring = Ring(publisher.publish, payload)
         control = handle.get_param("~control")
         wiring.listen_send(self.node_handle, control, ring)
         wiring.listen_collect(self.node_handle, control, 0, ring)
         handle.Subscriber("in", payload.datatype, ring.receive, queue_size=10)
+
+
+class Burner(dyknow.Nodelet):
+    """Computes, in Python, in a callback that ends when the nodelet does."""
+
+    def on_init(self) -> None:
+        """Begin."""
+        self._stopped = False
+        handle: Any = dyknow.NodeHandle(self.node_handle)
+        self._timer = handle.Timer(handle.Duration(0.01), self._burn, oneshot=True)
+
+    def on_shutdown(self) -> None:
+        """End."""
+        self._stopped = True
+
+    def _burn(self, event: object) -> None:
+        count = 0
+        while not self._stopped:
+            count += 1
 
 
 class PlainChainSource(ChainSource):

@@ -9,18 +9,17 @@ from __future__ import annotations
 
 import collections
 import operator
+import re
 import threading
 import time
 from dataclasses import dataclass
-from typing import Any, Callable, Deque, Dict, List, Tuple
+from typing import Any, Callable, Deque, List, Tuple
 
 import genpy
 from sensor_msgs.msg import Image
 from std_msgs.msg import Time
 
 Publish = Callable[[Any], None]
-
-IMAGE_WIDTH, IMAGE_HEIGHT = 1920, 1080
 
 
 @dataclass(frozen=True)
@@ -44,8 +43,8 @@ def _stamp_time(message: Time, seconds: int, nanoseconds: int) -> None:
     message.data.secs, message.data.nsecs = seconds, nanoseconds
 
 
-def _make_image() -> Image:
-    image = Image(width=IMAGE_WIDTH, height=IMAGE_HEIGHT, encoding="rgb8", step=3 * IMAGE_WIDTH)
+def _make_image(width: int, height: int) -> Image:
+    image = Image(width=width, height=height, encoding="rgb8", step=3 * width)
     image.header.frame_id = "camera"
     image.data = b"\x7f" * (image.step * image.height)
     return image
@@ -56,10 +55,23 @@ def _stamp_image(message: Image, seconds: int, nanoseconds: int) -> None:
     stamp.secs, stamp.nsecs = seconds, nanoseconds
 
 
-PAYLOADS: Dict[str, Payload] = {
-    "time": Payload(Time, Time, _stamp_time, operator.attrgetter("data")),
-    "image": Payload(Image, _make_image, _stamp_image, operator.attrgetter("header.stamp")),
-}
+def payload_of(name: str) -> Payload:
+    """Say what a chain carries: ``time``, or images of a size such as ``640x480``.
+
+    Raises:
+        ValueError: it is neither.
+    """
+    if name == "time":
+        return Payload(Time, Time, _stamp_time, operator.attrgetter("data"))
+    if re.fullmatch(r"[1-9]\d*x[1-9]\d*", name) is None:
+        raise ValueError(f"expected time or a size such as 640x480, not {name!r}")
+    width, height = map(int, name.split("x"))
+    return Payload(
+        Image,
+        lambda: _make_image(width, height),
+        _stamp_image,
+        operator.attrgetter("header.stamp"),
+    )
 
 
 class Source:
@@ -127,19 +139,26 @@ class Ring:
 
 
 class Hop:
-    """Forwards messages; if it records, remembers how long each was on its way."""
+    """Forwards messages and notes when each arrived, beside its stamp."""
 
     def __init__(self, hop: int, record: bool, publish: Publish, payload: Payload) -> None:
+        """Prepare a hop.
+
+        Args:
+            hop: its number, from 1.
+            record: whether somebody collects; otherwise only the latest arrival is kept.
+            publish: forwards a message.
+            payload: what it carries.
+        """
         self.hop = hop
-        self._record = record
         self._publish = publish
         self._stamp_of = payload.stamp_of
-        self._arrivals: Deque[Tuple[int, genpy.Time]] = collections.deque()
+        kept = None if record else 1
+        self._arrivals: Deque[Tuple[int, genpy.Time]] = collections.deque(maxlen=kept)
 
     def receive(self, message: Any) -> None:
         """Take a message that arrives now and forward it."""
-        if self._record:
-            self._arrivals.append((time.time_ns(), self._stamp_of(message)))
+        self._arrivals.append((time.time_ns(), self._stamp_of(message)))
         self._publish(message)
 
     def collect(self) -> List[float]:

@@ -13,7 +13,7 @@ from typing import Sequence
 import rospy
 
 from dyknow.benchmark import wiring
-from dyknow.benchmark.parts import PAYLOADS, Hop, Publish, Ring, Source
+from dyknow.benchmark.parts import Hop, Publish, Ring, Source, payload_of
 
 
 def main() -> None:
@@ -21,7 +21,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="One process of a chain that is measured.")
     parser.add_argument("part", choices=["function", "rospy", "ring", "source", "hop"])
     parser.add_argument("--control", required=True, help="namespace of the control topics")
-    parser.add_argument("--payload", choices=sorted(PAYLOADS), default="time")
+    parser.add_argument("--payload", default="time", help="time or WIDTHxHEIGHT")
     parser.add_argument("--length", type=int, default=1, help="hops of a whole chain")
     parser.add_argument("--record", type=int, nargs="*", default=[], help="hops that report")
     parser.add_argument("--hop", type=int, default=1, help="number of a single hop, from 1")
@@ -51,11 +51,11 @@ class Chain:
 
         Args:
             control: namespace of the control topics; the chain's own topics are there too.
-            payload: a key of ``PAYLOADS``.
+            payload: ``time`` or a size of images.
             record: hops that report how long messages took.
         """
         self._control = control
-        self._payload = PAYLOADS[payload]
+        self._payload = payload_of(payload)
         self._record = frozenset(record)
 
     def add_calls(self, length: int) -> None:

@@ -34,7 +34,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--switches", type=options.positive, default=10_000, help="default: %(default)d"
     )
     parser.add_argument(
-        "--rate", type=float, default=1000.0, help="messages per second and topic (%(default)g)"
+        "--rate",
+        type=options.rate,
+        default=1000.0,
+        help="messages per second and topic (%(default)g)",
     )
 
 

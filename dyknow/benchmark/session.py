@@ -88,6 +88,11 @@ class Session:
         self._names[process.pid] = " ".join(command)
         return process
 
+    @property
+    def pids(self) -> Sequence[int]:
+        """Process ids of what was started, in that order."""
+        return [process.pid for process in self._processes]
+
     def check(self) -> None:
         """Raise if a process has ended by itself."""
         for process in self._processes:

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import tempfile
 import unittest
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from dyknow.benchmark.kinds import KINDS
@@ -41,26 +42,60 @@ class BenchmarkTest(unittest.TestCase):
     def command(self, *arguments):
         return [sys.executable, "-m", "dyknow.benchmark", *map(str, arguments)]
 
-    def measure(self, *arguments):
-        marked = {**os.environ, "DYKNOW_BENCHMARK_TEST": self.id()}
+    def measure(self, *arguments, name=None):
+        name = name or arguments[0]
+        mark = f"{self.id()} {name}"
+        marked = {**os.environ, "DYKNOW_BENCHMARK_TEST": mark}
         done = subprocess.run(
-            self.command(*arguments, "--out", self.out),
+            self.command(*arguments, "--out", self.out / name),
             env=marked,
             capture_output=True,
             text=True,
             timeout=TIME_LIMIT,
         )
         self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
-        self.assertEqual(processes_with(f"DYKNOW_BENCHMARK_TEST={self.id()}"), [])
+        self.assertEqual(processes_with(f"DYKNOW_BENCHMARK_TEST={mark}\0"), [])
         return done.stdout
 
-    def rows(self, name):
-        with (self.out / f"{name}.csv").open(newline="") as file:
+    def rows(self, name, measurement=None):
+        with (self.out / (measurement or name) / f"{name}.csv").open(newline="") as file:
             return list(csv.DictReader(file))
 
-    def test_chain_of_every_kind(self):
-        self.measure("chain", "--hops", 1, 3, "--rate", 50, "--messages", 6, "--repeats", 2)
-        rows = self.rows("figure4")
+    def test_small_ones_side_by_side(self):
+        """Their numbers mean nothing then, but what is written has to be right all the same."""
+        commands = {
+            # Without a name it is the chain.
+            "every_kind": (
+                *("--kinds", *KINDS, "--hops", 1, 3),
+                *("--rate", 200, "--messages", 6, "--repeats", 2),
+            ),
+            "ratios": (
+                *("chain", "--kinds", "dyknow", "cpp_nodelet", "--pairs", 0, "--hops", 50),
+                *("--rate", 5, "--messages", 2, "--repeats", 1, "--ratio-messages", 2),
+            ),
+            "images": ("images", "--hops", 2, "--messages", 4, "--sizes", "640x480", "1920x1080"),
+            "fan": ("fan", "--receivers", 1, 3, "--messages", 4),
+            "busy": ("busy", "--hops", 2, "--messages", 4),
+            "outside": ("outside", "--hops", 3, "--messages", 4, "--listened", 0, 2),
+            "footprint": ("footprint", "--nodelets", 5, "--nodes", 2),
+            "throughput": ("throughput", "--hops", 2, "--seconds", 0.3, "--repeats", 2),
+            "idle": ("idle", "--nodelets", 3, "--seconds", 1),
+            "model": ("model", "--nodelets", 5),
+            "library": ("library", "--transformations", 400),
+            "recover": ("recover", "--nodelets", 3, "--kills", 1),
+        }
+        with ThreadPoolExecutor(4) as pool:
+            runs = {
+                name: pool.submit(self.measure, *command, name=name)
+                for name, command in commands.items()
+            }
+        files = {"every_kind": "figure4", "ratios": "targets"}
+        for name, run in runs.items():
+            with self.subTest(name):
+                self.assertIn("busy_percent", run.result())
+                getattr(self, f"check_{name}")(self.rows(files.get(name, name), name))
+
+    def check_every_kind(self, rows):
         self.assertEqual(
             list(rows[0]),
             ["kind", "hops", "messages", "lost", "mean_us", "median_us", "p99_us", "max_us"],
@@ -72,28 +107,62 @@ class BenchmarkTest(unittest.TestCase):
         for row in rows:
             self.assertEqual((row["messages"], row["lost"]), ("6", "0"), row)
             self.assertGreater(float(row["mean_us"]), 0.0, row)
-        overhead = self.rows("overhead")
+        overhead = self.rows("overhead", "every_kind")
         self.assertEqual(list(overhead[0]), ["hops", "pairs", "median_us", "low_us", "high_us"])
         self.assertEqual(
             [(row["hops"], row["pairs"]) for row in overhead], [("1", "20"), ("3", "20")]
         )
         for suffix in ("png", "svg"):
-            self.assertGreater((self.out / f"figure4.{suffix}").stat().st_size, 1000)
+            self.assertGreater(
+                (self.out / "every_kind" / f"figure4.{suffix}").stat().st_size, 1000
+            )
 
-    def test_images(self):
-        self.measure("images", "--hops", 2, "--messages", 4)
-        rows = self.rows("images")
+    def check_images(self, rows):
         self.assertEqual(
-            [(row["payload"], row["lost"]) for row in rows], [("time", "0"), ("image", "0")]
+            [(row["payload"], row["lost"]) for row in rows],
+            [("time", "0"), ("640x480", "0"), ("1920x1080", "0")],
+        )
+        (target,) = self.rows("targets", "images")
+        self.assertIn("median with images of 1920x1080", target["what"])
+
+    def check_fan(self, rows):
+        self.assertEqual(
+            [(row["kind"], row["receivers"], row["lost"]) for row in rows],
+            [
+                (kind, receivers, "0")
+                for kind in ("dyknow", "nodelet", "cpp_nodelet")
+                for receivers in ("1", "3")
+            ],
         )
 
-    def test_throughput(self):
-        self.measure("throughput", "--hops", 2, "--seconds", 0.3, "--repeats", 2)
-        rows = self.rows("throughput")
+    def check_busy(self, rows):
+        self.assertEqual(
+            [(row["burner"], row["lost"]) for row in rows],
+            [("none", "0"), ("same manager", "0"), ("own manager", "0")],
+        )
+
+    def check_outside(self, rows):
+        self.assertEqual(
+            [(row["listened"], row["lost"]) for row in rows], [("0", "0"), ("2", "0")]
+        )
+
+    def check_footprint(self, rows):
+        of = {row["kind"]: row for row in rows}
+        for kind, row in of.items():
+            processes = "0" if kind in ("dyknow", "nodelet", "cpp_nodelet") else "3"
+            self.assertEqual(row["processes"], processes, row)
+        self.assertGreater(float(of["node"]["kib_each"]), float(of["dyknow"]["kib_each"]))
+
+    def check_throughput(self, rows):
         self.assertEqual(
             [(row["kind"], row["lost"]) for row in rows], [("dyknow", "0"), ("rospy", "0")]
         )
         self.assertTrue(all(float(row["median_hz"]) > 0 for row in rows), rows)
+
+    def check_ratios(self, targets):
+        """The ratios that need messages of their own."""
+        self.assertEqual([row["target"] for row in targets], ["<= 0.35", "<= 0.25", "<= 1.2"])
+        self.assertEqual({row["met"] for row in targets} - {"met", "NOT met"}, set())
 
     def test_rewire_loses_and_doubles_nothing(self):
         self.measure("rewire", "--switches", 40, "--rate", 500)
@@ -109,20 +178,21 @@ class BenchmarkTest(unittest.TestCase):
         for what in ("file_descriptors", "threads", "registrations"):
             self.assertLessEqual(int(rows[what]["after"]), int(rows[what]["before"]), rows)
 
-    def test_idle(self):
-        self.measure("idle", "--nodelets", 3, "--seconds", 1)
-        (row,) = self.rows("idle")
-        self.assertEqual(row["nodelets"], "3")
+    def check_idle(self, rows):
+        self.assertEqual([row["nodelets"] for row in rows], ["3"])
 
-    def test_the_system_at_scale(self):
-        self.assertIn("spawn, median", self.measure("model", "--nodelets", 5))
-        self.assertEqual([row["count"] for row in self.rows("model")], ["5", "50"])
-        self.assertIn("plan, median", self.measure("library", "--transformations", 400))
-        self.assertEqual(len(self.rows("library")), 4)
-        self.assertIn("all streams back", self.measure("recover", "--nodelets", 3, "--kills", 1))
-        (row,) = self.rows("recover")
-        self.assertEqual((row["nodelets"], row["kills"]), ("3", "1"))
-        self.assertGreater(float(row["median_s"]), 0.0)
+    def check_model(self, rows):
+        self.assertEqual([row["count"] for row in rows], ["5", "50"])
+        self.assertIn("spawn, median", self.rows("targets", "model")[0]["what"])
+
+    def check_library(self, rows):
+        self.assertEqual(len(rows), 4)
+        self.assertIn("plan, median", self.rows("targets", "library")[0]["what"])
+
+    def check_recover(self, rows):
+        self.assertEqual([(row["nodelets"], row["kills"]) for row in rows], [("3", "1")])
+        self.assertGreater(float(rows[0]["median_s"]), 0.0)
+        self.assertIn("all streams back", self.rows("targets", "recover")[0]["what"])
 
     def test_failover(self):
         self.assertIn("silent: replaced", self.measure("failover", "--failures", 1))

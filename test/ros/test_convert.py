@@ -1,10 +1,9 @@
 #!/usr/bin/env python3
-"""The node of the tutorial before and after its conversion: the same input, the same output."""
+"""The nodes of the tutorial before and after their conversion: the same input, the same output."""
 
 from __future__ import annotations
 
 import queue
-import sys
 import time
 import unittest
 
@@ -12,8 +11,8 @@ import cv2
 import numpy as np
 import rospy
 import rostest
-from geometry_msgs.msg import PointStamped
-from sensor_msgs.msg import Image
+from geometry_msgs.msg import Point, PointStamped, Twist, Vector3, Vector3Stamped
+from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Bool, Header
 from std_srvs.srv import SetBool
 
@@ -31,7 +30,7 @@ def picture(number, ball=None):
     return Image(header, HEIGHT, WIDTH, "bgr8", 0, 3 * WIDTH, pixels.tobytes())
 
 
-class ConvertTest(unittest.TestCase):
+class BallFinderTest(unittest.TestCase):
     def setUp(self):
         self.balls = {version: queue.Queue() for version in VERSIONS}
         self.visible = {version: queue.Queue() for version in VERSIONS}
@@ -117,6 +116,92 @@ class ConvertTest(unittest.TestCase):
         self.assertEqual(len(before), 1)
 
 
+class OutputsTest(unittest.TestCase):
+    """Base of tests that listen to what both versions publish."""
+
+    def listen(self, topic, datatype):
+        self.heard = {version: queue.Queue() for version in VERSIONS}
+        for version, messages in self.heard.items():
+            subscriber = rospy.Subscriber(f"/{version}/{topic}", datatype, messages.put)
+            self.addCleanup(subscriber.unregister)
+
+    def publisher(self, topic, datatype):
+        publisher = rospy.Publisher(topic, datatype, queue_size=10)
+        self.addCleanup(publisher.unregister)
+        return publisher
+
+
+class BallBearingTest(OutputsTest):
+    def setUp(self):
+        self.listen("bearing", Vector3Stamped)
+        self.ball = self.publisher("/seen_ball", PointStamped)
+        self.info = self.publisher("/camera_info", CameraInfo)
+        self.number = 0
+
+    def send(self, x, y):
+        """The ball at a place in the image, and the calibration with the same stamp."""
+        self.number += 1
+        header = Header(stamp=rospy.Time(self.number), frame_id="camera")
+        self.ball.publish(PointStamped(header, Point(x, y, 0.0)))
+        self.info.publish(CameraInfo(header=header, K=[200, 0, 80, 0, 100, 60, 0, 0, 1]))
+        return self.number
+
+    def bearing_of(self, version, number):
+        """The bearing with the stamp of that number, or None when none comes soon."""
+        try:
+            while True:
+                bearing = self.heard[version].get(timeout=0.2)
+                if bearing.header.stamp.secs == number:
+                    return bearing
+        except queue.Empty:
+            return None
+
+    def test_both_tell_the_same_bearing(self):
+        deadline = time.monotonic() + TIMEOUT
+        while True:
+            self.assertLess(time.monotonic(), deadline, "not both tell a bearing")
+            number = self.send(180.0, 50.0)
+            bearings = [self.bearing_of(version, number) for version in VERSIONS]
+            if None not in bearings:
+                break
+        self.assertEqual(bearings[0].vector, bearings[1].vector)
+        self.assertEqual(bearings[0].vector, Vector3(0.5, -0.1, 1.0))
+
+
+class VelocityGuardTest(OutputsTest):
+    def setUp(self):
+        self.listen("safe_cmd_vel", Twist)
+        self.command = self.publisher("/cmd_vel", Twist)
+
+    def drive_until(self, version, speed, turn, command=None):
+        """Command until the version lets such a speed through."""
+        deadline = time.monotonic() + TIMEOUT
+        while True:
+            self.assertLess(time.monotonic(), deadline, f"{version} never drives at {speed}")
+            if command is not None:
+                self.command.publish(command)
+            safe = self.heard[version].get(timeout=TIMEOUT)
+            if (safe.linear.x, safe.angular.z) == (speed, turn):
+                return
+
+    def test_both_limit_the_speed_and_stop_when_nobody_commands(self):
+        for version in VERSIONS:
+            fast = Twist(linear=Vector3(x=3.0), angular=Vector3(z=-2.0))
+            self.drive_until(version, 0.5, -1.0, fast)
+            self.drive_until(version, 0.0, 0.0)
+
+    def test_both_can_be_locked(self):
+        slow = Twist(linear=Vector3(x=0.25))
+        for version in VERSIONS:
+            rospy.wait_for_service(f"/guard_{version}/lock", TIMEOUT)
+            lock = rospy.ServiceProxy(f"/guard_{version}/lock", SetBool)
+            self.drive_until(version, 0.25, 0.0, slow)
+            self.assertTrue(lock(True).success)
+            self.drive_until(version, 0.0, 0.0, slow)
+            self.assertTrue(lock(False).success)
+            self.drive_until(version, 0.25, 0.0, slow)
+
+
 if __name__ == "__main__":
     rospy.init_node("test_convert")
-    rostest.rosrun("dyknow", "convert", ConvertTest, sys.argv)
+    rostest.rosrun("dyknow", "convert", "__main__")

@@ -4,11 +4,14 @@ import csv
 
 import pytest
 
-from dyknow.benchmark import chain, tables
+from dyknow.benchmark import chain, ratios, tables
 from dyknow.benchmark.chain import HEADER, OVERHEAD_HEADER, Plan
 from dyknow.benchmark.control import Block, Order, select
-from dyknow.benchmark.main import parser
+from dyknow.benchmark.fan import last_arrivals
+from dyknow.benchmark.main import parser, with_measurement
 from dyknow.benchmark.outcome import Outcome
+from dyknow.benchmark.outside import spread
+from dyknow.benchmark.parts import payload_of
 from dyknow.benchmark.targets import Verdict
 
 
@@ -23,7 +26,7 @@ def measured(frequency=100.0, hops=(1, 50), pairs=20):
     factor = {"dyknow": 2.0, "nodelet": 1.9, "cpp_nodelet": 10.0}
     blocks = {kind: Block(4, {each: [factor[kind] * each] * 3 for each in hops}) for kind in kinds}
     differences = {each: [0.1 * each + index for index in range(pairs)] for each in hops}
-    return chain.outcome(plan, blocks, differences, [("cores", 2)])
+    return chain.outcome(plan, blocks, differences, [], [("cores", 2)])
 
 
 def test_figure_4_has_one_row_for_each_kind_and_number_of_hops(tmp_path):
@@ -76,7 +79,7 @@ def test_a_verdict_says_whether_the_target_is_met():
 
 def test_a_chain_that_delivered_nothing_has_rows_but_no_verdict():
     plan = Plan(["dyknow", "cpp_nodelet"], [50], 5.0, 4, 1, 0)
-    outcome = chain.outcome(plan, {kind: Block(4, {50: []}) for kind in plan.kinds}, {}, [])
+    outcome = chain.outcome(plan, {kind: Block(4, {50: []}) for kind in plan.kinds}, {}, [], [])
     assert [tuple(row[:4]) for row in outcome.tables[0].rows] == [
         ("dyknow", 50, 0, 4),
         ("cpp_nodelet", 50, 0, 4),
@@ -111,20 +114,68 @@ def test_numbers_stand_to_the_right_in_a_table():
 def test_without_options_the_setting_is_the_papers():
     plan = chain.plan_of(parser().parse_args(["chain"]))
     assert plan == chain.PAPER
-    assert (plan.hops, plan.frequency, plan.messages) == ([1, 2, 5, 10, 20, 50], 5.0, 1000)
+    assert (plan.hops, plan.frequency, plan.messages) == ((1, 2, 5, 10, 20, 50), 5.0, 1000)
+    assert set(plan.kinds) == {
+        "dyknow", "nodelet", "node", "cpp_nodelet", "cpp_node", "function",
+    }  # fmt: skip
+
+
+def test_without_a_name_the_measurement_is_the_chain(capsys):
+    assert with_measurement([]) == ["chain"]
+    assert with_measurement(["--quick"]) == ["chain", "--quick"]
+    assert with_measurement(["images", "--quick"]) == ["images", "--quick"]
+    assert with_measurement(["--help"]) == ["--help"]
+    with pytest.raises(SystemExit):
+        parser().parse_args(with_measurement(["chains"]))
+    assert "invalid choice: 'chains'" in capsys.readouterr().err
+
+
+def test_the_chain_is_never_measured_for_nothing():
+    assert parser().parse_args(["chain"]).out == chain.OUT
+    assert parser().parse_args(["idle"]).out is None
 
 
 def test_options_go_over_the_quick_setting():
     arguments = ["chain", "--quick", "--kinds", "node", "dyknow", "--hops", "3", "1", "3"]
     plan = chain.plan_of(parser().parse_args(arguments))
-    assert (plan.kinds, plan.hops) == (["dyknow", "node"], [1, 3])
+    assert (plan.kinds, plan.hops) == (("dyknow", "node"), (1, 3))
     assert plan.frequency == chain.QUICK.frequency
     assert not plan.paired
 
 
-@pytest.mark.parametrize("wrong", [["--hops", "0"], ["--kinds", "nodes"], ["--messages", "x"]])
+@pytest.mark.parametrize(
+    "wrong", [["--hops", "0"], ["--kinds", "nodes"], ["--messages", "x"], ["--rate", "0"]]
+)
 def test_a_wrong_option_is_refused(wrong, capsys):
     with pytest.raises(SystemExit) as error:
         parser().parse_args(["chain", *wrong])
     assert error.value.code == 2
     assert wrong[0] in capsys.readouterr().err
+
+
+def test_the_last_receiver_counts_and_a_block_with_a_gap_does_not():
+    assert last_arrivals(Block(2, {1: [1.0, 5.0], 2: [2.0, 4.0]})) == [2.0, 5.0]
+    assert last_arrivals(Block(2, {1: [1.0, 5.0], 2: [2.0]})) == []
+
+
+def test_subscribers_outside_are_spread_over_the_chain():
+    assert spread(50, 0) == []
+    assert spread(50, 1) == [50]
+    assert spread(10, 3) == [4, 7, 10]
+    assert spread(4, 4) == [1, 2, 3, 4]
+
+
+def test_a_payload_is_a_time_or_images_of_a_size():
+    image = payload_of("4x3").make()
+    assert (image.width, image.height, len(image.data)) == (4, 3, 36)
+    assert payload_of("time").make().data.to_nsec() == 0
+    for wrong in ("image", "0x3", "4x", "4x3x2"):
+        with pytest.raises(ValueError, match="640x480"):
+            payload_of(wrong)
+
+
+def test_a_ratio_has_the_limit_of_its_frequency():
+    limits = {
+        rate: ratios.to_peer(1.0, 2.0, rate).limit for rate in (1.0, 5.0, 50.0, 100.0, 200.0)
+    }
+    assert limits == {1.0: 0.35, 5.0: 0.35, 50.0: 0.35, 100.0: 0.25, 200.0: 0.25}

@@ -1,4 +1,4 @@
-"""The page about converting a node says how much changes; that is counted here."""
+"""The pages about converting nodes say how much changes; that is counted here."""
 
 from __future__ import annotations
 
@@ -6,17 +6,25 @@ import difflib
 import re
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).resolve().parents[3]
 EXAMPLE = ROOT / "examples" / "convert"
+#: Nodes, each with what its two files are called.
+NODES = {
+    "ball finder": ("before.py", "after.py"),
+    "ball bearing": ("bearing_before.py", "bearing_after.py"),
+    "velocity guard": ("guard_before.py", "guard_after.py"),
+}
 
 
 def lines(name):
     return (EXAMPLE / name).read_text().splitlines()
 
 
-def changes():
-    """Lines of before.py that stay, that are replaced one by one, removed, and added."""
-    before, after = lines("before.py"), lines("after.py")
+def changes(node):
+    """Lines of a node in all, those that stay, are replaced one by one, removed, and added."""
+    before, after = map(lines, NODES[node])
     stay = replaced = removed = added = 0
     for kind, i, j, k, m in difflib.SequenceMatcher(None, before, after).get_opcodes():
         if kind == "equal":
@@ -26,7 +34,7 @@ def changes():
         replaced += both
         removed += j - i - both
         added += m - k - both
-    return {"stay": stay, "replaced": replaced, "removed": removed, "added": added}
+    return [len(before), stay, replaced, removed, added]
 
 
 def test_the_page_tells_the_numbers_of_the_files():
@@ -37,23 +45,50 @@ def test_the_page_tells_the_numbers_of_the_files():
         page,
     )
     assert said is not None
-    counted = changes()
-    assert [int(number) for number in said.groups()] == [
-        len(lines("before.py")),
-        counted["stay"],
-        counted["replaced"],
-        counted["removed"],
-        counted["added"],
-    ]
+    assert [int(number) for number in said.groups()] == changes("ball finder")
 
 
-def test_most_edits_are_search_and_replace():
-    before, after = lines("before.py"), lines("after.py")
-    translated = [line.replace("rospy.", "self.nh.") for line in before]
-    rest = [line for line in after if line not in translated]
-    assert rest == [
+@pytest.mark.parametrize("node", NODES)
+def test_the_page_about_performance_tells_them_for_every_node(node):
+    page = (ROOT / "doc" / "performance.md").read_text()
+    said = re.search(rf"^\| {node} +((?:\| +\d+ )+)\|$", page, re.MULTILINE)
+    assert said is not None
+    assert [int(number) for number in re.findall(r"\d+", said[1])] == changes(node)
+
+
+#: Lines of the nodelet that search and replace does not give.
+BY_HAND = {
+    "ball finder": [
         "import dyknow",
         "class BallFinder(dyknow.Nodelet):",
         "    def on_init(self):",
         "        self.nh = dyknow.NodeHandle(self.node_handle)",
-    ]
+    ],
+    "ball bearing": [
+        "import dyknow",
+        "class BallBearing(dyknow.Nodelet):",
+        "    def on_init(self):",
+        "        self.nh = dyknow.NodeHandle(self.node_handle)",
+    ],
+    "velocity guard": [
+        "import copy",
+        "import dyknow",
+        "class VelocityGuard(dyknow.Nodelet):",
+        "    def on_init(self):",
+        "        self.nh = dyknow.NodeHandle(self.node_handle)",
+        '        period = self.nh.Duration(1.0 / self.nh.get_param("~rate", 20))',
+        "        self.timer = self.nh.Timer(period, self.step)",
+        "        command = copy.deepcopy(command)",
+        "    def step(self, event):",
+    ],
+}
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_most_edits_are_search_and_replace(node):
+    before, after = map(lines, NODES[node])
+    translated = {
+        re.sub(r"rospy\.|message_filters\.(?=Subscriber)", "self.nh.", line).strip()
+        for line in before
+    }
+    assert [line for line in after if line.strip() not in translated] == BY_HAND[node]

@@ -1,0 +1,107 @@
+"""Measures what doc/performance.md shows, and writes the results into that page.
+
+Without arguments everything is measured, which takes most of an hour; the machine should have
+nothing else to do. Arguments choose: `chain`, `fan`, ..., or `page` to measure nothing and fill in
+what is there. Between the marks `<!-- begin MEASUREMENT/FILE -->` and `<!-- end -->` of the page
+stands what `FILE.csv` of the last run of that measurement says.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Callable, Sequence
+
+ROOT = Path(__file__).resolve().parent.parent
+RESULTS = ROOT / "build" / "benchmark"
+PAGE = ROOT / "doc" / "performance.md"
+PICTURES = ROOT / "doc" / "images"
+
+#: What is run for each measurement of the page; it writes into a folder of that name.
+COMMANDS: dict[str, Sequence[str]] = {
+    "chain": ("chain",),
+    "fast_chain": ("chain", "--rate", "100", "--ratio-messages", "0"),
+    "images": ("images",),
+    "throughput": ("throughput",),
+    "fan": ("fan",),
+    "busy": ("busy",),
+    "outside": ("outside",),
+    "rewire": ("rewire",),
+    "footprint": ("footprint",),
+}
+MARKED = re.compile(r"(<!-- begin (\w+)/(\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
+
+
+def main(names: Sequence[str]) -> int:
+    """Measures what is named and fills the page in; returns an exit code."""
+    unknown = sorted(set(names) - {*COMMANDS, "page"})
+    if unknown:
+        print(
+            f"performance: no measurement {', '.join(unknown)}; there are: {', '.join(COMMANDS)}"
+        )
+        return 2
+    for name in [each for each in COMMANDS if not names or each in names]:
+        command = ["rosrun", "dyknow", "benchmark", *COMMANDS[name], "--out", str(RESULTS / name)]
+        print(" ".join(command), flush=True)
+        if subprocess.run(command, check=False).returncode:
+            return 1
+    PAGE.write_text(MARKED.sub(filled, PAGE.read_text()))
+    for picture in (RESULTS / "chain").glob("figure4.*g"):
+        shutil.copyfile(picture, PICTURES / picture.name)
+    return 0
+
+
+def filled(mark: re.Match[str]) -> str:
+    """The marked part of the page with what was measured, or as it was if nothing was."""
+    begin, measurement, file, end = mark.groups()
+    path = RESULTS / measurement / f"{file}.csv"
+    if not path.exists():
+        return mark[0]
+    with path.open(newline="") as lines:
+        header, *rows = csv.reader(lines)
+    shape = SHAPES.get(file, as_it_is)
+    return f"{begin}\n{shape(header, rows)}\n\n{end}"
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Lays rows out in Markdown."""
+    lines = [header, ["---"] * len(header), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def as_it_is(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """All columns, under their names in the file."""
+    return table([name.replace("_", " ") for name in header], rows)
+
+
+def by_hops(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Mean time in ms: a line for each kind, a column for each number of hops."""
+    of = [dict(zip(header, row)) for row in rows]
+    hops = sorted({int(row["hops"]) for row in of})
+    means = {(row["kind"], int(row["hops"])): float(row["mean_us"]) / 1000 for row in of}
+    kinds = dict.fromkeys(row["kind"] for row in of)
+    lines = [[f"`{kind}`", *(f"{means[kind, each]:.3f}" for each in hops)] for kind in kinds]
+    return table(["mean (ms), hops:", *map(str, hops)], lines)
+
+
+def in_a_sentence(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """The machine and how busy it was."""
+    of = dict(rows)
+    return (
+        f"Measured on: {of['processor']}, {of['cores']} cores, Python {of['python']}, "
+        f"{of['system']}; load average {float(of['load_average_before']):.1f} before and "
+        f"{float(of['load_average_after']):.1f} after, {float(of['busy_percent']):.0f} % busy."
+    )
+
+
+SHAPES: dict[str, Callable[[Sequence[str], Sequence[Sequence[str]]], str]] = {
+    "figure4": by_hops,
+    "machine": in_a_sentence,
+}
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
