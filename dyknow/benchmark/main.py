@@ -85,14 +85,9 @@ def parser() -> argparse.ArgumentParser:
     """Declare the commands."""
     top = argparse.ArgumentParser(
         prog="rosrun dyknow benchmark",
-<<<<<<< HEAD
         description="Measures DyKnow beside its peers. Each measurement but plan starts a ROS "
-        "master and processes of its own, on the loopback interface, and ends them.",
-=======
-        description="Measures DyKnow beside its peers. Each measurement starts a ROS master and "
-        "processes of its own, on the loopback interface, and ends them. Without a name it is "
-        "chain.",
->>>>>>> bench6
+        "master and processes of its own, on the loopback interface, and ends them. Without a "
+        "name it is chain.",
     )
     commands = top.add_subparsers(dest="command", metavar="MEASUREMENT", required=True)
     for name, module in _MEASUREMENTS.items():
