@@ -25,7 +25,7 @@ from roslib.packages import find_node  # noqa: E402
 from std_msgs.msg import Header  # noqa: E402
 
 from dyknow.ros.client import ManagerClient  # noqa: E402
-from dyknow.ros.hosting.os_process import ProcessId  # noqa: E402
+from dyknow.ros.os_process import ProcessId  # noqa: E402
 
 MANAGER = "/dyknow_manager"
 CHILD = "/dyknow_nodelet_manager"

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Iterable, List, Optional
 
 from dyknow.manager.host import Kind
-from dyknow.ros.hosting.os_process import ProcessId
+from dyknow.ros.os_process import ProcessId
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from dyknow.manager.host import Kind
 from dyknow.ros.hosting import child_records
 from dyknow.ros.hosting.child_records import ChildRecord
 from dyknow.ros.hosting.launcher import Launcher
-from dyknow.ros.hosting.os_process import ProcessId
+from dyknow.ros.os_process import ProcessId
 from dyknow.ros.output import Follower
 
 #: Seconds that a child may take to offer its services.

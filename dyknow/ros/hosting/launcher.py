@@ -15,10 +15,10 @@ from roslib.packages import find_node
 from dyknow import names
 from dyknow.errors import HostError, PeerTimeout
 from dyknow.manager.host import Kind
-from dyknow.ros.hosting import os_process
-from dyknow.ros.hosting.os_process import ProcessId
+from dyknow.ros import os_process
 from dyknow.ros.master import Master
 from dyknow.ros.nodelets.owner import OwnerLock
+from dyknow.ros.os_process import ProcessId
 from dyknow.ros.output import Follower
 
 _ANSWER_TIMEOUT = 1.0

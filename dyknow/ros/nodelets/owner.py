@@ -20,7 +20,7 @@ import time
 from typing import Callable, Sequence, TextIO
 
 from dyknow.errors import StoreError
-from dyknow.ros.hosting.os_process import ProcessId
+from dyknow.ros.os_process import ProcessId
 
 #: Seconds that an owner waits for its predecessor to be gone altogether.
 _CONTENTION = 1.0

@@ -17,8 +17,8 @@ from dyknow.errors import StoreError
 from dyknow.manager.host import Kind
 from dyknow.ros.hosting import child_records, os_process
 from dyknow.ros.hosting.child_records import ChildRecord
-from dyknow.ros.hosting.os_process import ProcessId
 from dyknow.ros.nodelets.owner import OwnerLock, wait_until_orphaned
+from dyknow.ros.os_process import ProcessId
 from dyknow.ros.output import Follower
 
 SLEEP = (sys.executable, "-c", "import time; print('up', flush=True); time.sleep(1000)")
