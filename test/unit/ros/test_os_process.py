@@ -15,7 +15,8 @@ import pytest
 
 from dyknow.errors import StoreError
 from dyknow.manager.host import Kind
-from dyknow.ros.hosting import child_records, os_process
+from dyknow.ros import os_process
+from dyknow.ros.hosting import child_records
 from dyknow.ros.hosting.child_records import ChildRecord
 from dyknow.ros.nodelets.owner import OwnerLock, wait_until_orphaned
 from dyknow.ros.os_process import ProcessId
