@@ -18,7 +18,7 @@ import rospy
 import rostest
 from bond.msg import Constants, Status
 from nodelet.srv import NodeletLoad, NodeletLoadResponse, NodeletUnload, NodeletUnloadResponse
-from processes import STOCK_NODELET, Running, eventually
+from processes import BUSY, STOCK_NODELET, Running, eventually
 
 from dyknow.ros.bonding.bond_table import DuplicateBond
 from dyknow.ros.bonding.bonds import STOCK_TIMINGS, Bonds, BondsClosed
@@ -138,7 +138,7 @@ class BondsTest(unittest.TestCase):
             f"40 bonds have no more threads than one: {threading.enumerate()}",
         )
         process.stop(signal.SIGKILL)
-        self.assertEqual({self.broken.get(timeout=5.0) for _ in bond_ids}, set(bond_ids))
+        self.assertEqual({self.broken.get(timeout=5.0 * BUSY) for _ in bond_ids}, set(bond_ids))
 
     def test_without_bonds_nothing_is_left(self):
         def registered():

@@ -233,7 +233,7 @@ class Keeper:
             claims = self._table.living()
             for name in self._silence.look(claims):
                 self._repair.blame(name)
-            for claim in claims:
+            for claim in sorted(claims, key=_upstream_first):
                 try:
                     self._repair.mend(claim.claim_id)
                 except DyKnowError as error:
@@ -241,6 +241,16 @@ class Keeper:
             self._housekeeping.clear_topics()
             self._housekeeping.collect()
             self._offers.tell()
+
+
+def _upstream_first(claim: Claim) -> int:
+    """Sort claims on parts of other claims' streams before these.
+
+    A lost part that a client listens to is then replaced where that client listens; its other
+    users follow. The other way round the replacement would publish elsewhere, and a relay be needed
+    to bring it to the client.
+    """
+    return len(claim.nodelets)
 
 
 def _intended(plan: Plan, own: Mapping[str, str]) -> Tuple[Tuple[str, ...], Tuple[str, ...]]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import uuid
+
 import pytest
 from unit.manager.field import CHAIN, GOAL, LIBRARY, Field, transformation
 
@@ -215,6 +217,23 @@ def test_claims_that_share_all_of_a_chain_are_mended_together(field: Field) -> N
         assert field.claim(claim.claim_id).topic == claim.topic
         assert claim.topic in field.moving
     assert len(field.host.running) == 4
+
+
+@pytest.mark.parametrize("ids", ["01", "10"])
+def test_a_part_that_a_client_listens_to_is_replaced_on_its_topic(
+    field: Field, monkeypatch: pytest.MonkeyPatch, ids: str
+) -> None:
+    each_id = (uuid.UUID(int=int(number) << 127) for number in ids)
+    monkeypatch.setattr("dyknow.manager.claims.keeper.uuid.uuid4", lambda: next(each_id))
+    whole = field.acquire().claim
+    part = field.acquire("RelativePosition(ball)").claim
+    field.destroy_by_hand(part.goal[0])
+    field.tidy()
+    for claim in (whole, part):
+        assert field.claim(claim.claim_id).topic == claim.topic
+        assert claim.topic in field.moving
+    assert field.claim(part.claim_id).goal[0] != ""
+    assert not [name for name in field.host.running if "relay" in name]
 
 
 def test_a_variable_is_not_bound_anew_at_the_cost_of_another_claim(field: Field) -> None:
