@@ -7,13 +7,12 @@ collected. Times are those of the machine's clock, which all processes of a mach
 
 from __future__ import annotations
 
-import collections
 import operator
 import re
 import threading
 import time
 from dataclasses import dataclass
-from typing import Any, Callable, Deque, List, Tuple
+from typing import Any, Callable, List, Tuple
 
 import genpy
 from sensor_msgs.msg import Image
@@ -153,19 +152,22 @@ class Hop:
         self.hop = hop
         self._publish = publish
         self._stamp_of = payload.stamp_of
-        kept = None if record else 1
-        self._arrivals: Deque[Tuple[int, genpy.Time]] = collections.deque(maxlen=kept)
+        self._record = record
+        self._latest: Tuple[int, genpy.Time] = (0, genpy.Time())
+        self._arrivals: List[Tuple[int, genpy.Time]] = []
 
     def receive(self, message: Any) -> None:
         """Take a message that arrives now and forward it."""
-        self._arrivals.append((time.time_ns(), self._stamp_of(message)))
+        self._latest = latest = (time.time_ns(), self._stamp_of(message))
+        if self._record:
+            self._arrivals.append(latest)
         self._publish(message)
 
     def collect(self) -> List[float]:
         """Return stamp (s) and latency (us) of each arrival since the last time, flattened."""
-        arrivals = self._arrivals
+        arrivals = self._arrivals[:]  # more may come meanwhile
+        del self._arrivals[: len(arrivals)]
         flat: List[float] = []
-        while arrivals:
-            arrived, stamp = arrivals.popleft()
+        for arrived, stamp in arrivals:
             flat += [stamp.to_sec(), (arrived - stamp.to_nsec()) / 1000]
         return flat

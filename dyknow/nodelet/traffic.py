@@ -59,7 +59,10 @@ class Traffic:
 
     def sent(self) -> None:
         """Count one message that goes out now."""
-        self.received(self._clock(), 0.0)
+        self.messages = number = self.messages + 1
+        self._last = now = self._clock()
+        if number % _STRETCH == 1:
+            self._begin_stretch(number, now)
 
     def received(self, start: float, took: float) -> None:
         """Count one message whose callback began at ``start`` and ``took`` so many seconds."""
@@ -69,8 +72,7 @@ class Traffic:
         if took > self._longest:
             self._longest = took
         if number % _STRETCH == 1:
-            self._before = self._begin if number > 1 else (1, start)
-            self._begin = (number, start)
+            self._begin_stretch(number, start)
 
     def snapshot(self) -> TrafficSnapshot:
         """Values for the reader, who may be any thread."""
@@ -82,6 +84,10 @@ class Traffic:
             mean_callback=self._busy / messages if messages else 0.0,
             max_callback=self._longest,
         )
+
+    def _begin_stretch(self, number: int, now: float) -> None:
+        self._before = self._begin if number > 1 else (1, now)
+        self._begin = (number, now)
 
     def _rate(self) -> float:
         number, last, (first, since) = self.messages, self._last, self._before
