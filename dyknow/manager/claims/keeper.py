@@ -246,9 +246,9 @@ class Keeper:
 def _upstream_first(claim: Claim) -> int:
     """Sort claims on parts of other claims' streams before these.
 
-    A lost part that a client listens to is then replaced where that client listens; its other
-    users follow. The other way round the replacement would publish elsewhere, and a relay be needed
-    to bring it to the client.
+    A lost part that a client listens to is then replaced where that client listens, and its other
+    users follow. The other way round the replacement would publish elsewhere, and it would take a
+    relay to bring it to the client.
     """
     return len(claim.nodelets)
 
