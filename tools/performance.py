@@ -3,7 +3,8 @@
 Without arguments everything is measured, which takes most of an hour; the machine should have
 nothing else to do. Arguments choose: `chain`, `fan`, ..., or `page` to measure nothing and fill in
 what is there. Between the marks `<!-- begin MEASUREMENT/FILE -->` and `<!-- end -->` of the page
-stands what `FILE.csv` of the last run of that measurement says.
+stands what `FILE.csv` of the last run of that measurement says; with `every` for the measurement
+those of all that were run, one below the other.
 """
 
 from __future__ import annotations
@@ -32,6 +33,13 @@ COMMANDS: dict[str, Sequence[str]] = {
     "outside": ("outside",),
     "rewire": ("rewire",),
     "footprint": ("footprint",),
+    "model": ("model",),
+    "library": ("library",),
+    "plan": ("plan",),
+    "recover": ("recover",),
+    "failover": ("failover",),
+    "leak": ("leak",),
+    "idle": ("idle",),
 }
 MARKED = re.compile(r"(<!-- begin (\w+)/(\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
@@ -58,13 +66,32 @@ def main(names: Sequence[str]) -> int:
 def filled(mark: re.Match[str]) -> str:
     """The marked part of the page with what was measured, or as it was if nothing was."""
     begin, measurement, file, end = mark.groups()
-    path = RESULTS / measurement / f"{file}.csv"
-    if not path.exists():
+    if measurement == "every":
+        header, rows = every(file)
+    elif (path := RESULTS / measurement / f"{file}.csv").exists():
+        header, *rows = read(path)
+    else:
         return mark[0]
-    with path.open(newline="") as lines:
-        header, *rows = csv.reader(lines)
     shape = SHAPES.get(file, as_it_is)
     return f"{begin}\n{shape(header, rows)}\n\n{end}"
+
+
+def read(path: Path) -> list[list[str]]:
+    """The lines of a table."""
+    with path.open(newline="") as lines:
+        return list(csv.reader(lines))
+
+
+def every(file: str) -> tuple[list[str], list[list[str]]]:
+    """The tables of one name that all measurements left, each line after its measurement."""
+    header: list[str] = []
+    rows = []
+    for name in COMMANDS:
+        path = RESULTS / name / f"{file}.csv"
+        if path.exists():
+            header, *found = read(path)
+            rows += [[f"`{name}`", *row] for row in found]
+    return ["measurement", *header], rows
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
