@@ -4,16 +4,20 @@
 from __future__ import annotations
 
 import signal
+import threading
 import time
 
 import rospy
 import rostest
 from manager_suite import CHILD, eventually
 from std_msgs.msg import Header
-from stream_suite import CHEAP_FILTER, GOAL, SPARE_FILTER, StreamCase
+from stream_suite import CHEAP_FILTER, GOAL, SPARE_FILTER, StreamCase, transformation
 
 import dyknow
-from dyknow.manager.claim import ClaimState
+from dyknow.errors import DyKnowError
+from dyknow.manager.claim import ClaimState, StreamRequest
+
+HANGING = transformation("hanging", "HangsInInit", "Hanging(ball)", "Raw(?camera)")
 
 
 class PartsTest(StreamCase):
@@ -133,6 +137,32 @@ class PartsTest(StreamCase):
             self.flow(other.topic).wait()
             self.settled(manager)
         eventually(lambda: not manager.client.get_model().nodelets, 8.0, "all is collected")
+
+    def test_a_part_lost_while_another_stream_takes_long_to_be_made(self):
+        manager, stream, flow, events = self.begin()
+        manager.client.add_transformation(HANGING)
+        answers = []
+
+        def acquire():
+            try:
+                manager.client.acquire_stream(StreamRequest("Hanging(ball)"))
+            except DyKnowError as error:
+                answers.append(str(error))
+
+        thread = threading.Thread(target=acquire)
+        thread.start()
+        self.addCleanup(thread.join)
+        eventually(
+            lambda: manager.nodelet("/hanging_1") is not None, 5.0, "the other is being made"
+        )
+        lost, count = self.nodelet_of(manager, "filter"), len(events.all)
+        manager.client.destroy(lost)
+        eventually(lambda: len(events.all) > count + 1, 10.0, "it is mended")
+        flow.wait()
+        self.assertTrue(thread.is_alive(), "the other still takes its time")
+        thread.join()
+        self.assertIn("was not up within", answers[0])
+        self.is_whole(manager, stream, flow)
 
     def test_protected_and_hand_spawned_parts_stay(self):
         manager = self.tracking()

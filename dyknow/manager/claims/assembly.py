@@ -8,15 +8,17 @@ on a topic of its own until its first message has been sent, then it takes the p
 
 from __future__ import annotations
 
-from typing import Callable, Iterable, Mapping
+from typing import Callable, Dict, Iterable, Mapping
 
 from dyknow.errors import DyKnowError, NameTaken, SpawnFailed, StreamTypeMismatch
+from dyknow.manager.claims.claim_table import ClaimTable
 from dyknow.manager.claims.delivery import Delivery, Handover
 from dyknow.manager.claims.naming import candidates
 from dyknow.manager.claims.order import Assembled, Order
 from dyknow.manager.claims.parts import ANY, Parts, default_topic
 from dyknow.manager.claims.relay import relay
 from dyknow.manager.claims.transaction import Transaction
+from dyknow.manager.claims.turn import Turn
 from dyknow.manager.claims.upstream import upstream
 from dyknow.manager.host import Kind
 from dyknow.manager.lifecycle import SpawnRequest
@@ -30,16 +32,25 @@ class Assembly:
     """Carries plans out."""
 
     def __init__(
-        self, manager: Manager, delivery: Delivery, on_failure: Callable[[str], None]
+        self,
+        manager: Manager,
+        table: ClaimTable,
+        turn: Turn,
+        delivery: Delivery,
+        on_failure: Callable[[str], None],
     ) -> None:
         """Make nodelets in the namespace of the manager.
 
         Args:
             manager: makes them.
+            table: knows what other claims have.
+            turn: is passed on while a nodelet comes up, if it may be.
             delivery: waits for first messages.
             on_failure: called with the label of which no nodelet could be made.
         """
         self._manager = manager
+        self._table = table
+        self._turn = turn
         self._delivery = delivery
         self._on_failure = on_failure
 
@@ -52,11 +63,12 @@ class Assembly:
 
         Whatever it raises, what was made is undone.
         """
-        work = _Work(self._manager, self._delivery.begin(), self._on_failure, order)
+        parts = (self._manager, self._table, self._turn, self._delivery.begin())
+        work = _Work(*parts, self._on_failure, order)
         try:
             return work.do()
         except BaseException:
-            work.transaction.undo()
+            work.transaction.undo(self._table.needed())
             raise
 
 
@@ -66,21 +78,26 @@ class _Work:
     def __init__(
         self,
         manager: Manager,
+        table: ClaimTable,
+        turn: Turn,
         handover: Handover,
         on_failure: Callable[[str], None],
         order: Order,
     ) -> None:
         self._manager = manager
         self._graph = manager.graph
+        self._turn = turn
         self._handover = handover
         self._on_failure = on_failure
         self._order = order
         self._done = Assembled()
         self.transaction = Transaction(manager)
-        self._parts = Parts(manager, order, self.transaction.spawned)
+        self._parts = Parts(manager, table, order, self.transaction.spawned)
 
     def do(self) -> Assembled:
         done = self._done
+        self._turn.reserved.update(self._order.own.values())
+        self._turn.reserved.update(live.nodelet for live in self._order.plan.live)
         for step in self._order.plan.steps:
             self._take(step)
         self._publish(self._order.plan.goal)
@@ -94,7 +111,7 @@ class _Work:
 
     def _take(self, step: Step) -> None:
         label = step.action.label
-        inputs = {port: self._topic_of(source) for port, source in step.inputs}
+        inputs = self._inputs(step)
         name = self._order.own.get(label, "")
         if name:
             self._done.reused.add(name)
@@ -107,7 +124,11 @@ class _Work:
             )
             self._parts.check_types(self._graph.get(name), step)
         self._parts.made[label] = name
-        self._connect(name, inputs)
+        self._connect(name, self._inputs(step))
+
+    def _inputs(self, step: Step) -> Dict[str, str]:
+        """Topics of a step's suppliers, as they are now."""
+        return {port: self._topic_of(source) for port, source in step.inputs}
 
     def _publish(self, goal: Source) -> None:
         """Let the goal be published where the client listens."""
@@ -132,7 +153,7 @@ class _Work:
         """Bring a stream that must stay where it is to where the client listens."""
         made = relay(present, self._parts.type_of(goal), self._parts.tags_of(goal))
         name = self._spawn(made, {"in": present}, ())
-        self._connect(name, {"in": present, "out": topic})
+        self._connect(name, {"in": self._topic_of(goal), "out": topic})
         return name
 
     def _clear(self, topic: str, publisher: str) -> None:
@@ -182,10 +203,12 @@ class _Work:
     ) -> str:
         records = self._graph.all()
         spoken_for = {topic for record in records for topic in record.topics.values()}
-        spoken_for |= self._order.taken | {self._order.topic}
+        spoken_for |= self._parts.taken() | {self._order.topic}
         for candidate in candidates(transformation.label):
             name = self._manager.resolve(candidate)
-            if any(topic.startswith(name + "/") for topic in spoken_for):
+            if self._graph.is_busy(name) or any(
+                topic.startswith(name + "/") for topic in spoken_for
+            ):
                 continue
             wiring = {**inputs, **{port: default_topic(name, port) for port in outputs}}
             try:
@@ -197,12 +220,14 @@ class _Work:
                     claimed=True,
                     near=tuple(inputs.values()),
                 )
-                self.transaction.spawn(transformation, request)
+                with self._turn.pause():
+                    self.transaction.spawn(transformation, request)
             except NameTaken:
                 continue
             except DyKnowError:
                 self._on_failure(transformation.label)
                 raise
+            self._turn.reserved.add(name)
             self._connect(name, {port: wiring[port] for port in outputs})
             return name
         raise SpawnFailed(transformation.label, "there are too many of its name")

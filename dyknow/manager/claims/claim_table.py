@@ -83,6 +83,10 @@ class ClaimTable:
                 names.update(claim.nodelets)
         return names
 
+    def taken(self, but: str = "") -> Set[str]:
+        """Topics on which clients of living claims, ``but`` one, listen."""
+        return {claim.topic for claim in self.living() if claim.topic and claim.claim_id != but}
+
     def add(self, claim: Claim, reason: str) -> Claim:
         """Keep a new claim; its lease begins."""
         lease = claim.request.lease

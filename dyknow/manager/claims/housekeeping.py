@@ -11,6 +11,7 @@ from dyknow.manager.claim import Claim, ClaimState
 from dyknow.manager.claims.claim_table import ClaimTable
 from dyknow.manager.claims.silence import SilenceWatch
 from dyknow.manager.claims.transaction import connect
+from dyknow.manager.claims.turn import Turn
 from dyknow.manager.manager import Manager
 from dyknow.manager.model import Record, State
 from dyknow.manager.specifications.transformation import OUT
@@ -28,6 +29,7 @@ class Housekeeping:
         self,
         manager: Manager,
         table: ClaimTable,
+        turn: Turn,
         silence: SilenceWatch,
         linger: float,
         clock: Callable[[], float],
@@ -37,12 +39,14 @@ class Housekeeping:
         Args:
             manager: destroys nodelets.
             table: the claims.
+            turn: knows what a request that waits counts on.
             silence: knows which nodelets do not answer.
             linger: seconds that a nodelet that no claim needs any more is kept.
             clock: seconds, steady.
         """
         self._manager = manager
         self._table = table
+        self._turn = turn
         self._silence = silence
         self._linger = linger
         self._clock = clock
@@ -85,7 +89,7 @@ class Housekeeping:
     def collect(self) -> None:
         """Destroy what was made for claims and no claim needs, after a while."""
         now = self._clock()
-        needed = self._table.needed()
+        needed = self._table.needed() | self._turn.reserved
         for record in reversed(self._manager.graph.all()):
             if not record.claimed or record.is_protected or record.name in needed:
                 self._idle_since.pop(record.name, None)

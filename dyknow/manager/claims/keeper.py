@@ -4,14 +4,13 @@ Desired are the claims, observed is the graph. Whatever happened, the keeper ask
 same question, what is wrong with its stream, and if something is makes a new plan with what is
 there now. The client's topic stays.
 
-One change of claims at a time (``_turn``); looking at them, renewing and ending them waits for
+One change of claims at a time (``turn``); looking at them, renewing and ending them waits for
 nobody.
 """
 
 from __future__ import annotations
 
 import logging
-import threading
 import time
 import uuid
 from dataclasses import dataclass, replace
@@ -27,6 +26,7 @@ from dyknow.manager.claims.prospects import Prospects, demand_of
 from dyknow.manager.claims.quarantine import Quarantine
 from dyknow.manager.claims.repair import Repair, outcome, with_remarks
 from dyknow.manager.claims.silence import SilenceWatch
+from dyknow.manager.claims.turn import Turn
 from dyknow.manager.manager import Manager
 from dyknow.manager.planning.problem import NoPlan, Plan
 from dyknow.manager.planning.tags import NO_ONTOLOGY, Subsumption
@@ -96,7 +96,7 @@ class Keeper:
             sleep: waits that long, while a replacement comes up.
         """
         self._manager = manager
-        self._turn = threading.Lock()
+        self._turn = Turn()
         self._ended = False
         self._table = ClaimTable(manager.store, clock, settings.ended_kept)
         self._silence = SilenceWatch(manager.host, manager.graph, clock)
@@ -106,12 +106,18 @@ class Keeper:
         )
         self._offers = Offers(self._table, self._prospects)
         self._housekeeping = Housekeeping(
-            manager, self._table, self._silence, settings.linger, clock
+            manager, self._table, self._turn, self._silence, settings.linger, clock
         )
-        delivery = Delivery(manager.host, settings.handover, clock, sleep)
+
+        def wait(seconds: float) -> None:
+            with self._turn.pause():
+                sleep(seconds)
+
+        delivery = Delivery(manager.host, settings.handover, clock, wait)
         self._repair = Repair(
             manager,
             self._table,
+            self._turn,
             self._prospects,
             delivery,
             self._housekeeping,
@@ -147,7 +153,7 @@ class Keeper:
         demand_of([claim])
         if not dry_run:
             self._manager.guards.check_writable(f"acquiring '{request.tag}'")
-        with self._turn:
+        with self._turn.round() if dry_run else self._turn.request():
             known = self._table.same(request)
             if known is not None and not known.topic:
                 raise NoPlanFound(known.detail, known.claim_id)
@@ -191,7 +197,7 @@ class Keeper:
         """
         if not dry_run:
             self._manager.guards.check_writable(f"replanning claim '{claim_id}'")
-        with self._turn:
+        with self._turn.round() if dry_run else self._turn.request(claim_id):
             claim = self._table.get(claim_id)
             self._prospects.look(at_once=True)
             damage = self._repair.inspect(claim)
@@ -217,14 +223,14 @@ class Keeper:
 
     def end(self) -> None:
         """End every claim, as the manager is stopped on purpose; nothing is mended any more."""
-        with self._turn:
+        with self._turn.round():
             self._ended = True
         for claim in self._table.living():
             self._table.end(claim.claim_id, ClaimState.RELEASED, "the manager was stopped")
 
     def reconcile(self) -> None:
         """Look at every claim once, and mend what is broken."""
-        with self._turn:
+        with self._turn.round():
             if self._ended:
                 return
             self._table.end_late()
@@ -234,6 +240,8 @@ class Keeper:
             for name in self._silence.look(claims):
                 self._repair.blame(name)
             for claim in sorted(claims, key=_upstream_first):
+                if claim.claim_id == self._turn.claim_id:
+                    continue  # a request is about to make it anew
                 try:
                     self._repair.mend(claim.claim_id)
                 except DyKnowError as error:

@@ -20,7 +20,7 @@ class Order:
         own: healthy nodelets of the claim that can be re-wired, by label.
         unhealthy: nodelets that nothing is expected of any more.
         mute: nodelets that do not answer.
-        taken: topics that are spoken for: other claims' clients listen there.
+        claim_id: whose stream it is; what other claims have is theirs.
     """
 
     plan: Plan
@@ -30,7 +30,7 @@ class Order:
     own: Mapping[str, str] = field(default_factory=dict)
     unhealthy: AbstractSet[str] = frozenset()
     mute: AbstractSet[str] = frozenset()
-    taken: AbstractSet[str] = frozenset()
+    claim_id: str = ""
 
 
 @dataclass

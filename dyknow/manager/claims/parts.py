@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Dict, List, Sequence, Tuple
+from typing import Dict, List, Sequence, Set, Tuple
 
 from dyknow import names
 from dyknow.errors import StreamTypeMismatch
+from dyknow.manager.claims.claim_table import ClaimTable
 from dyknow.manager.claims.order import Order
 from dyknow.manager.manager import Manager
 from dyknow.manager.model import Record, State
@@ -19,16 +20,20 @@ ANY = ("", "*")
 class Parts:
     """Names, topics and types of suppliers, live and new ones alike."""
 
-    def __init__(self, manager: Manager, order: Order, spawned: Sequence[str]) -> None:
+    def __init__(
+        self, manager: Manager, table: ClaimTable, order: Order, spawned: Sequence[str]
+    ) -> None:
         """Look at the parts of an order.
 
         Args:
             manager: knows the nodelets.
+            table: knows where clients listen.
             order: what is being made.
             spawned: names of the nodelets that were made for it so far; grows.
         """
         self._manager = manager
         self._graph = manager.graph
+        self._table = table
         self._order = order
         self.spawned = spawned
         #: Nodelets of the plan's transformations, by label.
@@ -81,9 +86,13 @@ class Parts:
                 what = f"for port '{port}' of transformation '{step.action.label}'"
                 raise StreamTypeMismatch(what, wanted, found, source.label)
 
+    def taken(self) -> Set[str]:
+        """Topics that are spoken for: clients of other claims listen there."""
+        return self._table.taken(but=self._order.claim_id)
+
     def free_topic(self, name: str, port: str) -> str:
         """Name a topic after an out-port; one that has passed to a successor is passed over."""
-        spoken_for = self._order.taken | {self._order.topic}
+        spoken_for = self.taken() | {self._order.topic}
         spoken_for |= {
             each.topic
             for record in self._graph.all()
@@ -110,7 +119,7 @@ class Parts:
         """Whether nobody else listens on the topic that an out-port publishes on now."""
         if name in self.spawned or not topic:
             return True
-        if not self._graph.get(name).claimed or topic in self._order.taken:
+        if not self._graph.get(name).claimed or topic in self.taken():
             return False
         own = {*self._order.own.values(), *self.spawned}
         return not any(

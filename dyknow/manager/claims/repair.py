@@ -17,9 +17,13 @@ from dyknow.manager.claims.order import Assembled, Order
 from dyknow.manager.claims.prospects import Prospects, wanted_type
 from dyknow.manager.claims.quarantine import Quarantine
 from dyknow.manager.claims.silence import SilenceWatch
+from dyknow.manager.claims.turn import Turn
 from dyknow.manager.manager import Manager
 from dyknow.manager.model import Record, State
 from dyknow.manager.planning.problem import NoPlan, Plan
+
+#: Times that a stream is planned anew because parts went while it was being made.
+_ATTEMPTS = 3
 
 _log = logging.getLogger("rosout.dyknow")
 
@@ -31,6 +35,7 @@ class Repair:
         self,
         manager: Manager,
         table: ClaimTable,
+        turn: Turn,
         prospects: Prospects,
         delivery: Delivery,
         housekeeping: Housekeeping,
@@ -42,7 +47,7 @@ class Repair:
         self._manager = manager
         self._table = table
         self._prospects = prospects
-        self._assembly = Assembly(manager, delivery, self._note_failure)
+        self._assembly = Assembly(manager, table, turn, delivery, self._note_failure)
         self._housekeeping = housekeeping
         self._quarantine = quarantine
         self._silence = silence
@@ -58,7 +63,9 @@ class Repair:
         return inspect(self._manager, claim, silence.silent, silence.mute, published)
 
     def carry_out(self, claim: Claim, plan: Plan, lenient: bool = False) -> Tuple[Plan, Assembled]:
-        """Make a claim's stream as a plan says, or another way where types turn out wrong.
+        """Make a claim's stream as a plan says.
+
+        It is made another way where types turn out wrong, or parts went while new ones came up.
 
         Args:
             claim: whose stream it is.
@@ -70,6 +77,7 @@ class Repair:
             DyKnowError: a step failed; what was made is undone.
         """
         wrong: Dict[str, StreamTypeMismatch] = {}
+        attempts = 0
         while True:
             try:
                 return plan, self._carry_out(claim, plan)
@@ -77,13 +85,23 @@ class Repair:
                 if error.label in wrong:
                     raise
                 wrong[error.label] = error
-                answer = self._prospects.plan(claim, lenient, frozenset(wrong))
-                if isinstance(answer, NoPlan):
-                    raise next(iter(wrong.values())) from None
-                plan = answer
+                failure: DyKnowError = next(iter(wrong.values()))
+            except DyKnowError as error:
+                attempts += 1
+                if attempts == _ATTEMPTS or self._is_as_planned(plan):
+                    raise
+                failure = error
+            answer = self._prospects.plan(claim, lenient, frozenset(wrong))
+            if isinstance(answer, NoPlan):
+                raise failure
+            plan = answer
+
+    def _is_as_planned(self, plan: Plan) -> bool:
+        """Whether the nodelets that a plan found are still there."""
+        found = [self._manager.graph.find(live.nodelet) for live in plan.live if live.nodelet]
+        return all(record is not None and record.state is State.RUNNING for record in found)
 
     def _carry_out(self, claim: Claim, plan: Plan) -> Assembled:
-        others = [each for each in self._table.living() if each.claim_id != claim.claim_id]
         order = Order(
             plan,
             claim.request.tag,
@@ -92,7 +110,7 @@ class Repair:
             self._prospects.own(claim),
             self._silence.unhealthy,
             self._silence.mute,
-            frozenset(each.topic for each in others if each.topic),
+            claim.claim_id,
         )
         done = self._assembly.carry_out(order)
         self._silence.excuse(done.wiring)

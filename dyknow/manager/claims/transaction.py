@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from dataclasses import replace
 from functools import partial
-from typing import Callable, Dict, List, Mapping, Tuple
+from typing import AbstractSet, Callable, Dict, List, Mapping, Tuple
 
 from dyknow.errors import DyKnowError
 from dyknow.manager.lifecycle import SpawnRequest
@@ -51,12 +51,12 @@ class Transaction:
         connect(self._manager, name, config)
         self._before.append((name, before))
 
-    def undo(self) -> None:
-        """Take everything back, the latest first."""
+    def undo(self, needed: AbstractSet[str]) -> None:
+        """Take everything back, the latest first, but nodelets that others need by now."""
         for name, before in reversed(self._before):
             if name not in self.spawned:
                 _quietly(partial(connect, self._manager, name, before))
-        for name in reversed(self.spawned):
+        for name in [name for name in reversed(self.spawned) if name not in needed]:
             _quietly(partial(self._manager.lifecycle.destroy, name))
 
 

@@ -1,0 +1,64 @@
+"""Whose turn it is to change claims.
+
+Requests of clients come one at a time; in between, the reconciler makes its rounds. A request that
+waits for a nodelet to come up lets rounds pass meanwhile: streams that break are mended although
+somebody else's takes long to be made. A round lets nobody pass, since a request that came in
+between could make a second time what the round is about to make.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from typing import Iterator, Set
+
+
+class Turn:
+    """A lock with an order of precedence."""
+
+    def __init__(self) -> None:
+        """Nobody has the turn."""
+        self._requests = threading.Lock()
+        self._lock = threading.Lock()
+        self._may_pause = False
+        #: Claim that the present request is about; rounds keep off it.
+        self.claim_id = ""
+        #: Nodelets that the present request counts on; rounds do not clear them away.
+        self.reserved: Set[str] = set()
+
+    @contextlib.contextmanager
+    def request(self, claim_id: str = "") -> Iterator[None]:
+        """Work on a request, about a claim that is there or about a new one."""
+        with self._requests, self._lock:
+            self.claim_id = claim_id
+            self._may_pause = True
+            try:
+                yield
+            finally:
+                self._may_pause = False
+                self.claim_id = ""
+                self.reserved.clear()
+
+    @contextlib.contextmanager
+    def round(self) -> Iterator[None]:
+        """Look at all claims, and mend them."""
+        with self._lock:
+            yield
+
+    @contextlib.contextmanager
+    def pause(self) -> Iterator[None]:
+        """Wait for something: rounds can pass meanwhile, if it is a request that waits.
+
+        Called by whoever has the turn, who has to expect that afterwards nodelets have other
+        topics, or are gone.
+        """
+        if not self._may_pause:
+            yield
+            return
+        self._may_pause = False
+        self._lock.release()
+        try:
+            yield
+        finally:
+            self._lock.acquire()
+            self._may_pause = True

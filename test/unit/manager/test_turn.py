@@ -1,0 +1,228 @@
+"""What happens to streams while a request waits for a nodelet that takes long to come up."""
+
+from __future__ import annotations
+
+import threading
+from typing import Callable, List
+
+import pytest
+from unit.manager.field import GOAL, LINGER, Field, transformation
+
+from dyknow.errors import DyKnowError, HostError
+from dyknow.manager.claim import ClaimState, StreamRequest
+from dyknow.manager.claims.keeper import Acquired
+from dyknow.manager.claims.turn import Turn
+
+BALL = "RelativePosition(ball)"
+
+
+@pytest.fixture
+def field() -> Field:
+    return Field()
+
+
+def meanwhile(field: Field, name: str, happens: Callable[[], None]) -> List[str]:
+    """Let something happen while a nodelet is loaded, once; returns what happened so far."""
+    done: List[str] = []
+
+    def fail(operation: str, argument: str) -> None:
+        if (operation, argument) == ("load", name) and not done:
+            done.append(name)
+            happens()
+
+    field.host.fail = fail
+    return done
+
+
+def test_a_stream_is_mended_while_another_one_is_being_made(field: Field) -> None:
+    first = field.acquire(BALL).claim
+
+    def lose_a_part() -> None:
+        field.destroy_by_hand(first.goal[0])
+        field.tick()
+        assert field.state(first.claim_id) is ClaimState.ACTIVE
+        assert field.claim(first.claim_id).goal != first.goal
+        assert field.host.publishers(first.topic) == [field.claim(first.claim_id).goal[0]]
+
+    done = meanwhile(field, "/localization_1", lose_a_part)
+    second = field.acquire(GOAL).claim
+    assert done
+    field.settle()
+    assert {first.topic, second.topic} <= field.moving
+    assert field.labels() == ["bottom camera", "detector", "localization", "subsampler"]
+
+
+def test_a_lost_part_that_is_being_made_for_another_stream_gets_a_name_of_its_own(
+    field: Field,
+) -> None:
+    field.manager.remove_transformation("bottom camera")
+    first = field.acquire("YUV(field)").claim
+
+    def lose_it() -> None:
+        field.destroy_by_hand("/ceiling_camera_1")
+        field.tick()
+        assert field.state(first.claim_id) is ClaimState.ACTIVE
+
+    field.manager.add_transformation(
+        transformation("second view", "soccer/Ceiling", "out image", "image Planes(field)")
+    )
+    done = meanwhile(field, "/second_view_1", lose_it)
+    field.acquire("Planes(field)", exclude=("subsampler",))
+    assert done
+    field.tidy()
+
+
+def test_what_a_request_has_made_so_far_is_not_cleared_away_while_it_waits(field: Field) -> None:
+    def time_passes() -> None:
+        for _ in range(int(4 * LINGER)):
+            field.tick(1.0)
+
+    done = meanwhile(field, "/localization_1", time_passes)
+    acquired = field.acquire(GOAL)
+    assert done
+    assert acquired.reused == ("/joint_states",) or acquired.reused == ()
+    field.settle()
+    assert acquired.claim.topic in field.moving
+    assert len(acquired.spawned) == 4
+
+
+def test_what_is_idle_is_not_cleared_away_when_a_waiting_request_counts_on_it(
+    field: Field,
+) -> None:
+    camera = field.acquire("YUV(field)").claim
+    field.keeper.release(camera.claim_id)
+
+    def time_passes() -> None:
+        for _ in range(int(4 * LINGER)):
+            field.tick(1.0)
+
+    done = meanwhile(field, "/subsampler_1", time_passes)
+    acquired = field.acquire("Planes(field)")
+    assert done
+    assert acquired.reused == (camera.goal[0],)
+    field.settle()
+    assert acquired.claim.topic in field.moving
+
+
+def test_a_request_that_fails_leaves_what_a_mended_stream_uses_by_now(field: Field) -> None:
+    planes = field.acquire("Planes(field)").claim
+
+    def lose_the_camera() -> None:
+        field.manager.remove_transformation("bottom camera")
+        field.destroy_by_hand("/bottom_camera_1")
+        field.tick()
+        assert field.state(planes.claim_id) is ClaimState.ACTIVE
+        assert "/ceiling_camera_1" in field.claim(planes.claim_id).nodelets
+        raise HostError("the localization does not start")
+
+    done = meanwhile(field, "/localization_1", lose_the_camera)
+    with pytest.raises(DyKnowError, match="does not start"):
+        field.acquire(GOAL, exclude=("bottom camera",))
+    assert done
+    field.settle()
+    assert planes.topic in field.moving
+    assert "/ceiling_camera_1" in field.claim(planes.claim_id).nodelets
+    field.tidy()
+    assert not {"detector", "localization"} & set(field.labels())
+
+
+def test_the_claim_of_a_request_is_left_to_the_request(field: Field) -> None:
+    claim = field.acquire(GOAL).claim
+    field.manager.add_transformation(
+        transformation(
+            "cheap localization",
+            "soccer/Localization",
+            "in ball, out position",
+            f"ball {BALL}; position {GOAL}",
+            cost=0,
+        )
+    )
+    reasons: List[str] = []
+
+    def lose_a_part() -> None:
+        field.destroy_by_hand(claim.goal[0])
+        before = len(field.events)
+        field.tick()
+        reasons.extend(event.reason for event in field.events[before:])
+
+    done = meanwhile(field, "/cheap_localization_1", lose_a_part)
+    field.keeper.replan(claim.claim_id)
+    assert done
+    assert not [reason for reason in reasons if "gone" in reason]
+    field.settle()
+    assert field.claim(claim.claim_id).goal[0] == "/cheap_localization_1"
+    assert claim.topic in field.moving
+
+
+def test_a_dry_run_waits_for_nobody_who_waits(field: Field) -> None:
+    answers: List[Acquired] = []
+
+    def explain() -> None:
+        request = StreamRequest("YUV(field)")
+        answers.append(field.keeper.acquire(request, dry_run=True))
+
+    done = meanwhile(field, "/localization_1", explain)
+    field.acquire(GOAL)
+    assert done
+    assert answers[0].reused == ("/bottom_camera_1",)
+
+
+def test_a_request_that_is_repeated_while_it_is_worked_on_gets_the_same_answer(
+    field: Field,
+) -> None:
+    request = StreamRequest(GOAL, client_id="/client", request_id="1")
+    again: List[Acquired] = []
+    thread = threading.Thread(target=lambda: again.append(field.keeper.acquire(request)))
+
+    def repeat() -> None:
+        thread.start()
+        field.tick()
+        assert thread.is_alive()
+
+    done = meanwhile(field, "/localization_1", repeat)
+    first = field.keeper.acquire(request)
+    thread.join(10.0)
+    assert done
+    assert again[0].claim.claim_id == first.claim.claim_id
+    assert len(field.living()) == 1
+
+
+def test_a_round_lets_nobody_pass() -> None:
+    turn = Turn()
+    order: List[str] = []
+
+    def ask() -> None:
+        with turn.request():
+            order.append("request")
+
+    thread = threading.Thread(target=ask)
+    with turn.round():
+        thread.start()
+        with turn.pause():
+            thread.join(0.05)
+            order.append("round")
+    thread.join(10.0)
+    assert order == ["round", "request"]
+
+
+def test_requests_come_one_at_a_time_and_rounds_in_between() -> None:
+    turn = Turn()
+    order: List[str] = []
+
+    def ask() -> None:
+        with turn.request("second"):
+            order.append(turn.claim_id)
+
+    thread = threading.Thread(target=ask)
+    with turn.request("first"):
+        turn.reserved.add("/nodelet")
+        thread.start()
+        with turn.pause():
+            thread.join(0.05)
+            with turn.round():
+                order.append(turn.claim_id)
+        assert turn.reserved
+        order.append("end")
+    thread.join(10.0)
+    assert order == ["first", "end", "second"]
+    assert (turn.claim_id, turn.reserved) == ("", set())
