@@ -12,6 +12,9 @@ from typing import Any, List, Protocol
 
 from std_msgs.msg import Empty, Float64MultiArray
 
+#: Reports that may wait: all parts of a process report on one connection at the same time.
+_REPORTS = 1000
+
 
 class Sender(Protocol):
     """What takes orders: a source or a ring."""
@@ -39,7 +42,7 @@ def listen_send(api: Any, control: str, sender: Sender) -> None:
 
 def listen_collect(api: Any, control: str, hop: int, part: Collected) -> None:
     """Let ``part`` report as ``hop``; ``api`` is rospy or a NodeHandle."""
-    publisher = api.Publisher(control + "/report", Float64MultiArray, queue_size=10)
+    publisher = api.Publisher(control + "/report", Float64MultiArray, queue_size=_REPORTS)
 
     def on_collect(request: Empty) -> None:
         report = Float64MultiArray(data=part.collect())
