@@ -138,14 +138,16 @@ class Ring:
 
 
 class Hop:
-    """Forwards messages and notes when each arrived, beside its stamp."""
+    """Compares the stamp of each message with the time at which it arrives, and forwards it."""
+
+    __slots__ = ("_arrivals", "_latency", "_publish", "_record", "_stamp_of", "hop")
 
     def __init__(self, hop: int, record: bool, publish: Publish, payload: Payload) -> None:
         """Prepare a hop.
 
         Args:
             hop: its number, from 1.
-            record: whether somebody collects; otherwise only the latest arrival is kept.
+            record: whether somebody collects; otherwise only the latest latency is kept.
             publish: forwards a message.
             payload: what it carries.
         """
@@ -153,14 +155,16 @@ class Hop:
         self._publish = publish
         self._stamp_of = payload.stamp_of
         self._record = record
-        self._latest: Tuple[int, genpy.Time] = (0, genpy.Time())
-        self._arrivals: List[Tuple[int, genpy.Time]] = []
+        self._latency = 0
+        self._arrivals: List[Tuple[genpy.Time, int]] = []
 
     def receive(self, message: Any) -> None:
         """Take a message that arrives now and forward it."""
-        self._latest = latest = (time.time_ns(), self._stamp_of(message))
+        now = time.time_ns()
+        stamp = self._stamp_of(message)
+        self._latency = latency = now - stamp.secs * 1_000_000_000 - stamp.nsecs
         if self._record:
-            self._arrivals.append(latest)
+            self._arrivals.append((stamp, latency))
         self._publish(message)
 
     def collect(self) -> List[float]:
@@ -168,6 +172,6 @@ class Hop:
         arrivals = self._arrivals[:]  # more may come meanwhile
         del self._arrivals[: len(arrivals)]
         flat: List[float] = []
-        for arrived, stamp in arrivals:
-            flat += [stamp.to_sec(), (arrived - stamp.to_nsec()) / 1000]
+        for stamp, latency in arrivals:
+            flat += [stamp.to_sec(), latency / 1000]
         return flat

@@ -15,6 +15,7 @@ import collections
 import threading
 from typing import Any, Callable, Deque, Dict, Optional, Tuple
 
+from dyknow.nodelet.locking import message_lock
 from dyknow.nodelet.middleware import Middleware, OutsidePublisher, OutsideSubscriber, Receive
 from dyknow.nodelet.scheduler import Clock, Strand
 from dyknow.nodelet.traffic import Traffic
@@ -35,7 +36,6 @@ class Connection:
     __slots__ = (
         "_arrived",
         "_limit",
-        "_lock",
         "_queue",
         "_state",
         "_strand",
@@ -49,7 +49,6 @@ class Connection:
         self.outside: Optional[OutsideSubscriber] = None
         self._subscription = subscription
         self._limit = subscription.queue_size or -1
-        self._lock = threading.Lock()
         self._queue: Deque[Any] = collections.deque()
         self._state = _HELD
         self._strand = subscription.strand
@@ -62,27 +61,26 @@ class Connection:
 
     def push(self, message: Any) -> None:
         """Take a message, from any thread; beyond ``queue_size`` the oldest goes, counted."""
-        with self._lock:
-            queue = self._queue
-            if self._state is _OPEN:
-                if len(queue) == self._limit:
-                    queue.popleft()
-                    queue.append(message)
-                    self._subscription.traffic.dropped += 1
-                else:
-                    queue.append(message)
-                    self._strand.post(self)
-            elif self._state is _HELD:
-                if len(queue) == self._limit:
-                    queue.popleft()
-                    self._subscription.traffic.dropped += 1
-                queue.append(message)
-                if self._arrived is not None:
-                    self._arrived.set()
+        with message_lock:
+            self.push_locked(message)
+
+    def push_locked(self, message: Any) -> None:
+        """Do the same for who has the lock."""
+        if self._state is _CLOSED:
+            return
+        queue = self._queue
+        queue.append(message)
+        if len(queue) - 1 == self._limit:
+            queue.popleft()
+            self._subscription.traffic.dropped += 1
+        elif self._state is _OPEN:
+            self._strand.post_locked(self)
+        elif self._arrived is not None:
+            self._arrived.set()
 
     def __call__(self) -> None:
         """Deliver the oldest message, if there is one."""
-        with self._lock:
+        with message_lock:
             if not self._queue:
                 return
             message = self._queue.popleft()
@@ -97,7 +95,7 @@ class Connection:
 
     def arrived(self, seconds: float) -> bool:
         """Wait for the first message of a held connection."""
-        with self._lock:
+        with message_lock:
             if self._queue:
                 return True
             if self._arrived is None:
@@ -106,15 +104,15 @@ class Connection:
 
     def open(self) -> None:
         """Deliver what was held, and everything from now on."""
-        with self._lock:
+        with message_lock:
             if self._state is _HELD:
                 self._state = _OPEN
                 for _ in self._queue:
-                    self._strand.post(self)
+                    self._strand.post_locked(self)
 
     def close(self, discard: bool) -> None:
         """Take no more; what is queued is still delivered unless it is to be discarded."""
-        with self._lock:
+        with message_lock:
             self._state = _CLOSED
             if discard:
                 self._queue.clear()
@@ -183,7 +181,6 @@ class Publication:
 
     __slots__ = (
         "_closed",
-        "_lock",
         "_middleware",
         "_outside",
         "_route",
@@ -227,7 +224,6 @@ class Publication:
         self.latched = NOTHING
         self._middleware = middleware
         self._what = what
-        self._lock = threading.Lock()
         self._route: Optional[Tuple[Connection, ...]] = None
         self._outside: Optional[OutsidePublisher] = None
         self._closed = False
@@ -243,7 +239,7 @@ class Publication:
             if message is not NOTHING:
                 fields = (message, *fields)
             message = self._middleware.build(self.datatype, fields, named)
-        with self._lock:
+        with message_lock:
             if self._route is None:
                 self._unrouted(message)
                 return
@@ -251,7 +247,7 @@ class Publication:
             if self.latch:
                 self.latched = message
             for connection in self._route:
-                connection.push(message)
+                connection.push_locked(message)
             outside = self._outside
             if outside is None or not (self.latch or outside.heard):
                 return
@@ -262,7 +258,7 @@ class Publication:
             else:
                 outside.publish(message)
         finally:
-            with self._lock:
+            with message_lock:
                 outside.in_flight -= 1
 
     def _unrouted(self, message: Any) -> None:
@@ -284,7 +280,7 @@ class Publication:
 
     def attend(self, outside: Optional[OutsidePublisher]) -> Any:
         """Publish to these listeners outside too; returns the latched message they are owed."""
-        with self._lock:
+        with message_lock:
             self._outside = outside
             return self.latched
 
@@ -292,15 +288,15 @@ class Publication:
         self, route: Tuple[Connection, ...], newcomers: Tuple[Connection, ...] = ()
     ) -> None:
         """Publish to ``route`` from now on; ``newcomers`` get a latched message first."""
-        with self._lock:
+        with message_lock:
             self._route = route
             if self.latched is not NOTHING:
                 for connection in newcomers:
-                    connection.push(self.latched)
+                    connection.push_locked(self.latched)
 
     def disconnect(self, closed: bool = False) -> None:
         """Publish to nobody; for good, if ``closed``."""
-        with self._lock:
+        with message_lock:
             self._route = None
             self._closed = self._closed or closed
             self._outside = None

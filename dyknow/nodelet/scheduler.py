@@ -2,9 +2,9 @@
 
 A *strand* runs its tasks one after another in the order in which they came; a nodelet has one,
 so its callbacks never overlap. A *worker pool* runs many strands on few threads: a strand that
-has something to do stands once in the pool's queue, and its lock says that it does ("busy": it
-stands in the queue or runs). Whoever takes the lock puts the strand into the queue, whoever finds
-the strand empty releases it, so no wake-up is ever lost and nothing polls.
+has something to do stands once in the pool's queue, and a flag says that it does ("busy": it
+stands in the queue or runs). Who raises the flag puts the strand into the queue, who finds the
+strand empty lowers it, both under the lock, so no wake-up is ever lost and nothing polls.
 
 A callback that blocks holds its worker. When all workers are held and work waits, the watchdog
 replaces one after another, so nodelets that block (or never return) do not starve the rest. It
@@ -23,6 +23,8 @@ import traceback
 import weakref
 from typing import Callable, Deque, Dict, List, Optional, Tuple
 
+from dyknow.nodelet.locking import message_lock
+
 Task = Callable[[], object]
 Clock = Callable[[], float]
 
@@ -32,6 +34,13 @@ _BUDGET = 32
 _LOOK = 0.2
 
 _log = logging.getLogger("rosout.dyknow")
+
+
+class Runner:
+    """Whoever runs strands, with a count of the tasks that it has begun."""
+
+    def __init__(self) -> None:
+        self.turns = 0
 
 
 class Strand:
@@ -47,7 +56,6 @@ class Strand:
         "alive",
         "name",
         "running",
-        "turns",
     )
 
     def __init__(self, executor: Executor, name: str, held: bool = False) -> None:
@@ -55,26 +63,29 @@ class Strand:
         self.name = name
         self.alive = True
         self.running = False
-        self.turns = 0
         self._tasks: Deque[Task] = collections.deque()
-        self._busy = threading.Lock()
+        self._busy = held
         self._ready = executor.ready
         self._held = held
         self._noted = False
-        if held:
-            self._busy.acquire()
         executor.strands.add(self)
 
     @property
     def busy(self) -> bool:
         """Whether a task is queued or runs, or the strand is held."""
-        return self._busy.locked()
+        return self._busy
 
     def post(self, task: Task) -> None:
         """Run ``task`` after everything that was posted before; nothing if the strand is dead."""
+        with message_lock:
+            self.post_locked(task)
+
+    def post_locked(self, task: Task) -> None:
+        """Do the same for who has the lock."""
         if self.alive:
             self._tasks.append(task)
-            if self._busy.acquire(False):
+            was_busy, self._busy = self._busy, True
+            if not was_busy:
                 self._ready(self)
 
     def resume(self) -> None:
@@ -93,34 +104,27 @@ class Strand:
             self._noted = True
         self.alive = False
 
-    def run(self) -> bool:
-        """Run what is queued, called by one worker at a time; True if it must be queued again."""
-        tasks = self._tasks
-        while True:
-            self.running = True
-            for _ in range(_BUDGET):
-                if not tasks:
-                    break
-                task = tasks.popleft()
+    def run(self, runner: Runner) -> bool:
+        """Run what is queued, called by one runner at a time; True if it must be queued again."""
+        for _ in range(_BUDGET):
+            with message_lock:
                 if not self.alive:
-                    tasks.clear()
-                    break
-                self.turns += 1
-                try:
-                    task()
-                except BaseException:  # the boundary: sys.exit() in a task must not end a worker
-                    _log.error("%s: a task failed\n%s", self.name, traceback.format_exc())
-            else:
-                self.running = False
-                return True
+                    self._tasks.clear()
+                if not self._tasks:
+                    self._busy = False
+                    return False
+                task = self._tasks.popleft()
+            runner.turns += 1
+            self.running = True
+            try:
+                task()
+            except BaseException:  # the boundary: sys.exit() in a task must not end a worker
+                _log.error("%s: a task failed\n%s", self.name, traceback.format_exc())
             self.running = False
             if self._noted:
                 self._noted = False
                 _log.info("%s: the callback that ran at the unload has ended", self.name)
-            self._busy.release()
-            # Somebody may have posted after the last look and found the lock still taken.
-            if not tasks or not self._busy.acquire(False):
-                return False
+        return True
 
 
 class Executor:
@@ -147,6 +151,7 @@ class ManualExecutor(Executor):
     def __init__(self) -> None:
         super().__init__()
         self._queue: Deque[Strand] = collections.deque()
+        self._runner = Runner()
 
     def ready(self, strand: Strand) -> None:
         """Queue the strand until the next ``step``."""
@@ -157,7 +162,7 @@ class ManualExecutor(Executor):
         if not self._queue:
             return False
         strand = self._queue.popleft()
-        if strand.run():
+        if strand.run(self._runner):
             self._queue.append(strand)
         return True
 
@@ -168,12 +173,11 @@ class ManualExecutor(Executor):
         return True
 
 
-class _Worker:
+class _Worker(Runner):
     """One thread of the pool, as the watchdog sees it."""
 
-    __slots__ = ("replaced", "strand", "thread")
-
     def __init__(self) -> None:
+        super().__init__()
         self.strand: Optional[Strand] = None
         self.replaced = False
         self.thread: Optional[threading.Thread] = None
@@ -248,7 +252,7 @@ class WorkerPool(Executor):
             worker.strand = strand
             if not self._awake.is_set():
                 self._awake.set()
-            if strand.run():
+            if strand.run(worker):
                 self._queue.put(strand)
             worker.strand = None
             if self._drainers:
@@ -257,8 +261,8 @@ class WorkerPool(Executor):
         self._workers.remove(worker)
 
     def _watch(self) -> None:
-        seen: Dict[_Worker, Tuple[Strand, int, float]] = {}
-        reported: weakref.WeakKeyDictionary[Strand, int] = weakref.WeakKeyDictionary()
+        seen: Dict[_Worker, Tuple[int, float]] = {}
+        reported: weakref.WeakKeyDictionary[_Worker, int] = weakref.WeakKeyDictionary()
         pause = threading.Event()
         while self._awake.wait() and not self._closed:
             pause.wait(_LOOK)
@@ -274,21 +278,21 @@ class WorkerPool(Executor):
             stuck = []
             for worker, strand in running:
                 last = before.get(worker)
-                turn = strand.turns
-                if last is None or last[0] is not strand or last[1] != turn:
-                    seen[worker] = (strand, turn, now)
+                turn = worker.turns
+                if last is None or last[0] != turn:
+                    seen[worker] = (turn, now)
                     continue
                 seen[worker] = last
                 stuck.append(worker)
-                if now - last[2] >= self._stuck_after and reported.get(strand) != turn:
-                    reported[strand] = turn
-                    self._report(worker, strand, now - last[2])
+                if now - last[1] >= self._stuck_after and reported.get(worker) != turn:
+                    reported[worker] = turn
+                    self._report(worker, strand, now - last[1])
             free = len(self._workers) - len(stuck)
             if stuck and free <= 0 and not self._queue.empty():
                 oldest = min(
-                    (w for w in stuck if not w.replaced), key=lambda w: seen[w][2], default=None
+                    (w for w in stuck if not w.replaced), key=lambda w: seen[w][1], default=None
                 )
-                if oldest is not None and oldest.strand is seen[oldest][0]:
+                if oldest is not None and oldest.turns == seen[oldest][0]:
                     oldest.replaced = True
                     self._hire()
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import collections
 import gc
 import logging
+import threading
 
 from dyknow.nodelet.scheduler import ManualExecutor, Strand
 
@@ -163,23 +165,23 @@ def test_nothing_is_noted_of_a_strand_that_ran_nothing_when_it_was_killed(caplog
 
 
 def test_a_task_that_comes_while_the_strand_lets_go_is_not_forgotten():
-    # The narrow place: the strand has seen that it is empty and still holds its lock.
+    # The narrow place: the strand has seen that it is empty and is still busy.
     executor, ran = ManualExecutor(), []
     strand = Strand(executor, "s")
+    guest = threading.Thread(target=lambda: strand.post(lambda: ran.append("late")))
 
-    class LateGuest:
-        def __init__(self, lock):
-            self.acquire, self.locked = lock.acquire, lock.locked
-            self._lock, self._came = lock, False
+    class Door(collections.deque):
+        def __len__(self):
+            if ran and guest.ident is None:
+                guest.start()
+                guest.join(0.05)
+                assert guest.is_alive(), "who posts now has to wait"
+            return super().__len__()
 
-        def release(self):
-            if not self._came:
-                self._came = True
-                strand.post(lambda: ran.append("late"))
-            self._lock.release()
-
-    strand._busy = LateGuest(strand._busy)
+    strand._tasks = Door()
     strand.post(lambda: ran.append("first"))
+    executor.drain()
+    guest.join(10.0)
     executor.drain()
     assert ran == ["first", "late"]
     assert not strand.busy
