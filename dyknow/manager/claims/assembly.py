@@ -96,8 +96,8 @@ class _Work:
 
     def do(self) -> Assembled:
         done = self._done
-        self._turn.reserved.update(self._order.own.values())
-        self._turn.reserved.update(live.nodelet for live in self._order.plan.live)
+        self._turn.reserve(self._order.own.values())
+        self._turn.reserve(live.nodelet for live in self._order.plan.live)
         for step in self._order.plan.steps:
             self._take(step)
         self._publish(self._order.plan.goal)
@@ -227,7 +227,7 @@ class _Work:
             except DyKnowError:
                 self._on_failure(transformation.label)
                 raise
-            self._turn.reserved.add(name)
+            self._turn.reserve([name])
             self._connect(name, {port: wiring[port] for port in outputs})
             return name
         raise SpawnFailed(transformation.label, "there are too many of its name")

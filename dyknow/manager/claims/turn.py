@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import threading
-from typing import Iterator, Set
+from typing import Iterable, Iterator, Set
 
 
 class Turn:
@@ -44,6 +44,14 @@ class Turn:
         """Look at all claims, and mend them."""
         with self._lock:
             yield
+
+    def reserve(self, names: Iterable[str]) -> None:
+        """Keep nodelets from being cleared away as long as the present request takes.
+
+        Nothing happens in a round, which clears away only what nobody needs at its end.
+        """
+        if self._may_pause:
+            self.reserved.update(names)
 
     @contextlib.contextmanager
     def pause(self) -> Iterator[None]:

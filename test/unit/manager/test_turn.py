@@ -197,6 +197,8 @@ def test_a_round_lets_nobody_pass() -> None:
 
     thread = threading.Thread(target=ask)
     with turn.round():
+        turn.reserve(["/nodelet"])
+        assert not turn.reserved
         thread.start()
         with turn.pause():
             thread.join(0.05)
@@ -215,7 +217,7 @@ def test_requests_come_one_at_a_time_and_rounds_in_between() -> None:
 
     thread = threading.Thread(target=ask)
     with turn.request("first"):
-        turn.reserved.add("/nodelet")
+        turn.reserve(["/nodelet"])
         thread.start()
         with turn.pause():
             thread.join(0.05)
