@@ -1,4 +1,8 @@
-"""``benchmark recover``: kill -9 of the nodelet manager, until every stream is back."""
+"""``benchmark recover``: kill -9 of the nodelet manager, until every stream is back.
+
+Each kill follows as soon as the streams are back from the last, so the times hold the pauses that
+a nodelet manager is given when it dies again and again.
+"""
 
 from __future__ import annotations
 
@@ -65,8 +69,9 @@ def run(arguments: argparse.Namespace) -> Outcome:
             # What is still under way in sockets is not from the new life.
             wait_until(lambda killed=killed: streams.all_since(killed + 0.3), "the streams")  # type: ignore[misc]
             times.append(time.monotonic() - killed)
-    outcome = Outcome([Verdict("all streams back, median in s", system.spread(times)[1], 3.0)])
+            progress.say(f"all streams back after {times[-1]:.2f} s")
     row = (arguments.nodelets, arguments.kills, *system.spread(times))
+    outcome = Outcome([Verdict("all streams back, longest in s", max(times), 3.0)])
     outcome.table("recover", "recovery of a killed nodelet manager", HEADER, [row])
     outcome.table("machine", "the machine", machine.HEADER, load.rows())
     return outcome

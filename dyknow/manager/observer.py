@@ -17,12 +17,7 @@ from dyknow.manager.graph import Graph
 from dyknow.manager.host import Host, ManagerState
 from dyknow.manager.lifecycle import Lifecycle
 from dyknow.manager.model import Record, State, seen_ports, topics_of
-
-#: Seconds to wait before a nodelet that died again is brought back, doubling each time.
-FIRST_PAUSE = 0.5
-LONGEST_PAUSE = 30.0
-#: Seconds of life after which the past is forgiven.
-FORGIVEN_AFTER = 60.0
+from dyknow.manager.patience import Patience
 
 _log = logging.getLogger("rosout.dyknow")
 
@@ -30,27 +25,6 @@ _log = logging.getLogger("rosout.dyknow")
 def at_once(work: Callable[[], None]) -> None:
     """Do it now, in the thread of the caller."""
     work()
-
-
-class _Patience:
-    """How long to wait before the next attempt, for each nodelet."""
-
-    def __init__(self, clock: Callable[[], float]) -> None:
-        self._clock = clock
-        self._attempts: Dict[str, tuple[int, float]] = {}
-
-    def allows(self, name: str) -> bool:
-        """Whether an attempt may be made now."""
-        count, last = self._attempts.get(name, (0, 0.0))
-        return not count or self._clock() - last >= min(
-            LONGEST_PAUSE, FIRST_PAUSE * 2 ** (count - 1) if count > 1 else 0.0
-        )
-
-    def attempt(self, name: str) -> None:
-        """Count an attempt."""
-        count, last = self._attempts.get(name, (0, 0.0))
-        now = self._clock()
-        self._attempts[name] = (1 if now - last > FORGIVEN_AFTER else count + 1, now)
 
 
 class Observer:
@@ -77,7 +51,7 @@ class Observer:
         self._graph = graph
         self._lifecycle = lifecycle
         self._turn = threading.Lock()  # one look at a time; nobody else waits for it
-        self._patience = _Patience(clock)
+        self._patience = Patience(clock)
         self._run = run
         self._lock = threading.Lock()
         self._dead: Set[str] = set()  # found by this look
@@ -161,10 +135,10 @@ class Observer:
                 _log.info("%s was unloaded by others; it is not brought back", record.name)
                 self._lifecycle.forget(record)
             else:  # it failed, or the manager was killed while it brought it back
-                self._dead.add(record.name)
+                self._find_dead(record)
         elif alive or state is None or (state.own and not state.alive):
             self._lose(record, "its nodelet manager has died")
-            self._dead.add(record.name)
+            self._find_dead(record)
         else:
             self._lose(record, f"nodelet manager {record.manager} does not answer")
 
@@ -173,6 +147,8 @@ class Observer:
         came_back = record.state is not State.RUNNING or record.incarnation != incarnation
         if record.state is State.STARTING and not self._complete(record):
             return
+        if came_back:
+            self._patience.came_up(record.name)
         record = replace(record, state=State.RUNNING, detail="", incarnation=incarnation)
         if (closely or came_back) and not record.rewired_by_reload:
             try:
@@ -203,6 +179,10 @@ class Observer:
             _log.warning("%s is lost: %s", record.name, why)
             self._graph.put(replace(record, state=State.LOST, detail=why))
 
+    def _find_dead(self, record: Record) -> None:
+        self._patience.died(record.name)
+        self._dead.add(record.name)
+
     def _bring_back_soon(self, name: str) -> None:
         with self._lock:
             if name in self._returning or not self._patience.allows(name):
@@ -218,8 +198,7 @@ class Observer:
                         self.on_death(record)
                         self._lifecycle.forget(record)
                         return
-                    with self._lock:
-                        self._patience.attempt(name)
+                    self._patience.attempt(name)
                     self._restore(record)
         except Busy:
             return  # somebody works on it; the next look sees the outcome
@@ -236,6 +215,7 @@ class Observer:
             _log.warning("%s cannot be brought back yet: %s", record.name, error)
             return
         if restored.state is State.RUNNING:
+            self._patience.came_up(record.name)
             _log.info("%s is back", record.name)
         else:
             _log.warning("%s is not back: %s", record.name, restored.detail)

@@ -17,6 +17,7 @@ from typing import AbstractSet, Callable, Dict, FrozenSet, List, Optional
 from dyknow import names
 from dyknow.errors import HostError, PeerTimeout
 from dyknow.manager.host import Kind
+from dyknow.manager.patience import LONG_LIFE, pause
 from dyknow.ros.hosting import child_records
 from dyknow.ros.hosting.child_records import ChildRecord
 from dyknow.ros.hosting.launcher import Launcher
@@ -28,9 +29,6 @@ START_TIMEOUT = 20.0
 #: Seconds that a child has to end when it is asked to.
 PATIENCE = 3.0
 _STEP = 0.02
-#: A child that lived for less is started again after a pause, doubling each time.
-_SHORT_LIFE = 10.0
-_LONGEST_PAUSE = 30.0
 #: Seconds that a child of an earlier life may take to show itself: it may have just been started.
 _ADOPTION_TIMEOUT = 5.0
 _BASES = {Kind.PYTHON: "dyknow_nodelet_manager", Kind.CPP: "dyknow_cpp_nodelet_manager"}
@@ -235,10 +233,9 @@ class Children:
                 _log.error("nodelet manager %s: %s", child.record.name, error)
             if not child.wanted or child.record.isolated_for:
                 break
-            deaths = 1 if time.monotonic() - begin > _SHORT_LIFE else deaths + 1
-            pause = min(_LONGEST_PAUSE, 0.25 * 2 ** (deaths - 2)) if deaths > 1 else 0.0
+            deaths = 1 if time.monotonic() - begin >= LONG_LIFE else deaths + 1
             with self._lock:
-                self._lock.wait_for(lambda: not child.wanted, pause)
+                self._lock.wait_for(lambda: not child.wanted, pause(deaths - 1))
         with self._lock:
             self._children.pop(child.record.name, None)
             child.gone.set()
