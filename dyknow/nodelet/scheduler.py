@@ -6,6 +6,10 @@ has something to do stands once in the pool's queue, and a flag says that it doe
 stands in the queue or runs). Who raises the flag puts the strand into the queue, who finds the
 strand empty lowers it, both under the lock, so no wake-up is ever lost and nothing polls.
 
+The worker that was busy last is called first: what it touched is still in the caches of its core,
+and since one thread at a time runs Python nothing would be won by a change of cores. One that was
+called and found that another had done its work goes to the end of the line.
+
 A callback that blocks holds its worker. When all workers are held and work waits, the watchdog
 replaces one after another, so nodelets that block (or never return) do not starve the rest. It
 wakes up only while there is work.
@@ -15,7 +19,6 @@ from __future__ import annotations
 
 import collections
 import logging
-import queue
 import sys
 import threading
 import time
@@ -28,19 +31,10 @@ from dyknow.nodelet.locking import message_lock
 Task = Callable[[], object]
 Clock = Callable[[], float]
 
-#: Tasks that a strand runs before it lets others on its worker.
-_BUDGET = 32
 #: Seconds between two looks of the watchdog while there is work.
 _LOOK = 0.2
 
 _log = logging.getLogger("rosout.dyknow")
-
-
-class Runner:
-    """Whoever runs strands, with a count of the tasks that it has begun."""
-
-    def __init__(self) -> None:
-        self.turns = 0
 
 
 class Strand:
@@ -90,9 +84,10 @@ class Strand:
 
     def resume(self) -> None:
         """Start a strand that was created held; nothing if it runs already."""
-        if self._held:
-            self._held = False
-            self._ready(self)
+        with message_lock:
+            if self._held:
+                self._held = False
+                self._ready(self)
 
     def kill(self, noted: bool = False) -> None:
         """Drop what is queued and refuse what comes; a task that runs is not waited for.
@@ -104,26 +99,31 @@ class Strand:
             self._noted = True
         self.alive = False
 
-    def run(self, runner: Runner) -> bool:
-        """Run what is queued, called by one runner at a time; True if it must be queued again."""
-        for _ in range(_BUDGET):
-            with message_lock:
-                if not self.alive:
-                    self._tasks.clear()
-                if not self._tasks:
-                    self._busy = False
-                    return False
-                task = self._tasks.popleft()
-            runner.turns += 1
-            self.running = True
-            try:
-                task()
-            except BaseException:  # the boundary: sys.exit() in a task must not end a worker
-                _log.error("%s: a task failed\n%s", self.name, traceback.format_exc())
-            self.running = False
-            if self._noted:
-                self._noted = False
-                _log.info("%s: the callback that ran at the unload has ended", self.name)
+    # For executors, who have the lock for the first and the last:
+
+    def take(self) -> Optional[Task]:
+        """Give the oldest task, to run it; None if there is none."""
+        return self._tasks.popleft() if self._tasks and self.alive else None
+
+    def run(self, task: Task) -> None:
+        """Run a task; called by one thread at a time."""
+        self.running = True
+        try:
+            task()
+        except BaseException:  # the boundary: sys.exit() in a task must not end a worker
+            _log.error("%s: a task failed\n%s", self.name, traceback.format_exc())
+        self.running = False
+        if self._noted:
+            self._noted = False
+            _log.info("%s: the callback that ran at the unload has ended", self.name)
+
+    def rest(self) -> bool:
+        """Be idle from now on; False if there is more to do."""
+        if self._tasks:
+            if self.alive:
+                return False
+            self._tasks.clear()
+        self._busy = False
         return True
 
 
@@ -134,7 +134,7 @@ class Executor:
         self.strands: weakref.WeakSet[Strand] = weakref.WeakSet()
 
     def ready(self, strand: Strand) -> None:
-        """Take a strand that has something to do."""
+        """Take a strand that has something to do; the caller has the lock."""
         raise NotImplementedError
 
     def drain(self, timeout: float = 10.0) -> bool:
@@ -146,24 +146,28 @@ class Executor:
 
 
 class ManualExecutor(Executor):
-    """Runs strands in the thread that calls ``drain`` or ``step``: for tests, deterministic."""
+    """Runs tasks in the thread that calls ``drain`` or ``step``: for tests, deterministic."""
 
     def __init__(self) -> None:
         super().__init__()
         self._queue: Deque[Strand] = collections.deque()
-        self._runner = Runner()
 
     def ready(self, strand: Strand) -> None:
         """Queue the strand until the next ``step``."""
         self._queue.append(strand)
 
     def step(self) -> bool:
-        """Run the strand that has waited longest; False if none waits."""
+        """Run a task of the strand that has waited longest; False if none waits."""
         if not self._queue:
             return False
         strand = self._queue.popleft()
-        if strand.run(self._runner):
-            self._queue.append(strand)
+        with message_lock:
+            task = strand.take()
+        if task is not None:
+            strand.run(task)
+        with message_lock:
+            if not strand.rest():
+                self.ready(strand)
         return True
 
     def drain(self, timeout: float = 10.0) -> bool:
@@ -173,18 +177,27 @@ class ManualExecutor(Executor):
         return True
 
 
-class _Worker(Runner):
-    """One thread of the pool, as the watchdog sees it."""
+class _Worker:
+    """One thread of the pool.
+
+    Attributes:
+        strand: what it works on; None while it waits.
+        turns: tasks that it has begun.
+        replaced: whether it is to end as soon as it can, since another was hired in its place.
+        call: released by who calls it.
+    """
 
     def __init__(self) -> None:
-        super().__init__()
         self.strand: Optional[Strand] = None
+        self.turns = 0
         self.replaced = False
         self.thread: Optional[threading.Thread] = None
+        self.call = threading.Lock()
+        self.call.acquire()
 
 
 class WorkerPool(Executor):
-    """``size`` threads on one queue of strands.
+    """``size`` threads on one queue of strands, a task at a time.
 
     Args:
         size: callbacks that can run at the same time.
@@ -200,13 +213,15 @@ class WorkerPool(Executor):
         self.size = size
         self._stuck_after = stuck_after
         self._clock = clock
-        self._queue: queue.SimpleQueue[Optional[Strand]] = queue.SimpleQueue()
-        self.ready = self._queue.put  # type: ignore[assignment, method-assign]  # one call less
+        self._queue: Deque[Strand] = collections.deque()
+        self._idle: Deque[_Worker] = collections.deque()
+        self._called = 0  # workers that have not noticed yet
         self._workers: List[_Worker] = []
         self._quiet = threading.Condition()
         self._drainers = 0
         self._closed = False
         self._awake = threading.Event()
+        self._dozes = True  # the watchdog, as nothing is done
         self._watchdog = threading.Thread(target=self._watch, name="dyknow-watchdog", daemon=True)
         for _ in range(size):
             self._hire()
@@ -216,6 +231,17 @@ class WorkerPool(Executor):
     def threads(self) -> int:
         """Workers at present; more than ``size`` while callbacks block."""
         return len(self._workers)
+
+    def ready(self, strand: Strand) -> None:
+        """Queue the strand, and call a worker unless enough of them are on their way."""
+        self._queue.append(strand)
+        if len(self._queue) > self._called:
+            self._call()
+
+    def _call(self) -> None:
+        if self._idle:
+            self._called += 1
+            self._idle.pop().call.release()
 
     def drain(self, timeout: float = 10.0) -> bool:
         """Wait until no strand has anything to do."""
@@ -230,10 +256,11 @@ class WorkerPool(Executor):
 
     def close(self) -> None:
         """End the workers that are free; those that run a callback end with it."""
-        self._closed = True
+        with message_lock:
+            self._closed = True
+            while self._idle:
+                self._call()
         self._awake.set()
-        for _ in list(self._workers):
-            self._queue.put(None)
 
     def _hire(self) -> None:
         worker = _Worker()
@@ -244,20 +271,39 @@ class WorkerPool(Executor):
         worker.thread.start()
 
     def _work(self, worker: _Worker) -> None:
-        get = self._queue.get
-        while not worker.replaced and not self._closed:
-            strand = get()
-            if strand is None:
-                break
-            worker.strand = strand
-            if not self._awake.is_set():
-                self._awake.set()
-            if strand.run(worker):
-                self._queue.put(strand)
-            worker.strand = None
-            if self._drainers:
-                with self._quiet:
-                    self._quiet.notify_all()
+        strand: Optional[Strand] = None
+        line_up = self._idle.append
+        while True:
+            with message_lock:
+                if strand is not None and not strand.rest():
+                    self._queue.append(strand)
+                strand = task = None
+                if self._closed or worker.replaced:
+                    if self._queue:
+                        self._call()  # in place of this one
+                    break
+                if self._queue:
+                    strand = self._queue.popleft()
+                    task = strand.take()
+                    worker.turns += 1
+                else:
+                    line_up(worker)
+                worker.strand = strand
+            if task is not None and strand is not None:
+                if self._dozes:
+                    self._dozes = False
+                    self._awake.set()
+                strand.run(task)
+                line_up = self._idle.append
+            elif strand is None:
+                if self._drainers:
+                    with self._quiet:
+                        self._quiet.notify_all()
+                worker.call.acquire()
+                with message_lock:
+                    self._called -= 1
+                line_up = self._idle.appendleft  # unless it finds something to do now
+        worker.strand = None
         self._workers.remove(worker)
 
     def _watch(self) -> None:
@@ -268,10 +314,12 @@ class WorkerPool(Executor):
             pause.wait(_LOOK)
             now = self._clock()
             running = [(w, w.strand) for w in list(self._workers) if w.strand is not None]
-            if not running and self._queue.empty():
+            if not running and not self._queue:
                 seen.clear()
                 self._awake.clear()
+                self._dozes = True
                 if any(w.strand is not None for w in list(self._workers)):
+                    self._dozes = False
                     self._awake.set()  # taken up between the look and the clear
                 continue
             before, seen = seen, {}
@@ -288,7 +336,7 @@ class WorkerPool(Executor):
                     reported[worker] = turn
                     self._report(worker, strand, now - last[1])
             free = len(self._workers) - len(stuck)
-            if stuck and free <= 0 and not self._queue.empty():
+            if stuck and free <= 0 and self._queue:
                 oldest = min(
                     (w for w in stuck if not w.replaced), key=lambda w: seen[w][1], default=None
                 )
