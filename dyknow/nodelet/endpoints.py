@@ -23,6 +23,8 @@ from dyknow.nodelet.traffic import Traffic
 #: Stands for "no message", since None is not one of ours to judge.
 NOTHING: Any = object()
 
+_attempt, _wait, _leave = message_lock.attempt, message_lock.wait, message_lock.leave
+
 _HELD, _OPEN, _CLOSED = "held", "open", "closed"
 
 
@@ -239,7 +241,9 @@ class Publication:
             if message is not NOTHING:
                 fields = (message, *fields)
             message = self._middleware.build(self.datatype, fields, named)
-        with message_lock:
+        if not _attempt(False):
+            _wait()
+        try:
             if self._route is None:
                 self._unrouted(message)
                 return
@@ -252,6 +256,8 @@ class Publication:
             if outside is None or not (self.latch or outside.heard):
                 return
             outside.in_flight += 1
+        finally:
+            _leave()
         try:
             if self.latch:
                 outside.latch(message)

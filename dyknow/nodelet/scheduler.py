@@ -34,6 +34,8 @@ Clock = Callable[[], float]
 #: Seconds between two looks of the watchdog while there is work.
 _LOOK = 0.2
 
+_attempt, _wait, _leave = message_lock.attempt, message_lock.wait, message_lock.leave
+
 _log = logging.getLogger("rosout.dyknow")
 
 
@@ -274,7 +276,9 @@ class WorkerPool(Executor):
         strand: Optional[Strand] = None
         line_up = self._idle.append
         while True:
-            with message_lock:
+            if not _attempt(False):
+                _wait()
+            try:
                 if strand is not None and not strand.rest():
                     self._queue.append(strand)
                 strand = task = None
@@ -289,6 +293,8 @@ class WorkerPool(Executor):
                 else:
                     line_up(worker)
                 worker.strand = strand
+            finally:
+                _leave()
             if task is not None and strand is not None:
                 if self._dozes:
                     self._dozes = False
