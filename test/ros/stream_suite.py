@@ -64,13 +64,11 @@ class Flow:
         count = len(self.arrivals)
         return eventually(lambda: len(self.arrivals) > count + 2, timeout, "messages arrive")
 
-    def ceases(self) -> None:
-        """Wait until nothing has come for half a second."""
-
-        def is_over() -> bool:
-            return not self.arrivals or time.monotonic() - self.arrivals[-1] > 0.5
-
-        eventually(is_over, 5.0, "nothing arrives any more")
+    def longest_pause(self, since: float) -> float:
+        """Longest time (s) without a message after the last one before ``since``."""
+        before = [when for when in self.arrivals if when <= since][-1:]
+        times = before + [when for when in self.arrivals if when > since]
+        return max((later - earlier for earlier, later in zip(times, times[1:])), default=0.0)
 
 
 class Events:
@@ -87,6 +85,15 @@ class Events:
 
     def close(self) -> None:
         self._subscriber.unregister()
+
+    def mended(self, cause: str, timeout: float = 10.0) -> None:
+        """Wait until a stream was mended for a cause whose text contains this."""
+
+        def is_mended() -> bool:
+            reasons = [each.reason for each in list(self.all)]
+            return any(text.startswith("mended") and cause in text for text in reasons)
+
+        eventually(is_mended, timeout, f"mended: {cause}")
 
     def states(self, claim_id: str) -> list[ClaimState]:
         return [each.after.state for each in list(self.all) if each.after.claim_id == claim_id]
