@@ -115,6 +115,12 @@ class ManagerProcess:
         eventually(lambda: name in self.children(), 10.0, f"{name} is started")
         return self.children()[name]
 
+    def kill_child(self, name: str = CHILD) -> None:
+        """Kill a nodelet manager and wait until it was started again."""
+        killed = self.child(name)
+        killed.signal(signal.SIGKILL)
+        eventually(lambda: self.child(name) != killed, 10.0, f"{name} is started again")
+
     def kill(self) -> None:
         self.process.kill()
         self.process.wait()

@@ -276,7 +276,7 @@ class GuardsTest(ManagerCase):
         with self.assertRaises(rospy.ServiceException):
             rospy.ServiceProxy(f"{CHILD}/unload_nodelet", NodeletUnload)("/robot/relay")
         # What dies is brought back all the same.
-        manager.child().signal(signal.SIGKILL)
+        manager.kill_child()
         eventually(lambda: self.is_back(manager, "/robot/relay"), 10.0, "it is back")
         self.assertEqual(manager.topics("/robot/relay"), {"in": "", "out": "/fine"})
 

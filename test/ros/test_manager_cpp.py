@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import signal
 import threading
 import time
 from pathlib import Path
@@ -101,10 +100,7 @@ class CppTest(ManagerCase):
         config = {"image": "/cam/image_raw", "~image": "/small"}
         self.client.spawn("resize", "/resize", config)
         self.assertEqual(size_on("/small"), (4, 3))
-        self.manager.child(CPP).signal(signal.SIGKILL)
-        eventually(
-            lambda: self.manager.nodelet("/resize").state is not State.RUNNING, 2.0, "it is missed"
-        )
+        self.manager.kill_child(CPP)
         eventually(
             lambda: self.manager.nodelet("/resize").state is State.RUNNING, 10.0, "it is back"
         )

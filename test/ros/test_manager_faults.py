@@ -41,8 +41,7 @@ class NodeletManagerFaultsTest(ManagerCase):
         receiver.flows()
 
         begin = time.monotonic()
-        manager.child().signal(signal.SIGKILL)
-        manager.child().wait(2.0)
+        manager.kill_child()
         receiver.numbers.clear()
         receiver.flows(10.0)
         took = time.monotonic() - begin
