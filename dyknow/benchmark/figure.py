@@ -20,19 +20,33 @@ def draw(means: Dict[Tuple[str, int], float], title: str, path: Path) -> None:
         title: says how it was measured.
         path: file to write; its suffix says the format.
     """
-    figure = Figure(figsize=(7.0, 4.6))
+    figure = Figure(figsize=(9.0, 4.6))
     axes = figure.subplots()
-    for kind in KINDS:
+    ends = {}
+    for order, kind in enumerate(KINDS):
         points = sorted((hops, mean) for (each, hops), mean in means.items() if each == kind)
         if points:
             hops = [each for each, _ in points]
             milliseconds = [mean / 1000 for _, mean in points]
-            axes.plot(hops, milliseconds, label=LABELS[kind], marker=_MARKERS[kind])
+            (line,) = axes.plot(
+                hops,
+                milliseconds,
+                label=LABELS[kind],
+                marker=_MARKERS[kind],
+                markersize=5 + order % 2 * 3,  # so that neighbours that coincide are both seen
+                zorder=3 - order / len(KINDS),
+            )
+            ends[line] = milliseconds[-1]
     axes.set_yscale("log")
     axes.set_xlabel("hops")
     axes.set_ylabel("mean time to arrival (ms)")
     axes.set_title(title)
     axes.grid(True, which="both", alpha=0.3)
-    axes.legend(fontsize="small")
-    figure.tight_layout()
-    figure.savefig(path, dpi=150)
+    axes.legend(  # beside the lines, in their order
+        handles=sorted(ends, key=lambda line: -ends[line]),
+        loc="center left",
+        bbox_to_anchor=(1.01, 0.5),
+        frameon=False,
+        fontsize="small",
+    )
+    figure.savefig(path, dpi=150, bbox_inches="tight")
