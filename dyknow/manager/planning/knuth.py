@@ -49,34 +49,28 @@ def cheapest(
     values = Values()
     value, chosen = values.value, values.chosen
     costs, needs, labels = network.costs, network.needs, network.labels
-    consumers, served = reach.consumers, reach.served
+    consumers, served, live = reach.consumers, reach.served, reach.live
     combine = sum if use_sum else max
-    missing: Dict[int, int] = {}
-    heap: List[Tuple[int, str, int]] = []
-    for action in served:
-        missing[action] = len(needs[action])
-        if not missing[action] and action not in banned:
-            heap.append((0 if action in free else costs[action], labels[action], action))
-    heapq.heapify(heap)
-    ready = list(reach.live)
-    value.update(dict.fromkeys(ready, 0))
-    chosen.update(dict.fromkeys(ready, LIVE))
+    push, pop = heapq.heappush, heapq.heappop
     value_of = value.__getitem__
-    while True:
-        while ready:
-            for action in consumers[ready.pop()]:
-                left = missing[action] = missing[action] - 1
-                if not left and action not in banned:
-                    own = 0 if action in free else costs[action]
-                    inputs = combine(map(value_of, needs[action]))
-                    heapq.heappush(heap, (own + inputs, labels[action], action))
-        if not heap or until in value:
-            return values
-        price, _, action = heapq.heappop(heap)
+    missing = dict(zip(served, map(len, map(needs.__getitem__, served))))
+    heap: List[Tuple[int, str, int]] = [(0, "", LIVE)] if live else []
+    for action in [each for each, left in missing.items() if not left and each not in banned]:
+        heap.append((0 if action in free else costs[action], labels[action], action))
+    heapq.heapify(heap)
+    while heap and until not in value:
+        price, _, action = pop(heap)
         if below is not None and price >= below:
-            return values
-        for demand in served[action]:
-            if demand not in value:
-                value[demand] = price
-                chosen[demand] = action
-                ready.append(demand)
+            break
+        for demand in live if action == LIVE else served[action]:
+            if demand in value:
+                continue
+            value[demand] = price
+            chosen[demand] = action
+            for user in consumers[demand]:
+                left = missing[user] = missing[user] - 1
+                if not left and user not in banned:
+                    inputs = combine(map(value_of, needs[user]))
+                    own = 0 if user in free else costs[user]
+                    push(heap, (own + inputs, labels[user], user))
+    return values
