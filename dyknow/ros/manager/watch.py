@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import logging
-import threading
-from typing import Callable, Set
+import collections
+from typing import Callable, Deque, Set
 
-from dyknow.errors import DyKnowError
 from dyknow.manager.manager import Manager
+from dyknow.ros.manager.rounds import PAUSE, Rounds
 
 #: Seconds between two looks when nothing happens.
 PERIOD = 0.5
-#: Least seconds between two looks, whatever happens.
-PAUSE = 0.05
-
-_log = logging.getLogger("rosout.dyknow")
 
 
 class Watch:
@@ -29,55 +24,29 @@ class Watch:
         """
         self._manager = manager
         self._after = after
-        self._condition = threading.Condition()
-        self._changed: Set[str] = set()
-        self._hurry = False
-        self._closed = False
-        self._thread = threading.Thread(target=self._run, name="watch", daemon=True)
-
-    def start(self) -> None:
-        """Begin to look."""
-        self._thread.start()
+        self._changed: Deque[str] = collections.deque()
+        self._postponed: Set[str] = set()
+        self._rounds = Rounds("looking at the nodelet managers", self._look, self._period)
+        self.start = self._rounds.start
+        self.hurry = self._rounds.ask
+        self.close = self._rounds.close
 
     def hear(self, name: str) -> None:
         """Look closely at a nodelet, soon."""
-        with self._condition:
-            self._changed.add(name)
-            self._condition.notify()
+        self._changed.append(name)
+        self._rounds.ask()
 
-    def hurry(self) -> None:
-        """Look soon."""
-        with self._condition:
-            self._hurry = True
-            self._condition.notify()
+    def _period(self) -> float:
+        return PAUSE if self._postponed else PERIOD
 
-    def close(self, timeout: float) -> None:
-        """Look no more; a look that is going on is waited for at most ``timeout`` s."""
-        with self._condition:
-            self._closed = True
-            self._condition.notify()
-        if self._thread.is_alive():
-            self._thread.join(timeout)
-
-    def _run(self) -> None:
-        postponed: Set[str] = set()
-        while True:
-            with self._condition:
-                self._condition.wait_for(lambda: self._closed, PAUSE)
-                self._condition.wait_for(
-                    lambda: self._closed or self._hurry or self._changed,
-                    PAUSE if postponed else PERIOD,
-                )
-                if self._closed:
-                    return
-                changed, self._changed, self._hurry = self._changed | postponed, set(), False
-            # A nodelet that somebody works on is skipped by this look, so the next one has to
-            # look at it closely.
-            postponed = {name for name in changed if self._manager.graph.is_busy(name)}
-            try:
-                self._manager.look(changed)
-            except DyKnowError as error:
-                _log.warning("%s", error)
-            except Exception:  # the boundary of the thread: the next look may do better
-                _log.exception("looking at the nodelet managers failed")
+    def _look(self) -> None:
+        changed = self._postponed
+        while self._changed:
+            changed.add(self._changed.popleft())
+        # A nodelet that somebody works on is skipped by this look, so the next one has to look at
+        # it closely.
+        self._postponed = {name for name in changed if self._manager.graph.is_busy(name)}
+        try:
+            self._manager.look(changed)
+        finally:
             self._after()

@@ -8,7 +8,8 @@ from typing import Any, Iterator
 import pytest
 
 from dyknow.manager.claim import Claim, ClaimState, StreamRequest
-from dyknow.ros.manager.reconciling import PAUSE, PERIOD, Reconciling
+from dyknow.ros.manager.reconciling import PERIOD, Reconciling
+from dyknow.ros.manager.rounds import PAUSE
 
 
 class FakeKeeper:
@@ -49,7 +50,7 @@ def reconciling(keeper: Any) -> Iterator[Reconciling]:
     made.start()
     yield made
     made.close(5.0)
-    assert not made._thread.is_alive()
+    assert not made._rounds.running
 
 
 def test_nothing_is_done_while_nothing_is_claimed(
@@ -57,7 +58,7 @@ def test_nothing_is_done_while_nothing_is_claimed(
 ) -> None:
     reconciling.note_change()
     assert not keeper.await_rounds(1, 0.3)
-    assert reconciling._period() is None
+    assert reconciling.period() is None
 
 
 def test_claims_are_looked_after_again_and_again_whatever_fails(
@@ -82,4 +83,4 @@ def test_the_shortest_silence_sets_the_pace(
     keeper: FakeKeeper, reconciling: Reconciling, claims: list[Claim], period: float
 ) -> None:
     keeper.living = claims
-    assert reconciling._period() == pytest.approx(period)
+    assert reconciling.period() == pytest.approx(period)
