@@ -70,6 +70,7 @@ class StartTest(Started):
         eventually(
             lambda: workers(eleven) - workers(five) == 6, 5.0, "six threads more in the one"
         )
+        self.assertIn("Initializing nodelet with 11 worker threads.", eleven.output)
 
     def test_a_parameter_without_sense(self):
         for value in (-1, "many", 1.5, True):
