@@ -92,6 +92,16 @@ class StartTest(Started):
             self.assertIn(process.exit_code(20.0), (0, 130, -signal.SIGINT), process.output)
             self.assertNotIn("/hasty", nodes())
 
+    def test_signals_end_the_wait_for_a_master(self):
+        for number in (signal.SIGINT, signal.SIGTERM):
+            for command in (["manager"], ["standalone", "dyknow/Source"]):
+                nowhere = ["env", "ROS_MASTER_URI=http://127.0.0.1:1"]
+                process = self.start(*nowhere, *NODELET, *command)
+                process.wait_for("master may not be running yet")
+                process.stop(number)
+                self.assertEqual(process.exit_code(10.0), 130, process.output)
+                self.assertNotIn("Traceback", process.output)
+
 
 class ServiceTest(Started):
     @classmethod
