@@ -8,6 +8,7 @@ wrong and says what was expected. Only ``dyknow.ros`` turns them into answers of
     DyKnowError
     ├── InvalidName              a string is not a ROS name
     ├── TypeMismatch             a topic carries another type
+    ├── NoMessageClass           what was given as type of a topic is none
     ├── BadParameter             a parameter has a value that cannot be worked with
     ├── RemappedTopic            the command line of the process sends this topic elsewhere
     ├── PeerTimeout              somebody outside did not answer in time
@@ -80,6 +81,17 @@ class TypeMismatch(DyKnowError):
         self.wanted = wanted
         self.present = present
         super().__init__(f"topic '{topic}' carries {present}, but {wanted} was asked for")
+
+
+class NoMessageClass(DyKnowError, ValueError):
+    """What was given as the type of a topic is no message class; rospy raises ValueError too."""
+
+    def __init__(self, name: str, given: object) -> None:
+        self.name = name
+        self.given = given
+        super().__init__(
+            f"'{name}' expects a message class such as std_msgs.msg.String, not {given!r}"
+        )
 
 
 class BadParameter(DyKnowError):

@@ -24,7 +24,8 @@ def check(name: str, what: str = "name") -> str:
     Raises:
         InvalidName: it is empty, holds a character that ROS does not allow, or a double slash.
     """
-    if not _LEGAL.match(name) or "//" in name or name in ("~", "/", "~/"):
+    legal = isinstance(name, str) and _LEGAL.match(name) and "//" not in name
+    if not legal or name in ("~", "/", "~/"):
         raise InvalidName(name, what)
     return name.rstrip("/").replace("~/", "~", 1)
 

@@ -6,6 +6,7 @@ A manager or standalone process of this command hosts nodelets in Python; as a c
 
 from __future__ import annotations
 
+import signal
 import sys
 from typing import Sequence
 
@@ -56,10 +57,12 @@ def _run(command: Command, argv: Sequence[str]) -> int:
         print(USAGE, end="")
         return DONE
     if isinstance(command, RunManager):
+        _end_at_once_when_interrupted()
         from dyknow.ros.nodelets.nodelet_manager import run_manager
 
         return run_manager(argv)
     if isinstance(command, RunStandalone):
+        _end_at_once_when_interrupted()
         from dyknow.ros.nodelets.nodelet_manager import run_standalone
 
         print(f"type is {command.type}", flush=True)
@@ -78,6 +81,11 @@ def _run(command: Command, argv: Sequence[str]) -> int:
     from dyknow.ros.nodelets.nodelet_client import run_unload
 
     return run_unload(command.name, command.manager, argv)
+
+
+def _end_at_once_when_interrupted() -> None:
+    """Until the node has its own way with signals: what imports a module may lose an exception."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ import traceback
 from dataclasses import dataclass
 from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple
 
+from dyknow.errors import NoMessageClass
 from dyknow.guards import NO_GUARDS, Guards
 from dyknow.nodelet.bus import Bus, Endpoint
 from dyknow.nodelet.endpoints import Publication, Subscription
@@ -26,6 +27,12 @@ _LOG_PAUSE = 1.0
 _LOG_PLACES = 100
 
 _log = logging.getLogger("rosout.dyknow")
+
+
+def check_message_class(what: str, datatype: Any) -> None:
+    """Raise NoMessageClass unless ``datatype`` is a class of messages."""
+    if not isinstance(datatype, type) or not hasattr(datatype, "_md5sum"):
+        raise NoMessageClass(what, datatype)
 
 
 @dataclass(frozen=True)
@@ -148,6 +155,7 @@ class Context:
         self, what: str, datatype: Any, latch: bool, queue_size: Optional[int], **options: Any
     ) -> Publication:
         """Make a publication that this nodelet owns, not connected yet."""
+        check_message_class(what, datatype)
         publication = Publication(
             datatype,
             latch,
@@ -170,6 +178,7 @@ class Context:
         **options: Any,
     ) -> Subscription:
         """Make a subscription that this nodelet owns, not connected yet."""
+        check_message_class(what, datatype)
         subscription = Subscription(
             datatype,
             self.runtime.middleware.adapt(datatype, receive),

@@ -131,6 +131,8 @@ class NodeHandle:
         """Global name of the nodelet."""
         return self.context.name
 
+    get_caller_id = get_name  #: rospy's other name for it
+
     def get_namespace(self) -> str:
         """Namespace of the nodelet, with a slash at its end as in rospy."""
         return names.parent(self.context.name).rstrip("/") + "/"

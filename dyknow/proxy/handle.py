@@ -33,7 +33,7 @@ class NodeHandle:
 
     def Publisher(  # noqa: N802
         self,
-        port: str,
+        name: str,
         data_class: Any,
         subscriber_listener: Any = None,
         tcp_nodelay: bool = False,
@@ -41,7 +41,7 @@ class NodeHandle:
         headers: Any = None,
         queue_size: Optional[int] = None,
     ) -> Publisher:
-        """Declare an out-port; the arguments are those of ``rospy.Publisher``.
+        """Declare the out-port ``name``; the arguments are those of ``rospy.Publisher``.
 
         It starts disconnected unless the load request remaps its name.
         """
@@ -49,12 +49,12 @@ class NodeHandle:
         given = {key: value for key, value in options.items() if value}
         if tcp_nodelay:
             given["tcp_nodelay"] = True
-        state = self._proxy.publisher(self._plain, port, data_class, latch, queue_size, **given)
+        state = self._proxy.publisher(self._plain, name, data_class, latch, queue_size, **given)
         return Publisher(state)
 
     def Subscriber(  # noqa: N802
         self,
-        port: str,
+        name: str,
         data_class: Any,
         callback: Optional[Callable[..., Any]] = None,
         callback_args: Any = None,
@@ -62,7 +62,7 @@ class NodeHandle:
         buff_size: int = DEFAULT_BUFF_SIZE,
         tcp_nodelay: bool = False,
     ) -> Subscriber:
-        """Declare an in-port; the arguments are those of ``rospy.Subscriber``.
+        """Declare the in-port ``name``; the arguments are those of ``rospy.Subscriber``.
 
         It starts disconnected unless the load request remaps its name.
         """
@@ -71,7 +71,7 @@ class NodeHandle:
             given["buff_size"] = buff_size
         state = self._proxy.subscriber(
             self._plain,
-            port,
+            name,
             data_class,
             callback,
             callback_args,
@@ -81,8 +81,12 @@ class NodeHandle:
         )
         return Subscriber(state)
 
-    def wait_for_message(self, port: str, topic_type: Any, timeout: Optional[float] = None) -> Any:
-        """Block until a message arrives at an in-port; the nodelet's queue is not needed for it.
+    def wait_for_message(
+        self, topic: str, topic_type: Any, timeout: Optional[float] = None
+    ) -> Any:
+        """Block until a message arrives at the in-port ``topic``.
+
+        The nodelet's queue is not needed for it.
 
         Raises:
             ROSException: nothing came within ``timeout`` seconds.
@@ -90,10 +94,10 @@ class NodeHandle:
         """
         inbox = Inbox(self._plain.context)
         state = self._proxy.subscriber(
-            self._plain, port, topic_type, inbox.put, None, 1, concurrent=True, at_once=True
+            self._plain, topic, topic_type, inbox.put, None, 1, concurrent=True, at_once=True
         )
         try:
-            return inbox.get(f"a message at port '{port}'", timeout)
+            return inbox.get(f"a message at port '{topic}'", timeout)
         finally:
             state.unregister(self)
 

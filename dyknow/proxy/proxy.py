@@ -24,7 +24,7 @@ from dyknow.errors import (
     UnloadedMeanwhile,
 )
 from dyknow.nodelet.bus import Endpoint
-from dyknow.nodelet.context import Context
+from dyknow.nodelet.context import Context, check_message_class
 from dyknow.nodelet.handle import NodeHandle
 from dyknow.proxy.port import (
     IN,
@@ -207,6 +207,7 @@ class NodeletProxy:
 
     def _declare(self, kind: Any, handle: NodeHandle, name: str, datatype: Any) -> Any:
         name = names.check(name, "port name")
+        check_message_class(name, datatype)
         port = self._ports.get(name)
         if port is None:
             resolved = names.resolve(name, handle.namespace, self._context.name)

@@ -25,6 +25,8 @@ _START_PATIENCE = 2.0
 _CLOSE_PATIENCE = 10.0
 #: Seconds for rospy to take back its registrations.
 _SHUTDOWN_PATIENCE = 2.0
+#: The same when the node never came to be: there is no master then, and nothing to take back.
+_SHORT_PATIENCE = 0.5
 
 
 class NodeProcess:
@@ -56,12 +58,12 @@ class NodeProcess:
         starting.start()
         to_end = self._told.get()
         if not rospy.core.is_initialized():
-            rospy.signal_shutdown("told to end")  # ends the wait for a master, too
+            _shut_down(_SHORT_PATIENCE)  # ends the wait for a master, too
         starting.join(_START_PATIENCE)
         if self._running is not None:
             self._running.close()
         self._closed.set()
-        rospy.signal_shutdown("told to end")
+        _shut_down(_SHORT_PATIENCE if self._shut_down.is_set() else _SHUTDOWN_PATIENCE)
         # It returns at once if another thread (rosnode kill) is at it; that one has to finish.
         self._shut_down.wait(_SHUTDOWN_PATIENCE)
         if not to_end:
@@ -90,3 +92,16 @@ class NodeProcess:
         """Hold up a shutdown by rosnode kill until everything is closed in order."""
         self._told.put(True)
         self._closed.wait(_CLOSE_PATIENCE)
+
+
+def _shut_down(patience: float) -> None:
+    """Let rospy shut down, and wait for it.
+
+    Not for ever: a node that waits for its master holds a lock that the shutdown wants, and lets
+    go of it only when the shutdown is complete.
+    """
+    thread = threading.Thread(
+        target=rospy.signal_shutdown, args=("told to end",), name="shutdown", daemon=True
+    )
+    thread.start()
+    thread.join(patience)

@@ -53,6 +53,10 @@ class ParameterTest(HandleTest):
         self.assertFalse(call("/robot/n", "has_param", "~own"))
         self.assertFalse(rospy.has_param("/manager/own"))
 
+    def test_arguments_by_keyword(self):
+        answer = call("/robot/n", "params_by_keyword", "~own")
+        self.assertEqual(answer, ["none", 3, True, "/robot/n/own", False])
+
     def test_missing_ones(self):
         self.assertEqual(call("/robot/n", "get_param", "~missing", "default"), "default")
         self.assertIn("KeyError", call("/robot/n", "missing_param", "~missing"))
@@ -115,6 +119,18 @@ class ServiceTest(HandleTest):
         self.manager.load("Strand", "/robot/server")
         self.assertEqual(call("/n", "echo_by_proxy", "robot/server/service", 5), 5)
         self.assertIn("timeout", call("/n", "missing_service", "/nowhere"))
+
+    def test_an_unload_ends_the_wait_for_a_service(self):
+        self.manager.load("Features", "/n")
+        answers = []
+        thread = threading.Thread(
+            target=lambda: answers.append(call("/n", "wait_for_service", "/nowhere"))
+        )
+        thread.start()
+        eventually(lambda: "/n waits for /nowhere" in self.manager.output, 5.0, "it waits")
+        self.manager.unload("/n")
+        thread.join(5.0)
+        self.assertEqual(answers, ["service '/nowhere': nodelet /n was unloaded"])
 
     def test_a_service_ends_with_its_nodelet(self):
         self.manager.load("Strand", "/server")

@@ -70,6 +70,7 @@ class StartTest(Started):
         eventually(
             lambda: workers(eleven) - workers(five) == 6, 5.0, "six threads more in the one"
         )
+        self.assertIn("Initializing nodelet with 11 worker threads.", eleven.output)
 
     def test_a_parameter_without_sense(self):
         for value in (-1, "many", 1.5, True):
@@ -90,6 +91,16 @@ class StartTest(Started):
                 process.stop()
             self.assertIn(process.exit_code(20.0), (0, 130, -signal.SIGINT), process.output)
             self.assertNotIn("/hasty", nodes())
+
+    def test_signals_end_the_wait_for_a_master(self):
+        for number in (signal.SIGINT, signal.SIGTERM):
+            for command in (["manager"], ["standalone", "dyknow/Source"]):
+                nowhere = ["env", "ROS_MASTER_URI=http://127.0.0.1:1"]
+                process = self.start(*nowhere, *NODELET, *command)
+                process.wait_for("master may not be running yet")
+                process.stop(number)
+                self.assertEqual(process.exit_code(10.0), 130, process.output)
+                self.assertNotIn("Traceback", process.output)
 
 
 class ServiceTest(Started):

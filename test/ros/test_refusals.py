@@ -351,6 +351,8 @@ class CallbackTest(unittest.TestCase):
             self.assertIn(("fragile at 0", "SystemExit")[number], str(caught.exception))
         self.assertEqual(service(Header(seq=7)).seq, 7)
         self.assertEqual(graph.get_statistics("/n").callback_errors, 2)
+        for text in ("the handler of service /n/obey raised: fragile at 0", "in obey"):
+            eventually(lambda text=text: text in self.manager.output, 2.0, f"'{text}' is logged")
 
     def test_a_reconfigure_callback_that_raises(self):
         answer = set_config("/n", out="/please/raise")

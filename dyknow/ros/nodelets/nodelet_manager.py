@@ -85,6 +85,7 @@ class NodeletManager(Closable):
 
     def __init__(self, settings: Settings) -> None:
         """Start without nodelets and without services."""
+        self._workers = settings.workers
         sys.setswitchinterval(settings.switch_interval)
         pool = WorkerPool(settings.workers, settings.stuck_after)
         self._guards = GuardParameters()
@@ -99,6 +100,7 @@ class NodeletManager(Closable):
 
     def offer(self) -> None:
         """Offer the services of nodelet/Nodelet{Load,Unload,List}."""
+        rospy.loginfo("Initializing nodelet with %d worker threads.", self._workers)
         for name, service_class, handler in (
             ("~load_nodelet", NodeletLoad, self._load),
             ("~unload_nodelet", NodeletUnload, self._unload),
@@ -237,7 +239,7 @@ def _resolved(name: str) -> str:
 def _failed(what: str, name: str, error: DyKnowError) -> rospy.ServiceException:
     cause = error.__cause__
     lines = traceback.format_exception(type(cause), cause, cause.__traceback__) if cause else []
-    rospy.logerr("%s [%s]: %s\n%s", what, name, error, "".join(lines))
+    rospy.logerr("%s [%s]: %s", what, name, "\n".join([str(error), "".join(lines)]).rstrip())
     return rospy.ServiceException(str(error))
 
 

@@ -3,21 +3,31 @@
 from __future__ import annotations
 
 import functools
-from typing import Any
+import math
+import time
+from typing import Any, Callable, Dict
 
 import rosgraph
 import rospy
 
+from dyknow.ros.errors import Interrupted
+
+#: Seconds of a wait between two looks whether the nodelet is still there.
+_SLICE = 1.0
 _LOGGERS = frozenset(
     f"log{level}{variant}"
     for level in ("debug", "info", "warn", "err", "fatal")
     for variant in ("", "_throttle", "_throttle_identical", "_once")
 )
-#: Functions and classes of rospy whose first argument is a name.
-_NAMED = frozenset(
-    """ServiceProxy wait_for_service
-    get_param get_param_cached set_param has_param delete_param""".split()
-)
+#: Functions and classes of rospy whose first argument is a name, and what rospy calls it.
+_NAMED = {
+    "ServiceProxy": "name",
+    "get_param": "param_name",
+    "get_param_cached": "param_name",
+    "set_param": "param_name",
+    "has_param": "param_name",
+    "delete_param": "param_name",
+}
 #: What has neither names nor a queue in it.
 _PLAIN = frozenset(
     """Time Duration Rate sleep get_time get_rostime Header
@@ -31,7 +41,6 @@ _PLAIN = frozenset(
 _REFUSED = {
     "init_node": "the nodelet manager is a node already; drop the call",
     "spin": "a nodelet returns from on_init and is called back; drop the call",
-    "get_caller_id": "use get_name()",
     "remap_name": "use resolve_name()",
 }
 
@@ -47,21 +56,52 @@ def member(name: str, handle: Any) -> Any:
         logger = handle.get_name().strip("/").replace("/", ".")
         return functools.partial(getattr(rospy, name), logger_name=logger)
     if name in _NAMED:
-        return functools.partial(_resolved, getattr(rospy, name), handle)
-    if name == "search_param":
-        return functools.partial(_search_param, handle)
+        return functools.partial(_resolved, getattr(rospy, name), _NAMED[name], handle)
+    if name in _OURS:
+        return functools.partial(_OURS[name], handle)
     if name in _PLAIN:
         return getattr(rospy, name)
     reason = _REFUSED.get(name, "rospy has no such thing for nodelets")
     raise AttributeError(f"a NodeHandle has no '{name}': {reason}")
 
 
-def _resolved(function: Any, handle: Any, name: str, *args: Any, **kwds: Any) -> Any:
-    return function(handle.resolve_name(name), *args, **kwds)
+def _resolved(function: Any, first: str, handle: Any, *args: Any, **kwds: Any) -> Any:
+    """Call ``function`` with its first argument resolved, which may come as ``first=``, too."""
+    if args:
+        args = (handle.resolve_name(args[0]), *args[1:])
+    elif first in kwds:
+        kwds[first] = handle.resolve_name(kwds[first])
+    return function(*args, **kwds)
 
 
-def _search_param(handle: Any, name: str) -> Any:
+def _search_param(handle: Any, param_name: str) -> Any:
     try:
-        return rosgraph.Master(handle.get_name()).searchParam(name) or None
+        return rosgraph.Master(handle.get_name()).searchParam(param_name) or None
     except rosgraph.MasterError:
         return None
+
+
+def _wait_for_service(handle: Any, service: str, timeout: Any = None) -> None:
+    """Wait as ``rospy.wait_for_service`` does, until the nodelet is unloaded at most."""
+    name = handle.resolve_name(service)
+    patience = timeout.to_sec() if hasattr(timeout, "to_sec") else timeout
+    left = math.inf if patience is None else patience
+    end = time.monotonic() + left
+    while not handle.is_shutdown():
+        try:
+            rospy.wait_for_service(name, min(_SLICE, left))
+            return
+        except rospy.ROSInterruptException:
+            raise
+        except rospy.ROSException:
+            left = end - time.monotonic()
+            if left <= 0:
+                raise
+    raise Interrupted(f"service '{name}': nodelet {handle.get_name()} was unloaded")
+
+
+#: What rospy does in another way for a nodelet.
+_OURS: Dict[str, Callable[..., Any]] = {
+    "search_param": _search_param,
+    "wait_for_service": _wait_for_service,
+}

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import logging
+import traceback
 from typing import Any, Dict, Optional, Sequence
 
 import rospy
@@ -129,6 +131,7 @@ class RospyService(Closable):
     def __init__(
         self, name: str, service_class: Any, handler: Handler, options: Dict[str, Any]
     ) -> None:
+        options = {"error_handler": functools.partial(_log_failure, name), **options}
         self._service = rospy.Service(name, service_class, handler, **options)
 
     def close(self) -> None:
@@ -136,3 +139,9 @@ class RospyService(Closable):
         if self._service is not None:
             service, self._service = self._service, None
             service.shutdown("closed")
+
+
+def _log_failure(service: str, error: Any, error_type: Any, value: Any, trace: Any) -> None:
+    """Log what a handler raised; rospy's own entry does not say which service it was."""
+    text = "".join(traceback.format_exception(error_type, value, trace))
+    rospy.logerr("the handler of service %s raised: %s\n%s", service, error, text)

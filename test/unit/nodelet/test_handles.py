@@ -18,7 +18,7 @@ from unit.nodelet.fakes import (
     wait_until,
 )
 
-from dyknow.errors import DyKnowError, HandleClosed, InvalidName
+from dyknow.errors import DyKnowError, HandleClosed, InvalidName, NoMessageClass
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.handle import NodeHandle
 
@@ -105,6 +105,15 @@ class TestSignatures:
             names = [name for name, _ in parameters(ours)]
             assert [name for name, _ in parameters(theirs)][: len(names)] == names
 
+    @pytest.mark.parametrize("given", [int, None, Message(1), "std_msgs/String"])
+    def test_what_is_no_message_class_is_refused(self, world, given):
+        nh = world.handle()
+        for make in (nh.Publisher, nh.Subscriber, nh.wait_for_message):
+            with pytest.raises(NoMessageClass, match="'t' expects a message class") as caught:
+                make("t", given)
+            assert isinstance(caught.value, ValueError)
+        assert world.registrations == []
+
     def test_handles_tell_what_rospy_s_do(self, world):
         nh = world.handle()
         for handle in (nh.Publisher("t", Message), nh.Subscriber("t", Message)):
@@ -127,6 +136,7 @@ class TestNames:
             assert nh.resolve_name("~x") == "/robot/nodelet/x"
             assert nh.resolve_name("/x") == "/x"
         assert nodelet.name == nodelet.node_handle.get_name() == "/robot/nodelet"
+        assert nodelet.node_handle.get_caller_id() == "/robot/nodelet"
         assert nodelet.node_handle.get_namespace() == "/robot/"
 
     def test_namespace_in_the_root_is_one_slash(self, world):

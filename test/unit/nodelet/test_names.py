@@ -45,7 +45,7 @@ def test_what_is_no_graph_name_is_refused_and_named(name):
     assert "topic name" in str(caught.value)
 
 
-@pytest.mark.parametrize("name", ["", "~", "/", "//", "~/", "~//x"])
+@pytest.mark.parametrize("name", ["", "~", "/", "//", "~/", "~//x", None, 5])
 def test_names_without_a_name_in_them_are_refused_by_check(name):
     with pytest.raises(InvalidName):
         names.check(name)

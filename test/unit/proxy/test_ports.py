@@ -20,7 +20,7 @@ from unit.nodelet.fakes import (
 )
 
 import dyknow
-from dyknow.errors import HandleClosed, InvalidName, PortConflict, TypeMismatch
+from dyknow.errors import HandleClosed, InvalidName, NoMessageClass, PortConflict, TypeMismatch
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.handle import NodeHandle
 from dyknow.proxy.proxy import NodeletProxy
@@ -84,6 +84,13 @@ class TestDeclaration:
                 make(name, Message)
         assert bench.topics() == {}
 
+    @pytest.mark.parametrize("given", [int, None, Message(1), "std_msgs/String"])
+    def test_what_is_no_message_class_is_refused(self, bench, given):
+        for make in (bench.nh.Publisher, bench.nh.Subscriber, bench.nh.wait_for_message):
+            with pytest.raises(NoMessageClass, match="'image' expects a message class"):
+                make("image", given)
+        assert bench.topics() == {}
+
     def test_a_failed_declaration_leaves_no_port(self):
         bench = Bench(remappings={"/ns/out": "/t", "/ns/in": "/t"})
         bench.probe.Publisher("/t", OtherMessage)
@@ -115,9 +122,9 @@ class TestDeclaration:
         for method in ("Publisher", "Subscriber", "wait_for_message"):
             ours = inspect.signature(getattr(dyknow.NodeHandle, method)).parameters.values()
             plain = inspect.signature(getattr(NodeHandle, method)).parameters.values()
-            # Only the first argument has a name of its own: a port is not a topic.
+            # The first argument too: rospy.Publisher(name="image", ...) is converted as it stands.
             assert [p.default for p in ours] == [p.default for p in plain]
-            assert [p.name for p in ours][2:] == [p.name for p in plain][2:]
+            assert [p.name for p in ours] == [p.name for p in plain]
 
     def test_only_handles_of_nodelets_can_be_wrapped(self):
         with pytest.raises(TypeError, match="such as self.node_handle, not str"):

@@ -59,6 +59,15 @@ class Features(Puppet):
     def delete_param(self, name):
         self.nh.delete_param(name)
 
+    def params_by_keyword(self, name):
+        """What a parameter is after each step, with all arguments named as in rospy."""
+        seen = [self.nh.get_param(param_name=name, default="none")]
+        self.nh.set_param(param_name=name, param_value=3)
+        seen += [self.nh.get_param(param_name=name), self.nh.has_param(param_name=name)]
+        seen.append(self.nh.search_param(param_name=name.strip("~")))
+        self.nh.delete_param(param_name=name)
+        return [*seen, self.nh.has_param(param_name=name)]
+
     def missing_param(self, name):
         """What asking for a parameter that is not there raises."""
         try:
@@ -76,13 +85,21 @@ class Features(Puppet):
         return self.node_handle.wait_for_message(topic, Header, timeout).seq
 
     def echo_by_proxy(self, service, number):
-        self.nh.wait_for_service(service, 5.0)
-        return self.nh.ServiceProxy(service, Echo)(Header(seq=number)).seq
+        self.nh.wait_for_service(service=service, timeout=5.0)
+        return self.nh.ServiceProxy(name=service, service_class=Echo)(Header(seq=number)).seq
 
     def missing_service(self, service):
         try:
             self.nh.wait_for_service(service, 0.1)
         except self.nh.ROSException as error:
+            return str(error)
+        return ""
+
+    def wait_for_service(self, service):
+        rospy.loginfo("%s waits for %s", self.name, service)
+        try:
+            self.nh.wait_for_service(service)
+        except rospy.ROSInterruptException as error:
             return str(error)
         return ""
 
