@@ -8,7 +8,7 @@ IN_WORKSPACE := bash tools/in-workspace.sh
 .PHONY: help deps build venv demo demo-rewiring gui test benchmark performance screenshots docs clean
 
 help: ## what there is to make
-	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 20
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 22
 
 deps: ## install the distribution's packages that are missing
 	@bash tools/deps.sh

@@ -20,11 +20,14 @@ class FilterEdit(QLineEdit):
     filter_changed = Signal()
     #: It cannot be understood: why.
     refused = Signal(str)
+    #: It can be understood after all: what was said before.
+    mended = Signal(str)
 
     def __init__(self, what: str, parent: Optional[QWidget] = None) -> None:
         super().__init__(parent)
         self.filter = Filter()
         self._names: List[str] = []
+        self._complaint = ""
         self.setPlaceholderText(f"all {what}")
         self.setClearButtonEnabled(True)
         self.setAccessibleName(f"Filter of {what}")
@@ -55,7 +58,11 @@ class FilterEdit(QLineEdit):
             self.filter = parse(text)
         except BadFilter as error:
             palette.setColor(QPalette.Text, colours_of(palette).alarm)
-            self.refused.emit(str(error))
+            self._complaint = str(error)
+            self.refused.emit(self._complaint)
         else:
+            complaint, self._complaint = self._complaint, ""
+            if complaint:
+                self.mended.emit(complaint)
             self.filter_changed.emit()
         self.setPalette(palette)

@@ -33,6 +33,8 @@ class GraphPanel(QWidget):
 
     #: Something went wrong, in words.
     failed = Signal(str)
+    #: It is no longer so.
+    mended = Signal(str)
 
     def __init__(self, monitor: Monitor, deeds: Deeds, parent: Optional[QWidget] = None) -> None:
         super().__init__(parent)
@@ -205,9 +207,13 @@ class GraphPanel(QWidget):
     @guarded
     def _ask_where(self, kind: str) -> None:
         suffix = kind.rpartition(".")[2].rstrip(")")
-        path, _ = QFileDialog.getSaveFileName(self, "Save the graph", f"dyknow.{suffix}", kind)
-        if path:
-            self.save(path)
+        dialog = QFileDialog(self, "Save the graph", "", kind)
+        dialog.setAcceptMode(QFileDialog.AcceptSave)
+        dialog.setDefaultSuffix(suffix)  # before it asks whether to write over a file
+        dialog.selectFile(f"dyknow.{suffix}")
+        dialog.finished.connect(dialog.deleteLater)
+        if dialog.exec_():
+            self.save(dialog.selectedFiles()[0])
 
     @guarded
     def _set_highlights(self, on: bool) -> None:
@@ -251,6 +257,7 @@ class GraphPanel(QWidget):
         bar.search.returnPressed.connect(self._next_hit)
         for edit in (bar.nodelets, bar.topics):
             edit.refused.connect(self.failed)
+            edit.mended.connect(self.mended)
         self._deeds.disconnect = self._disconnect
         self._deeds.protect = self._protect
         self._deeds.refresh, self._deeds.fit = self._refresh, view.fit

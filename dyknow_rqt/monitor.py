@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any, Callable, Dict, Mapping, Optional, Tuple,
 
 from python_qt_binding.QtCore import QObject, QTimer, Signal
 
-from dyknow.errors import DyKnowError, HostError, PeerTimeout
+from dyknow.errors import DyKnowError, HostError, PeerTimeout, Refused
 from dyknow.manager.model import State
 from dyknow.manager.specifications.transformation import Transformation
 from dyknow_rqt.graph.changes import CannotUndo, Change
-from dyknow_rqt.graph.history import History, Step
+from dyknow_rqt.graph.history import History
 from dyknow_rqt.graph.rates import Meter, in_turns
 from dyknow_rqt.graph.snapshot import PlainNode, Snapshot, plain_nodes
 from dyknow_rqt.guard import guarded
@@ -180,11 +180,15 @@ class Monitor(QObject):
         if step is None:
             raise CannotUndo("there is nothing to undo")
         if isinstance(step.back, CannotUndo):
-            self.history.drop(step)
+            self.history.drop()
             self._tell_history()
             raise CannotUndo(f"cannot undo '{step.change.text}': {step.back}")
-        undone: Step = step
-        self._apply(step.back, lambda made: self.history.note_undone(undone), checked=True)
+        self._apply(
+            step.back,
+            lambda made: self.history.note_undone(),
+            checked=True,
+            no_way=self.history.drop,
+        )
 
     @guarded
     def redo(self) -> None:
@@ -202,9 +206,16 @@ class Monitor(QObject):
     # Inside
 
     def _apply(
-        self, change: Change, note: Callable[[Change], None], checked: bool = False
+        self,
+        change: Change,
+        note: Callable[[Change], None],
+        checked: bool = False,
+        no_way: Callable[[], None] = lambda: None,
     ) -> None:
-        """Make one change at a time: the way back of the next depends on what this one leaves."""
+        """Make one change at a time: the way back of the next depends on what this one leaves.
+
+        ``no_way`` is called if it was refused, and not if nobody answered.
+        """
         if self._changing:
             self.failed.emit("another change is under way; try again when it is done")
             return
@@ -220,6 +231,9 @@ class Monitor(QObject):
 
         def refused(error: Exception) -> None:
             self._changing = False
+            if isinstance(error, (CannotUndo, Refused)):
+                no_way()
+                self._tell_history()
             self.failed.emit(f"{change.text}: {_words(error)}")
             self.settled.emit()
             self.look()

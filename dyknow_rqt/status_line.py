@@ -53,6 +53,11 @@ class StatusLine(QWidget):
         self._show(text, alarm=True)
         self.dismiss.show()
 
+    def withdraw(self, text: str) -> None:
+        """Take an error back that is no longer one, if it is still what the line says."""
+        if self._text.toolTip() == text:
+            self.clear()
+
     def note(self, text: str) -> None:
         """Show for a while that something was done."""
         if self._answer is None:

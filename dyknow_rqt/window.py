@@ -90,6 +90,7 @@ class DyKnowWidget(QWidget):
         self.monitor.failed.connect(self.line.report)
         self.monitor.done.connect(self.line.note)
         self.graph.failed.connect(self.line.report)
+        self.graph.mended.connect(self.line.withdraw)
         self.active.chosen.connect(self._show_chosen)
         self.streams.chosen.connect(self._show_chosen)
         self.library.create_wanted.connect(self._begin_create)

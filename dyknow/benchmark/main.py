@@ -26,6 +26,7 @@ from dyknow.benchmark import (
     rewire,
     throughput,
 )
+from dyknow.benchmark.outcome import Outcome, obstacle
 from dyknow.benchmark.session import MeasurementFailed, interruptible
 
 #: Measurements by name; each module has ``add_arguments``, ``run`` and a docstring.
@@ -54,10 +55,14 @@ def main(argv: Optional[Sequence[str]] = None) -> int:
     """Measure what the command line names and show it.
 
     Returns:
-        0; with ``--check`` 1 if a target is not met; 2 if it could not be measured.
+        0; with ``--check`` 1 if a target is not met; 2 if it could not be measured or written.
     """
     words = rospy.myargv()[1:] if argv is None else argv
     arguments = parser().parse_args(with_measurement(words))
+    reason = "" if arguments.out is None else obstacle(arguments.out)
+    if reason:  # not after half an hour of measuring
+        print(f"benchmark: cannot write to {arguments.out}: {reason}", file=sys.stderr)
+        return FAILED
     try:
         with interruptible():
             outcome = arguments.run(arguments)
@@ -68,10 +73,21 @@ def main(argv: Optional[Sequence[str]] = None) -> int:
         print("benchmark: interrupted, nothing is written", file=sys.stderr)
         return INTERRUPTED
     print(outcome.show())
-    if arguments.out is not None:
-        for path in outcome.write(arguments.out):
-            print(f"wrote {path}")
+    if arguments.out is not None and not _write(outcome, arguments.out):
+        return FAILED
     return TARGET_NOT_MET if arguments.check and not outcome.met else 0
+
+
+def _write(outcome: Outcome, directory: Path) -> bool:
+    """Write the files and say so; or why not."""
+    try:
+        paths = outcome.write(directory)
+    except OSError as error:
+        print(f"benchmark: cannot write to {directory}: {error}", file=sys.stderr)
+        return False
+    for path in paths:
+        print(f"wrote {path}")
+    return True
 
 
 def with_measurement(words: Sequence[str]) -> Sequence[str]:

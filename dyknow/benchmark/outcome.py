@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Callable, List, Sequence, Tuple
@@ -65,3 +66,13 @@ class Outcome:
                 draw(path)
                 written.append(path)
         return written
+
+
+def obstacle(directory: Path) -> str:
+    """Say why files cannot be written into a directory; empty if nothing speaks against it."""
+    there = next(each for each in (directory, *directory.parents) if each.exists())
+    if not there.is_dir():
+        return f"{there} is not a folder"
+    if not os.access(there, os.W_OK | os.X_OK):
+        return f"no permission to write into {there}"
+    return ""

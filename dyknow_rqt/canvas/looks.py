@@ -135,7 +135,7 @@ def _nodelet_tip(nodelet: NodeletView) -> str:
         nodelet.name,
         nodelet.transformation or "loaded by others",
         f"in {nodelet.manager}",
-        f"{inputs} in-ports, {len(nodelet.ports) - inputs} out-ports",
+        f"in-ports: {inputs}, out-ports: {len(nodelet.ports) - inputs}",
         *facts,
         state + (f": {nodelet.detail}" if nodelet.detail else ""),
     )

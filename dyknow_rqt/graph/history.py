@@ -32,19 +32,18 @@ class History:
         del self._done[:-DEPTH]
         self._undone.clear()
 
-    def note_undone(self, step: Step) -> None:
+    def note_undone(self) -> None:
         """The last step was taken back."""
-        self._done.remove(step)
-        self._undone.append(step.change)
+        self._undone.append(self._done.pop().change)
 
     def note_redone(self, change: Change, back: Union[Change, CannotUndo]) -> None:
         """The last undone change was made again."""
-        self._undone.remove(change)
+        self._undone.pop()
         self._done.append(Step(change, back))
 
-    def drop(self, step: Step) -> None:
-        """Forget a step without a way back, so that those before it can be reached."""
-        self._done.remove(step)
+    def drop(self) -> None:
+        """Forget the last step: there is no way back, and those before it are to be reached."""
+        self._done.pop()
 
     @property
     def last(self) -> Optional[Step]:

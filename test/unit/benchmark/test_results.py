@@ -8,7 +8,7 @@ from dyknow.benchmark import chain, ratios, tables
 from dyknow.benchmark.chain import HEADER, OVERHEAD_HEADER, Plan
 from dyknow.benchmark.control import Block, Order, select
 from dyknow.benchmark.fan import last_arrivals
-from dyknow.benchmark.main import parser, with_measurement
+from dyknow.benchmark.main import FAILED, main, parser, with_measurement
 from dyknow.benchmark.outcome import Outcome
 from dyknow.benchmark.outside import spread
 from dyknow.benchmark.parts import payload_of
@@ -27,6 +27,30 @@ def measured(frequency=100.0, hops=(1, 50), pairs=20):
     blocks = {kind: Block(4, {each: [factor[kind] * each] * 3 for each in hops}) for kind in kinds}
     differences = {each: [0.1 * each + index for index in range(pairs)] for each in hops}
     return chain.outcome(plan, blocks, differences, [], [("cores", 2)])
+
+
+@pytest.mark.parametrize("place", ["taken", "taken/folder"])
+def test_a_place_that_cannot_be_written_to_is_refused_before_anything_is_measured(
+    place, tmp_path, monkeypatch, capsys
+):
+    (tmp_path / "taken").touch()
+    monkeypatch.setattr(chain, "run", lambda arguments: pytest.fail("it is measured"))
+    assert main(["--out", str(tmp_path / place)]) == FAILED
+    assert f"{tmp_path / 'taken'} is not a folder" in capsys.readouterr().err
+
+
+def test_what_cannot_be_written_in_the_end_was_shown_and_is_one_line(
+    tmp_path, monkeypatch, capsys
+):
+    def run(arguments):
+        (tmp_path / "taken").touch()
+        return measured()
+
+    monkeypatch.setattr(chain, "run", run)
+    assert main(["--out", str(tmp_path / "taken")]) == FAILED
+    shown = capsys.readouterr()
+    assert "targets" in shown.out
+    assert shown.err.startswith(f"benchmark: cannot write to {tmp_path / 'taken'}: ")
 
 
 def test_figure_4_has_one_row_for_each_kind_and_number_of_hops(tmp_path):

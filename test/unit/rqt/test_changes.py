@@ -157,14 +157,27 @@ def test_history_is_a_pair_of_stacks():
     history.note(one, Protect("/a", False))
     history.note(two, CannotUndo("never"))
     assert history.texts == ("protect /b", "")
-    history.drop(history.last)
-    history.note_undone(history.last)
+    history.drop()
+    history.note_undone()
     assert history.texts == ("", "protect /a")
     history.note_redone(one, Protect("/a", False))
     assert history.texts == ("protect /a", "")
-    history.note_undone(history.last)
+    history.note_undone()
     history.note(two, CannotUndo("never"))
     assert history.texts == ("protect /b", "")
+
+
+def test_a_change_that_was_made_twice_is_taken_back_in_turn():
+    history = History()
+    protect, release = Protect("/a", True), Protect("/a", False)
+    for change, back in ((protect, release), (release, protect), (protect, release)):
+        history.note(change, back)
+    history.note_undone()
+    assert history.texts == ("release /a", "protect /a")
+    history.note_undone()
+    assert history.texts == ("protect /a", "release /a")
+    history.note_redone(release, protect)
+    assert history.texts == ("release /a", "protect /a")
 
 
 class _Counts:

@@ -15,11 +15,13 @@ from python_qt_binding.QtWidgets import (
     QComboBox,
     QFileDialog,
     QLabel,
+    QLineEdit,
     QMenu,
     QMessageBox,
     QWidget,
 )
 
+from dyknow_rqt.graph.changes import SpawnNodelet
 from dyknow_rqt.graph.snapshot import PortRef
 from dyknow_rqt.layouter import Layouter
 from dyknow_rqt.screenshots import dark_palette
@@ -54,6 +56,13 @@ def drag(view, start, end):
             kind, QPointF(place), QPointF(port.mapToGlobal(place)), button, buttons, Qt.NoModifier
         )
         QApplication.sendEvent(port, event)
+
+
+def create(qtbot, window, name):
+    """Make a nodelet, and wait until the window knows it."""
+    window.monitor.do(SpawnNodelet("tracker", name))
+    until(qtbot, lambda: not window.monitor.is_changing)
+    until(qtbot, lambda: window.monitor.snapshot.nodelet(name) is not None)
 
 
 def centre_of(view, key):
@@ -135,6 +144,9 @@ def test_filters_hide_and_complain(qtbot, window):
     qtbot.keyClicks(edit, "/nao[")
     assert "filter '/nao[' is not a regular expression" in window.line.text
     assert "n_/field/tracker" in _keys(window)
+    qtbot.keyClicks(edit, "12]")
+    assert window.line.text == ""
+    until(qtbot, lambda: "n_/field/tracker" not in _keys(window))
 
 
 def test_options_change_what_is_drawn(qtbot, window, remote):
@@ -192,6 +204,18 @@ def test_the_drawing_can_be_saved(window, tmp_path):
     assert image.width() > image.height() > 100
     with pytest.raises(OSError):
         window.graph.save(str(tmp_path / "nowhere" / "graph.png"))
+
+
+def test_a_name_without_an_ending_gets_that_of_what_was_chosen(qtbot, window, tmp_path):
+    def answer():
+        found = window.findChildren(QFileDialog)
+        found[0].findChild(QLineEdit).setText(str(tmp_path / "graph"))
+        found[0].accept()
+
+    QTimer.singleShot(300, answer)
+    next(a for a in window.graph.bar.save_menu.actions() if "PNG" in a.text()).trigger()
+    assert [path.name for path in tmp_path.iterdir()] == ["graph.png"]
+    assert not QImage(str(tmp_path / "graph.png")).isNull()
 
 
 def test_rates_stand_on_the_arrows_and_drops_are_red(qtbot, window):
@@ -626,6 +650,26 @@ def test_undo_says_when_there_is_no_way_back(qtbot, window, remote):
     click(qtbot, window.graph.bar.undo)
     assert "cannot undo 'destroy /field/tracker'" in window.line.text
     assert not window.graph.bar.undo.isEnabled()
+
+
+def test_what_cannot_be_undone_is_not_in_the_way_of_what_was_done_before(qtbot, window, remote):
+    for name in ("/first", "/second"):
+        create(qtbot, window, name)
+    remote.destroy("/second")
+    click(qtbot, window.graph.bar.undo)
+    until(qtbot, lambda: "destroy /second: " in window.line.text)
+    click(qtbot, window.graph.bar.undo)
+    until(qtbot, lambda: window.monitor.snapshot.nodelet("/first") is None)
+
+
+def test_a_manager_that_does_not_answer_keeps_what_can_be_undone(qtbot, window, remote):
+    create(qtbot, window, "/first")
+    remote.is_up = False
+    window.monitor.undo()
+    until(qtbot, lambda: "destroy /first: " in window.line.text)
+    remote.is_up = True
+    click(qtbot, window.graph.bar.undo)
+    until(qtbot, lambda: window.monitor.snapshot.nodelet("/first") is None)
 
 
 def test_a_slot_that_raises_leaves_a_line_and_a_living_window(qtbot, window, monkeypatch):
