@@ -20,7 +20,7 @@ from dyknow.manager.model import State
 from dyknow.manager.planning.planner import Planner
 from dyknow.manager.planning.problem import NO_LABELS, Answer, Live, NoPlan, Plan
 from dyknow.manager.planning.supply import Demand, Supply
-from dyknow.manager.planning.tags import Subsumption, parse_tag
+from dyknow.manager.specifications.tags import Subsumption, parse_tag
 from dyknow.manager.specifications.transformation import Transformation
 
 #: Seconds for which the answer to "which topics are published?" is good enough.

@@ -75,6 +75,10 @@ def test_the_same_request_is_the_same_claim(field: Field) -> None:
     other = field.acquire(client_id="d", request_id="r")
     assert first.claim.claim_id == again.claim.claim_id != other.claim.claim_id
     assert again.spawned == other.spawned == ()
+    request = StreamRequest(GOAL, client_id="c", request_id="r")
+    explained = field.keeper.acquire(request, dry_run=True)
+    assert explained.claim.claim_id == ""
+    assert explained.plan is not None
 
 
 def test_bad_tags_and_types_are_refused(field: Field) -> None:
