@@ -206,6 +206,7 @@ class InvalidTag(DyKnowError):
 
     def __init__(self, tag: str, expected: str) -> None:
         self.tag = tag
+        self.expected = expected
         super().__init__(f"'{tag}' is not a tag: {expected}")
 
 

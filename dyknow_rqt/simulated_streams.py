@@ -14,7 +14,7 @@ from dyknow.manager.planning.explanation import as_tree
 from dyknow.manager.planning.planner import Planner
 from dyknow.manager.planning.problem import Answer, Live, NoPlan, Plan, Source
 from dyknow.manager.planning.supply import Demand
-from dyknow.manager.planning.tags import Term, parse_tag
+from dyknow.manager.specifications.tags import Term, parse_tag
 from dyknow.manager.specifications.transformation import IN, OUT, Transformation
 from dyknow.ros.client_errors import Result, StreamRefused
 from dyknow.ros.stream_views import AcquiredView, ReplannedView, StreamEventView, StreamView

@@ -13,8 +13,8 @@ from dyknow.benchmark.targets import Verdict
 from dyknow.manager.planning.planner import Planner
 from dyknow.manager.planning.problem import Plan
 from dyknow.manager.planning.supply import Demand
-from dyknow.manager.planning.tags import parse_tag
 from dyknow.manager.specifications.specification import parse
+from dyknow.manager.specifications.tags import parse_tag
 
 HEADER = ("what", "count", "min_s", "median_s", "max_s")
 _PLANS = 10

@@ -19,7 +19,7 @@ from dyknow.benchmark.targets import Verdict
 from dyknow.manager.planning.planner import Planner
 from dyknow.manager.planning.problem import Plan
 from dyknow.manager.planning.supply import Demand
-from dyknow.manager.planning.tags import parse_tag
+from dyknow.manager.specifications.tags import parse_tag
 from dyknow.manager.specifications.transformation import IN, OUT, Port, Transformation
 
 HEADER = ("library", "transformations", "steps", "load_s", "first_s", "median_s", "max_s")

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
-from typing import Callable, Mapping, Optional, Set
+from typing import Callable, List, Mapping, Optional, Set
 
 from dyknow import names
 from dyknow.errors import HostError
@@ -126,6 +126,19 @@ class Manager:
         return removed
 
     # Nodelets
+
+    def existing_topics(self) -> List[Transformation]:
+        """Return the transformations of type topic with their topics made global.
+
+        Relative ones begin in the manager's namespace, as names of nodelets do.
+        """
+        namespace = self._settings.namespace
+        return [
+            each
+            if each.source[:1] == "/"
+            else each._replace(source=names.join(namespace, each.source))
+            for each in self.library.topics()
+        ]
 
     def resolve(self, name: str) -> str:
         """Make the name of a nodelet global.

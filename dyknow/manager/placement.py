@@ -24,14 +24,22 @@ def choose(
     the stream's neighbours run, since messages there go by reference; else where fewest run.
 
     Raises:
-        HostError: the manager asked for is unknown, down or of the other kind.
+        HostError: the manager asked for is unknown, down, of the other kind or there for another
+            nodelet alone, or a process of its own was asked for at the same time.
     """
+    if asked and isolated_for:
+        raise HostError(
+            f"'{isolated_for}' cannot be isolated in nodelet manager '{asked}': "
+            "expected a process of its own or a named one, not both"
+        )
     states = {state.name: state for state in host.managers()}
     if asked:
         state = states.get(asked)
         if state is None:
             known = ", ".join(sorted(states)) or "none"
             raise HostError(f"unknown nodelet manager '{asked}'; known: {known}")
+        if state.isolated_for:
+            raise HostError(f"nodelet manager '{asked}' is there for '{state.isolated_for}' alone")
         if not state.alive:
             raise HostError(f"nodelet manager '{asked}' is not running")
         if state.kind is not kind:

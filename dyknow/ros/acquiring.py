@@ -238,6 +238,7 @@ def _ask(
             return replace(view, claim_id=error.claim_id, detail=str(error)), None
         if error.claim_id:
             _give_up(client, error.claim_id)
+            raise error.given_up() from error
         raise
     active = replace(
         view,

@@ -48,3 +48,7 @@ class StreamRefused(Refused):
         self.result = result
         self.claim_id = claim_id
         super().__init__(message)
+
+    def given_up(self) -> StreamRefused:
+        """Return the refusal as it is once the claim was released: nothing waits any more."""
+        return StreamRefused(str(self).split(f"; claim {self.claim_id} ")[0], self.result)

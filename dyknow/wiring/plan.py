@@ -106,6 +106,11 @@ def plan_load(
                     f"nodelet '{nodelet.name}': its nodelet manager '{nodelet.manager}' is not "
                     "running; start it, or let the manager choose with --any-manager"
                 )
+        elif nodelet.manager and nodelet.isolated:
+            plan.problems.append(
+                f"nodelet '{nodelet.name}': isolated, and in nodelet manager '{nodelet.manager}'; "
+                "expected a process of its own or a named one, not both"
+            )
     _check_topics(plan, wiring)
     plan.spawned = readers_first(plan.spawned, plan.blueprints)
     return plan

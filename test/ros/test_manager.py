@@ -150,6 +150,18 @@ class ServicesTest(ManagerCase):
         self.assertFalse(process.alive)
         self.assertEqual(registrations("/alone") + parameters("/alone"), [])
 
+    def test_an_isolated_nodelet_harms_no_neighbour(self):
+        self.client.spawn("counter", "/neighbour", {"out": "/numbers"})
+        neighbour = self.manager.child(CHILD)
+        self.assertIn("not both", self.refused("counter", "/alone", isolated=True, manager=CHILD))
+        self.client.spawn("counter", "/dyknow", isolated=True)
+        own = self.manager.nodelet("/dyknow").manager
+        self.assertNotEqual(own, CHILD)
+        self.assertIn("alone", self.refused("counter", "/guest", manager=own))
+        self.client.destroy("/dyknow")
+        self.assertTrue(neighbour.alive)
+        self.assertIs(self.manager.nodelet("/neighbour").state, State.RUNNING)
+
     def test_a_nodelet_destroys_itself(self):
         self.client.spawn("counter", "/counter", {"out": "/numbers"})
         self.client.spawn("suicidal", "/suicidal", {"in": "/numbers"})

@@ -78,10 +78,11 @@ def _ask(arguments: argparse.Namespace, shell: Shell, lease: float) -> StreamVie
         request = request_of(arguments, lease, arguments.max_silence)
         claim_id = shell.client.acquire_stream(request).claim_id
     except StreamRefused as error:
-        if error.claim_id and not arguments.wait:
-            shell.client.release_stream(error.claim_id)
-        if not error.claim_id or not arguments.wait:
+        if not error.claim_id:
             raise
+        if not arguments.wait:
+            shell.client.release_stream(error.claim_id)
+            raise error.given_up() from error
         claim_id = error.claim_id
     for each in shell.client.list_streams():
         if each.claim_id == claim_id:

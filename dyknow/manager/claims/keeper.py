@@ -29,7 +29,7 @@ from dyknow.manager.claims.silence import SilenceWatch
 from dyknow.manager.claims.turn import Turn
 from dyknow.manager.manager import Manager
 from dyknow.manager.planning.problem import NoPlan, Plan
-from dyknow.manager.planning.tags import NO_ONTOLOGY, Subsumption
+from dyknow.manager.specifications.tags import NO_ONTOLOGY, Subsumption
 
 _log = logging.getLogger("rosout.dyknow")
 
@@ -154,7 +154,7 @@ class Keeper:
         if not dry_run:
             self._manager.guards.check_writable(f"acquiring '{request.tag}'")
         with self._turn.round() if dry_run else self._turn.request():
-            known = self._table.same(request)
+            known = None if dry_run else self._table.same(request)
             if known is not None and not known.topic:
                 raise NoPlanFound(known.detail, known.claim_id)
             if known is not None:

@@ -20,7 +20,7 @@ from dyknow.manager.model import State
 from dyknow.manager.planning.planner import Planner
 from dyknow.manager.planning.problem import NO_LABELS, Answer, Live, NoPlan, Plan
 from dyknow.manager.planning.supply import Demand, Supply
-from dyknow.manager.planning.tags import Subsumption, parse_tag
+from dyknow.manager.specifications.tags import Subsumption, parse_tag
 from dyknow.manager.specifications.transformation import Transformation
 
 #: Seconds for which the answer to "which topics are published?" is good enough.
@@ -64,7 +64,7 @@ class Prospects:
         if now - self._asked < _FRESH and not at_once:
             return
         self._asked = now
-        wanted = {each.source for each in self._manager.library.topics()}
+        wanted = {each.source for each in self._manager.existing_topics()}
         wanted.update(topic for claim in self._table.living() for topic in claim.sources)
         try:
             self.published = self._manager.host.published(sorted(wanted))
@@ -206,7 +206,7 @@ class Prospects:
         manager = self._manager
         published = [
             each
-            for each in manager.library.topics()
+            for each in manager.existing_topics()
             if each.label not in exclude
             and each.source in self.published
             and each.source not in self._silence.silent

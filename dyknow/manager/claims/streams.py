@@ -11,7 +11,7 @@ from typing import AbstractSet, Callable, Iterable, List, Tuple
 from dyknow.manager.model import Record, State
 from dyknow.manager.planning.problem import Live
 from dyknow.manager.planning.supply import Demand, Supply
-from dyknow.manager.planning.tags import Subsumption, Term
+from dyknow.manager.specifications.tags import Subsumption, Term
 from dyknow.manager.specifications.transformation import IN, OUT, Transformation
 
 Terms = Callable[[Iterable[str]], Tuple[Term, ...]]

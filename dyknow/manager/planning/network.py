@@ -13,7 +13,7 @@ from typing import AbstractSet, Dict, Iterable, List, Optional, Set, Tuple
 from dyknow.errors import InvalidTag
 from dyknow.manager.planning.problem import Action, Live, Need, New, Source
 from dyknow.manager.planning.supply import Demand, Supply
-from dyknow.manager.planning.tags import NO_ONTOLOGY, Subsumption, Term, parse_tag
+from dyknow.manager.specifications.tags import NO_ONTOLOGY, Subsumption, Term, parse_tag
 from dyknow.manager.specifications.transformation import IN, OUT, TOPIC, Port, Transformation
 
 Chosen = Dict[int, int]

@@ -18,7 +18,7 @@ from dyknow.manager.planning.knuth import Values, cheapest
 from dyknow.manager.planning.network import Network, Reach
 from dyknow.manager.planning.problem import NO_LABELS, Answer, Live, NoPlan, Plan, Step
 from dyknow.manager.planning.supply import Demand, Supply
-from dyknow.manager.planning.tags import NO_ONTOLOGY, Subsumption, Term
+from dyknow.manager.specifications.tags import NO_ONTOLOGY, Subsumption, Term
 from dyknow.manager.specifications.transformation import Transformation
 
 #: Steps that the improvement may take: about a tenth of a second.

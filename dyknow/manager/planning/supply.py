@@ -18,7 +18,7 @@ from typing import (
     TypeVar,
 )
 
-from dyknow.manager.planning.tags import NO_ONTOLOGY, Subsumption, Term, matches
+from dyknow.manager.specifications.tags import NO_ONTOLOGY, Subsumption, Term, matches
 
 _Functor = Tuple[str, int]  # with the number of arguments
 Supplier = TypeVar("Supplier", bound=Hashable)

@@ -6,9 +6,11 @@ import re
 from functools import lru_cache
 from typing import Dict, List, Optional, Set, Tuple
 
+from dyknow.errors import InvalidTag
 from dyknow.manager.specifications.draft import Draft
 from dyknow.manager.specifications.findings import EnoughProblems, Findings
 from dyknow.manager.specifications.limits import Limits
+from dyknow.manager.specifications.tags import parse_tag
 from dyknow.manager.specifications.transformation import (
     NODELET,
     OUT,
@@ -25,6 +27,7 @@ MAX_COST = 2**32 - 1
 _ROS_NAME = re.compile(r"[A-Za-z~/][A-Za-z0-9_/]*\Z")
 _DATATYPE = re.compile(r"[A-Za-z][A-Za-z0-9_]*/[A-Za-z][A-Za-z0-9_]*\Z")
 _COST = re.compile(r"\+?[0-9]+\Z")
+_PLAIN_TAG = re.compile(r"[\w./:#-]+(?:\([\w./:#-]+(?:, ?[\w./:#-]+){0,15}\))?\Z")
 
 
 class Builder:
@@ -167,6 +170,7 @@ class Builder:
         )
 
     def _distribute_tags(self, draft: Draft, tags: Dict[str, List[str]]) -> None:
+        suppliers = {port.name for port in draft.ports if port.direction == OUT}
         for port, text, line in draft.tags:
             if not text:
                 self._findings.problem(line, "<tag> is empty; expected a term such as Image(cam1)")
@@ -178,12 +182,31 @@ class Builder:
                     )
                 else:
                     of_port.append(text)
+                    self._check_tag(text, port in suppliers, line)
             elif draft.ports_known:
                 self._findings.problem(
                     line,
                     f"the tag is for the port '{shorten(port)}', which is not declared; known "
                     f"ports: {listed(tags)}",
                 )
+
+    def _check_tag(self, text: str, supplied: bool, line: int) -> None:
+        if not text or _PLAIN_TAG.match(text):  # nearly all, and quick
+            return
+        try:
+            term = parse_tag(text)
+        except InvalidTag as error:
+            self._findings.warning(
+                line,
+                f"the tag '{shorten(text)}' is passed over by the planner: {error.expected}",
+            )
+            return
+        if supplied and not term.is_ground:
+            self._findings.warning(
+                line,
+                f"the tag '{shorten(text)}' of an out-port has a variable and supplies nothing; "
+                "variables stand in the tags of in-ports",
+            )
 
     def _check_datatype(self, datatype: str, line: int) -> None:
         if datatype and not _DATATYPE.match(datatype):

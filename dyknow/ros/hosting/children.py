@@ -144,7 +144,7 @@ class Children:
         if up:
             return min(child.record.name for child in up)
         if not fitting:
-            name = f"{isolated_for}_nodelet_manager" if isolated_for else self._free_name(kind)
+            name = self._free_name(kind, isolated_for)
             fitting = [self._add(Child(ChildRecord(name, kind, isolated_for)))]
         return self._wait_up(fitting[0], deadline)
 
@@ -197,9 +197,11 @@ class Children:
         ).start()
         return child
 
-    def _free_name(self, kind: Kind) -> str:
+    def _free_name(self, kind: Kind, isolated_for: str = "") -> str:
         """First name, counted from 2, that no child and no living node of others has."""
         base = names.join(self._namespace, _BASES[kind])
+        if isolated_for:
+            base = f"{isolated_for}_nodelet_manager"
         number, name = 1, base
         while True:
             with self._lock:

@@ -19,7 +19,7 @@ from dyknow.errors import DyKnowError, PeerTimeout
 from dyknow.manager.host import Kind
 from dyknow.manager.library import Library
 from dyknow.manager.manager import Manager, Settings
-from dyknow.manager.planning.tags import NO_ONTOLOGY
+from dyknow.manager.specifications.tags import NO_ONTOLOGY
 from dyknow.manager.store import Store
 from dyknow.nodelet.middleware import Closable
 from dyknow.ros.exit_codes import FAILED

@@ -15,7 +15,7 @@ from dyknow_msgs.msg import StreamEvent
 from dyknow.manager.claim import ClaimEvent
 from dyknow.manager.claims.keeper import Keeper
 from dyknow.manager.manager import Manager
-from dyknow.manager.planning.tags import Subsumption
+from dyknow.manager.specifications.tags import Subsumption
 from dyknow.ros.bonding.claim_bonds import ClaimBonds
 from dyknow.ros.manager.reconciling import Reconciling
 from dyknow.ros.manager.stream_messages import StreamMessages

@@ -113,6 +113,15 @@ def test_everything_is_checked_first(client: FakeClient, file: Path) -> None:
     assert client.calls == []
 
 
+def test_isolated_in_a_named_manager_is_a_contradiction(client: FakeClient, file: Path) -> None:
+    shared = client.world.spawn("native", "other").manager
+    file.write_text(file.read_text().replace('name="/n"', f'name="/n" manager="{shared}"'))
+    outcome = run(client, f"load {file}")
+    assert outcome.code == 1
+    assert f"nodelet '/n': isolated, and in nodelet manager '{shared}'" in outcome.err
+    assert client.calls == []
+
+
 def test_types_on_a_topic_have_to_fit(client: FakeClient, file: Path) -> None:
     text = file.read_text().replace(
         '<port type="out" datatype="sensor_msgs/Image">image',

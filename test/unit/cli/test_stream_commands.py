@@ -108,7 +108,7 @@ class TestAcquire:
     def test_gives_up_what_cannot_be_made(self, client: FakeClient) -> None:
         outcome = run(client, "acquire 'Nothing(x)'")
         assert (outcome.code, outcome.out) == (1, "")
-        assert "nothing supplies Nothing(x)" in outcome.err
+        assert outcome.err.endswith("nothing supplies Nothing(x)\n")
         assert [claim.state.name for claim in client.keeper.claims()] == ["RELEASED"]
 
     def test_or_waits_for_it(self, client: FakeClient) -> None:

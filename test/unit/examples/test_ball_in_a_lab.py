@@ -9,9 +9,9 @@ import pytest
 from dyknow.manager.planning.planner import Planner
 from dyknow.manager.planning.problem import Plan
 from dyknow.manager.planning.supply import Demand
-from dyknow.manager.planning.tags import parse_tag
 from dyknow.manager.specifications.ontology import load_ontology
 from dyknow.manager.specifications.specification import check, parse_file
+from dyknow.manager.specifications.tags import parse_tag
 
 LAB = Path(__file__).resolve().parents[3] / "examples" / "ball_in_a_lab"
 FILES = ("tracker.xml", "robot_cameras.xml", "fixed_cameras.xml")

@@ -12,7 +12,7 @@ from dyknow.manager.claim import StreamRequest
 from dyknow.manager.planning.explanation import Entry, as_dot, as_tree, read_tree, tree_as_dot
 from dyknow.manager.planning.problem import Action, Live, Need, New, NoPlan, Plan, Step
 from dyknow.manager.planning.supply import Demand
-from dyknow.manager.planning.tags import parse_tag
+from dyknow.manager.specifications.tags import parse_tag
 
 
 def demand(tag: str, datatype: str = "") -> Demand:

@@ -75,6 +75,21 @@ def test_the_same_request_is_the_same_claim(field: Field) -> None:
     other = field.acquire(client_id="d", request_id="r")
     assert first.claim.claim_id == again.claim.claim_id != other.claim.claim_id
     assert again.spawned == other.spawned == ()
+    request = StreamRequest(GOAL, client_id="c", request_id="r")
+    explained = field.keeper.acquire(request, dry_run=True)
+    assert explained.claim.claim_id == ""
+    assert explained.plan is not None
+
+
+def test_a_relative_topic_begins_in_the_manager_s_namespace(field: Field) -> None:
+    field.manager.add_transformation(
+        '<transformation type="topic"><label>weather</label><source>weather</source>'
+        '<ports><port type="out">out</port></ports>'
+        '<tags><tag port="out">Weather</tag></tags></transformation>'
+    )
+    field.host.topics.add("/weather")
+    claim = field.acquire("Weather").claim
+    assert (claim.topic, claim.sources) == ("/weather", ("/weather",))
 
 
 def test_bad_tags_and_types_are_refused(field: Field) -> None:

@@ -178,6 +178,21 @@ def test_an_isolated_nodelet_has_a_process_that_ends_with_it(world: World) -> No
     assert record.manager not in world.host.processes
 
 
+def test_an_isolated_nodelet_in_a_named_manager_is_a_contradiction(world: World) -> None:
+    shared = world.spawn("camera", "shared").manager
+    with pytest.raises(HostError, match=f"'/alone' cannot be isolated in .*'{shared}'"):
+        world.spawn("camera", "alone", isolated=True, manager=shared)
+    assert nothing_left(world, "/alone")
+    assert shared in world.host.processes
+
+
+def test_the_process_of_an_isolated_nodelet_takes_nobody_else(world: World) -> None:
+    own = world.spawn("camera", "alone", isolated=True).manager
+    with pytest.raises(HostError, match=f"'{own}' is there for '/alone' alone"):
+        world.spawn("camera", "guest", manager=own)
+    assert nothing_left(world, "/guest")
+
+
 def test_a_nodelet_goes_to_its_neighbours_else_to_the_emptiest(world: World) -> None:
     first = world.host.ensure(Kind.PYTHON)
     second = world.host._start("/second", Kind.PYTHON, "")

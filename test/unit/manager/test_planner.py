@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from dyknow.manager.planning.planner import Planner
 from dyknow.manager.planning.problem import Answer, Live, New, NoPlan, Plan
 from dyknow.manager.planning.supply import Demand
-from dyknow.manager.planning.tags import parse_tag
+from dyknow.manager.specifications.tags import parse_tag
 from dyknow.manager.specifications.transformation import Port, Transformation
 
 

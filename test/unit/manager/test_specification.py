@@ -129,6 +129,31 @@ def test_a_tag_that_stands_twice_counts_once():
     assert [warning.line for warning in found.warnings] == [4]
 
 
+def test_a_tag_that_the_planner_cannot_use_is_accepted_with_a_warning():
+    text = """<transformation><label>a</label><source>p/A</source>
+      <ports><port type="in">in</port><port type="out">out</port></ports><tags>
+        <tag port="in">Image(?camera)</tag>
+        <tag port="in">Image(camera</tag>
+        <tag port="out">Position(?thing)</tag>
+        <tag port="out">http://dyknow.example.org/soccer#Ball</tag></tags></transformation>"""
+
+    found = parse(text)
+
+    assert [(warning.line, warning.message) for warning in found.warnings] == [
+        (
+            4,
+            "the tag 'Image(camera' is passed over by the planner: "
+            "expected Functor or Functor(arg, …)",
+        ),
+        (
+            5,
+            "the tag 'Position(?thing)' of an out-port has a variable and supplies nothing; "
+            "variables stand in the tags of in-ports",
+        ),
+    ]
+    assert found.transformations[0].ports[0].tags == ("Image(?camera)", "Image(camera")
+
+
 def test_yaml_may_be_indented_like_the_xml_around_it():
     text = """<transformation><label>a</label><source>p/A</source><params>
       <param name="lens" type="yaml">

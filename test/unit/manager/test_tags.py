@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from dyknow.errors import InvalidTag
 from dyknow.manager.planning.supply import Demand, Supply
-from dyknow.manager.planning.tags import NoOntology, Term, matches, parse_tag
+from dyknow.manager.specifications.tags import NoOntology, Term, matches, parse_tag
 
 
 class Kinds:

@@ -13,9 +13,9 @@ import pytest
 from dyknow.manager.planning.planner import Planner
 from dyknow.manager.planning.problem import Live, NoPlan
 from dyknow.manager.planning.supply import Demand
-from dyknow.manager.planning.tags import parse_tag
 from dyknow.manager.specifications.ontology import load_ontology
 from dyknow.manager.specifications.specification import check, parse_file
+from dyknow.manager.specifications.tags import parse_tag
 
 ROOT = Path(__file__).parents[4]
 EXAMPLES = ROOT / "examples"
