@@ -167,7 +167,7 @@ def acquire(
     datatype: Union[str, Any] = "",
     *,
     max_silence: float = 0.0,
-    exclude: Iterable[str] = (),
+    exclude: Union[str, Iterable[str]] = (),
     pending: bool = False,
     lease: float = LEASE,
     on_event: Optional[OnEvent] = None,
@@ -182,7 +182,7 @@ def acquire(
         datatype: the type that it must have, as a message class or by name; any by default.
         max_silence: seconds without a message after which a part counts as broken; 0: only parts
             that died do.
-        exclude: labels of transformations that must not be used.
+        exclude: labels of transformations that must not be used, or a single one.
         pending: take a stream that cannot be made yet, too; see ``wait_until_active``.
         lease: seconds that the claim outlives this process at most.
         on_event: called with each change of the claim (``before``, ``after``, ``reason``), on a
@@ -213,7 +213,7 @@ def acquire(
             bond_id=session.bond_id,
             lease=lease,
             max_silence=max_silence,
-            exclude=tuple(exclude),
+            exclude=(exclude,) if isinstance(exclude, str) else tuple(exclude),
         )
         view, answer = _ask(client, request, pending, timeout)
         stream = AcquiredStream(client, session, view, lease, on_event)

@@ -62,6 +62,18 @@ class AcquireTest(StreamCase):
         self.assertEqual(manager.client.get_model().nodelets, ())
         self.assertEqual([c for c in manager.client.list_streams() if not c.state.ended], [])
 
+    def test_what_is_excluded_is_not_used(self):
+        manager = self.tracking()
+        with dyknow.acquire(GOAL, exclude="camera") as stream:
+            self.assertEqual(stream.spawned, ("/ceiling_1", "/filter_1", "/tracker_1"))
+            with dyknow.acquire("Filtered(ball)", exclude=["ceiling", "no such"]) as other:
+                self.assertEqual(other.spawned, ("/camera_1", "/filter_2"))
+                self.flow(other.topic).wait()
+            self.flow(stream.topic).wait()
+            self.settled(manager)
+        with self.assertRaisesRegex(StreamRefused, r"nothing supplies Raw\(\?camera\)"):
+            dyknow.acquire(GOAL, exclude=("camera", "ceiling"))
+
     def test_a_nodelet_acquires_streams_too(self):
         manager = self.tracking()
         manager.client.add_transformation(
