@@ -148,6 +148,7 @@ class WithManager:
 
     def test_a_dead_manager_does_not_hold_up_the_client(self):
         process = self.load(MANAGER)
+        let_the_bond_form()  # so that the client has its answer
         self.manager.stop(signal.SIGKILL)
         self.manager.exit_code(20.0)
         process.stop()
