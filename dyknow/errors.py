@@ -27,6 +27,7 @@ wrong and says what was expected. Only ``dyknow.ros`` turns them into answers of
     ├── Protected                the nodelet is protected from being destroyed
     ├── SpawnFailed              a nodelet did not come up as specified; nothing of it is left
     ├── HostError                a nodelet manager refused, or could not be reached
+    │   └── HostTimeout          it, or the nodelet, did not answer in time
     ├── Refused                  a DyKnow manager or a proxy answered no
     ├── StoreError               the durable state cannot be read or written
     ├── NodeletError
@@ -236,6 +237,10 @@ class SpawnFailed(DyKnowError):
 
 class HostError(DyKnowError):
     """A nodelet manager refused something, or could not be reached."""
+
+
+class HostTimeout(HostError):
+    """A nodelet manager, or a nodelet of it, did not answer in time."""
 
 
 class Refused(DyKnowError):

@@ -6,7 +6,7 @@ import itertools
 from dataclasses import dataclass, field, replace
 from typing import Callable, Dict, FrozenSet, Iterable, List, Mapping, Optional, Sequence, Tuple
 
-from dyknow.errors import HostError, NameTaken
+from dyknow.errors import HostError, HostTimeout, NameTaken
 from dyknow.manager.host import Host, Kind, LoadRequest, ManagerState
 from dyknow.manager.model import PortState
 from dyknow.manager.specifications.transformation import Parameter
@@ -244,8 +244,10 @@ class FakeHost(Host):
 
     def _alive(self, manager: str) -> FakeManager:
         process: Optional[FakeManager] = self.processes.get(manager)
-        if process is None or not process.state.alive or manager in self._hung:
-            raise HostError(f"nodelet manager '{manager}' does not answer")
+        if manager in self._hung:
+            raise HostTimeout(f"nodelet manager '{manager}' does not answer")
+        if process is None or not process.state.alive:
+            raise HostError(f"nodelet manager '{manager}' does not run")
         return process
 
     def _type_of(self, topic: str, but: str) -> str:

@@ -138,7 +138,7 @@ class Host(ABC):
         """Messages that each out-port of a nodelet with a proxy has sent since it was loaded.
 
         Raises:
-            HostError: the proxy does not answer.
+            HostError: the proxy does not answer; HostTimeout: not in time.
         """
 
     @abstractmethod

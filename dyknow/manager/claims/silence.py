@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Callable, Dict, FrozenSet, Iterable, List, Mapping, Set, Tuple
 
-from dyknow.errors import HostError
+from dyknow.errors import HostError, HostTimeout
 from dyknow.manager.claim import Claim
 from dyknow.manager.graph import Graph
 from dyknow.manager.host import Host
@@ -126,21 +126,26 @@ class SilenceWatch:
                 continue
             least = min(limits[place] for place in asked[name])
             self._due[name] = now + max(least / _LOOKS, _LEAST_PERIOD)
-            manager = records[name].manager
-            try:
-                if manager in hanging:
-                    raise HostError(f"nodelet manager {manager} hangs")
-                sent = self._host.sent(name)
-            except HostError:
-                hanging.add(manager)
-                mute.add(name)
-                sent = {}
-            else:
-                mute.discard(name)
+            sent = self._sent(records[name], hanging, mute)
             for place in asked[name]:
                 ear = self._ears.get(place)
                 self._hear(place, sent.get(place[1], ear.count if ear else 0), now)
         self.mute = frozenset(mute)
+
+    def _sent(self, record: Record, hanging: Set[str], mute: Set[str]) -> Mapping[str, int]:
+        """Ask a nodelet for its counts, and note if it does not answer."""
+        if record.manager not in hanging:
+            try:
+                sent = self._host.sent(record.name)
+            except HostTimeout:
+                hanging.add(record.manager)  # each of its other nodelets would take that long
+            except HostError:
+                pass  # it is gone, or just going, which says nothing of its neighbours
+            else:
+                mute.discard(record.name)
+                return sent
+        mute.add(record.name)
+        return {}
 
     def _hear(self, place: Place, count: int, now: float) -> None:
         ear = self._ears.get(place)

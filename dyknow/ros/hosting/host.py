@@ -15,7 +15,7 @@ from dyknow_msgs.srv import GetConfig, GetStatistics, SetConfig
 from nodelet.srv import NodeletLoad, NodeletUnload
 
 from dyknow import names
-from dyknow.errors import HostError, NameTaken, PeerTimeout
+from dyknow.errors import HostError, HostTimeout, NameTaken, PeerTimeout
 from dyknow.guards import NO_GUARDS, Guards
 from dyknow.manager.host import Host, Kind, LoadRequest, ManagerState
 from dyknow.manager.model import PortState
@@ -294,4 +294,5 @@ class RosHost(Host):
         try:
             return question()
         except (PeerTimeout, LookupError) as error:
-            raise HostError(f"{whom}: {error}" if whom else str(error)) from error
+            kind = HostTimeout if isinstance(error, PeerTimeout) else HostError
+            raise kind(f"{whom}: {error}" if whom else str(error)) from error

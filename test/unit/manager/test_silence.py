@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from unit.manager.field import CHAIN, Field
 
+from dyknow.errors import HostError
 from dyknow.manager.claim import ClaimState
 
 
@@ -39,6 +40,24 @@ def test_a_silent_nodelet_is_replaced_and_only_that_one(field: Field, label: str
     assert field.claim(claim.claim_id).topic == claim.topic
     assert claim.topic in field.moving
     assert sum("silent" in reason for reason in field.reasons()) == 2
+
+
+@pytest.mark.parametrize("label", CHAIN)
+def test_who_is_just_going_says_nothing_of_its_neighbours(field: Field, label: str) -> None:
+    field.acquire(max_silence=1.0)
+    field.settle(5.0)
+    victim = f"/{label.replace(' ', '_')}_1"
+    others = set(field.host.running) - {victim}
+
+    def going(operation: str, argument: str) -> None:
+        if (operation, argument) == ("sent", victim):
+            raise HostError("the service is not offered any more")
+
+    field.host.fail = going
+    field.settle(10.0)
+    assert victim not in field.host.running
+    assert others <= set(field.host.running), "they are re-wired"
+    assert sorted(field.labels()) == sorted(CHAIN)
 
 
 def test_what_is_silent_again_and_again_gives_way_to_another(field: Field) -> None:
