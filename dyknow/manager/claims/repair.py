@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
-from typing import Any, Callable, Dict, Hashable, Optional, Tuple
+from typing import Any, Callable, Dict, Hashable, Mapping, Optional, Tuple
 
 from dyknow.errors import DyKnowError, StreamTypeMismatch
 from dyknow.manager.claim import Claim, ClaimState
@@ -79,8 +79,9 @@ class Repair:
         wrong: Dict[str, StreamTypeMismatch] = {}
         attempts = 0
         while True:
+            own = self._prospects.own(claim)
             try:
-                return plan, self._carry_out(claim, plan)
+                return plan, self._carry_out(claim, plan, own)
             except StreamTypeMismatch as error:
                 if error.label in wrong:
                     raise
@@ -88,7 +89,7 @@ class Repair:
                 failure: DyKnowError = next(iter(wrong.values()))
             except DyKnowError as error:
                 attempts += 1
-                if attempts == _ATTEMPTS or self._is_as_planned(plan):
+                if attempts == _ATTEMPTS or self._are_there(plan, own):
                     raise
                 failure = error
             answer = self._prospects.plan(claim, lenient, frozenset(wrong))
@@ -96,18 +97,22 @@ class Repair:
                 raise failure
             plan = answer
 
-    def _is_as_planned(self, plan: Plan) -> bool:
-        """Whether the nodelets that a plan found are still there."""
-        found = [self._manager.graph.find(live.nodelet) for live in plan.live if live.nodelet]
+    def _are_there(self, plan: Plan, own: Mapping[str, str]) -> bool:
+        """Whether the nodelets that a plan counted on are still there."""
+        counted_on = {live.nodelet for live in plan.live if live.nodelet}
+        counted_on.update(
+            own[step.action.label] for step in plan.steps if step.action.label in own
+        )
+        found = map(self._manager.graph.find, counted_on)
         return all(record is not None and record.state is State.RUNNING for record in found)
 
-    def _carry_out(self, claim: Claim, plan: Plan) -> Assembled:
+    def _carry_out(self, claim: Claim, plan: Plan, own: Mapping[str, str]) -> Assembled:
         order = Order(
             plan,
             claim.request.tag,
             claim.topic,
             wanted_type(claim),
-            self._prospects.own(claim),
+            own,
             self._silence.unhealthy,
             self._silence.mute,
             claim.claim_id,

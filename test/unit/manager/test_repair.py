@@ -128,6 +128,23 @@ def test_the_same_part_unloaded_by_others_again_and_again_comes_back(field: Fiel
 # The library
 
 
+def test_a_part_that_goes_while_another_one_is_replaced_is_replaced_too(field: Field) -> None:
+    claim = field.acquire().claim
+    field.settle(5.0)
+
+    def goes(operation: str, argument: str) -> None:
+        if operation == "load":
+            field.host.fail = lambda operation, argument: None
+            field.manager.destroy("/detector_1")
+
+    field.manager.destroy("/bottom_camera_1")
+    field.host.fail = goes
+    field.settle(1.0)
+    assert ClaimState.FAILED not in [event.after.state for event in field.events]
+    assert field.state(claim.claim_id) is ClaimState.ACTIVE
+    assert {"/detector_2", "/subsampler_1", "/localization_1"} <= set(field.host.running)
+
+
 def test_a_removed_transformation_without_another_way_is_told_and_flows_on(field: Field) -> None:
     claim = field.acquire().claim
     field.manager.remove_transformation("localization")
