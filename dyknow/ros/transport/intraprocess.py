@@ -287,18 +287,25 @@ class IntraProcess:
             return ""
 
     def _create_transport(self, topic: str, uri: str, parameters: Any) -> Tuple[int, str, int]:
-        if uri == self._uri:
-            with self._lock:
-                local = self._topics.get(topic)
-            if local is not None:
-                manager = rospy.impl.registration.get_topic_manager()
-                subscriber = manager.get_subscriber_impl(topic)
-                if subscriber is None:
-                    return 0, f"no subscriber of {topic}", 0
-                local.link(subscriber)
-                return 1, "intraprocess", 0
+        if uri == self._uri and self._is_taken_over(topic):
+            return self._link(topic)
         answer: Tuple[int, str, int] = self._connect_outside(topic, uri, parameters)
+        if uri == self._uri and self._is_taken_over(topic):
+            return self._link(topic)  # meanwhile, by somebody who did not see this connection yet
         return answer
+
+    def _is_taken_over(self, topic: str) -> bool:
+        with self._lock:
+            return topic in self._topics
+
+    def _link(self, topic: str) -> Tuple[int, str, int]:
+        subscriber = rospy.impl.registration.get_topic_manager().get_subscriber_impl(topic)
+        with self._lock:
+            local = self._topics.get(topic)
+        if subscriber is None or local is None:
+            return 0, f"no subscriber of {topic}", 0
+        local.link(subscriber)
+        return 1, "intraprocess", 0
 
 
 class _Departures(rospy.impl.registration.RegistrationListener):
