@@ -171,13 +171,17 @@ class NotSpawnable(DyKnowError):
         )
 
 
+def waiting(claim_id: str) -> str:
+    """What the refusal of a stream says at its end if the claim is kept all the same."""
+    return f"; claim {claim_id} waits until it can be made" if claim_id else ""
+
+
 class NoPlanFound(DyKnowError):
     """Nothing supplies a requested stream now."""
 
     def __init__(self, reason: str, claim_id: str = "") -> None:
         self.claim_id = claim_id
-        waiting = f"; claim {claim_id} waits until it can be made" if claim_id else ""
-        super().__init__(reason + waiting)
+        super().__init__(reason + waiting(claim_id))
 
 
 class StreamTypeMismatch(DyKnowError):

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import enum
 
-from dyknow.errors import DyKnowError, Refused
+from dyknow.errors import DyKnowError, Refused, waiting
 
 
 class Unreachable(DyKnowError):
@@ -51,4 +51,4 @@ class StreamRefused(Refused):
 
     def given_up(self) -> StreamRefused:
         """Return the refusal as it is once the claim was released: nothing waits any more."""
-        return StreamRefused(str(self).split(f"; claim {self.claim_id} ")[0], self.result)
+        return StreamRefused(str(self).replace(waiting(self.claim_id), ""), self.result)

@@ -27,7 +27,6 @@ MAX_COST = 2**32 - 1
 _ROS_NAME = re.compile(r"[A-Za-z~/][A-Za-z0-9_/]*\Z")
 _DATATYPE = re.compile(r"[A-Za-z][A-Za-z0-9_]*/[A-Za-z][A-Za-z0-9_]*\Z")
 _COST = re.compile(r"\+?[0-9]+\Z")
-_PLAIN_TAG = re.compile(r"[\w./:#-]+(?:\([\w./:#-]+(?:, ?[\w./:#-]+){0,15}\))?\Z")
 
 
 class Builder:
@@ -191,7 +190,7 @@ class Builder:
                 )
 
     def _check_tag(self, text: str, supplied: bool, line: int) -> None:
-        if not text or _PLAIN_TAG.match(text):  # nearly all, and quick
+        if not text:
             return
         try:
             term = parse_tag(text)

@@ -199,9 +199,10 @@ class Children:
 
     def _free_name(self, kind: Kind, isolated_for: str = "") -> str:
         """First name, counted from 2, that no child and no living node of others has."""
-        base = names.join(self._namespace, _BASES[kind])
         if isolated_for:
             base = f"{isolated_for}_nodelet_manager"
+        else:
+            base = names.join(self._namespace, _BASES[kind])
         number, name = 1, base
         while True:
             with self._lock:
