@@ -5,7 +5,7 @@ ROS_PYTHON := /usr/bin/python3
 IN_WORKSPACE := bash tools/in-workspace.sh
 
 .DEFAULT_GOAL := help
-.PHONY: help deps build venv demo demo-rewiring gui test benchmark performance screenshots docs clean
+.PHONY: help deps build venv demo demo-rewiring gui test test-long benchmark performance screenshots docs clean
 
 help: ## what there is to make
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 22
@@ -27,6 +27,9 @@ gui: build ## open the window on the computation graph
 
 test: deps ## run every check and test (ROSTEST_JOBS=1 runs the rostest suites one by one)
 	@$(ROS_PYTHON) tools/check.py
+
+test-long: deps ## run the tests that take long: many random steps, repeated faults, stress
+	@$(ROS_PYTHON) tools/check.py --long
 
 benchmark: build ## measure the time to arrival over a chain of nodelets (options: make benchmark ARGS="...")
 	@$(IN_WORKSPACE) rosrun dyknow benchmark $(ARGS)

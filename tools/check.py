@@ -1,18 +1,20 @@
 """Runs every check and test of the repository, one after the other, and sums up.
 
 A stage that fails fails the run, but the later stages still run, so that one run shows everything
-there is to mend.
+there is to mend. With ``--long`` it runs what takes too long for every change instead: the unit
+tests that are marked ``long`` and the rostest suites in ``test/ros/long``.
 """
 
 from __future__ import annotations
 
+import argparse
 import os
 import sys
 import time
 import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Callable
+from typing import Callable, Tuple
 
 import rostests
 from processes import run_logged
@@ -23,6 +25,7 @@ VENV = ROOT / "build" / "venv" / "bin"
 IN_WORKSPACE = ("bash", str(ROOT / "tools" / "in-workspace.sh"))
 ROS_PYTHON = "/usr/bin/python3"
 STAGE_TIMEOUT = 420.0  # s
+LONG_TIMEOUT = 3600.0  # s, for a stage or suite of the long run
 IN_PARALLEL = ("-n", "2", "--dist", "worksteal")
 LAYERS_WITHOUT_ROS = ("nodelet", "proxy", "manager")
 
@@ -37,10 +40,10 @@ class Outcome:
     note: str = ""
 
 
-def run_command(*argv: str, **environment: str) -> tuple[int, str]:
+def run_command(*argv: str, timeout: float = STAGE_TIMEOUT, **environment: str) -> tuple[int, str]:
     """Runs a command; returns its exit code and all it printed."""
     log = RESULTS / "stage.txt"
-    code = run_logged(argv, log, STAGE_TIMEOUT, environment)
+    code = run_logged(argv, log, timeout, environment)
     return code, log.read_text(errors="replace")
 
 
@@ -54,11 +57,13 @@ def check(*argv: str) -> Callable[[], Outcome]:
     return stage
 
 
-def run_pytest(results: str, *argv: str, **environment: str) -> Outcome:
+def run_pytest(
+    results: str, *argv: str, timeout: float = STAGE_TIMEOUT, **environment: str
+) -> Outcome:
     """Runs pytest by the given command and counts its tests."""
     report = RESULTS / results
     report.unlink(missing_ok=True)
-    code, output = run_command(*argv, f"--junit-xml={report}", **environment)
+    code, output = run_command(*argv, f"--junit-xml={report}", timeout=timeout, **environment)
     passed, failed, skipped = _counts(report)
     if passed + failed + skipped == 0:
         return Outcome(0, 1, output, "no tests found" if code in (0, 4, 5) else "")
@@ -79,12 +84,14 @@ def _counts(report: Path) -> tuple[int, int, int]:
     return total - failures - errors - skipped, failures + errors, skipped
 
 
-def unit_tests() -> Outcome:
-    """The tests that need no roscore, on the Python of ROS."""
+def unit_tests(long: bool = False) -> Outcome:
+    """The tests that need no roscore, on the Python of ROS; those marked long, or the others."""
     return run_pytest(
-        "unit.xml",
+        "unit-long.xml" if long else "unit.xml",
         *IN_WORKSPACE,
-        *(str(VENV / "python"), "-m", "pytest", "-q", *IN_PARALLEL, "test/unit"),
+        *(str(VENV / "python"), "-m", "pytest", "-q", *IN_PARALLEL),
+        *("-m", "long" if long else "not long", "test/unit"),
+        timeout=LONG_TIMEOUT if long else STAGE_TIMEOUT,
         QT_QPA_PLATFORM="offscreen",
     )
 
@@ -104,7 +111,7 @@ def unit_tests_py38() -> Outcome:
     if code != 0:
         return Outcome(0, 1, output)
     venv_python = str(ROOT / "build" / "venv38" / "bin" / "python")
-    argv = (venv_python, "-m", "pytest", "-q", *IN_PARALLEL, *folders)
+    argv = (venv_python, "-m", "pytest", "-q", *IN_PARALLEL, "-m", "not long", *folders)
     return run_pytest("unit-py38.xml", *argv, PYTHONPATH="")
 
 
@@ -126,18 +133,24 @@ def find_python38() -> str | None:
     return None
 
 
-def ros_tests() -> Outcome:
-    """The rostest suites."""
-    suites = sorted((ROOT / "test" / "ros").glob("*.test"))
+def ros_tests(long: bool = False) -> Outcome:
+    """The rostest suites; those in the folder ``long``, or the others."""
+    folder = ROOT / "test" / "ros"
+    suites = sorted((folder / "long" if long else folder).glob("*.test"))
     if not suites:
         return Outcome(0, 1, note="no tests found")
     passed, failed = rostests.run_all(
-        suites, RESULTS, jobs=int(os.environ.get("ROSTEST_JOBS", "3"))
+        suites,
+        RESULTS,
+        jobs=int(os.environ.get("ROSTEST_JOBS", "3")),
+        timeout=LONG_TIMEOUT if long else rostests.SUITE_TIMEOUT,
     )
     return Outcome(passed, failed, note=f"{passed} passed, {failed} failed")
 
 
-STAGES: tuple[tuple[str, Callable[[], Outcome]], ...] = (
+Stage = Tuple[str, Callable[[], Outcome]]
+
+STAGES: tuple[Stage, ...] = (
     ("build", check("make", "--no-print-directory", "build")),
     ("check tools", check("make", "--no-print-directory", "venv")),
     ("ruff check", check(str(VENV / "ruff"), "check")),
@@ -155,9 +168,19 @@ STAGES: tuple[tuple[str, Callable[[], Outcome]], ...] = (
     ("ROS tests", ros_tests),
 )
 
+LONG_STAGES: tuple[Stage, ...] = (
+    ("build", check("make", "--no-print-directory", "build")),
+    ("check tools", check("make", "--no-print-directory", "venv")),
+    ("long unit tests", lambda: unit_tests(long=True)),
+    ("long ROS tests", lambda: ros_tests(long=True)),
+)
+
 
 def main() -> int:
     """Runs the stages; returns 0 when none of them failed."""
+    parser = argparse.ArgumentParser(description="Run the checks and tests of the repository.")
+    parser.add_argument("--long", action="store_true", help="run the long tests instead")
+    stages = LONG_STAGES if parser.parse_args().long else STAGES
     os.environ["PATH"] = "/usr/bin:" + os.environ["PATH"]
     sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
     os.chdir(ROOT)
@@ -165,7 +188,7 @@ def main() -> int:
     begin = time.monotonic()
     passed = failed = 0
     failed_stages = []
-    for name, stage in STAGES:
+    for name, stage in stages:
         started = time.monotonic()
         outcome = stage()
         passed += outcome.passed

@@ -29,8 +29,8 @@ class SuiteOutcome:
     output: str
 
 
-def run_all(suites: Sequence[Path], results: Path, jobs: int) -> tuple[int, int]:
-    """Runs the suites, at most `jobs` at a time, and prints a line for each.
+def run_all(suites: Sequence[Path], results: Path, jobs: int, timeout: float) -> tuple[int, int]:
+    """Runs the suites, at most `jobs` at a time and `timeout` s each, and prints a line for each.
 
     Before the line of a failing one stands what it printed.
 
@@ -39,7 +39,7 @@ def run_all(suites: Sequence[Path], results: Path, jobs: int) -> tuple[int, int]
     """
     passed = failed = 0
     with ThreadPoolExecutor(max_workers=max(1, jobs)) as pool:
-        for outcome in pool.map(lambda suite: run_suite(suite, results), suites):
+        for outcome in pool.map(lambda suite: run_suite(suite, results, timeout), suites):
             passed += outcome.passed
             failed += outcome.failed
             if outcome.failed:
@@ -52,7 +52,7 @@ def run_all(suites: Sequence[Path], results: Path, jobs: int) -> tuple[int, int]
     return passed, failed
 
 
-def run_suite(suite: Path, results: Path) -> SuiteOutcome:
+def run_suite(suite: Path, results: Path, timeout: float) -> SuiteOutcome:
     """Runs one suite in the built workspace."""
     home = results / "ros" / suite.stem
     shutil.rmtree(home, ignore_errors=True)
@@ -62,7 +62,7 @@ def run_suite(suite: Path, results: Path) -> SuiteOutcome:
     code = run_logged(
         [*IN_WORKSPACE, "rostest", f"--results-base-dir={home}", str(suite)],
         log,
-        SUITE_TIMEOUT,
+        timeout,
         {"ROS_HOME": str(home), "QT_QPA_PLATFORM": "offscreen"},
     )
     text = log.read_text(errors="replace")
