@@ -1,0 +1,65 @@
+"""A nodelet of any ports, whose messages are signed and which reports what should not reach it."""
+
+from __future__ import annotations
+
+import functools
+import json
+import os
+
+import signatures
+from roslib.message import get_message_class
+from std_msgs.msg import String
+
+import dyknow
+
+
+class Signed(dyknow.Nodelet):
+    """Publishes signed messages: what it receives, or at 20 Hz where it has no demands.
+
+    Parameters: ~ports (JSON, a list of name, direction, datatype and tags), ~kinds (JSON, what is
+    a kind of what) and ~report, a file that gets a line for each message that meets no demand.
+    """
+
+    def on_init(self):
+        self.nh = dyknow.NodeHandle(self.node_handle)
+        self.kinds = json.loads(self.nh.get_param("~kinds"))
+        self.report = self.nh.get_param("~report")
+        self.number = 0
+        self.is_mute = False
+        self.outputs = []
+        demands = []
+        for name, direction, datatype, tags in json.loads(self.nh.get_param("~ports")):
+            message_class = get_message_class(datatype)
+            if direction == "out":
+                publisher = self.nh.Publisher(name, message_class, queue_size=10)
+                self.outputs.append((publisher, message_class, tags))
+                continue
+            leads = bool(tags) and not demands
+            demands += tags
+            receive = functools.partial(self.receive, name, tags, leads)
+            self.nh.Subscriber(name, message_class, receive, queue_size=10)
+        if not demands:
+            self.timer = self.nh.Timer(self.nh.Duration(0.05), lambda event: self.publish())
+        self.orders = self.node_handle.Subscriber("/orders", String, self.on_order, queue_size=100)
+
+    def receive(self, port, tags, leads, message):
+        found = signatures.signature(message)
+        if not tags or not signatures.all_met(found["tags"], tags, self.kinds):
+            with open(self.report, "a") as file:
+                file.write(f"{self.name}.{port} demands {tags}, got {found}\n")
+        if leads:
+            self.publish()
+
+    def publish(self):
+        if self.is_mute:
+            return
+        self.number += 1
+        for publisher, message_class, tags in self.outputs:
+            publisher.publish(signatures.sign(message_class(), self.name, self.number, tags))
+
+    def on_order(self, message):
+        name, order = message.data.split()
+        if name in (self.name, "all"):
+            if order == "exit":
+                os._exit(3)
+            self.is_mute = order == "silent"
