@@ -11,7 +11,6 @@ import signal
 import subprocess
 import tempfile
 import time
-import unittest
 from pathlib import Path
 from typing import Any, Iterator
 
@@ -23,6 +22,7 @@ import rospy  # noqa: E402
 from processes import eventually  # noqa: E402
 from roslib.packages import find_node  # noqa: E402
 from std_msgs.msg import Header  # noqa: E402
+from telling import TellingCase  # noqa: E402
 
 from dyknow.ros.client import ManagerClient  # noqa: E402
 from dyknow.ros.os_process import ProcessId  # noqa: E402
@@ -152,7 +152,7 @@ class ManagerProcess:
         return {port.name: port.topic for port in found.ports} if found is not None else {}
 
 
-class ManagerCase(unittest.TestCase):
+class ManagerCase(TellingCase):
     """Each test has a manager that it starts itself."""
 
     def make(self, **parameters: Any) -> ManagerProcess:

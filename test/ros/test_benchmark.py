@@ -9,9 +9,10 @@ import signal
 import subprocess
 import sys
 import tempfile
-import unittest
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+
+from telling import TellingCase
 
 from dyknow.benchmark.kinds import KINDS
 
@@ -33,7 +34,7 @@ def processes_with(text):
     return found
 
 
-class BenchmarkTest(unittest.TestCase):
+class BenchmarkTest(TellingCase):
     def setUp(self):
         directory = tempfile.TemporaryDirectory()
         self.addCleanup(directory.cleanup)

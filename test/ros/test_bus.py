@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import itertools
 import signal
-import unittest
 
 import graph  # first: it makes the test package known
 import rospy
@@ -14,9 +13,10 @@ from graph import PEER, Manager, call, port_statistics, set_config
 from processes import Running, eventually, finished
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
+from telling import TellingCase
 
 
-class BusTest(unittest.TestCase):
+class BusTest(TellingCase):
     @classmethod
     def setUpClass(cls):
         cls.manager = Manager("/manager")

@@ -7,7 +7,6 @@ import collections
 import signal
 import tempfile
 import time
-import unittest
 
 import graph  # first: it makes the test package known
 import rosgraph
@@ -17,6 +16,7 @@ from bond.msg import Status
 from graph import Ended, Manager, call, registrations
 from processes import NODELET, STOCK_NODELET, eventually, finished
 from std_msgs.msg import Header
+from telling import TellingCase
 
 CLIENTS = {"stock": STOCK_NODELET, "own": NODELET}
 
@@ -26,7 +26,7 @@ def nodes() -> set[str]:
     return {node for kind in state for _, nodes in kind for node in nodes}
 
 
-class Started(unittest.TestCase):
+class Started(TellingCase):
     def start(self, *command):
         process = Ended(*command)
         self.addCleanup(process.__exit__)

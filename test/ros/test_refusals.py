@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import threading
-import unittest
 
 import graph  # first: it makes the test packages known
 import rospy
@@ -13,9 +12,10 @@ from dyknow_test.puppet import Echo
 from graph import Manager, call, registrations, set_config, set_config_pairs
 from processes import NODELET, Running, eventually
 from std_msgs.msg import Header, String
+from telling import TellingCase
 
 
-class Refusals(unittest.TestCase):
+class Refusals(TellingCase):
     @classmethod
     def setUpClass(cls):
         cls.manager = Manager("/manager")
@@ -276,7 +276,7 @@ class SetConfigTest(Refusals):
         self.assertFalse([name for name in graph.services_of("/manager") if "/n/" in name])
 
 
-class CallbackTest(unittest.TestCase):
+class CallbackTest(TellingCase):
     """What goes wrong in a callback stays there."""
 
     @classmethod

@@ -6,7 +6,6 @@ from __future__ import annotations
 import itertools
 import queue
 import sys
-import unittest
 
 import rosgraph
 import rospy
@@ -17,6 +16,7 @@ from nodelet.srv import NodeletList, NodeletLoad, NodeletUnload
 from rosgraph_msgs.msg import Log
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header, String
+from telling import TellingCase
 
 TIMEOUT = 15.0  # s
 SHIPPED = {
@@ -32,7 +32,7 @@ def service(name, service_class):
     return rospy.ServiceProxy(name, service_class)
 
 
-class ShippedNodeletsTest(unittest.TestCase):
+class ShippedNodeletsTest(TellingCase):
     numbers = itertools.count()
 
     @classmethod

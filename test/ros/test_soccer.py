@@ -6,7 +6,6 @@ from __future__ import annotations
 import itertools
 import queue
 import sys
-import unittest
 
 import numpy as np
 import rospy
@@ -16,6 +15,7 @@ from dyknow_msgs.srv import GetStatistics, SetConfig
 from geometry_msgs.msg import PointStamped, PoseWithCovarianceStamped
 from nodelet.srv import NodeletLoad, NodeletUnload
 from sensor_msgs.msg import CameraInfo, Image, JointState
+from telling import TellingCase
 
 from dyknow.demo.soccer.field import BALL_RADIUS
 from dyknow.demo.soccer.planes_message import planes_of
@@ -34,7 +34,7 @@ def service(name, service_class):
     return rospy.ServiceProxy(name, service_class)
 
 
-class SoccerTest(unittest.TestCase):
+class SoccerTest(TellingCase):
     numbers = itertools.count()
 
     @classmethod

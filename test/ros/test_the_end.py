@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import signal
 import time
-import unittest
 
 import graph  # first: it makes the test package known
 import rospy
@@ -13,11 +12,12 @@ import rostest
 from graph import PEER, Ended, Manager, call
 from processes import eventually, finished
 from std_msgs.msg import Header
+from telling import TellingCase
 
 NOTHING = {"publishers": [], "subscribers": [], "services": []}
 
 
-class EndTest(unittest.TestCase):
+class EndTest(TellingCase):
     def setUp(self):
         self.manager = Manager("/manager")
         self.addCleanup(self.manager.__exit__)
