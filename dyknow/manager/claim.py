@@ -24,6 +24,10 @@ class ClaimState(enum.IntEnum):
         return self in (ClaimState.RELEASED, ClaimState.EXPIRED)
 
 
+NO_MESSAGE = "no message yet"
+"""Detail of an active claim on whose topic nothing has come since its stream was changed last."""
+
+
 @dataclass(frozen=True)
 class StreamRequest:
     """What a client asks for.
@@ -59,7 +63,7 @@ class Claim:
         topic: where the client listens; it stays, whoever publishes there.
         datatype: type of the stream.
         state: whether it flows.
-        detail: why it does not, in words.
+        detail: why it does not, or what is not known to flow yet, in words.
         goal: nodelet and out-port that publish; empty for a topic of ordinary nodes.
         wiring: for each nodelet of the stream the topics that its ports need.
         sources: topics of ordinary nodes that the stream needs.

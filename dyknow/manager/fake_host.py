@@ -3,11 +3,23 @@
 from __future__ import annotations
 
 import itertools
+import time
 from dataclasses import dataclass, field, replace
-from typing import Callable, Dict, FrozenSet, Iterable, List, Mapping, Optional, Sequence, Tuple
+from typing import (
+    Callable,
+    Collection,
+    Dict,
+    FrozenSet,
+    Iterable,
+    List,
+    Mapping,
+    Optional,
+    Sequence,
+    Tuple,
+)
 
 from dyknow.errors import HostError, HostTimeout, NameTaken
-from dyknow.manager.host import Host, Kind, LoadRequest, ManagerState
+from dyknow.manager.host import Count, Host, Kind, Listening, LoadRequest, ManagerState
 from dyknow.manager.model import PortState
 from dyknow.manager.specifications.transformation import Parameter
 
@@ -19,6 +31,7 @@ class FakeNodelet:
     request: LoadRequest
     ports: Dict[str, PortState] = field(default_factory=dict)
     sent: Dict[str, int] = field(default_factory=dict)
+    latched: set[str] = field(default_factory=set)
 
     def topics(self, direction: str) -> List[str]:
         """Topics that its in-ports or its out-ports are connected to."""
@@ -34,6 +47,25 @@ class FakeManager:
     nodelets: Dict[str, FakeNodelet] = field(default_factory=dict)
 
 
+class FakeListening(Listening):
+    """Counts what ``FakeHost.flow`` lets pass on one topic."""
+
+    def __init__(self, host: FakeHost, topic: str) -> None:
+        """Begin."""
+        self.topic = topic
+        self.messages = 0
+        self._host = host
+
+    def count(self) -> Optional[Count]:
+        """Report what was heard."""
+        now = self._host.clock()
+        return Count(self.messages, now, now)
+
+    def close(self) -> None:
+        """Listen no more."""
+        self._host.listeners.remove(self)
+
+
 class FakeHost(Host):
     """Keeps everything in dictionaries; faults are injected by hand.
 
@@ -44,11 +76,19 @@ class FakeHost(Host):
         silent: nodelets, by name or type, and ordinary topics that send nothing.
         fail: called before each operation with its name and argument; may raise.
         calls: every operation, in order.
+        clock: when messages are counted.
+        listeners: those that listen to a topic now.
     """
 
-    def __init__(self, sources: Mapping[str, Sequence[Tuple[str, str, str]]]) -> None:
-        """Make a host that knows these nodelet types."""
+    def __init__(
+        self,
+        sources: Mapping[str, Sequence[Tuple[str, str, str]]],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """Make a host that knows these nodelet types; ``clock`` gives steady seconds."""
         self.sources = dict(sources)
+        self.clock = clock
+        self.listeners: List[FakeListening] = []
         self.cpp: set[str] = set()
         self.topics: set[str] = set()
         self.silent: set[str] = set()
@@ -58,7 +98,6 @@ class FakeHost(Host):
         self.parameters: Dict[str, object] = {}
         self._incarnations = itertools.count(1)
         self._hung: set[str] = set()
-        self._heard: Dict[str, int] = {}
 
     # By hand
 
@@ -103,8 +142,8 @@ class FakeHost(Host):
                     for port in nodelet.ports.values():
                         if port.direction == "out" and port.topic:
                             nodelet.sent[port.name] = nodelet.sent.get(port.name, 0) + 1
-        for topic in self._heard:
-            self._heard[topic] += topic in moving
+        for listener in self.listeners:
+            listener.messages += listener.topic in moving
         return moving
 
     def vanish(self, name: str) -> None:
@@ -222,16 +261,39 @@ class FakeHost(Host):
         self._step("published", "")
         return frozenset(topics) & self.topics
 
-    def sent(self, name: str) -> Dict[str, int]:
-        """Report what was sent."""
-        self._step("sent", name)
-        return dict(self._process_of(name).nodelets[name].sent)
+    def counts(
+        self, wanted: Mapping[str, Collection[str]]
+    ) -> Dict[str, Optional[Mapping[str, Count]]]:
+        """Report what was sent; nothing is known of who hangs."""
+        found: Dict[str, Optional[Mapping[str, Count]]] = {}
+        for manager in sorted(wanted):
+            for name in sorted(wanted[manager]):
+                asked = self.clock()
+                try:
+                    self._step("counts", name)
+                    nodelet = self._alive(manager).nodelets[name]
+                except HostTimeout:
+                    continue
+                except (HostError, KeyError):
+                    found[name] = None
+                    continue
+                found[name] = {
+                    port.name: Count(
+                        nodelet.sent.get(port.name, 0),
+                        asked,
+                        self.clock(),
+                        port.name in nodelet.latched,
+                    )
+                    for port in nodelet.ports.values()
+                    if port.direction == "out"
+                }
+        return found
 
-    def heard(self, topics: Iterable[str]) -> Dict[str, int]:
-        """Report what was heard."""
-        wanted = set(topics)
-        self._heard = {topic: self._heard.get(topic, 0) for topic in sorted(wanted)}
-        return dict(self._heard)
+    def listen(self, topic: str) -> Listening:
+        """Count what passes on a topic."""
+        listener = FakeListening(self, topic)
+        self.listeners.append(listener)
+        return listener
 
     def _start(self, name: str, kind: Kind, isolated_for: str) -> str:
         state = ManagerState(name, kind, str(next(self._incarnations)), isolated_for)

@@ -9,7 +9,17 @@ from __future__ import annotations
 import enum
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
-from typing import Dict, FrozenSet, Iterable, List, Mapping, Sequence, Tuple
+from typing import (
+    Collection,
+    Dict,
+    FrozenSet,
+    Iterable,
+    List,
+    Mapping,
+    Optional,
+    Sequence,
+    Tuple,
+)
 
 from dyknow.manager.model import PortState
 from dyknow.manager.specifications.transformation import Parameter
@@ -63,6 +73,35 @@ class LoadRequest:
     source: str
     parameters: Tuple[Parameter, ...] = ()
     remappings: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Count:
+    """How many messages had gone through a port, or come on a topic, at a moment between two.
+
+    Attributes:
+        messages: since the port, or the listening, began.
+        asked: they were counted no earlier than this, in seconds of a steady clock.
+        answered: nor later than this.
+        latched: whether the port keeps a message for whoever connects later.
+    """
+
+    messages: int
+    asked: float
+    answered: float
+    latched: bool = False
+
+
+class Listening(ABC):
+    """Counts the messages of one topic until it is closed."""
+
+    @abstractmethod
+    def count(self) -> Optional[Count]:
+        """Messages since the listening began; None as long as it has not begun."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Listen no more; returns at once."""
 
 
 class Host(ABC):
@@ -134,16 +173,22 @@ class Host(ABC):
         """
 
     @abstractmethod
-    def sent(self, name: str) -> Dict[str, int]:
-        """Messages that each out-port of a nodelet with a proxy has sent since it was loaded.
+    def counts(
+        self, wanted: Mapping[str, Collection[str]]
+    ) -> Dict[str, Optional[Mapping[str, Count]]]:
+        """Ask nodelet managers, side by side, how many messages nodelets have sent.
 
-        Raises:
-            HostError: the proxy does not answer; HostTimeout: not in time.
+        An absent or hung nodelet manager delays this by half a second, once; as long as its answer
+        is due it is not waited for.
+
+        Args:
+            wanted: names of nodelets, by nodelet manager.
+
+        Returns:
+            For each nodelet the counts of its out-ports; None for one that is not there. Those
+            that are not known yet are left out; when they are, the next call returns them.
         """
 
     @abstractmethod
-    def heard(self, topics: Iterable[str]) -> Dict[str, int]:
-        """Messages heard on topics whose publishers cannot be asked.
-
-        Listening to a topic begins when it is named first and ends when it is named no more.
-        """
+    def listen(self, topic: str) -> Listening:
+        """Begin to listen to a topic whose publishers cannot be asked; returns at once."""

@@ -93,6 +93,12 @@ class Loader:
                 name for name, entry in self._entries.items() if entry.state is _State.RUNNING
             )
 
+    def contexts(self) -> List[Context]:
+        """Contexts of the nodelets that run, sorted by name."""
+        with self._lock:
+            running = [each for each in self._entries.values() if each.state is _State.RUNNING]
+        return sorted((each.context for each in running), key=lambda context: context.name)
+
     def get(self, name: str) -> Nodelet:
         """Return the running nodelet of that name.
 

@@ -7,12 +7,12 @@ topic that it is connected to. Handles made on it later find that connection aga
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, List, Optional, Sequence
 
 from dyknow.nodelet.bus import Endpoint
 from dyknow.nodelet.context import Context
-from dyknow.nodelet.endpoints import Publication
+from dyknow.nodelet.endpoints import NOTHING, Publication
 from dyknow.nodelet.states import PublisherState, SubscriberState
 from dyknow.nodelet.traffic import Traffic, TrafficSnapshot
 
@@ -38,10 +38,17 @@ class PortConfig:
 
 @dataclass(frozen=True)
 class PortStatistics:
-    """What went through a port since the nodelet was loaded."""
+    """What went through a port since the nodelet was loaded.
+
+    Attributes:
+        port: the port at this moment.
+        traffic: what went through.
+        latched: whether it keeps a message for whoever connects later.
+    """
 
     port: PortConfig
     traffic: TrafficSnapshot
+    latched: bool = False
 
 
 class Port:
@@ -103,6 +110,12 @@ class OutPort(Port):
     def endpoints(self) -> Sequence[Endpoint]:
         """Its publication, while a handle is there."""
         return () if self.publication is None else (self.publication,)
+
+    def statistics(self) -> PortStatistics:
+        """What went through, and what is kept."""
+        publication = self.publication
+        latched = publication is not None and publication.latched is not NOTHING
+        return replace(super().statistics(), latched=latched)
 
 
 class InPort(Port):

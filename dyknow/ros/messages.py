@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import List, Sequence, Tuple
 
 import rospy
-from dyknow_msgs.msg import Port, PortStatistics
+from dyknow_msgs.msg import NodeletCounts, Port, PortCount, PortStatistics
 from dyknow_msgs.msg import PortConfig as PortConfigMessage
 from dyknow_msgs.srv import GetStatisticsResponse
 
 from dyknow.proxy.port import OUT, PortConfig
-from dyknow.proxy.proxy import ProxyStatistics
+from dyknow.proxy.proxy import NodeletProxy, ProxyStatistics
 
 
 def _direction(port: PortConfig) -> int:
@@ -25,6 +25,24 @@ def port_messages(ports: Sequence[PortConfig]) -> List[Port]:
 def config_pairs(config: Sequence[PortConfigMessage]) -> List[Tuple[str, str]]:
     """Pairs of port and topic."""
     return [(entry.port, entry.topic) for entry in config]
+
+
+def counts_message(proxy: NodeletProxy) -> NodeletCounts:
+    """A nodelet's part of the answer of ``get_counts``."""
+    statistics = proxy.get_statistics()
+    return NodeletCounts(
+        nodelet=proxy.name,
+        uptime=rospy.Duration.from_sec(statistics.uptime),
+        ports=[
+            PortCount(
+                port=each.port.name,
+                direction=_direction(each.port),
+                messages=each.traffic.messages,
+                latched=each.latched,
+            )
+            for each in sorted(statistics.ports, key=lambda each: each.port.name)
+        ],
+    )
 
 
 def statistics_message(statistics: ProxyStatistics) -> GetStatisticsResponse:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Callable, List
+import contextlib
+from typing import Callable, List, Optional
 
-from dyknow.errors import HostError
-from dyknow.manager.host import Host
+from dyknow.manager.host import Count, Host
 from dyknow.manager.model import Record
 
 #: Seconds between two questions.
@@ -55,18 +55,30 @@ class Handover:
         delivery = self._delivery
         if not self._deadline:
             self._deadline = delivery.clock() + delivery.patience
-        while not self._has_sent(record, port):
-            if delivery.clock() >= self._deadline:
-                late = f"though it sent nothing within {delivery.patience:g} s"
-                self.remarks.append(f"{record.name} took over {late}")
-                return
-            delivery.sleep(_STEP)
+        with contextlib.ExitStack() as closing:
+            has_sent = self._question(record, port, closing)
+            while not has_sent():
+                if delivery.clock() >= self._deadline:
+                    late = f"though it sent nothing within {delivery.patience:g} s"
+                    self.remarks.append(f"{record.name} took over {late}")
+                    return
+                delivery.sleep(_STEP)
 
-    def _has_sent(self, record: Record, port: str) -> bool:
-        try:
-            if record.rewired_by_reload:
-                topic = record.topics.get(port, "")
-                return self._delivery.host.heard((topic,)).get(topic, 0) > 0
-            return self._delivery.host.sent(record.name).get(port, 0) > 0
-        except HostError:
-            return False
+    def _question(
+        self, record: Record, port: str, closing: contextlib.ExitStack
+    ) -> Callable[[], bool]:
+        """Tell how to find out whether an out-port has sent something."""
+        host = self._delivery.host
+        begin = self._delivery.clock()  # an earlier answer is about an earlier nodelet of the name
+        if record.rewired_by_reload:
+            listening = host.listen(record.topics.get(port, ""))
+            closing.callback(listening.close)
+            return lambda: _shows_messages(listening.count(), begin)
+        wanted = {record.manager: (record.name,)}
+        return lambda: _shows_messages(
+            (host.counts(wanted).get(record.name) or {}).get(port), begin
+        )
+
+
+def _shows_messages(count: Optional[Count], since: float) -> bool:
+    return count is not None and count.asked >= since and count.messages > 0

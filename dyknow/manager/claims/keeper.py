@@ -20,7 +20,9 @@ from dyknow.errors import DyKnowError, NoPlanFound
 from dyknow.manager.claim import Claim, ClaimEvent, ClaimState, StreamRequest
 from dyknow.manager.claims.claim_table import ClaimTable
 from dyknow.manager.claims.delivery import Delivery
+from dyknow.manager.claims.first_message import FirstMessages
 from dyknow.manager.claims.housekeeping import Housekeeping
+from dyknow.manager.claims.message_counts import MessageCounts
 from dyknow.manager.claims.offers import Offers
 from dyknow.manager.claims.prospects import Prospects, demand_of
 from dyknow.manager.claims.quarantine import Quarantine
@@ -99,7 +101,9 @@ class Keeper:
         self._turn = Turn()
         self._ended = False
         self._table = ClaimTable(manager.store, clock, settings.ended_kept)
-        self._silence = SilenceWatch(manager.host, manager.graph, clock)
+        self._counts = MessageCounts(manager.host, manager.graph, clock)
+        self._silence = SilenceWatch(self._counts, manager.graph)
+        self._first_messages = FirstMessages(self._table, self._counts, manager.graph, clock)
         quarantine = Quarantine(clock)
         self._prospects = Prospects(
             manager, ontology, self._table, quarantine, self._silence, clock
@@ -123,6 +127,8 @@ class Keeper:
             self._housekeeping,
             quarantine,
             self._silence,
+            self._counts,
+            self._first_messages,
             clock,
         )
 
@@ -237,7 +243,10 @@ class Keeper:
             self._prospects.look()
             self._repair.note_births()
             claims = self._table.living()
-            for name in self._silence.look(claims):
+            came = self._counts.read(
+                self._first_messages.periods(claims), self._silence.periods(claims)
+            )
+            for name in self._silence.look(claims, came):
                 self._repair.blame(name)
             for claim in sorted(claims, key=_upstream_first):
                 if claim.claim_id == self._turn.claim_id:
@@ -249,6 +258,7 @@ class Keeper:
             self._housekeeping.clear_topics()
             self._housekeeping.collect()
             self._offers.tell()
+            self._first_messages.look()
 
 
 def _upstream_first(claim: Claim) -> int:

@@ -46,6 +46,7 @@ class Assembled:
         spawned: names of new nodelets.
         reused: names of nodelets that were there.
         remarks: what did not go as it should, in words.
+        detail: what there is to say about the stream as it is now.
     """
 
     topic: str = ""
@@ -56,3 +57,4 @@ class Assembled:
     spawned: List[str] = field(default_factory=list)
     reused: Set[str] = field(default_factory=set)
     remarks: List[str] = field(default_factory=list)
+    detail: str = ""

@@ -11,8 +11,10 @@ from dyknow.manager.claim import Claim, ClaimState
 from dyknow.manager.claims.assembly import Assembly
 from dyknow.manager.claims.claim_table import ClaimTable
 from dyknow.manager.claims.delivery import Delivery
+from dyknow.manager.claims.first_message import FirstMessages
 from dyknow.manager.claims.housekeeping import Housekeeping
 from dyknow.manager.claims.inspection import Damage, inspect
+from dyknow.manager.claims.message_counts import MessageCounts
 from dyknow.manager.claims.order import Assembled, Order
 from dyknow.manager.claims.prospects import Prospects, wanted_type
 from dyknow.manager.claims.quarantine import Quarantine
@@ -41,6 +43,8 @@ class Repair:
         housekeeping: Housekeeping,
         quarantine: Quarantine,
         silence: SilenceWatch,
+        counts: MessageCounts,
+        first_messages: FirstMessages,
         clock: Callable[[], float],
     ) -> None:
         """Mend nothing yet; hear of nodelets that die from now on."""
@@ -51,6 +55,8 @@ class Repair:
         self._housekeeping = housekeeping
         self._quarantine = quarantine
         self._silence = silence
+        self._counts = counts
+        self._first_messages = first_messages
         self._clock = clock
         self._born: Dict[str, float] = {}
         self._culprit = ""
@@ -118,7 +124,8 @@ class Repair:
             claim.claim_id,
         )
         done = self._assembly.carry_out(order)
-        self._silence.excuse(done.wiring)
+        self._counts.excuse(done.wiring)
+        done.detail = self._first_messages.expect(claim, done.goal, done.topic)
         self._housekeeping.replaced(replace(claim, **outcome(done)))
         return done
 
@@ -134,7 +141,8 @@ class Repair:
         damage = self.inspect(claim)
         if damage is None:
             if claim.state is not ClaimState.ACTIVE:
-                whole = {"state": ClaimState.ACTIVE, "detail": ""}
+                detail = self._first_messages.expect(claim, claim.goal, claim.topic)
+                whole = {"state": ClaimState.ACTIVE, "detail": detail}
                 self._table.change(claim_id, "it is whole again", **whole)
             return
         despair = (self._prospects.signature(), damage.what)
@@ -220,7 +228,7 @@ def outcome(done: Assembled) -> Dict[str, Any]:
         "wiring": done.wiring,
         "sources": tuple(sorted(done.sources)),
         "state": ClaimState.ACTIVE,
-        "detail": "",
+        "detail": done.detail,
     }
 
 

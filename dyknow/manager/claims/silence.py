@@ -1,21 +1,18 @@
 """Notices parts of streams that have fallen silent, where a claim wants to know.
 
-Nodelets are asked how many messages their out-ports have sent; topics of ordinary nodes and of
-plain C++ nodelets are listened to. Only parts of claims with a ``max_silence`` are watched, four
-times in that time. Of a chain that is silent the first part is to blame: the others have nothing
-to send.
+Only parts of claims with a ``max_silence`` are watched; they are counted four times in that time.
+Who sends nothing is to blame only if what feeds it has sent something since: of a chain that is
+silent that is the first part, and it is nobody as long as an answer from further up is due.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Callable, Dict, FrozenSet, Iterable, List, Mapping, Set, Tuple
+from typing import Dict, FrozenSet, Iterable, List, Mapping, Set
 
-from dyknow.errors import HostError, HostTimeout
 from dyknow.manager.claim import Claim
+from dyknow.manager.claims.message_counts import MessageCounts, Place
 from dyknow.manager.graph import Graph
-from dyknow.manager.host import Host
-from dyknow.manager.model import Record, State
+from dyknow.manager.model import State
 from dyknow.manager.specifications.transformation import OUT
 
 #: Seconds that a part may take to send its first message, if the claim does not allow more.
@@ -23,64 +20,58 @@ FIRST_MESSAGE = 2.0
 _LOOKS = 4
 _LEAST_PERIOD = 0.05
 
-Place = Tuple[str, str]
-"""A nodelet and its out-port; or no nodelet and a topic."""
-
-
-@dataclass
-class _Ear:
-    count: int
-    since: float
-    begun: bool
-
 
 class SilenceWatch:
-    """Counts messages, and remembers since when there were none."""
+    """Judges by the counts; the same counts give the same judgement, whenever it is made."""
 
-    def __init__(self, host: Host, graph: Graph, clock: Callable[[], float]) -> None:
+    def __init__(self, counts: MessageCounts, graph: Graph) -> None:
         """Watch nothing yet."""
-        self._host = host
+        self._counts = counts
         self._graph = graph
-        self._clock = clock
-        self._ears: Dict[Place, _Ear] = {}
-        self._due: Dict[str, float] = {}
         #: Nodelets and topics that are silent, and what to say about it.
         self.silent: Dict[str, str] = {}
-        #: Nodelets that did not answer when they were asked last.
-        self.mute: FrozenSet[str] = frozenset()
+
+    @property
+    def mute(self) -> FrozenSet[str]:
+        """Nodelets that do not answer."""
+        return self._counts.mute
 
     @property
     def unhealthy(self) -> FrozenSet[str]:
         """Nodelets of which nothing is to be expected."""
         return self.mute | frozenset(self.silent)
 
-    def look(self, claims: Iterable[Claim]) -> List[str]:
-        """Count once more; returns the nodelets and topics that have just fallen silent."""
-        watched = [each for each in claims if each.request.max_silence > 0 and each.topic]
-        places = {claim.claim_id: self._places(claim) for claim in watched}
-        limits: Dict[Place, float] = {}
-        for claim in watched:
-            for place in places[claim.claim_id]:
-                limits[place] = min(limits.get(place, 1e9), claim.request.max_silence)
-        known = {record.name: record for record in self._graph.all()}
-        suspects = [place for place in self._ears if place[0] in self.silent and place[0] in known]
-        for place in suspects:
-            limits.setdefault(place, FIRST_MESSAGE)
-        self._count(limits, known)
-        for place in [place for place in self._ears if place not in limits]:
-            del self._ears[place]
-        self._forget(known)
-        fallen: Set[str] = set()
-        for claim in watched:
-            fallen.update(self._judge(claim, places[claim.claim_id]))
-        return sorted(fallen)
+    def periods(self, claims: Iterable[Claim]) -> Dict[Place, float]:
+        """Tell how often (s) to count where."""
+        found: Dict[Place, float] = {}
+        for claim in _watched(claims):
+            period = max(claim.request.max_silence / _LOOKS, _LEAST_PERIOD)
+            for place in self._places(claim):
+                found[place] = min(found.get(place, period), period)
+        for place in self._counts.flows:
+            if place[0] in self.silent and self._graph.find(place[0]) is not None:
+                found.setdefault(place, FIRST_MESSAGE / _LOOKS)
+        return found
 
-    def excuse(self, names: Iterable[str]) -> None:
-        """Give nodelets that were re-wired just now their time from the beginning."""
-        names = set(names)
-        for (name, _), ear in self._ears.items():
-            if name in names:
-                ear.since = self._clock()
+    def look(self, claims: Iterable[Claim], came: Iterable[Place]) -> List[str]:
+        """Judge by the latest counts.
+
+        Args:
+            claims: those whose parts are watched, among others.
+            came: places where messages have come since the last look.
+
+        Returns:
+            The nodelets and topics that have just fallen silent.
+        """
+        for place in came:
+            self.silent.pop(_name(place), None)
+        counted = set(map(_name, self._counts.flows))
+        for name in [name for name in self.silent if name not in counted]:
+            del self.silent[name]
+        fallen: Set[str] = set()
+        for claim in _watched(claims):
+            fallen.update(self._judge(claim, self._places(claim)))
+        return sorted(fallen)
 
     # Inside
 
@@ -101,85 +92,39 @@ class SilenceWatch:
                     places[(name, port)] = topic
         return places
 
-    def _count(self, limits: Mapping[Place, float], records: Mapping[str, Record]) -> None:
-        now = self._clock()
-        listened: Dict[str, List[Place]] = {}
-        asked: Dict[str, List[Place]] = {}
-        for place in sorted(limits):
-            name, port = place
-            record = records.get(name)
-            if record is None:
-                listened.setdefault(port, []).append(place)
-            elif record.rewired_by_reload:
-                listened.setdefault(record.topics.get(port, ""), []).append(place)
-            else:
-                asked.setdefault(name, []).append(place)
-        if listened or any(not name for name, _ in self._ears):
-            heard = self._host.heard(topic for topic in sorted(listened) if topic)
-            for topic, places in listened.items():
-                for place in places:
-                    self._hear(place, heard.get(topic, 0), now)
-        hanging: Set[str] = set()
-        mute = set(self.mute & set(records))
-        for name in sorted(asked):
-            if self._due.get(name, now) > now:
-                continue
-            least = min(limits[place] for place in asked[name])
-            self._due[name] = now + max(least / _LOOKS, _LEAST_PERIOD)
-            sent = self._sent(records[name], hanging, mute)
-            for place in asked[name]:
-                ear = self._ears.get(place)
-                self._hear(place, sent.get(place[1], ear.count if ear else 0), now)
-        self.mute = frozenset(mute)
-
-    def _sent(self, record: Record, hanging: Set[str], mute: Set[str]) -> Mapping[str, int]:
-        """Ask a nodelet for its counts, and note if it does not answer."""
-        if record.manager not in hanging:
-            try:
-                sent = self._host.sent(record.name)
-            except HostTimeout:
-                hanging.add(record.manager)  # each of its other nodelets would take that long
-            except HostError:
-                pass  # it is gone, or just going, which says nothing of its neighbours
-            else:
-                mute.discard(record.name)
-                return sent
-        mute.add(record.name)
-        return {}
-
-    def _hear(self, place: Place, count: int, now: float) -> None:
-        ear = self._ears.get(place)
-        if ear is None:
-            self._ears[place] = _Ear(count, now, count > 0)
-        elif count != ear.count:
-            ear.count, ear.since, ear.begun = count, now, True
-            self.silent.pop(place[0] or place[1], None)
-
     def _judge(self, claim: Claim, places: Mapping[Place, str]) -> Set[str]:
-        now = self._clock()
         limit = claim.request.max_silence
-        quiet: Dict[str, str] = {}
-        for place, topic in places.items():
-            ear = self._ears.get(place)
-            if ear is None:
-                continue
-            allowed = limit if ear.begun else max(limit, FIRST_MESSAGE)
-            if now - ear.since > allowed:
-                quiet[topic] = place[0] or topic
         fallen = set()
-        for name in sorted(set(quiet.values())):
-            fed_by = claim.wiring.get(name, {}).values()
-            starved = any(topic in quiet and quiet[topic] != name for topic in fed_by)
-            if not starved and name not in self.silent:
+        for place in sorted(places):
+            flow, name = self._counts.flows.get(place), _name(place)
+            if flow is None or name in self.silent:
+                continue
+            allowed = limit if flow.begun else max(limit, FIRST_MESSAGE)
+            if flow.silence > allowed and self._is_fed(place, claim, places):
                 what = f"nodelet {name}" if name in claim.wiring else f"topic {name}"
                 self.silent[name] = f"{what} was silent for longer than {limit:g} s"
                 fallen.add(name)
         return fallen
 
-    def _forget(self, known: Mapping[str, Record]) -> None:
-        heard = {name or topic for name, topic in self._ears}
-        for name in [name for name in self.silent if name not in heard]:
-            del self.silent[name]
-        for name in [name for name in self._due if name not in known]:
-            del self._due[name]
-        self.mute = self.mute & frozenset(known)
+    def _is_fed(self, place: Place, claim: Claim, places: Mapping[Place, str]) -> bool:
+        """Whether all that feeds a place has sent something since its last message."""
+        flows = self._counts.flows
+        since = flows[place].quiet_from
+        feeders: Dict[str, List[Place]] = {}
+        for each, topic in places.items():
+            if each[0] != place[0] or not each[0]:
+                feeders.setdefault(topic, []).append(each)
+        return all(
+            any(each in flows and flows[each].came_after >= since for each in feeders[topic])
+            for topic in claim.wiring.get(place[0], {}).values()
+            if topic in feeders
+        )
+
+
+def _watched(claims: Iterable[Claim]) -> List[Claim]:
+    return [each for each in claims if each.request.max_silence > 0 and each.topic]
+
+
+def _name(place: Place) -> str:
+    """Name of the nodelet, or of the topic where there is none."""
+    return place[0] or place[1]

@@ -7,26 +7,41 @@ at most one such limit: as long as its last answer is due it is not asked again.
 from __future__ import annotations
 
 import threading
-from typing import Any, Callable, Dict, FrozenSet, Iterable, List, Mapping, Sequence, Set, Tuple
+from typing import (
+    Any,
+    Callable,
+    Collection,
+    Dict,
+    FrozenSet,
+    Iterable,
+    List,
+    Mapping,
+    Optional,
+    Sequence,
+    Set,
+    Tuple,
+)
 
 from dyknow_msgs.msg import Port as PortMessage
 from dyknow_msgs.msg import PortConfig
-from dyknow_msgs.srv import GetConfig, GetStatistics, SetConfig
+from dyknow_msgs.srv import GetConfig, SetConfig
 from nodelet.srv import NodeletLoad, NodeletUnload
 
 from dyknow import names
 from dyknow.errors import HostError, HostTimeout, NameTaken, PeerTimeout
 from dyknow.guards import NO_GUARDS, Guards
-from dyknow.manager.host import Host, Kind, LoadRequest, ManagerState
+from dyknow.manager.host import Count, Host, Kind, Listening, LoadRequest, ManagerState
 from dyknow.manager.model import PortState
 from dyknow.manager.specifications.transformation import Parameter
 from dyknow.ros.hosting.children import Child, Children
+from dyknow.ros.hosting.counting import Counting
 from dyknow.ros.hosting.declared import Declared
 from dyknow.ros.hosting.hearing import Hearing
 from dyknow.ros.hosting.peers import ListClient, Peer
 from dyknow.ros.master import Master
 from dyknow.ros.nodelets.guard_parameters import GUARDS, to_parameter
 from dyknow.ros.service_client import ServiceClient, ServiceFailed
+from dyknow.ros.transport.registrar import Registrar
 
 #: Seconds for an unload, which waits up to 1 s for ``on_shutdown``.
 UNLOAD_TIMEOUT = 4.0
@@ -43,6 +58,7 @@ class RosHost(Host):
         self,
         master: Master,
         children: Children,
+        registrar: Registrar,
         peers: Sequence[str] = (),
         guards: Guards = NO_GUARDS,
     ) -> None:
@@ -51,6 +67,7 @@ class RosHost(Host):
         Args:
             master: the ROS master.
             children: nodelet managers that we start.
+            registrar: registers the topics of this process.
             peers: global names of nodelet managers that others start.
             guards: handed to the nodelet managers that can enforce them.
         """
@@ -60,7 +77,8 @@ class RosHost(Host):
         self._guards = to_parameter(guards, master.caller)
         self._guarded: Dict[str, str] = {}
         self._declared = Declared()
-        self._hearing = Hearing()
+        self._counting = Counting(master)
+        self._hearing = Hearing(registrar)
         self._lists: Dict[Tuple[str, str], ListClient] = {}
         self._lock = threading.Lock()
         self._abandoned: Set[Tuple[str, str]] = set()
@@ -101,6 +119,7 @@ class RosHost(Host):
     def retire(self, manager: str) -> None:
         """End a child."""
         self._children.end(manager)
+        self._counting.forget(manager)
 
     def list(self, manager: str) -> List[str]:
         """Ask over the kept connection."""
@@ -197,21 +216,20 @@ class RosHost(Host):
         publishers = self._asking("", lambda: self._master.ask("getSystemState"))[0]
         return wanted & {topic for topic, nodes in publishers if nodes}
 
-    def sent(self, name: str) -> Dict[str, int]:
-        """Ask the proxy."""
-        service = names.join(name, "get_statistics")
-        answer = self._asking(name, lambda: self._call(service, GetStatistics, PORTS_TIMEOUT))
-        return {
-            port.port: port.messages for port in answer.ports if port.direction == PortMessage.OUT
-        }
+    def counts(
+        self, wanted: Mapping[str, Collection[str]]
+    ) -> Dict[str, Optional[Mapping[str, Count]]]:
+        """Ask over the kept connections."""
+        return self._counting.counts(wanted)
 
-    def heard(self, topics: Iterable[str]) -> Dict[str, int]:
-        """Listen."""
-        return self._hearing.counts(topics)
+    def listen(self, topic: str) -> Listening:
+        """Subscribe."""
+        return self._hearing.listen(topic)
 
     def close(self) -> None:
         """Let go of the nodelet managers of others; our children go on."""
         self._hearing.close()
+        self._counting.close()
         for client in list(self._lists.values()):
             client.close()
         for peer in self._peers.values():

@@ -39,6 +39,7 @@ from dyknow.ros.nodelets.guard_parameters import GUARDS, to_parameter
 from dyknow.ros.nodelets.owner import OwnerLock
 from dyknow.ros.nodelets.workers import Workers
 from dyknow.ros.process import NodeProcess
+from dyknow.ros.transport.registrar import Registrar
 
 if TYPE_CHECKING:
     from dyknow.manager.specifications.ontology import Ontology
@@ -79,7 +80,9 @@ class ManagerNode(Closable):
             self._on_child,
         )
         self._workers = Workers(_WORKERS)
-        self._host = RosHost(master, self._children, settings.nodelet_managers, settings.guards)
+        self._host = RosHost(
+            master, self._children, Registrar(), settings.nodelet_managers, settings.guards
+        )
         self._ontology = _ontology(settings.ontologies)
         self.manager = Manager(
             self._host,

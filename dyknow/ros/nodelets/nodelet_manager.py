@@ -1,6 +1,6 @@
 """The nodelet manager: a node that hosts nodelets on threads, in place of the C++ one.
 
-Who owns what: the manager owns the runtime, the loader, the bonds and its three services. A load
+Who owns what: the manager owns the runtime, the loader, the bonds and its services. A load
 or an unload that fails is a failed service call, with the cause as its text: stock clients rely
 on that.
 """
@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Any, Dict, List, Optional, Sequence
 
 import rospy
+from dyknow_msgs.srv import GetCounts, GetCountsResponse
 from nodelet.srv import (
     NodeletList,
     NodeletListResponse,
@@ -32,6 +33,7 @@ from dyknow.nodelet.plugins import Plugins
 from dyknow.nodelet.scheduler import WorkerPool
 from dyknow.proxy.proxy import NodeletProxy
 from dyknow.ros.bonding.bonds import Bonds
+from dyknow.ros.messages import counts_message
 from dyknow.ros.nodelets.announcements import Announcer
 from dyknow.ros.nodelets.guard_parameters import GuardParameters, caller_of
 from dyknow.ros.nodelets.owner import end_when_orphaned
@@ -99,12 +101,13 @@ class NodeletManager(Closable):
         self._services: List[Any] = []
 
     def offer(self) -> None:
-        """Offer the services of nodelet/Nodelet{Load,Unload,List}."""
+        """Offer the services of nodelet/Nodelet{Load,Unload,List}, and the one for counts."""
         rospy.loginfo("Initializing nodelet with %d worker threads.", self._workers)
         for name, service_class, handler in (
             ("~load_nodelet", NodeletLoad, self._load),
             ("~unload_nodelet", NodeletUnload, self._unload),
             ("~list", NodeletList, self._list),
+            ("~get_counts", GetCounts, self._get_counts),
         ):
             self._services.append(rospy.Service(name, service_class, handler))
 
@@ -229,6 +232,16 @@ class NodeletManager(Closable):
 
     def _list(self, request: Any) -> NodeletListResponse:
         return NodeletListResponse(self.loader.list())
+
+    def _get_counts(self, request: Any) -> GetCountsResponse:
+        wanted = set(request.nodelets)
+        proxies = [
+            context.attached
+            for context in self.loader.contexts()
+            if isinstance(context.attached, NodeletProxy)
+            and (not wanted or context.name in wanted)
+        ]
+        return GetCountsResponse([counts_message(proxy) for proxy in proxies])
 
 
 def _resolved(name: str) -> str:

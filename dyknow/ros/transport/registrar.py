@@ -73,6 +73,11 @@ class Registrar(RegistrationListener):
         """Addresses of the other nodes that published when this process subscribed, likewise."""
         return self._answer((Registration.SUB, topic, ""))
 
+    def is_subscribed(self, topic: str) -> bool:
+        """Whether the master was told of this process' subscription, as far as there is one."""
+        with self._lock:
+            return (Registration.SUB, topic, "") not in self._owed
+
     def reg_added(self, resolved_name: str, data_type_or_uri: str, reg_type: str) -> None:
         """Register a topic or a service."""
         key = _key(reg_type, resolved_name, data_type_or_uri)

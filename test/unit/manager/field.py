@@ -57,6 +57,8 @@ GOAL = "FieldPosition(ball)"
 
 CHAIN = ["bottom camera", "detector", "localization", "subsampler"]
 LINGER = 5.0
+#: What is told of a claim some time after each change of its stream.
+FIRST_MESSAGE = "its first message has come"
 
 
 def transformation(label: str, source: str, ports: str, tags: str, cost: int = 1) -> str:
@@ -78,7 +80,7 @@ class Field:
     """A manager, a keeper, and time that is moved by hand."""
 
     def __init__(self, path: str = ":memory:") -> None:
-        self.host = FakeHost(SOURCES)
+        self.host = FakeHost(SOURCES, clock=lambda: self.now)
         self.host.topics.add("/joint_states")
         self.path = path
         self.now = 0.0

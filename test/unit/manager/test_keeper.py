@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from unit.manager.field import CHAIN, GOAL, LIBRARY, POINT, Field
+from unit.manager.field import CHAIN, FIRST_MESSAGE, GOAL, LIBRARY, POINT, Field
 
 from dyknow.errors import InvalidTag, NoPlanFound, SpawnFailed, StreamTypeMismatch, UnknownClaim
 from dyknow.manager.claim import ClaimState, StreamRequest
@@ -28,7 +29,7 @@ def test_a_stream_is_made_from_what_there_is(field: Field) -> None:
     detector = field.host.nodelet("/detector_1")
     assert detector.ports["joints"].topic == "/joint_states"
     field.settle()
-    assert [event.reason for event in field.events] == ["requested"]
+    assert field.reasons() == ["requested", FIRST_MESSAGE]
 
 
 def test_what_runs_is_reused_and_not_collected(field: Field) -> None:
@@ -229,7 +230,7 @@ def test_claims_survive_the_manager(field: Field) -> None:
     field.store.close()
     field.open()
     field.settle(1.0)
-    assert field.keeper.claims() == [claim.__class__(**vars(claim))]
+    assert field.keeper.claims() == [replace(claim, detail="")]
     assert field.host.running == running
     assert [call for call in field.host.calls if call[0] == "load"] == loads
     assert field.acquire(client_id="c", request_id="r").claim.claim_id == claim.claim_id

@@ -5,7 +5,7 @@ from __future__ import annotations
 import uuid
 
 import pytest
-from unit.manager.field import CHAIN, GOAL, LIBRARY, Field, transformation
+from unit.manager.field import CHAIN, FIRST_MESSAGE, GOAL, LIBRARY, Field, transformation
 
 from dyknow.errors import Denied, HostError, NoPlanFound, UnknownClaim
 from dyknow.guards import Guards
@@ -48,7 +48,7 @@ def test_a_hanging_manager_is_noticed_by_its_silence_first(field: Field) -> None
     looking = field.manager.look
     field.manager.look = lambda changed=None: None  # type: ignore[method-assign]
     field.host.hang("/fake_0")
-    for _ in range(10):
+    for _ in range(15):  # what has not answered for two seconds hangs
         field.tick()
     assert field.state(claim.claim_id) is ClaimState.ACTIVE
     assert claim.topic in field.moving
@@ -216,7 +216,7 @@ def test_a_pending_claim_says_so_while_what_it_needs_is_left_alone(field: Field)
     field.host.fail = lambda operation, argument: None
     field.settle(70.0)
     assert field.state(claim_id) is ClaimState.ACTIVE
-    assert field.reasons()[-1] == "it can be made now"
+    assert field.reasons()[-2:] == ["it can be made now", FIRST_MESSAGE]
 
 
 # Several claims

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import pytest
-from unit.manager.field import CHAIN, Field
+from unit.manager.field import CHAIN, FIRST_MESSAGE, Field
 
-from dyknow.errors import HostError
+from dyknow.errors import HostError, HostTimeout
 from dyknow.manager.claim import ClaimState
 
 
@@ -16,11 +16,12 @@ def field() -> Field:
 
 def test_silence_is_nobody_s_business_unless_a_claim_says_so(field: Field) -> None:
     field.acquire()
+    field.settle(1.0)
     field.host.silent.add("/bottom_camera_1")
     field.host.calls.clear()
     field.settle(20.0)
-    assert field.reasons() == ["requested"]
-    assert not [call for call in field.host.calls if call[0] == "sent"]
+    assert field.reasons() == ["requested", FIRST_MESSAGE]
+    assert not [call for call in field.host.calls if call[0] == "counts"]
 
 
 @pytest.mark.parametrize("label", CHAIN)
@@ -50,7 +51,7 @@ def test_who_is_just_going_says_nothing_of_its_neighbours(field: Field, label: s
     others = set(field.host.running) - {victim}
 
     def going(operation: str, argument: str) -> None:
-        if (operation, argument) == ("sent", victim):
+        if (operation, argument) == ("counts", victim):
             raise HostError("the service is not offered any more")
 
     field.host.fail = going
@@ -131,3 +132,89 @@ def test_two_claims_with_different_patience_share_a_part(field: Field) -> None:
         assert claim.topic in field.moving
     field.tidy()
     assert field.labels() == CHAIN
+
+
+def without_looks(field: Field) -> None:
+    """Let nobody but the watch find out that a nodelet manager hangs."""
+    field.manager.look = lambda changed=None: None  # type: ignore[method-assign]
+
+
+def test_a_slow_network_makes_nobody_silent(field: Field) -> None:
+    field.acquire(max_silence=0.5)
+    field.settle(5.0)
+    before = field.host.running
+
+    def take_long(operation: str, argument: str) -> None:
+        if operation == "counts":
+            field.sleep(0.3)
+
+    field.host.fail = take_long
+    field.settle(20.0)
+    assert field.reasons() == ["requested", FIRST_MESSAGE]
+    assert field.host.running == before
+
+
+def test_a_count_that_cannot_be_read_is_no_silence(field: Field) -> None:
+    field.acquire(max_silence=0.5)
+    field.settle(5.0)
+    before = field.host.running
+
+    def lose_most(operation: str, argument: str) -> None:
+        if operation == "counts" and int(field.now) % 2:
+            raise HostTimeout("no answer in time")
+
+    field.host.fail = lose_most
+    field.settle(20.0)
+    assert field.reasons() == ["requested", FIRST_MESSAGE]
+    assert field.host.running == before
+
+
+def test_who_waits_for_a_part_that_hangs_is_not_blamed(field: Field) -> None:
+    field.spawn("bottom camera", "/mine", config={"image": "/mine/image"}, isolated=True)
+    claim = field.acquire(max_silence=0.5).claim
+    field.settle(5.0)
+    others = set(claim.nodelets) - {"/mine"}
+    without_looks(field)
+    field.host.hang(field.manager.graph.get("/mine").manager)
+    field.settle(10.0)
+    assert others <= set(field.living()[0].nodelets), "they were re-wired"
+    assert [reason for reason in field.reasons() if reason.startswith("mended")] == [
+        "mended: nodelet /mine does not answer"
+    ]
+    assert claim.topic in field.moving
+
+
+def test_who_hung_can_be_used_again_when_it_answers(field: Field) -> None:
+    field.spawn("ceiling camera", "/mine", config={"image": "/mine/image"}, isolated=True)
+    field.acquire(max_silence=0.5)
+    field.settle(5.0)
+    without_looks(field)
+    manager = field.manager.graph.get("/mine").manager
+    field.host.hang(manager)
+    field.settle(5.0)
+    assert "/mine" not in field.living()[0].nodelets
+    field.manager.remove_transformation("bottom camera")
+    field.manager.remove_transformation("ceiling camera")
+    field.settle(5.0)
+    assert field.living()[0].state is ClaimState.DEGRADED
+    field.host.wake(manager)
+    field.settle(5.0)
+    assert "/mine" in field.living()[0].nodelets
+    assert field.living()[0].state is ClaimState.ACTIVE
+
+
+def test_what_was_stopped_is_not_silent_when_it_goes_on(field: Field) -> None:
+    field.spawn("bottom camera", "/mine", config={"image": "/mine/image"}, isolated=True)
+    field.manager.remove_transformation("ceiling camera")
+    field.manager.remove_transformation("bottom camera")
+    field.acquire(max_silence=0.5)
+    field.settle(5.0)
+    without_looks(field)
+    field.host.hang("/fake_0")
+    field.host.hang("/fake_1")
+    field.settle(10.0)
+    field.host.wake("/fake_0")
+    field.host.wake("/fake_1")
+    field.settle(10.0)
+    assert not [reason for reason in field.reasons() if "silent" in reason]
+    assert field.living()[0].state is ClaimState.ACTIVE

@@ -31,6 +31,13 @@ MESSAGES = {
         "duration mean_callback",
         "duration max_callback",
     ),
+    "PortCount": (
+        "string port",
+        "uint8 direction",
+        "uint64 messages",
+        "bool latched",
+    ),
+    "NodeletCounts": ("string nodelet", "duration uptime", "PortCount[] ports"),
     "Parameter": ("string name", "string type", "string value"),
     "Transformation": (
         "string label",
@@ -104,6 +111,7 @@ SERVICES = {
             "PortStatistics[] ports",
         ),
     ),
+    "GetCounts": (("string[] nodelets",), ("NodeletCounts[] nodelets",)),
     "AddTransformation": (("string specification",), (*ANSWER, "string[] labels")),
     "RemoveTransformation": (("string label",), ANSWER),
     "Spawn": (

@@ -1,0 +1,178 @@
+"""How many messages the parts of streams have sent, and between which moments none came.
+
+Nodelets are asked for the counts of their out-ports; topics of ordinary nodes and of plain C++
+nodelets, whose publishers cannot be asked, are listened to. A count that could not be read says
+nothing. One that was read holds for a moment between question and answer; whatever is concluded
+here holds whichever moment it was, so a slow network makes the conclusions late, but not wrong.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Callable, Dict, FrozenSet, Iterable, List, Mapping, Set, Tuple
+
+from dyknow.manager.graph import Graph
+from dyknow.manager.host import Count, Host, Listening
+from dyknow.manager.model import State
+
+#: Seconds without an answer after which a nodelet counts as one that does not answer.
+UNANSWERED = 2.0
+#: Seconds between two questions to the nodelets that have stopped answering.
+_AGAIN = 0.5
+
+Place = Tuple[str, str]
+"""A nodelet and its out-port; or no nodelet and a topic."""
+
+_NEVER = float("-inf")
+
+
+@dataclass
+class Flow:
+    """What is known of the messages of one place; moments are seconds of a steady clock.
+
+    Attributes:
+        messages: how many were counted last.
+        quiet_from: the last of them had come by then.
+        quiet_until: no other had come until then.
+        came_after: one was seen to come, and came after this moment.
+        begun: whether any has come at all.
+        latched: whether one is kept for whoever connects later.
+    """
+
+    messages: int
+    quiet_from: float
+    quiet_until: float
+    came_after: float = _NEVER
+    begun: bool = False
+    latched: bool = False
+
+    @property
+    def silence(self) -> float:
+        """Seconds for which certainly nothing came."""
+        return self.quiet_until - self.quiet_from
+
+
+class MessageCounts:
+    """Reads the counts of the places that it is told, and remembers what follows from them."""
+
+    def __init__(self, host: Host, graph: Graph, clock: Callable[[], float]) -> None:
+        """Count nothing yet."""
+        self._host = host
+        self._graph = graph
+        self._clock = clock
+        self._flows: Dict[Place, Flow] = {}
+        self._listening: Dict[str, Listening] = {}
+        self._due: Dict[str, float] = {}
+        self._waiting_since: Dict[str, float] = {}
+        self._mute: Dict[str, List[Place]] = {}
+
+    @property
+    def mute(self) -> FrozenSet[str]:
+        """Nodelets that do not answer."""
+        return frozenset(self._mute)
+
+    @property
+    def flows(self) -> Mapping[Place, Flow]:
+        """What is known of each place."""
+        return self._flows
+
+    def has_come(self, place: Place, since: float) -> bool:
+        """Whether a message has come since then for certain, or is kept for who connects."""
+        flow = self._flows.get(place)
+        return flow is not None and (flow.latched or flow.came_after >= since)
+
+    def excuse(self, names: Iterable[str]) -> None:
+        """Let the silence of nodelets that were re-wired just now begin anew."""
+        names = set(names)
+        for (name, _), flow in self._flows.items():
+            if name in names:
+                flow.quiet_from = self._clock()
+
+    def read(self, *periods: Mapping[Place, float]) -> Set[Place]:
+        """Count once more; what is not among these places is forgotten.
+
+        Args:
+            periods: seconds between two counts, by place; the shortest counts.
+
+        Returns:
+            The places where messages have come.
+        """
+        records = {record.name: record for record in self._graph.all()}
+        running = {name for name, each in records.items() if each.state is State.RUNNING}
+        self._mute = {name: places for name, places in self._mute.items() if name in running}
+        # Those that do not answer are asked on until they do, whether a claim needs them or not.
+        wanted = {place: _AGAIN for places in self._mute.values() for place in places}
+        for place, period in [each for one in periods for each in one.items()]:
+            wanted[place] = min(wanted.get(place, period), period)
+        topics: Dict[str, List[Place]] = {}
+        asked: Dict[str, Dict[str, List[Place]]] = {}
+        for place in sorted(wanted):
+            name, port = place
+            record = records.get(name)
+            if record is None:
+                topics.setdefault(port, []).append(place)
+            elif record.rewired_by_reload:
+                topics.setdefault(record.topics.get(port, ""), []).append(place)
+            else:
+                asked.setdefault(record.manager, {}).setdefault(name, []).append(place)
+        for place in [place for place in self._flows if place not in wanted]:
+            del self._flows[place]
+        return self._listen(topics) | self._ask(asked, wanted)
+
+    # Inside
+
+    def _listen(self, topics: Mapping[str, List[Place]]) -> Set[Place]:
+        for topic in [topic for topic in self._listening if topic not in topics]:
+            self._listening.pop(topic).close()
+        came: Set[Place] = set()
+        for topic in sorted(topics):
+            if topic and topic not in self._listening:
+                self._listening[topic] = self._host.listen(topic)
+            count = self._listening[topic].count() if topic else None
+            for place in topics[topic]:
+                if count is not None and self._note(place, count):
+                    came.add(place)
+        return came
+
+    def _ask(
+        self, asked: Mapping[str, Mapping[str, List[Place]]], periods: Mapping[Place, float]
+    ) -> Set[Place]:
+        now = self._clock()
+        self._due = {manager: due for manager, due in self._due.items() if manager in asked}
+        due = [manager for manager in sorted(asked) if self._due.get(manager, now) <= now]
+        for manager in due:
+            places = [place for each in asked[manager].values() for place in each]
+            self._due[manager] = now + min(periods[place] for place in places)
+        answers = self._host.counts({each: list(asked[each]) for each in due}) if due else {}
+        came: Set[Place] = set()
+        for name, places in [each for manager in due for each in asked[manager].items()]:
+            counts = answers.get(name)
+            if counts is None:
+                gone = name in answers
+                if gone or self._clock() - self._waiting_since.setdefault(name, now) >= UNANSWERED:
+                    self._mute[name] = places
+                continue
+            self._waiting_since.pop(name, None)
+            if self._mute.pop(name, None):  # it may have been stopped: its time begins anew
+                for place in places:
+                    self._flows.pop(place, None)
+            for place in places:
+                if place[1] in counts and self._note(place, counts[place[1]]):
+                    came.add(place)
+        known = {name for names in asked.values() for name in names}
+        for name in [name for name in self._waiting_since if name not in known]:
+            del self._waiting_since[name]
+        return came
+
+    def _note(self, place: Place, count: Count) -> bool:
+        """Take a count in; returns whether messages have come since the last."""
+        flow = self._flows.get(place)
+        if flow is None or count.messages < flow.messages:  # it was loaded anew
+            flow = Flow(count.messages, count.answered, count.asked, begun=count.messages > 0)
+            self._flows[place] = flow
+        came = count.messages > flow.messages
+        if came:
+            flow.messages, flow.begun = count.messages, True
+            flow.came_after, flow.quiet_from = flow.quiet_until, count.answered
+        flow.quiet_until, flow.latched = count.asked, count.latched
+        return came
