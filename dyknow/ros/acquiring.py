@@ -74,12 +74,12 @@ class AcquiredStream:
 
     @property
     def state(self) -> ClaimState:
-        """Whether it flows, as the manager told last."""
+        """Whether it is there, as the manager told last."""
         return self._view.state
 
     @property
     def detail(self) -> str:
-        """Why it does not, in words."""
+        """Why it does not flow, or that no message has come yet; empty: nothing to say."""
         return self._view.detail
 
     @property
@@ -246,6 +246,7 @@ def _ask(
         topic=answer.topic,
         datatype=answer.datatype,
         state=ClaimState.ACTIVE,
+        detail=answer.message,
         nodelets=tuple(sorted({*answer.spawned, *answer.reused})),
         expires=answer.expires,
     )

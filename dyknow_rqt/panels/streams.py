@@ -24,7 +24,7 @@ from python_qt_binding.QtWidgets import (
     QWidget,
 )
 
-from dyknow.manager.claim import StreamRequest
+from dyknow.manager.claim import ClaimState, StreamRequest
 from dyknow.manager.specifications.transformation import OUT, Transformation
 from dyknow_rqt.graph.stream_changes import AcquireStream, ReleaseStream, ReplanStream
 from dyknow_rqt.guard import guarded
@@ -164,7 +164,7 @@ class StreamsPanel(QWidget):
         rows = []
         for each in self.watch.streams:
             if not each.state.ended or self.ended.isChecked():
-                state, topic = each.state.name.lower(), each.topic or "–"
+                state, topic = _state(each), each.topic or "–"
                 cells = (
                     *(each.claim_id, each.tag, state, topic),
                     *(each.datatype or "–", each.client_id),
@@ -248,6 +248,13 @@ class StreamsPanel(QWidget):
         whole = QVBoxLayout(self)
         whole.addLayout(form)
         whole.addWidget(parts, 1)
+
+
+def _state(stream: StreamView) -> str:
+    """A stream that is there and of which there is something to say all the same says it."""
+    state = stream.state.name.lower()
+    is_there = stream.state is ClaimState.ACTIVE
+    return f"{state}: {stream.detail}" if is_there and stream.detail else state
 
 
 def _text(name: str) -> QPlainTextEdit:

@@ -1,9 +1,10 @@
 #!/usr/bin/env python3
-"""A node of the outside: `peer.py talk RATE TOPIC...` or `peer.py listen TOPIC...`.
+"""A node of the outside: `peer.py talk RATE TOPIC...`, `listen TOPIC...`, `doze SECONDS TOPIC...`.
 
 A talker publishes headers, numbered, each number on every topic, the topics in turn. A listener
-prints "TOPIC NUMBER" for each header, and the number of bytes for each image. Each connection of
-rospy calls it on a thread of its own, so a line is printed whole or not at all.
+prints "TOPIC NUMBER" for each header, and the number of bytes for each image; a dozer sleeps after
+each header, and does not notice meanwhile what becomes of the connection. Each connection of rospy
+calls it on a thread of its own, so a line is printed whole or not at all.
 """
 
 from __future__ import annotations
@@ -47,6 +48,16 @@ def listen(*topics: str) -> None:
     rospy.spin()
 
 
+def doze(seconds: str, *topics: str) -> None:
+    def note(message: Header, topic: str) -> None:
+        say(topic, message.seq)
+        time.sleep(float(seconds))
+
+    for topic in topics:
+        rospy.Subscriber(topic, Header, note, topic)
+    rospy.spin()
+
+
 def watch(*topics: str) -> None:
     def note(message: Image, topic: str) -> None:
         say(topic, message.height, len(message.data))
@@ -60,4 +71,4 @@ if __name__ == "__main__":
     sys.stdout.reconfigure(line_buffering=True)
     rospy.init_node("peer", anonymous=True)
     command, *arguments = rospy.myargv()[1:]
-    {"talk": talk, "listen": listen, "watch": watch}[command](*arguments)
+    {"doze": doze, "listen": listen, "talk": talk, "watch": watch}[command](*arguments)

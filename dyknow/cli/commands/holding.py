@@ -153,6 +153,8 @@ def _describe(claim: StreamView) -> Iterable[str]:
     place = f"on {claim.topic} [{claim.datatype or 'unknown type'}]" if claim.topic else ""
     yield f"{claim.tag} {place or f'is {claim.state.name.lower()}: {claim.detail}'}"
     yield f"  claim {claim.claim_id}"
+    if place and claim.detail:
+        yield f"  {claim.detail}"
     if claim.nodelets:
         yield f"  nodelets {' '.join(claim.nodelets)}"
 

@@ -59,7 +59,7 @@ def _streams(arguments: argparse.Namespace, shell: Shell) -> None:
 
 
 def _list(streams: Sequence[StreamView]) -> List[str]:
-    rows = [("CLAIM", "STATE", "TAG", "TOPIC", "TYPE")]
+    rows = [("CLAIM", "STATE", "TAG", "TOPIC", "TYPE", "DETAIL")]
     rows += [
         (
             each.claim_id,
@@ -67,6 +67,7 @@ def _list(streams: Sequence[StreamView]) -> List[str]:
             each.tag,
             each.topic or "-",
             each.datatype or "-",
+            each.detail or "-",
         )
         for each in streams
     ]
@@ -158,7 +159,7 @@ COMMANDS = (
     Command(
         "streams",
         "list the streams that are claimed",
-        "List the claims: what was asked for, whether it flows, and where.",
+        "List the claims: what was asked for, whether it flows, where, and what there is to say.",
         "dyknow streams\ndyknow streams -l --all\n"
         "dyknow streams --json | jq -r '.streams[] | select(.state != \"active\") | .detail'",
         _streams_arguments,

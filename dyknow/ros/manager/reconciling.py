@@ -26,6 +26,7 @@ class Reconciling:
         """
         self._keeper = keeper
         self._has_work = has_work
+        self._had_work = False
         self._rounds = Rounds("looking after streams", self._round, self.period)
         self.start = self._rounds.start
         self.note_change = self._rounds.ask
@@ -43,5 +44,7 @@ class Reconciling:
         return max(PAUSE, min([PERIOD, *(each / _ROUNDS for each in silences)]))
 
     def _round(self) -> None:
-        if self._has_work():
+        """Let the keeper work, and once more when the last claim has ended: it lets go then."""
+        had_work, self._had_work = self._had_work, self._has_work()
+        if self._had_work or had_work:
             self._keeper.reconcile()

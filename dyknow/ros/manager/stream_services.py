@@ -93,7 +93,7 @@ class StreamServices:
             acquired = self._keeper.acquire(self._checked(request), request.dry_run)
             claim = acquired.claim
             answer.claim_id, answer.topic = claim.claim_id, claim.topic
-            answer.datatype = claim.datatype
+            answer.datatype, answer.message = claim.datatype, claim.detail
             answer.expires = self._messages.expires(claim)
             _tell_plan(answer, acquired)
 
@@ -126,11 +126,14 @@ class StreamServices:
         answer = ReplanStreamResponse()
 
         def replan() -> None:
-            _tell_plan(answer, self._keeper.replan(request.claim_id, request.dry_run))
+            acquired = self._keeper.replan(request.claim_id, request.dry_run)
+            answer.message = acquired.claim.detail
+            _tell_plan(answer, acquired)
 
         error = self._try(request, f"replanning stream '{request.claim_id}'", replan)
         answer.success = error is None
-        answer.message = str(error or "")
+        if error is not None:
+            answer.message = str(error)
         return answer
 
     def _list(self, request: Any) -> ListStreamsResponse:

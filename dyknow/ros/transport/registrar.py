@@ -24,10 +24,12 @@ from rospy.impl.registration import (
     RegistrationListener,
     RegManager,
     get_registration_listeners,
+    get_topic_manager,
 )
 
 from dyknow.errors import PeerTimeout
 from dyknow.ros.master import Master
+from dyknow.ros.transport.reminders import Reminders
 
 #: Seconds between two attempts while the master is down.
 _AGAIN = 0.5
@@ -55,6 +57,7 @@ class Registrar(RegistrationListener):
         self._owed: Dict[Key, str] = {}
         self._peers: Dict[Key, FrozenSet[str]] = {}
         self._thread: Optional[threading.Thread] = None
+        self._reminders = Reminders(self._tell_again, self._connected)
         self._manager: Any = None
         for listener in list(get_registration_listeners().listeners):
             if isinstance(listener, RegManager):
@@ -93,6 +96,8 @@ class Registrar(RegistrationListener):
             self._owed.pop(key, None)
             self._peers.pop(key, None)
         self._unregister(key)
+        if reg_type == Registration.PUB:
+            self._reminders.withdrawn(resolved_name)
 
     def _answer(self, key: Key) -> Optional[FrozenSet[str]]:
         with self._lock:
@@ -111,9 +116,32 @@ class Registrar(RegistrationListener):
         if kind != Registration.SRV:
             with self._lock:
                 self._peers[key] = frozenset(peers) - {self._uri}
+        if kind == Registration.PUB:
+            self._reminders.advertised(name, what, frozenset(peers) - {self._uri})
         if kind == Registration.SUB and self._manager is not None:
             self._manager.publisher_update(name, peers)
         return True
+
+    def _tell_again(self, topic: str, datatype: str) -> Optional[FrozenSet[str]]:
+        """Have all subscribers of a topic told once more; returns their addresses if it worked."""
+        try:
+            peers = self._master.ask("registerPublisher", topic, datatype, self._uri)
+        except (PeerTimeout, LookupError) as error:
+            _log.debug("the subscribers of %s are not told again: %s", topic, error)
+            return None
+        if get_topic_manager().get_publisher_impl(topic) is None:  # withdrawn in between
+            self._unregister((Registration.PUB, topic, ""))
+        return frozenset(peers)
+
+    def _connected(self, topic: str) -> FrozenSet[str]:
+        """Addresses of the nodes that are connected to a topic which this process publishes."""
+        implementation = get_topic_manager().get_publisher_impl(topic)
+        connections = implementation.connections if implementation is not None else None
+        try:
+            names = {connection.endpoint_id for connection in connections or ()}
+            return frozenset(map(self._master.node, names))
+        except PeerTimeout:
+            return frozenset()
 
     def _unregister(self, key: Key) -> None:
         kind, name, service = key

@@ -69,6 +69,19 @@ def test_claims_are_looked_after_again_and_again_whatever_fails(
     assert keeper.await_rounds(3)
 
 
+def test_when_the_last_claim_has_ended_the_keeper_lets_go(
+    keeper: FakeKeeper, reconciling: Reconciling
+) -> None:
+    keeper.living = [claim()]
+    reconciling.note_change()
+    assert keeper.await_rounds(2)
+    with keeper.done:
+        keeper.living = []
+        rounds = keeper.rounds
+    assert keeper.await_rounds(rounds + 1)
+    assert not keeper.await_rounds(rounds + 3, 0.3), "one may have begun before"
+
+
 @pytest.mark.parametrize(
     ("claims", "period"),
     [
