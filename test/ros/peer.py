@@ -54,7 +54,7 @@ def doze(seconds: str, *topics: str) -> None:
         time.sleep(float(seconds))
 
     for topic in topics:
-        rospy.Subscriber(topic, Header, note, topic)
+        rospy.Subscriber(topic, Header, note, topic, queue_size=1)
     rospy.spin()
 
 

@@ -1,0 +1,54 @@
+"""What the suites about topics that come and go share: a talker, and outside listeners."""
+
+from __future__ import annotations
+
+import itertools
+import unittest
+
+from graph import PEER, Manager, call, nodes_on
+from processes import Running, eventually
+
+
+class ReadvertisedCase(unittest.TestCase):
+    """Each test has a talker on /t in a nodelet manager of its own."""
+
+    def setUp(self):
+        self.manager = Manager("/manager")
+        self.addCleanup(self.manager.__exit__)
+        self.numbers = itertools.count(1)
+        self.load()
+
+    def load(self):
+        self.manager.load("Talker", "/talker", {"/out": "/t"})
+
+    def dozer(self, seconds):
+        """A peer that sleeps so long (s) over each message."""
+        peer = Running(*PEER, "doze", str(seconds), "/t")
+        self.addCleanup(peer.__exit__)
+        return peer
+
+    def are_there(self, count):
+        """Wait for so many peers."""
+        eventually(lambda: len(nodes_on("/t")[1]) == count, 20.0, "they are there")
+
+    def publish(self):
+        number = next(self.numbers)
+        call("/talker", "publish", number, 1)
+        return number
+
+    def is_heard_by(self, *peers):
+        """Publish until each peer has heard something new."""
+        first = self.publish()
+
+        def heard(peer):
+            lines = [line.split() for line in peer.output.splitlines() if line.startswith("/t ")]
+            return any(int(number) >= first for _, number in lines[-1:])
+
+        def all_heard():
+            self.publish()
+            return all(map(heard, peers))
+
+        try:
+            eventually(all_heard, 8.0, f"{first} is heard")
+        except AssertionError as error:
+            raise AssertionError(f"{error}: {[peer.output[-60:] for peer in peers]}") from error
