@@ -27,6 +27,8 @@ SERVICE = "get_counts"
 PATIENCE = 0.5
 #: Seconds for one nodelet manager's answer, which nobody waits for so long.
 TIMEOUT = 2.0
+#: Seconds without an answer after which a connection may be one to a process that is gone.
+_STALE = 10.0
 #: Seconds without a question after which a line is given up until the next.
 _IDLE = 10.0
 
@@ -83,6 +85,7 @@ class _Line:
         self._asked = 0
         self._answered = 0
         self._fresh: Counts = {}
+        self._heard = time.monotonic()
         self._in_time = True
         self._running = False
         self._closed = False
@@ -138,9 +141,11 @@ class _Line:
                 answer = self._client.call(TIMEOUT, nodelets)
             except (ServiceLost, ServiceFailed):  # it may be one that does not have the service
                 return self._one_by_one(nodelets)
-            answered = time.monotonic()
-        except (PeerTimeout, HostError) as error:
-            _log.debug("%s", error)
+            answered = self._heard = time.monotonic()
+        except PeerTimeout:
+            if time.monotonic() - self._heard >= _STALE:
+                self._client.close()
+                self._heard = time.monotonic()
             return {}
         except Exception:  # the boundary of the thread: the next question may do better
             _log.exception("counting messages failed")

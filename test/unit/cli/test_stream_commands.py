@@ -68,6 +68,7 @@ class TestAcquire:
         assert outcome.lines == [
             "Raw(camera) on /camera_1/image [sensor_msgs/Image]",
             f"  claim {claim.claim_id}",
+            "  no message yet",
             "  nodelets /camera_1",
             "held until Ctrl-C",
             f"released {claim.claim_id}",
@@ -135,8 +136,8 @@ class TestStreams:
     def test_lists_claims(self, client: FakeClient) -> None:
         claim = left(client)
         assert run(client, "streams").lines == [
-            "CLAIM         STATE   TAG          TOPIC            TYPE",
-            f"{claim}  active  Raw(camera)  /camera_1/image  sensor_msgs/Image",
+            "CLAIM         STATE   TAG          TOPIC            TYPE               DETAIL",
+            f"{claim}  active  Raw(camera)  /camera_1/image  sensor_msgs/Image  no message yet",
         ]
         assert run(client, "streams -l").lines[-2] == "Nodelets: /camera_1"
         assert [each["claim"] for each in run(client, "streams --json").json["streams"]] == [claim]

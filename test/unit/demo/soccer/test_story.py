@@ -33,7 +33,8 @@ class Field:
                 each.source: [(port.name, port.direction, port.datatype) for port in each.ports]
                 for each in made
                 if each.type == "nodelet"
-            }
+            },
+            clock=lambda: self.now,
         )
         self.now = 0.0
         store = Store(":memory:")
