@@ -291,6 +291,7 @@ class FakeHost(Host):
 
     def listen(self, topic: str) -> Listening:
         """Count what passes on a topic."""
+        self._step("listen", topic)
         listener = FakeListening(self, topic)
         self.listeners.append(listener)
         return listener

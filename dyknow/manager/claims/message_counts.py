@@ -62,7 +62,7 @@ class MessageCounts:
         self._clock = clock
         self._flows: Dict[Place, Flow] = {}
         self._listening: Dict[str, Listening] = {}
-        self._due: Dict[str, float] = {}
+        self._asked: Dict[str, float] = {}
         self._waiting_since: Dict[str, float] = {}
         self._mute: Dict[str, List[Place]] = {}
 
@@ -109,8 +109,10 @@ class MessageCounts:
         for place in sorted(wanted):
             name, port = place
             record = records.get(name)
-            if record is None:
+            if not name:
                 topics.setdefault(port, []).append(place)
+            elif record is None:
+                continue
             elif record.rewired_by_reload:
                 topics.setdefault(record.topics.get(port, ""), []).append(place)
             else:
@@ -138,11 +140,14 @@ class MessageCounts:
         self, asked: Mapping[str, Mapping[str, List[Place]]], periods: Mapping[Place, float]
     ) -> Set[Place]:
         now = self._clock()
-        self._due = {manager: due for manager, due in self._due.items() if manager in asked}
-        due = [manager for manager in sorted(asked) if self._due.get(manager, now) <= now]
-        for manager in due:
-            places = [place for each in asked[manager].values() for place in each]
-            self._due[manager] = now + min(periods[place] for place in places)
+        last = {manager: self._asked.get(manager, _NEVER) for manager in asked}
+        due = [
+            manager
+            for manager in sorted(asked)
+            if last[manager] + min(periods[p] for each in asked[manager].values() for p in each)
+            <= now
+        ]
+        self._asked = {**last, **dict.fromkeys(due, now)}
         answers = self._host.counts({each: list(asked[each]) for each in due}) if due else {}
         came: Set[Place] = set()
         for name, places in [each for manager in due for each in asked[manager].items()]:
