@@ -80,7 +80,7 @@ class RoscoreTest(StreamCase):
         def said():
             return [line for line in listener.output.splitlines() if line[0] != "["]
 
-        eventually(lambda: said()[-1].rstrip().endswith("flows"), 5.0, "it flows")
+        eventually(lambda: said()[-1].split()[2] == "flows", 5.0, "it flows")
         self.assertEqual({line.split()[0] for line in said()}, {"ACTIVE"}, said())
 
     def test_the_roscore_goes_and_comes_back(self):
