@@ -60,6 +60,8 @@ class ServiceTest(unittest.TestCase):
             self.assertEqual([each.direction for each in counts.ports], [Port.IN, Port.OUT])
             manager.unload("/a")
             self.assertEqual(ask(manager, "/a"), {})
+            with self.assertRaisesRegex(rospy.ServiceException, "4096"):
+                ask(manager, "/a" * 4096)
 
 
 class CountingTest(unittest.TestCase):

@@ -112,7 +112,7 @@ class SilenceWatch:
         since = flows[place].quiet_from
         feeders: Dict[str, List[Place]] = {}
         for each, topic in places.items():
-            if each[0] != place[0] or not each[0]:
+            if each[0] != place[0]:
                 feeders.setdefault(topic, []).append(each)
         return all(
             any(each in flows and flows[each].came_after >= since for each in feeders[topic])

@@ -27,6 +27,8 @@ SERVICE = "get_counts"
 PATIENCE = 0.5
 #: Seconds for one nodelet manager's answer, which nobody waits for so long.
 TIMEOUT = 2.0
+#: Nodelets that are asked about by name; there is a limit to what a request may hold.
+_MOST_NAMED = 500
 #: Seconds without an answer after which a connection may be one to a process that is gone.
 _STALE = 10.0
 #: Seconds without a question after which a line is given up until the next.
@@ -138,7 +140,8 @@ class _Line:
         try:
             asked = time.monotonic()
             try:
-                answer = self._client.call(TIMEOUT, nodelets)
+                named = nodelets if len(nodelets) <= _MOST_NAMED else []  # else all are told of
+                answer = self._client.call(TIMEOUT, named)
             except (ServiceLost, ServiceFailed):  # it may be one that does not have the service
                 return self._one_by_one(nodelets)
             answered = self._heard = time.monotonic()
@@ -152,6 +155,8 @@ class _Line:
             return {}
         found: Counts = dict.fromkeys(nodelets)
         for each in answer.nodelets:
+            if each.nodelet not in found:
+                continue
             found[each.nodelet] = {
                 port.port: Count(port.messages, asked, answered, port.latched)
                 for port in each.ports

@@ -25,7 +25,7 @@ from nodelet.srv import (
 )
 
 from dyknow import names
-from dyknow.errors import BadParameter, DyKnowError
+from dyknow.errors import BadParameter, DyKnowError, TooMuch
 from dyknow.nodelet.context import Context, Runtime
 from dyknow.nodelet.loader import Loader
 from dyknow.nodelet.middleware import Closable
@@ -235,6 +235,10 @@ class NodeletManager(Closable):
 
     def _get_counts(self, request: Any) -> GetCountsResponse:
         wanted = set(request.nodelets)
+        try:
+            self._guards.current().check_sizes(wanted, len(request.nodelets))
+        except TooMuch as error:
+            raise rospy.ServiceException(str(error)) from error
         proxies = [
             context.attached
             for context in self.loader.contexts()
