@@ -9,7 +9,7 @@ setup(
         package_dir={"": "."},
         # What the packages read at run time besides modules, beside those that read it.
         package_data={
-            "": ["*.owl", "*.png", "*.rnc", "*.rng", "*.svg", "*.ttl", "*.xml", "py.typed"]
+            "": ["*.owl", "*.png", "*.rnc", "*.rng", "*.svg", "*.ttl", "*.xml", "py.typed", "*.yml.gz"]
         },
     )
 )

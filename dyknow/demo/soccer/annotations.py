@@ -27,6 +27,12 @@ class AnnotatedFrame:
     image: Path
     balls: Tuple[Tuple[float, float, float, float], ...]
 
+    @property
+    def day(self) -> str:
+        """The second part of a name such as cam0_20190606_204236.jpg; of another name, all."""
+        parts = self.image.stem.split("_")
+        return parts[1] if len(parts) > 1 else self.image.stem
+
 
 def read_frames(folder: Path) -> List[AnnotatedFrame]:
     """Find the annotated images of a folder, sorted by name.

@@ -9,7 +9,7 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import Any, List, Optional, Sequence
+from typing import Any, Dict, List, Optional, Sequence
 
 import numpy as np
 
@@ -81,11 +81,10 @@ def _print_recall(results: List[FrameResult], folder: Path) -> None:
         f"a hit: intersection over union of the boxes >= {OVERLAP:g}, or each centre in the other"
     )
     print(f"{'frames':34}{'balls':>6}{'found':>7}{'recall':>8}{'best':>6}{'false':>7}")
-    for label, some in (
-        ("even places (thresholds set here)", results[0::2]),
-        ("odd places (held out)", results[1::2]),
-        ("all", results),
-    ):
+    days: Dict[str, List[FrameResult]] = {}
+    for each in results:
+        days.setdefault(each.frame.day, []).append(each)
+    for label, some in (*days.items(), ("all", results)):
         balls, found = sum(len(each.balls) for each in some), sum(each.found for each in some)
         best = sum(each.best_is_ball for each in some)
         false = sum(each.false_finds for each in some)

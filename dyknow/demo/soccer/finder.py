@@ -132,13 +132,13 @@ def _round(outline: Any, size: Tuple[int, int], factor: int, limits: Limits) -> 
     score = fit.agreement * min(1.0, area / _visible(fit.curve, size))
     if score < limits.roundness:
         return None
-    column, row = _full(fit.curve.centre, factor)
+    column, row = full_resolution(fit.curve.centre, factor)
     box = (left, top, left + width, top + height)
     return Find(
         (float(column), float(row)),
         (fit.curve.radius + 0.5) * factor,
         (box[0] * factor, box[1] * factor, box[2] * factor, box[3] * factor),
-        _full(fit.points, factor),
+        full_resolution(fit.points, factor),
         float(score),
     )
 
@@ -156,7 +156,7 @@ def _visible(curve: Ellipse, size: Tuple[int, int]) -> float:
     return max(float((curve.ratios(grid) <= 1.0 + 0.5 / curve.radius).sum()), 1.0)
 
 
-def _full(pixels: Array, factor: int) -> Array:
+def full_resolution(pixels: Array, factor: int) -> Array:
     """Columns and rows in full resolution."""
     return (pixels + 0.5) * factor - 0.5
 

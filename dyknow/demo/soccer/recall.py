@@ -10,7 +10,7 @@ Each ball is hit by one find at most; whatever is left over is false.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Dict, List, Sequence, Tuple
+from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 import cv2
 import numpy as np
@@ -74,24 +74,48 @@ def evaluate_frame(
     Raises:
         ValueError: the file is no image.
     """
-    pixels = cv2.imread(str(frame.image), cv2.IMREAD_COLOR)
+    pixels = read_image(frame)
+    finds = tuple(find_in_bgr(pixels, colour, limits))
+    balls = boxes_of(frame, pixels)
+    return FrameResult(frame, pixels, balls, finds, match(balls, finds))
+
+
+def read_image(frame: AnnotatedFrame) -> Pixels:
+    """Read the image of a frame, BGR.
+
+    Raises:
+        ValueError: the file is no image.
+    """
+    pixels: Optional[Pixels] = cv2.imread(str(frame.image), cv2.IMREAD_COLOR)
     if pixels is None:
         raise ValueError(f"{frame.image} is no image")
+    return pixels
+
+
+def boxes_of(frame: AnnotatedFrame, pixels: Pixels) -> Tuple[Box, ...]:
+    """Tell the boxes of a frame's balls in pixels of its image."""
     height, width = pixels.shape[:2]
-    finds = tuple(find_in_bgr(pixels, colour, limits))
-    balls = tuple(
+    return tuple(
         ((x - w / 2) * width, (y - h / 2) * height, (x + w / 2) * width, (y + h / 2) * height)
         for x, y, w, h in frame.balls
     )
-    return FrameResult(frame, pixels, balls, finds, match(balls, finds))
 
 
 def find_in_bgr(pixels: Pixels, colour: Colour, limits: Limits = LIMITS) -> List[Find]:
     """Find balls in an image in BGR, on the way that a camera's YUV 4:2:2 takes."""
+    return find_balls(pyramid(_packed(pixels), FACTORS), colour, limits)
+
+
+def planes_from_bgr(pixels: Pixels, factor: int) -> Pixels:
+    """Make the planes at one factor of an image in BGR, on the way of a camera's YUV 4:2:2."""
+    return pyramid(_packed(pixels), (factor,))[factor]
+
+
+def _packed(pixels: Pixels) -> Pixels:
     even = pixels[: pixels.shape[0] // 2 * 2, : pixels.shape[1] // 2 * 2]
     packed: Pixels = np.empty((*even.shape[:2], 2), np.uint8)
     pack(yuv_from_bgr(even), packed)
-    return find_balls(pyramid(packed, FACTORS), colour, limits)
+    return packed
 
 
 def match(balls: Sequence[Box], finds: Sequence[Find]) -> Tuple[Any, ...]:

@@ -82,9 +82,7 @@ def _connected(plane: Pixels, level: int) -> Iterator[Tuple[Any, _Box]]:
             yield outline, (left, top, width, height)
 
 
-def _describe(
-    stack: Pixels, edges: Pixels, outline: Any, box: _Box, whole: Array
-) -> List[float]:
+def _describe(stack: Pixels, edges: Pixels, outline: Any, box: _Box, whole: Array) -> List[float]:
     """Colour, contrast to the surroundings, shape and shading of a region."""
     left, top, width, height = box
     margin = 2 + max(width, height) // 3

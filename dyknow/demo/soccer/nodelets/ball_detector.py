@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Dict
+from typing import Any, Callable, Dict, List, Mapping
 
 import message_filters
 import numpy as np
@@ -11,16 +11,21 @@ from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import Header
 
 import dyknow
-from dyknow.demo.soccer import mounts
+from dyknow.demo.images import Pixels
+from dyknow.demo.soccer import forest, mounts
 from dyknow.demo.soccer.colour import COLOURS
 from dyknow.demo.soccer.field import BALL_RADIUS
-from dyknow.demo.soccer.finder import find_balls
+from dyknow.demo.soccer.finder import Find, find_balls
 from dyknow.demo.soccer.history import History
 from dyknow.demo.soccer.pinhole import Pinhole
 from dyknow.demo.soccer.planes_message import planes_of
 from dyknow.demo.soccer.sighting import ANGLE_ERROR, Geometry, Sighting, best_sighting
 from dyknow.errors import BadParameter
 from dyknow.ros.parameters import get_positive
+
+LEARNT = "learnt"
+
+Finder = Callable[[Mapping[int, Pixels]], List[Find]]
 
 
 class BallDetector(dyknow.Nodelet):
@@ -44,7 +49,8 @@ class BallDetector(dyknow.Nodelet):
         ~owner (string, nao): name of the owner's frame.
         ~fixed_cameras (mapping, empty): how other cameras are mounted whose images may come, by
             the frame of these: {height, pitch, roll} as above. Each is its own owner.
-        ~colour (string, orange): orange or yellow.
+        ~colour (string, orange): orange or yellow, by fixed limits; or learnt: what a forest that
+            was trained on real frames takes for a ball, whatever the light.
         ~radius (double, 0.0325): of the ball, m.
     """
 
@@ -78,12 +84,20 @@ class BallDetector(dyknow.Nodelet):
             for frame, given in get("~fixed_cameras", {}).items()
         }
         colour = get("~colour", "orange")
-        if colour not in COLOURS:
-            expected = "one of " + ", ".join(sorted(COLOURS))
+        if colour not in (*COLOURS, LEARNT):
+            expected = "one of " + ", ".join(sorted((*COLOURS, LEARNT)))
             raise BadParameter(self.nh.resolve_name("~colour"), colour, expected)
-        self.colour = COLOURS[colour]
+        self.find = self.finder_of(colour)
         self.radius = get_positive(self.nh, "~radius", BALL_RADIUS, "m")
         self.owner = str(get("~owner", "nao"))
+
+    @staticmethod
+    def finder_of(colour: str) -> Finder:
+        """Tell how balls are found in planes by their factors."""
+        if colour == LEARNT:
+            model = forest.load()
+            return lambda pyramid: forest.find_learnt(pyramid[min(pyramid)], min(pyramid), model)
+        return lambda pyramid: find_balls(pyramid, COLOURS[colour])
 
     def read_mount(self, parameter: str, given: Any) -> mounts.Mount:
         """Read how one camera is mounted."""
@@ -118,7 +132,7 @@ class BallDetector(dyknow.Nodelet):
         pyramid = dict(zip(factors, (planes_of(fine), planes_of(coarse))))
         pose = mount.owner_from_camera(angles)
         geometry = Geometry(camera, pose, self.radius, ANGLE_ERROR, factors[0])
-        sighting = best_sighting(find_balls(pyramid, self.colour), geometry)
+        sighting = best_sighting(self.find(pyramid), geometry)
         if sighting is not None:
             owner = frame if frame in self.fixed else self.owner
             self.publish(Header(stamp=stamp, frame_id=owner), sighting)

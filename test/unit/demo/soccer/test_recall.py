@@ -81,7 +81,9 @@ def test_no_frames_is_an_error(tmp_path, capsys):
 
 @real_frames
 def test_recall_on_real_frames():
-    results = [evaluate_frame(frame) for frame in read_frames(SHARED_FRAMES)]
+    days = ("20190606", "20220715")  # of these the colour's limits are
+    frames = [frame for frame in read_frames(SHARED_FRAMES) if frame.day in days]
+    results = [evaluate_frame(frame) for frame in frames]
     held_out = results[1::2]  # the thresholds were set on the others
     assert sum(len(each.balls) for each in results) == len(results) == 36
     # What doc/soccer.rst states, less one for another version of OpenCV.

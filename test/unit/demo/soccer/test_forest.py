@@ -1,0 +1,110 @@
+"""The ball's forest: candidates, training on drawn frames, and the model that is shipped."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from dyknow.demo.shared_frames import SHARED_FRAMES
+from dyknow.demo.soccer import forest, learn
+from dyknow.demo.soccer.recall import planes_from_bgr
+from dyknow.demo.soccer.regions import regions
+
+YELLOWS = {"warm": (40, 210, 230), "pale": (150, 205, 215), "dim": (25, 95, 100)}
+RED = (40, 40, 200)
+
+
+def field(seed=0):
+    mottle = np.random.default_rng(seed).normal(0, 6, (400, 300, 3))
+    image = np.clip(mottle + (60, 120, 50), 0, 255).astype(np.uint8)
+    cv2.rectangle(image, (0, 0), (299, 150), (70, 70, 75), -1)
+    return image
+
+
+def with_ball(centre, radius, colour, seed=0):
+    image = field(seed)
+    cv2.rectangle(image, (30, 220), (50, 310), colour, -1)
+    cv2.circle(image, centre, radius, colour, -1)
+    return image
+
+
+@pytest.fixture
+def folder(tmp_path):
+    for day in range(4):
+        for number in range(3):
+            x, y, radius = 120 + 40 * number, 200 + 30 * day, 12 + 3 * number
+            colour = list(YELLOWS.values())[day % 3]
+            name = tmp_path / f"cam0_2026010{day}_{number}"
+            cv2.imwrite(f"{name}.png", with_ball((x, y), radius, colour, 10 * day + number))
+            size = 2 * radius + 1
+            line = f"0 {x / 300} {y / 400} {size / 300} {size / 400}"
+            name.with_suffix(".txt").write_text(line)
+    return tmp_path
+
+
+@pytest.mark.parametrize("colour", YELLOWS.values(), ids=list(YELLOWS))
+def test_a_ball_is_a_region_of_its_own_in_any_light(colour):
+    found = regions(planes_from_bgr(with_ball((200, 250), 20, colour), 2))
+    near = [each.box for each in found if abs(each.box[0] + each.box[2] / 2 - 100) < 2]
+    assert any(abs(width - 20) <= 3 and abs(height - 20) <= 3 for _, _, width, height in near)
+
+
+def test_there_are_no_regions_without_a_warm_colour():
+    assert regions(planes_from_bgr(np.full((400, 300, 3), (60, 120, 50), np.uint8), 2)) == []
+
+
+def test_the_same_frames_give_the_same_file(folder, tmp_path):
+    files = [tmp_path / "one.yml.gz", tmp_path / "other.yml.gz"]
+    for file in files:
+        arguments = ["--frames", str(folder), "--no-judging", "--model", str(file)]
+        assert learn.main(arguments) == 0
+    assert files[0].read_bytes() == files[1].read_bytes()
+
+
+def test_days_that_are_left_out_are_judged(folder, capsys):
+    assert learn.main(["--frames", str(folder)]) == 0
+    output = capsys.readouterr().out
+    assert output.count("20260103") == 2  # best finds, all finds
+    assert output.count("mean") == 2
+
+
+def test_fewer_than_three_days_are_an_error(tmp_path, capsys):
+    assert learn.main(["--frames", str(tmp_path)]) == 1
+    assert "three days" in capsys.readouterr().err
+
+
+def test_a_threshold_is_the_least_one_that_is_precise():
+    scored = [[(0.9, True)], [(0.6, True), (0.3, False)], [(0.5, False)]]
+    assert learn.choose(scored, only_best=True) == pytest.approx(0.52)
+    verdict = learn.judge(scored, 3, 0.2, only_best=False)
+    assert (verdict.hits, verdict.false) == (2, 2)
+    assert learn.judge(scored, 3, 0.52, only_best=True).precision == 1.0
+
+
+def test_the_shipped_forest_finds_a_drawn_ball_and_no_bar():
+    model = forest.load()
+    planes = planes_from_bgr(with_ball((200, 250), 20, YELLOWS["warm"]), 2)
+    find = forest.find_learnt(planes, 2, model)[0]
+    assert find.centre == pytest.approx((200, 250), abs=2)
+    assert find.radius == pytest.approx(20, abs=3)
+    red = field()
+    cv2.rectangle(red, (100, 200), (250, 260), RED, -1)
+    assert forest.find_learnt(planes_from_bgr(red, 2), 2, model) == []
+
+
+def test_the_shipped_forest_is_small():
+    assert forest.MODEL.stat().st_size < 500_000
+
+
+def test_what_is_no_forest_is_named(tmp_path):
+    file = tmp_path / "some.yml.gz"
+    with pytest.raises(ValueError, match="no forest"):
+        forest.load(file)
+
+
+@pytest.mark.skipif(not SHARED_FRAMES.is_dir(), reason=f"no real frames in {SHARED_FRAMES}")
+def test_the_shipped_forest_is_of_the_frames(tmp_path):
+    file = tmp_path / "again.yml.gz"
+    assert learn.main(["--no-judging", "--model", str(file)]) == 0
+    assert file.stat().st_size == pytest.approx(forest.MODEL.stat().st_size, rel=0.05)
