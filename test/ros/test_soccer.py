@@ -214,7 +214,7 @@ class SoccerTest(TellingCase):
     def test_bad_parameters_fail_the_load_with_the_reason(self):
         for parameters, expected in (
             ({"mount": "nao_top"}, "nao_bottom, or the numbers height"),
-            ({"colour": "blue"}, "one of orange, yellow"),
+            ({"colour": "blue"}, "one of learnt, orange, yellow"),
             ({"radius": -1.0}, "a number above 0, in m"),
         ):
             with self.subTest(**parameters), self.assertRaises(rospy.ServiceException) as failure:

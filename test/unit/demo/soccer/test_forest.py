@@ -8,10 +8,12 @@ import pytest
 
 from dyknow.demo.shared_frames import SHARED_FRAMES
 from dyknow.demo.soccer import forest, learn
+from dyknow.demo.soccer.nodelets.ball_detector import LEARNT, BallDetector
 from dyknow.demo.soccer.recall import planes_from_bgr
 from dyknow.demo.soccer.regions import regions
 
 YELLOWS = {"warm": (40, 210, 230), "pale": (150, 205, 215), "dim": (25, 95, 100)}
+OFF_LIMITS = (75, 120, 130)  # as in a dim hall
 RED = (40, 40, 200)
 
 
@@ -92,6 +94,14 @@ def test_the_shipped_forest_prefers_a_drawn_ball_to_a_bar():
     cv2.rectangle(red, (100, 200), (250, 260), RED, -1)
     others = forest.find_learnt(planes_from_bgr(red, 2), 2, model)
     assert all(other.score < find.score / 2 for other in others)
+
+
+def test_the_nodelet_finds_a_dim_pale_ball_only_by_what_was_learnt():
+    planes = planes_from_bgr(with_ball((200, 250), 20, OFF_LIMITS), 2)
+    pyramid = {2: planes, 4: planes_from_bgr(with_ball((200, 250), 20, OFF_LIMITS), 4)}
+    assert BallDetector.finder_of("yellow")(pyramid) == []
+    finds = BallDetector.finder_of(LEARNT)(pyramid)
+    assert any(find.centre == pytest.approx((200, 250), abs=2) for find in finds)
 
 
 def test_the_shipped_forest_is_small():
