@@ -9,7 +9,10 @@ setup(
         package_dir={"": "."},
         # What the packages read at run time besides modules, beside those that read it.
         package_data={
-            "": ["*.owl", "*.png", "*.rnc", "*.rng", "*.svg", "*.ttl", "*.xml", "py.typed", "*.yml.gz"]
+            "": [
+                *("*.owl", "*.png", "*.rnc", "*.rng", "*.svg", "*.ttl", "*.xml", "*.yml.gz"),
+                "py.typed",
+            ]
         },
     )
 )
