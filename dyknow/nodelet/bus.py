@@ -325,6 +325,5 @@ class Bus:
             return
         topic = self._topic(plan.topic, publication.datatype)
         topic.publications.append(publication)
-        publication.topic = plan.topic
-        publication.attend(plan.half if isinstance(plan.half, OutsidePublisher) else None)
-        publication.reroute(topic.route, newcomers=topic.route)
+        half = plan.half if isinstance(plan.half, OutsidePublisher) else None
+        publication.connect(plan.topic, half, topic.route)

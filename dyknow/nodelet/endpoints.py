@@ -13,10 +13,16 @@ from __future__ import annotations
 
 import collections
 import threading
-from typing import Any, Callable, Deque, Dict, Optional, Tuple
+from typing import Any, Callable, Deque, Dict, FrozenSet, Optional, Tuple
 
 from dyknow.nodelet.locking import message_lock
-from dyknow.nodelet.middleware import Middleware, OutsidePublisher, OutsideSubscriber, Receive
+from dyknow.nodelet.middleware import (
+    HERE,
+    Middleware,
+    OutsidePublisher,
+    OutsideSubscriber,
+    Receive,
+)
 from dyknow.nodelet.scheduler import Clock, Strand
 from dyknow.nodelet.traffic import Traffic
 
@@ -186,6 +192,7 @@ class Publication:
         "_middleware",
         "_outside",
         "_route",
+        "_watchers",
         "_what",
         "datatype",
         "latch",
@@ -229,6 +236,7 @@ class Publication:
         self._route: Optional[Tuple[Connection, ...]] = None
         self._outside: Optional[OutsidePublisher] = None
         self._closed = False
+        self._watchers: Tuple[Callable[[], None], ...] = ()
 
     def publish(self, message: Any = NOTHING, /, *fields: Any, **named: Any) -> None:
         """Publish a message, or the message made of the given fields, as in rospy.
@@ -258,14 +266,21 @@ class Publication:
             outside.in_flight += 1
         finally:
             _leave()
-        try:
-            if self.latch:
-                outside.latch(message)
-            else:
-                outside.publish(message)
-        finally:
-            with message_lock:
-                outside.in_flight -= 1
+        _hand_over(outside, outside.latch if self.latch else outside.publish, message)
+
+    def publish_to(self, topic: str, peer: Any, message: Any) -> None:
+        """Send a message to one of the ``peers`` of a topic, uncounted; nothing if it has left."""
+        with message_lock:
+            if topic != self.topic:
+                return
+            if peer is HERE:
+                for connection in self._route or ():
+                    connection.push_locked(message)
+            outside = self._outside
+            if outside is None:
+                return
+            outside.in_flight += 1
+        _hand_over(outside, outside.publish_to, peer, message)
 
     def _unrouted(self, message: Any) -> None:
         if self._closed:
@@ -287,28 +302,83 @@ class Publication:
     def attend(self, outside: Optional[OutsidePublisher]) -> Any:
         """Publish to these listeners outside too; returns the latched message they are owed."""
         with message_lock:
-            self._outside = outside
-            return self.latched
+            self._attend(outside)
+            owed = self.latched
+        self._changed()
+        return owed
+
+    def connect(
+        self, topic: str, outside: Optional[OutsidePublisher], route: Tuple[Connection, ...]
+    ) -> None:
+        """Publish on another topic from now on, to all of its connections."""
+        with message_lock:
+            self.topic = topic
+            self._attend(outside)
+            self._reroute(route, newcomers=route)
+        self._changed()
 
     def reroute(
         self, route: Tuple[Connection, ...], newcomers: Tuple[Connection, ...] = ()
     ) -> None:
         """Publish to ``route`` from now on; ``newcomers`` get a latched message first."""
         with message_lock:
-            self._route = route
-            if self.latched is not NOTHING:
-                for connection in newcomers:
-                    connection.push_locked(self.latched)
+            self._reroute(route, newcomers)
+        self._changed()
 
     def disconnect(self, closed: bool = False) -> None:
         """Publish to nobody; for good, if ``closed``."""
         with message_lock:
             self._route = None
             self._closed = self._closed or closed
-            self._outside = None
+            self._attend(None)
             self.topic = ""
+        self._changed()
+
+    def peers(self) -> Tuple[str, FrozenSet[Any]]:
+        """The topic and who listens: one for each outside, ``HERE`` for all of this process."""
+        with message_lock:
+            topic, route, outside = self.topic, self._route, self._outside
+        listening = outside.peers() if outside is not None else frozenset()
+        return topic, (listening | {HERE} if route else listening)
 
     def get_num_connections(self) -> int:
-        """Listeners: one for each outside, and one for all of this process, as in roscpp."""
-        route, outside = self._route, self._outside
-        return (1 if route else 0) + (outside.listeners() if outside else 0)
+        """Count the peers; all of this process are one, as in roscpp."""
+        return len(self.peers()[1])
+
+    def watch(self, changed: Callable[[], None]) -> None:
+        """Call ``changed``, which must be quick, whenever ``peers`` may be others."""
+        with message_lock:
+            self._watchers = (*self._watchers, changed)
+
+    def unwatch(self, changed: Callable[[], None]) -> None:
+        """Call it no more."""
+        with message_lock:
+            self._watchers = tuple(each for each in self._watchers if each != changed)
+
+    def _changed(self) -> None:
+        for changed in self._watchers:
+            changed()
+
+    # Under the lock:
+
+    def _attend(self, outside: Optional[OutsidePublisher]) -> None:
+        if self._outside is not None:
+            self._outside.changed = None
+        self._outside = outside
+        if outside is not None:
+            outside.changed = self._changed
+
+    def _reroute(self, route: Tuple[Connection, ...], newcomers: Tuple[Connection, ...]) -> None:
+        self._route = route
+        if self.latched is not NOTHING:
+            for connection in newcomers:
+                connection.push_locked(self.latched)
+
+
+def _hand_over(outside: OutsidePublisher, send: Callable[..., None], *what: Any) -> None:
+    """Send outside what was counted as in flight under the lock."""
+    try:
+        send(*what)
+    finally:
+        with message_lock:
+            outside.in_flight -= 1

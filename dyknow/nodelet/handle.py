@@ -151,11 +151,9 @@ class NodeHandle:
     ) -> Publisher:
         """Publish on a topic; the arguments are those of ``rospy.Publisher``."""
         topic = self.resolve_name(names.check(name, "topic name"))
-        options = _given(
-            subscriber_listener=subscriber_listener, tcp_nodelay=tcp_nodelay, headers=headers
-        )
+        options = _given(tcp_nodelay=tcp_nodelay, headers=headers)
         publication = self.context.publication(name, data_class, latch, queue_size, **options)
-        state = PublisherState(self.context, name, publication)
+        state = PublisherState(self.context, name, publication, subscriber_listener)
         self._connect(state, publication, topic)
         return Publisher(state)
 

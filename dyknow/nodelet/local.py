@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import threading
 from dataclasses import dataclass, field
-from typing import Any, Callable, Dict, List, Optional, Sequence
+from typing import Any, Callable, Dict, FrozenSet, List, Optional, Sequence
 
 from dyknow.errors import DyKnowError, HandleClosed
 from dyknow.nodelet.middleware import (
@@ -56,7 +56,7 @@ class ManualTicker(Ticker):
 
 
 class LocalPublisher(OutsidePublisher):
-    """Records what would have gone out; append to ``connections`` to listen."""
+    """Hands what goes out to those who ``LocalMiddleware.listen``."""
 
     def __init__(self, middleware: LocalMiddleware, topic: str, datatype: Any) -> None:
         self.middleware = middleware
@@ -65,20 +65,27 @@ class LocalPublisher(OutsidePublisher):
         self.connections: List[Callable[[Any], None]] = middleware.listeners.setdefault(topic, [])
         self.open = True
         self.in_flight = 0
+        middleware.publishers.append(self)
+        self.changed: Optional[Callable[[], None]] = None
 
     @property
     def heard(self) -> bool:
         """Whether somebody listens."""
         return bool(self.connections)
 
-    def listeners(self) -> int:
-        """Count who listens."""
-        return len(self.connections)
+    def peers(self) -> FrozenSet[Any]:
+        """Who listens."""
+        return frozenset(self.connections)
 
     def publish(self, message: Any) -> None:
         """Hand the message to every listener."""
         for listener in self.connections:
             listener(message)
+
+    def publish_to(self, peer: Any, message: Any) -> None:
+        """Hand the message to one listener."""
+        if peer in self.connections:
+            peer(message)
 
     def latch(self, message: Any) -> None:
         """Hand the message on; who comes later is not served by this fake."""
@@ -95,6 +102,7 @@ class LocalPublisher(OutsidePublisher):
         """Withdraw the registration."""
         if self.open:
             self.open = False
+            self.middleware.publishers.remove(self)
             self.middleware.registrations.remove(("publisher", self.topic))
 
 
@@ -159,6 +167,7 @@ class LocalMiddleware(Middleware):
         parameters: the parameter server.
         services: handlers by global name.
         listeners: who listens outside, by topic.
+        publishers: registered publishers.
         subscribers: registered subscribers.
         registrations: every registration that is not withdrawn, as (kind, name).
         types: topics that live outside, with their types.
@@ -168,6 +177,7 @@ class LocalMiddleware(Middleware):
     parameters: Dict[str, Any] = field(default_factory=dict)
     services: Dict[str, Handler] = field(default_factory=dict)
     listeners: Dict[str, List[Callable[[Any], None]]] = field(default_factory=dict)
+    publishers: List[LocalPublisher] = field(default_factory=list)
     subscribers: List[LocalSubscriber] = field(default_factory=list)
     registrations: List[Any] = field(default_factory=list)
     types: Dict[str, str] = field(default_factory=dict)
@@ -178,6 +188,21 @@ class LocalMiddleware(Middleware):
         for subscriber in list(self.subscribers):
             if subscriber.topic == topic:
                 subscriber.receive(message)
+
+    def listen(self, topic: str, listener: Callable[[Any], None]) -> None:
+        """Subscribe from outside."""
+        self.listeners.setdefault(topic, []).append(listener)
+        self._tell_publishers(topic)
+
+    def stop_listening(self, topic: str, listener: Callable[[Any], None]) -> None:
+        """Take back a ``listen``."""
+        self.listeners[topic].remove(listener)
+        self._tell_publishers(topic)
+
+    def _tell_publishers(self, topic: str) -> None:
+        for publisher in list(self.publishers):
+            if publisher.topic == topic and publisher.changed is not None:
+                publisher.changed()
 
     def call(self, service: str, request: Any) -> Any:
         """Call a service from outside."""

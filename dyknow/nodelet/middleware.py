@@ -11,19 +11,24 @@ does not reach by reference.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any, Callable, Dict, Optional, Sequence
+from typing import Any, Callable, Dict, FrozenSet, Optional, Sequence
 
 Receive = Callable[[Any], None]
 Handler = Callable[[Any], Any]
+
+#: Stands for all listeners of this process: among the peers of a publication they are one.
+HERE: Any = object()
 
 
 class OutsidePublisher(ABC):
     """The outside half of one publication on one topic: an ordinary registration in ROS."""
 
-    __slots__ = ("in_flight",)
+    __slots__ = ("changed", "in_flight")
 
     #: Messages that its publication is just handing over; a switch waits for them too.
     in_flight: int
+    #: To be called when ``peers`` have changed; None while nobody wants to know.
+    changed: Optional[Callable[[], None]]
 
     @property
     @abstractmethod
@@ -31,12 +36,16 @@ class OutsidePublisher(ABC):
         """Whether somebody listens; looked at on every publish, so it must be quick."""
 
     @abstractmethod
-    def listeners(self) -> int:
-        """Count who listens outside."""
+    def peers(self) -> FrozenSet[Any]:
+        """Who listens outside: one for each other process, ``HERE`` for rospy's own in here."""
 
     @abstractmethod
     def publish(self, message: Any) -> None:
         """Serialise ``message`` once and hand it to everyone who listens outside."""
+
+    @abstractmethod
+    def publish_to(self, peer: Any, message: Any) -> None:
+        """Send ``message`` to one of the ``peers``; nothing if it is there no more."""
 
     @abstractmethod
     def latch(self, message: Any) -> None:

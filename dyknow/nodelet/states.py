@@ -7,6 +7,7 @@ from typing import Any, Callable, List, Optional, Tuple
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.endpoints import Publication
 from dyknow.nodelet.scheduler import Strand
+from dyknow.nodelet.subscriber_events import SubscriberEvents
 
 Callback = Callable[..., Any]
 
@@ -14,10 +15,26 @@ Callback = Callable[..., Any]
 class PublisherState:
     """A publication that belongs to one handle."""
 
-    def __init__(self, context: Context, name: str, publication: Publication) -> None:
+    def __init__(
+        self, context: Context, name: str, publication: Publication, listener: Any = None
+    ) -> None:
+        """Make the state of one handle.
+
+        Args:
+            context: the owner.
+            name: what it is called in errors and logs.
+            publication: what the handle publishes through.
+            listener: told who listens, as rospy's ``subscriber_listener``; None for nobody.
+        """
         self.context = context
         self.name = name
         self.publication = publication
+        self._events: Optional[SubscriberEvents] = None
+        if listener is not None:
+            what = f"the subscriber listener of '{name}'"
+            self._events = SubscriberEvents(
+                publication, listener, context.strand, lambda error: context.failed(what, error)
+            )
 
     def closed(self) -> Exception:
         """Make the exception for a use after ``unregister``."""
@@ -26,7 +43,13 @@ class PublisherState:
 
     def unregister(self, handle: object) -> None:
         """Withdraw the publication."""
+        self.stop_telling()
         self.context.release(self.publication)
+
+    def stop_telling(self) -> None:
+        """Leave the subscriber listener alone from now on."""
+        if self._events is not None:
+            self._events.close()
 
 
 class SubscriberState:

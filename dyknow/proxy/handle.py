@@ -45,11 +45,14 @@ class NodeHandle:
 
         It starts disconnected unless the load request remaps its name.
         """
-        options = {"subscriber_listener": subscriber_listener, "headers": headers}
-        given = {key: value for key, value in options.items() if value}
+        given: Dict[str, Any] = {}
+        if headers:
+            given["headers"] = headers
         if tcp_nodelay:
             given["tcp_nodelay"] = True
-        state = self._proxy.publisher(self._plain, name, data_class, latch, queue_size, **given)
+        state = self._proxy.publisher(
+            self._plain, name, data_class, latch, queue_size, subscriber_listener, **given
+        )
         return Publisher(state)
 
     def Subscriber(  # noqa: N802

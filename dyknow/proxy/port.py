@@ -136,8 +136,10 @@ class InPort(Port):
 class PortPublisher(PublisherState):
     """One handle's share of an out-port."""
 
-    def __init__(self, context: Context, port: OutPort, publication: Publication) -> None:
-        super().__init__(context, port.name, publication)
+    def __init__(
+        self, context: Context, port: OutPort, publication: Publication, listener: Any = None
+    ) -> None:
+        super().__init__(context, port.name, publication, listener)
         self._port = port
         port.handles.append(self)
         if port.publication is None:
@@ -146,6 +148,7 @@ class PortPublisher(PublisherState):
 
     def unregister(self, handle: object) -> None:
         """Withdraw the publication with the last handle; the port stays."""
+        self.stop_telling()
         port, last = self._port, None
         with port.lock:
             if self in port.handles:

@@ -140,11 +140,13 @@ class NodeletProxy:
         datatype: Any,
         latch: bool,
         queue_size: Optional[int],
+        listener: Any = None,
         **options: Any,
     ) -> PortPublisher:
         """Declare an out-port, or share one that is there.
 
-        The first handle decides about ``queue_size`` and ``options``.
+        The first handle decides about ``queue_size`` and ``options``; each may have a subscriber
+        ``listener``.
 
         Raises:
             PortConflict: the port exists as an in-port, with another type or another latch.
@@ -160,7 +162,7 @@ class NodeletProxy:
                 elif publication.latch != latch:
                     wanted = "latched" if latch else "not latched"
                     raise PortConflict(name, port.kind, wanted)
-                state = PortPublisher(self._context, port, publication)
+                state = PortPublisher(self._context, port, publication, listener)
             self._place(port, state, publication)
         self.on_change()
         return state

@@ -282,6 +282,8 @@ class OutsideTest(BusTest):
 class OrdinaryHandleTest(BusTest):
     """rospy's own publishers and subscribers inside a nodelet, on a topic of the bus."""
 
+    LABELS = ("bus_publisher", "rospy_publisher", "bus_subscriber", "rospy_subscriber")
+
     def setUp(self):
         self.manager.load("Ordinary", "/n")
 
@@ -303,8 +305,7 @@ class OrdinaryHandleTest(BusTest):
             eventually(lambda label=label: call("/n", "connections", label) > 0, 5.0, label)
 
     def test_all_combinations_in_every_order(self):
-        labels = ("bus_publisher", "rospy_publisher", "bus_subscriber", "rospy_subscriber")
-        for order in itertools.permutations(labels):
+        for order in itertools.permutations(self.LABELS):
             with self.subTest(order):
                 for label in order:
                     self.make(label)
@@ -355,6 +356,44 @@ class OrdinaryHandleTest(BusTest):
         call("/n", "remove", "publisher")
         call("/n", "remove", "late")
 
+    def test_the_connection_header_is_that_of_rospy(self):
+        """Compared with what this process receives of the same publishers."""
+        outside = []
+        subscriber = rospy.Subscriber("/a", Header, outside.append)
+        self.addCleanup(subscriber.unregister)
+        for latch in (False, True):
+            call("/n", "make_publisher", "bus_publisher", "bus", "/a", latch)
+            call("/n", "make_publisher", "rospy_publisher", "rospy", "/a", latch)
+            for label in ("rospy_subscriber", "bus_subscriber"):
+                self.make(label)
+            self.settle(["rospy_subscriber", "bus_subscriber"])
+            eventually(
+                lambda: call("/n", "connections", "rospy_publisher") > 0, 5.0, "heard outside"
+            )
+            del outside[:]
+            call("/n", "publish", "bus_publisher", [0])
+            self.wait_for("rospy_subscriber", [0])
+            eventually(lambda: outside, 5.0, "heard outside")
+            expected = outside[0]._connection_header
+            self.assertEqual(expected["latching"], str(int(latch)))
+            self.assertEqual(call("/n", "header", "rospy_subscriber"), expected)
+            call("/n", "publish", "rospy_publisher", [1])
+            for label in ("rospy_subscriber", "bus_subscriber"):
+                self.wait_for(label, [0, 1])
+                self.assertEqual(call("/n", "header", label), expected)
+            for label in self.LABELS:
+                call("/n", "remove", label)
+            eventually(lambda: graph.nodes_on("/a")[0] == set(), 5.0, "no publisher is left")
+
+    def test_an_ordinary_subscriber_of_any_type(self):
+        self.make("bus_publisher")
+        call("/n", "make_any_subscriber", "any", "/a")
+        self.settle(["any"])
+        call("/n", "publish", "bus_publisher", [1, 2])
+        self.wait_for("any", [1, 2])
+        header = call("/n", "header", "any")
+        self.assertEqual((header["type"], header["topic"]), ("std_msgs/Header", "/a"))
+
     def test_an_ordinary_subscriber_outlives_many_publishers_of_the_bus(self):
         call("/n", "make_subscriber", "rospy_subscriber", "rospy", "/a")
         for _ in range(1200):  # more than Python nests calls
@@ -373,6 +412,23 @@ class OrdinaryHandleTest(BusTest):
         call("/n", "make_subscriber", "late", "bus", "/a")
         self.wait_for("late", [6])
         call("/n", "remove", "publisher")
+
+    def test_latched_by_an_ordinary_publisher_where_the_bus_publishes_too(self):
+        call("/n", "make_publisher", "before", "rospy", "/a", True)
+        call("/n", "publish", "before", [6])
+        call("/n", "make_publisher", "bus_publisher", "bus", "/a", True)
+        call("/n", "make_publisher", "after", "rospy", "/a", True)
+        for number, publisher in ((6, ""), (7, "before"), (8, "after")):
+            if publisher:
+                call("/n", "publish", publisher, [number])
+            for kind in ("rospy", "bus"):
+                label = f"{kind}_{number}"
+                call("/n", "make_subscriber", label, kind, "/a")
+                self.wait_for(label, [number])
+                call("/n", "remove", label)
+        call("/n", "remove", "bus_publisher")
+        call("/n", "make_subscriber", "late", "rospy", "/a")
+        self.wait_for("late", [8])
 
 
 if __name__ == "__main__":

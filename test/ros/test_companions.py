@@ -74,6 +74,22 @@ class TransformTest(CompanionTest):
         self.manager.load("Frames", "/late")
         self.assertEqual(call("/late", "look_up", "robot", "camera", 5.0), 4.0)
 
+    def test_from_a_nodelet_that_publishes_through_the_bus(self):
+        """Ordinary broadcasters and listeners of the process share the topics with it."""
+        self.manager.load("FramesByBus", "/bus")
+        for sender, x in (("/bus", 1.0), ("/one", 2.0), ("/bus", 3.0)):
+            call(sender, "send", "map", "robot", x)
+            for name in ("/one", "/two", "/bus"):
+                eventually(
+                    lambda name=name, x=x: call(name, "look_up", "map", "robot", 1.0) == x,
+                    5.0,
+                    f"{name} hears {sender}",
+                )
+        call("/bus", "send_static", "robot", "camera", 4.0)
+        self.manager.load("Frames", "/late")
+        for name in ("/one", "/late"):
+            self.assertEqual(call(name, "look_up", "robot", "camera", 5.0), 4.0)
+
     def test_across_processes(self):
         buffer = tf2_ros.Buffer()
         listener = tf2_ros.TransformListener(buffer)

@@ -7,26 +7,31 @@ of what it delivers. Whoever comes later has to make the best of that.
 from __future__ import annotations
 
 from io import BytesIO
-from typing import Any
+from typing import Any, Dict, Optional
 
 import rospy
 
 from dyknow.nodelet.middleware import Receive
 
 
-def serialised(any_class: Any, message: Any) -> Any:
+def connection_header(datatype: Any, latching: bool) -> Dict[str, str]:
+    """What rospy's messages tell of their publisher, but the topic, for one of this process."""
+    return {
+        "callerid": rospy.get_name(),
+        "latching": str(int(latching)),
+        "md5sum": datatype._md5sum,
+        "message_definition": datatype._full_text,
+        "type": datatype._type,
+    }
+
+
+def serialised(any_class: Any, message: Any, header: Optional[Dict[str, str]] = None) -> Any:
     """Make what a subscriber of any type expects from a message of this process."""
     buffer = BytesIO()
     message.serialize(buffer)
     wrapped = any_class()
     wrapped._buff = buffer.getvalue()
-    wrapped._connection_header = {
-        "type": message._type,
-        "md5sum": message._md5sum,
-        "message_definition": message._full_text,
-        "callerid": rospy.get_name(),
-        "latching": "0",
-    }
+    wrapped._connection_header = header or connection_header(message, False)
     return wrapped
 
 
@@ -50,4 +55,5 @@ class TypedReceiver:
                 )
                 return
             message = self._datatype().deserialize(message._buff)
+            message._connection_header = present
         self._receive(message)

@@ -8,7 +8,9 @@ still see it. The hook is one attribute of rospy's protocol handler (its documen
 
 What ordinary rospy handles in this process (tf2's listeners and broadcasters, say) exchange on
 such a topic is passed on by this module: to ordinary subscribers on a strand of their own, from
-ordinary publishers as a copy, since those may change a message after publishing it.
+ordinary publishers as a copy, since those may change a message after publishing it. Ordinary
+subscribers find in ``_connection_header`` what rospy would have put there. It differs from topic
+to topic, so they get a message object of their own; what its fields hold is shared.
 
 Who owns what: ``IntraProcess`` owns one ``LocalTopic`` for each topic that the bus publishes on,
 from the first publication until rospy's publisher of that topic is gone.
@@ -16,6 +18,7 @@ from the first publication until rospy's publisher of that topic is gone.
 
 from __future__ import annotations
 
+import copy
 import threading
 from io import BytesIO
 from typing import Any, Callable, Collection, Dict, List, Set, Tuple
@@ -30,7 +33,7 @@ from dyknow.errors import PeerTimeout
 from dyknow.nodelet.endpoints import NOTHING, Connection
 from dyknow.nodelet.scheduler import Executor, Strand
 from dyknow.ros.master import Master
-from dyknow.ros.transport.anymsg import TypedReceiver
+from dyknow.ros.transport.anymsg import TypedReceiver, connection_header, serialised
 from dyknow.ros.transport.backlog import Backlog
 
 Callback = Tuple[Callable[..., Any], Any]
@@ -78,6 +81,7 @@ class LocalTopic:
         self._address = address
         self.halves: Set[Any] = set()
         self.backlog = Backlog()
+        #: What was latched last, by publication; under None what ordinary publishers latched.
         self._latches: Dict[Any, Any] = {}
         self._uri = uri
         self._strand = Strand(executor, f"rospy subscribers of {name}")
@@ -93,26 +97,25 @@ class LocalTopic:
             return []
         return [each for each in list(implementation.callbacks) if not _ours(each[0])]
 
-    @property
-    def latched(self) -> Any:
-        """The message that was latched last, by who is still there."""
-        return (list(self._latches.values()) or [NOTHING])[-1]
-
     def latch(self, half: Any, message: Any) -> None:
         """Keep what a publication has latched, the latest last."""
         self._latches.pop(half, None)
         self._latches[half] = message
 
     def unlatch(self, half: Any) -> Any:
-        """Forget a publication's message; returns whose is the latest now, or None."""
+        """Forget a publication's message; returns what rospy is to latch instead, or None."""
         self._latches.pop(half, None)
-        return (list(self._latches) or [None])[-1]
+        latest = (list(self._latches) or [None])[-1]
+        return self._latches.get(None) if latest is None else latest.sent
 
     def adopt(self, implementation: Any) -> None:
         """Pass on what ordinary publishers of this process publish on the topic."""
         if self._adopted is implementation:
             return
         self._adopted = implementation
+        self._latches.pop(None, None)
+        if implementation.latch is not None:
+            self.latch(None, implementation.latch)
         outwards = implementation.publish
 
         def publish(message: Any, connection_override: Any = None) -> Any:
@@ -122,6 +125,8 @@ class LocalTopic:
 
         implementation.publish = publish
         self._follow(implementation, "remove_connection")
+        for connection in implementation.connections:  # those who came before we followed
+            connection.set_cleanup_callback(self._refreshing_after(connection.cleanup_cb))
         add = implementation.add_connection
 
         def add_connection(connection: Any) -> Any:
@@ -140,10 +145,11 @@ class LocalTopic:
                 self.refresh()
 
         implementation.add_connection = add_connection
-        self.outwards: Callable[[Any], Any] = outwards
+        self.outwards: Callable[..., Any] = outwards
         subscriber = rospy.impl.registration.get_topic_manager().get_subscriber_impl(self.name)
         if subscriber is not None and subscriber.has_connection(self._uri):
-            self.link(subscriber)  # takes the place of rospy's connection to itself
+            # It takes the place of rospy's connection to itself, which has delivered its latch.
+            self.link(subscriber, replacing=True)
 
     def expect(self, told: Collection[str], size: int) -> None:
         """Keep what is published for subscribers that were told and have yet to connect."""
@@ -156,7 +162,7 @@ class LocalTopic:
             implementation.release()
         self.refresh()
 
-    def link(self, subscriber: Any) -> None:
+    def link(self, subscriber: Any, replacing: bool = False) -> None:
         """Show the link on rospy's subscriber and follow its ordinary callbacks."""
         new = self._listening is not subscriber
         if new:
@@ -166,8 +172,8 @@ class LocalTopic:
             subscriber.add_connection(
                 IntraProcessTransport(self.name, self._uri, lambda: self._unlinked(subscriber))
             )
-        if new and self.latched is not NOTHING:
-            self._hand_over(self.latched, self.foreign)
+        if new:
+            self._catch_up(list(subscriber.callbacks), ordinary=not replacing)
 
     def _listen_with(self, subscriber: Any) -> None:
         self._listening = subscriber
@@ -176,8 +182,7 @@ class LocalTopic:
 
         def add_callback(callback: Any, args: Any) -> None:
             add(callback, args)
-            if not _ours(callback) and self.latched is not NOTHING:
-                self._hand_over(self.latched, [(callback, args)])
+            self._catch_up([(callback, args)])
 
         subscriber.add_callback = add_callback
         self.refresh()
@@ -192,6 +197,9 @@ class LocalTopic:
             )
             for half in list(self.halves):
                 half.heard = heard
+                changed = half.changed
+                if changed is not None:
+                    changed()
 
     def deliver(self, message: Any) -> None:
         """Hand a message of the bus to the ordinary subscribers."""
@@ -227,22 +235,54 @@ class LocalTopic:
             self.refresh()
 
     def _from_ordinary(self, message: Any) -> None:
-        subscriber = self._listening
+        subscriber, latching = self._listening, self._adopted.is_latch
         callbacks = list(subscriber.callbacks) if subscriber is not None else []
-        if callbacks:
-            self._hand_over(twin(message), callbacks)
+        if not (callbacks or latching):
+            return
+        message = twin(message)
+        if latching:
+            self.latch(None, message)
+        self._hand_over(message, callbacks)
+
+    def _catch_up(self, newcomers: List[Callback], ordinary: bool = True) -> None:
+        """Hand over what is latched, by ordinary publishers only if ``ordinary``.
+
+        The bus gives its own subscribers what was latched on the bus.
+        """
+        message = self._latches.get(None, NOTHING)
+        if ordinary and message is not NOTHING:
+            self._hand_over(message, [each for each in newcomers if _ours(each[0])])
+        half, message = (list(self._latches.items()) or [(None, NOTHING)])[-1]
+        if message is not NOTHING and (ordinary or half is not None):
+            self._hand_over(message, [each for each in newcomers if not _ours(each[0])])
 
     def _hand_over(self, message: Any, callbacks: List[Callback]) -> None:
+        """Have callbacks called: those of the bus only queue it, the others take their time."""
         subscriber = self._listening
+        if not callbacks or subscriber is None:
+            return
+        message = self._received(message)
         for callback, args in callbacks:
             if _ours(callback):
                 callback(message)
-            elif subscriber is not None:
-                self._strand.post(
-                    lambda callback=callback, args=args: subscriber._invoke_callback(  # type: ignore[misc]
-                        message, callback, args
-                    )
+                continue
+            self._strand.post(
+                lambda callback=callback, args=args: subscriber._invoke_callback(  # type: ignore[misc]
+                    message, callback, args
                 )
+            )
+
+    def _received(self, message: Any) -> Any:
+        """The message as rospy's subscriber would have received it."""
+        adopted, subscriber = self._adopted, self._listening
+        header = connection_header(message, adopted.is_latch)
+        header.update(topic=self.name)
+        header.update(adopted.headers or {})  # last, as in rospy
+        if subscriber is not None and subscriber.data_class._md5sum == "*":
+            return serialised(subscriber.data_class, message, header)
+        received = copy.copy(message)
+        received._connection_header = header
+        return received
 
 
 class IntraProcess:

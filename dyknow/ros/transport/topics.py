@@ -11,7 +11,7 @@ import genpy
 import rospy
 
 from dyknow.errors import PeerTimeout, RemappedTopic
-from dyknow.nodelet.middleware import OutsidePublisher, OutsideSubscriber, Receive
+from dyknow.nodelet.middleware import HERE, OutsidePublisher, OutsideSubscriber, Receive
 from dyknow.ros.master import Master
 from dyknow.ros.transport.anymsg import TypedReceiver
 from dyknow.ros.transport.intraprocess import IntraProcess
@@ -40,10 +40,10 @@ class RospyPublisher(OutsidePublisher):
         "_intraprocess",
         "_local",
         "_publisher",
-        "_sent",
         "_told",
         "_topic",
         "heard",
+        "sent",
     )
 
     heard: bool
@@ -70,8 +70,10 @@ class RospyPublisher(OutsidePublisher):
         self._topic = _unremapped(topic)
         self.heard = False
         self.in_flight = 0
+        self.changed = None
         self._closed = False
-        self._sent: Any = None
+        #: What was given to rospy last, while rospy latches.
+        self.sent: Any = None
         self._intraprocess = intraprocess
         self._local = intraprocess.publishing(topic)
         self._local.halves.add(self)
@@ -88,22 +90,28 @@ class RospyPublisher(OutsidePublisher):
         self._told = registrar.subscribers(topic) or frozenset()
         self._local.refresh()
 
-    def listeners(self) -> int:
-        """Connections, and one for all ordinary subscribers of this process."""
-        return len(self._implementation.connections or ()) + bool(self._local.foreign)
+    def peers(self) -> FrozenSet[Any]:
+        """Connections, and ``HERE`` for all ordinary subscribers of this process."""
+        outside = frozenset(self._implementation.connections or ())
+        return outside | {HERE} if self._local.foreign else outside
 
     def publish(self, message: Any) -> None:
         """Serialise once for everyone outside; ordinary subscribers in here get the object."""
-        if self._local.foreign:
-            self._local.deliver(message)
+        self._local.deliver(message)
         if self._implementation.connections or self._local.backlog.open:
             self._outwards(message)
+
+    def publish_to(self, peer: Any, message: Any) -> None:
+        """Send to one connection, or to the ordinary subscribers in here."""
+        if peer is HERE:
+            self._local.deliver(message)
+        elif peer in (self._implementation.connections or ()):
+            self._outwards(message, peer)
 
     def latch(self, message: Any) -> None:
         """Publish, and keep the message for those who come."""
         self._local.latch(self, message)
-        if self._local.foreign:
-            self._local.deliver(message)
+        self._local.deliver(message)
         self._outwards(message)
 
     def wait(self, seconds: float) -> None:
@@ -138,24 +146,28 @@ class RospyPublisher(OutsidePublisher):
         self._closed = True
         self._local.halves.discard(self)
         successor = self._local.unlatch(self)
-        if self._sent is not None and self._implementation.latch is self._sent:
-            self._implementation.latch = successor._sent if successor is not None else None
+        if self.sent is not None and self._implementation.latch is self.sent:
+            self._implementation.latch = successor
         self._publisher.unregister()
         _put_away(self._implementation)
         self._intraprocess.retire(self._topic)
 
-    def _outwards(self, message: Any) -> None:
+    def _outwards(self, message: Any, peer: Any = None) -> None:
+        """Send to all connections, or to one, which changes nothing for those who come."""
         # rospy writes header.seq and frame_id into what it sends; others in here hold that object.
         if getattr(message.__class__, "_has_header", False):
             message = copy.copy(message)
             message.header = copy.copy(message.header)
-        if self._implementation.is_latch:
-            self._sent = message
         implementation = self._implementation
+        if implementation.is_latch and peer is None:
+            self.sent = message
         implementation.acquire()
+        latched = implementation.latch
         try:
-            self._local.outwards(message)
-            if not implementation.is_latch:  # whoever comes gets the last one anyway
+            self._local.outwards(message, peer)
+            if peer is not None:
+                implementation.latch = latched
+            elif not implementation.is_latch:  # whoever comes gets the last one anyway
                 self._local.backlog.keep(message)
         except Exception as error:
             if self._closed:

@@ -10,6 +10,7 @@ import tf2_ros
 from dynamic_reconfigure.server import Server
 from geometry_msgs.msg import TransformStamped
 from sensor_msgs.msg import Image
+from tf2_msgs.msg import TFMessage
 
 from dyknow_test.puppet import Puppet
 
@@ -68,6 +69,19 @@ class Frames(Puppet):
         transform.transform.translation.x = x
         transform.transform.rotation.w = 1.0
         return transform
+
+
+class FramesByBus(Frames):
+    """Sends transforms through the bus, as a nodelet does that publishes `/tf` itself."""
+
+    def set_up(self):
+        super().set_up()
+        self.broadcaster.pub_tf.unregister()
+        self.broadcaster.pub_tf = self.node_handle.Publisher("/tf", TFMessage, queue_size=10)
+        self.static_broadcaster.pub_tf.unregister()
+        self.static_broadcaster.pub_tf = self.node_handle.Publisher(
+            "/tf_static", TFMessage, queue_size=10, latch=True
+        )
 
 
 class Diagnosed(Puppet):

@@ -16,6 +16,7 @@ class Ordinary(Puppet):
     def set_up(self):
         self.handles = {}
         self.notes = {}
+        self.headers = {}
         self.makers = {
             "bus": self.node_handle,
             "rospy": rospy,
@@ -38,6 +39,7 @@ class Ordinary(Puppet):
 
     def note(self, label, message):
         self.notes[label].append(message.seq)
+        self.headers[label] = getattr(message, "_connection_header", None)
 
     def remove(self, label):
         self.handles.pop(label).unregister()
@@ -48,6 +50,19 @@ class Ordinary(Puppet):
 
     def connections(self, label):
         return self.handles[label].get_num_connections()
+
+    def make_any_subscriber(self, label, topic):
+        self.notes[label] = []
+        callback = functools.partial(self.note_any, label)
+        self.handles[label] = rospy.Subscriber(topic, rospy.AnyMsg, callback)
+
+    def note_any(self, label, message):
+        header = Header().deserialize(message._buff)
+        header._connection_header = message._connection_header
+        self.note(label, header)
+
+    def header(self, label):
+        return self.headers[label]
 
     def received(self, label):
         return self.notes[label]

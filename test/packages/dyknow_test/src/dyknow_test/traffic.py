@@ -102,6 +102,54 @@ class Relay(Puppet):
         return self.passed
 
 
+class Lazy(Puppet):
+    """Passes on what comes at `in` to `out`, and subscribes only while somebody listens there.
+
+    With the parameter `~ports` false these are topics instead.
+    """
+
+    def set_up(self):
+        self.events = []
+        self.passed = 0
+        self.sub = None
+        self.handle = self.nh if self.nh.get_param("~ports", True) else self.node_handle
+        self.out = self.handle.Publisher(
+            "out",
+            Header,
+            subscriber_listener=self,
+            latch=self.nh.get_param("~latch", False),
+            queue_size=10,
+        )
+
+    def peer_subscribe(self, topic, publish, publish_to_peer):
+        self.events.append(["subscribe", topic, self.out.get_num_connections()])
+        publish_to_peer(Header(frame_id="welcome"))
+        if self.sub is None:
+            self.sub = self.handle.Subscriber("in", Header, self.relay)
+
+    def peer_unsubscribe(self, topic, number):
+        self.events.append(["unsubscribe", topic, number])
+        if self.out.get_num_connections() == 0 and self.sub is not None:
+            self.sub.unregister()
+            self.sub = None
+
+    def relay(self, message):
+        self.passed += 1
+        self.out.publish(message)
+
+    def count(self):
+        return self.passed
+
+    def story(self):
+        return self.events
+
+    def connections(self):
+        return self.out.get_num_connections()
+
+    def is_listening(self):
+        return self.sub is not None
+
+
 class Listener(Puppet):
     """Notes what comes at the port `in`, and the reconfigurations between."""
 
