@@ -52,14 +52,24 @@ def resolve(name: str, namespace: str, private: str, what: str = "name") -> str:
     Raises:
         InvalidName: ``name`` is not a graph name.
     """
+    return complete(check(name, what), namespace, private) if name else namespace
+
+
+def complete(name: str, namespace: str, private: str) -> str:
+    """Make a name of any characters global, as rospy does; parameters may have such names.
+
+    Args:
+        name: what the user wrote; empty stands for the namespace itself.
+        namespace: where relative names begin.
+        private: what a leading ``~`` stands for.
+    """
     if not name:
         return namespace
-    name = check(name, what)
     if name.startswith("~"):
-        return join(private, name[1:])
-    if name.startswith("/"):
-        return name
-    return join(namespace, name)
+        name = join(private, name[1:])
+    elif not name.startswith("/"):
+        name = join(namespace, name)
+    return "/" + "/".join(filter(None, name.split("/")))
 
 
 def remap(name: str, *tables: Remappings) -> str:

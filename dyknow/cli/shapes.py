@@ -67,7 +67,7 @@ def transformation_shape(transformation: Transformation) -> Shape:
 
 
 def statistics_shape(name: str, statistics: Statistics) -> Shape:
-    """What a nodelet has done; times in seconds, the rate in Hz."""
+    """What a nodelet has done; times in seconds, the rate in Hz; null where nobody counts."""
     return {
         "nodelet": name,
         "uptime": statistics.uptime,

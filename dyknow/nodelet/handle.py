@@ -116,13 +116,14 @@ class NodeHandle:
     def resolve_name(self, name: str, caller_id: Optional[str] = None) -> str:
         """Make a name global and remap it: the load request's table first, then the process's.
 
-        As in rospy, ``~`` alone is the nodelet's own namespace.
+        As in rospy, ``~`` alone is the nodelet's own namespace, and any characters will do, since
+        those of a parameter's name are free.
         """
         private = caller_id or self.context.name
         namespace = self.namespace if caller_id is None else names.parent(caller_id)
+        resolved = names.complete(name, namespace, private)
         if name in ("~", "/"):  # all parameters below, in get_param("~")
-            return private if name == "~" else name
-        resolved = names.resolve(name, namespace, private)
+            return resolved
         if resolved in self.context.remappings:
             return self.context.remappings[resolved]
         return self.context.runtime.middleware.process_remap(resolved)

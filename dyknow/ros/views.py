@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, Optional, Tuple
 
 from dyknow_msgs.msg import Model as ModelMessage
 from dyknow_msgs.msg import Nodelet as NodeletMessage
 from dyknow_msgs.msg import Port as PortMessage
+from dyknow_msgs.msg import PortStatistics
 from dyknow_msgs.msg import Transformation as TransformationMessage
 
 from dyknow.manager.model import PortState, State
@@ -56,25 +58,25 @@ class ModelView:
 
 @dataclass(frozen=True)
 class PortTraffic:
-    """What went through a port; times in seconds, the rate in Hz."""
+    """What went through a port; times in seconds, the rate in Hz; None where nobody counts."""
 
     port: str
     direction: str
     topic: str
-    messages: int
-    dropped: int
-    rate: float
-    mean_callback: float
-    max_callback: float
+    messages: Optional[int]
+    dropped: Optional[int]
+    rate: Optional[float]
+    mean_callback: Optional[float]
+    max_callback: Optional[float]
 
 
 @dataclass(frozen=True)
 class Statistics:
-    """What a nodelet did since it was loaded; the time in seconds."""
+    """What a nodelet did since it was loaded; the time in seconds; None where nobody counts."""
 
     uptime: float
     reconfigurations: int
-    callback_errors: int
+    callback_errors: Optional[int]
     ports: Tuple[PortTraffic, ...]
 
 
@@ -100,20 +102,27 @@ def statistics_view(answer: Any) -> Statistics:
     return Statistics(
         answer.uptime.to_sec(),
         answer.reconfigurations,
-        answer.callback_errors,
-        tuple(
-            PortTraffic(
-                each.port,
-                _direction(each),
-                each.topic,
-                each.messages,
-                each.dropped,
-                each.rate,
-                each.mean_callback.to_sec(),
-                each.max_callback.to_sec(),
-            )
-            for each in answer.ports
-        ),
+        None if any(map(_is_unknown, answer.ports)) else answer.callback_errors,
+        tuple(map(_port_traffic, answer.ports)),
+    )
+
+
+def _is_unknown(message: PortStatistics) -> bool:
+    """Whether nobody counts what goes through the port."""
+    return math.isnan(message.rate)
+
+
+def _port_traffic(message: PortStatistics) -> PortTraffic:
+    port = (message.port, _direction(message), message.topic)
+    if _is_unknown(message):
+        return PortTraffic(*port, None, None, None, None, None)
+    return PortTraffic(
+        *port,
+        message.messages,
+        message.dropped,
+        message.rate,
+        message.mean_callback.to_sec(),
+        message.max_callback.to_sec(),
     )
 
 

@@ -53,6 +53,10 @@ class Meter:
         """
         for port in statistics.ports:
             ref = PortRef(nodelet, port.port)
+            if port.messages is None or port.dropped is None or port.rate is None:
+                self._last.pop(ref, None)  # nobody counts there
+                self._traffic.pop(ref, None)
+                continue
             count = _Count(now, statistics.uptime, port.messages, port.dropped)
             last = self._last.get(ref)
             rate, drops = port.rate, 0.0

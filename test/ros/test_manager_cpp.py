@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from pathlib import Path
@@ -84,7 +85,9 @@ class CppTest(ManagerCase):
             self.client.set_config("/robot/resize", {"sideways": "/x"})
         statistics = rospy.ServiceProxy("/robot/resize/get_statistics", GetStatistics)()
         self.assertEqual(statistics.reconfigurations, 1)
-        self.assertEqual([port.messages for port in statistics.ports], [0] * 4)
+        self.assertEqual([math.isnan(port.rate) for port in statistics.ports], [True] * 4)
+        traffic = self.client.get_statistics("/robot/resize").ports
+        self.assertEqual([port.messages for port in traffic], [None] * 4)
 
         self.client.destroy("/robot/resize")
         eventually(lambda: registrations("/robot") == [], 2.0, "nothing is left")

@@ -57,6 +57,25 @@ class ParameterTest(HandleTest):
         answer = call("/robot/n", "params_by_keyword", "~own")
         self.assertEqual(answer, ["none", 3, True, "/robot/n/own", False])
 
+    def test_names_of_any_characters(self):
+        """Such as the paper's `config-path`; rospy takes them, so they are in use."""
+        for name, key in (
+            ("~config-path", "/robot/n/config-path"),
+            ("a b/c.d", "/robot/a b/c.d"),
+            ("/1st/x/", "/1st/x"),
+            ("~über", "/robot/n/über"),
+        ):
+            with self.subTest(name):
+                rospy.set_param(key, "set outside")
+                self.assertEqual(call("/robot/n", "get_param", name), "set outside")
+                call("/robot/n", "set_param", name, "set inside")
+                self.assertEqual(rospy.get_param(key), "set inside")
+                self.assertTrue(call("/robot/n", "has_param", name))
+                found = call("/robot/n", "search_param", name.strip("~/"))
+                self.assertEqual(found, rospy.resolve_name(key))
+                call("/robot/n", "delete_param", name)
+                self.assertFalse(rospy.has_param(key))
+
     def test_missing_ones(self):
         self.assertEqual(call("/robot/n", "get_param", "~missing", "default"), "default")
         self.assertIn("KeyError", call("/robot/n", "missing_param", "~missing"))

@@ -13,7 +13,8 @@ import rosgraph
 import rospy
 import rostest
 from bond.msg import Status
-from graph import Ended, Manager, call, registrations
+from dyknow_msgs.msg import NodeletChanges
+from graph import Ended, Manager, call, registrations, set_config
 from processes import NODELET, STOCK_NODELET, eventually, finished
 from std_msgs.msg import Header
 from telling import TellingCase
@@ -190,6 +191,40 @@ class ServiceTest(Started):
         self.manager.load("Relay", "/ns/relay", {"/ns/in": "/source"})
         self.assertEqual(graph.topics_of_ports("/ns/relay"), {"in": "/source", "out": ""})
         self.assertEqual(graph.nodes_on("/source"), (set(), {"/robot/manager"}))
+
+    def test_it_publishes_nothing_of_a_type_that_nodelets_use(self):
+        """Programs may look for a nodelet's topics by their type."""
+        published = registrations("/robot/manager")["publishers"]
+        types = dict(rosgraph.Master(rospy.get_name()).getTopicTypes())
+        self.assertEqual(types["/robot/manager/changes"], "dyknow_msgs/NodeletChanges")
+        own = {"rosgraph_msgs/Log", "bond/Status", "dyknow_msgs/NodeletChanges"}
+        self.assertLessEqual({types[topic] for topic in published}, own)
+
+    def test_changes_are_told(self):
+        heard = self.listen_to_changes()
+        self.manager.load("Listener", "/b")
+        eventually(lambda: heard[-1:] == [["/b"]], 5.0, "a load")
+        for change in (
+            lambda: set_config("/b", **{"in": "/topic"}),
+            lambda: self.manager.load("Talker", "/a"),
+            lambda: self.manager.unload("/a"),
+        ):
+            del heard[:]
+            change()
+            eventually(lambda: heard, 5.0, "a change")
+        self.manager.load("Talker", "/a")
+        newcomer = self.listen_to_changes()
+        eventually(lambda: ["/a", "/b"] in newcomer, 5.0, "a newcomer is told everything")
+
+    def listen_to_changes(self):
+        heard = []
+        subscriber = rospy.Subscriber(
+            "/robot/manager/changes",
+            NodeletChanges,
+            lambda message: heard.append(message.nodelets),
+        )
+        self.addCleanup(subscriber.unregister)
+        return heard
 
     def test_a_slow_on_init_holds_up_nobody(self):
         rospy.set_param("/go_on", False)

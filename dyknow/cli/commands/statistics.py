@@ -117,7 +117,7 @@ def table(answers: Dict[str, Answer]) -> List[str]:
         if isinstance(answer, DyKnowError):
             rows.append((name, "(does not answer)", "", "", "", "", "", "", "", ""))
             continue
-        errors = str(answer.callback_errors)
+        errors = _count(answer.callback_errors)
         if not answer.ports:
             rows.append((name, "(no ports)", "", "", "", "", "", "", errors, ""))
         for port in sorted(answer.ports, key=lambda port: port.port):
@@ -126,9 +126,9 @@ def table(answers: Dict[str, Answer]) -> List[str]:
                     name,
                     port.port,
                     port.direction,
-                    f"{port.rate:.1f}",
-                    str(port.messages),
-                    str(port.dropped),
+                    "-" if port.rate is None else f"{port.rate:.1f}",
+                    _count(port.messages),
+                    _count(port.dropped),
                     _milliseconds(port.mean_callback),
                     _milliseconds(port.max_callback),
                     errors,
@@ -138,7 +138,11 @@ def table(answers: Dict[str, Answer]) -> List[str]:
     return columns(rows, right=(3, 4, 5, 6, 7, 8))
 
 
-def _milliseconds(duration: float) -> str:
+def _count(number: Optional[int]) -> str:
+    return "-" if number is None else str(number)
+
+
+def _milliseconds(duration: Optional[float]) -> str:
     return f"{duration * 1000:.2f}" if duration else "-"
 
 

@@ -6,6 +6,7 @@ remappings, which the manager does. What goes through it nobody counts.
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from typing import Any, Dict, List
@@ -89,7 +90,10 @@ class CppNodelet:
             reconfigurations=self._reconfigurations,
             ports=[
                 PortStatistics(
-                    port=port.name, direction=running_port(port).direction, topic=port.topic
+                    port=port.name,
+                    direction=running_port(port).direction,
+                    topic=port.topic,
+                    rate=math.nan,
                 )
                 for port in self._record().ports
             ],

@@ -1,7 +1,8 @@
 """Nodelet managers tell of changes on the topic ``~changes``: the names of nodelets, no more.
 
 A name says that the nodelet was loaded or unloaded, or that its ports or their topics changed;
-who wants to know what it is like now asks. Names that come in quick succession are told once.
+who wants to know what it is like now asks. Names that come in quick succession are told once, in
+one message.
 """
 
 from __future__ import annotations
@@ -10,12 +11,12 @@ import threading
 from typing import Any, Callable, Dict, Iterable, List, Set
 
 import rospy
-from std_msgs.msg import String
+from dyknow_msgs.msg import NodeletChanges
 
 TOPIC = "changes"
 #: Seconds in which further changes join the first.
 _WINDOW = 0.02
-_QUEUE_SIZE = 5000
+_QUEUE_SIZE = 1000
 
 
 class Announcer:
@@ -32,7 +33,10 @@ class Announcer:
         self._names: Set[str] = set()
         self._closed = False
         self._publisher = rospy.Publisher(
-            f"~{TOPIC}", String, subscriber_listener=_Newcomers(self), queue_size=_QUEUE_SIZE
+            f"~{TOPIC}",
+            NodeletChanges,
+            subscriber_listener=_Newcomers(self),
+            queue_size=_QUEUE_SIZE,
         )
         threading.Thread(target=self._run, name="announcements", daemon=True).start()
 
@@ -42,10 +46,11 @@ class Announcer:
             self._names.add(name)
             self._lock.notify()
 
-    def tell_newcomer(self, publish: Callable[[String], None]) -> None:
+    def tell_newcomer(self, publish: Callable[[NodeletChanges], None]) -> None:
         """Announce everything to a new listener."""
-        for name in self._everything():
-            publish(String(name))
+        names = sorted(self._everything())
+        if names:
+            publish(NodeletChanges(names))
 
     def close(self) -> None:
         """Withdraw the topic."""
@@ -62,14 +67,10 @@ class Announcer:
                 if self._closed:
                     return
                 names, self._names = sorted(self._names), set()
-            for name in names:
-                self._publish(name)
-
-    def _publish(self, name: str) -> None:
-        try:
-            self._publisher.publish(String(name))
-        except rospy.ROSException:
-            return  # closed in between
+            try:
+                self._publisher.publish(NodeletChanges(names))
+            except rospy.ROSException:
+                return  # closed in between
 
 
 class _Newcomers(rospy.SubscribeListener):
@@ -77,7 +78,7 @@ class _Newcomers(rospy.SubscribeListener):
         self._announcer = announcer
 
     def peer_subscribe(
-        self, topic_name: str, topic_publish: Any, peer_publish: Callable[[String], None]
+        self, topic_name: str, topic_publish: Any, peer_publish: Callable[[NodeletChanges], None]
     ) -> None:
         """Tell a new listener everything."""
         self._announcer.tell_newcomer(peer_publish)
@@ -105,8 +106,12 @@ class Listener:
             for manager in wanted:
                 if manager not in self._subscribers:
                     self._subscribers[manager] = rospy.Subscriber(
-                        f"{manager}/{TOPIC}", String, lambda message: self._hear(message.data)
+                        f"{manager}/{TOPIC}", NodeletChanges, self._told
                     )
+
+    def _told(self, message: NodeletChanges) -> None:
+        for name in message.nodelets:
+            self._hear(name)
 
     def close(self) -> None:
         """Listen to nobody any more."""

@@ -10,6 +10,7 @@ from typing import Any, Callable, Dict
 import rosgraph
 import rospy
 
+from dyknow import names
 from dyknow.ros.errors import Interrupted
 
 #: Seconds of a wait between two looks whether the nodelet is still there.
@@ -19,9 +20,8 @@ _LOGGERS = frozenset(
     for level in ("debug", "info", "warn", "err", "fatal")
     for variant in ("", "_throttle", "_throttle_identical", "_once")
 )
-#: Functions and classes of rospy whose first argument is a name, and what rospy calls it.
+#: Functions of rospy whose first argument is the name of a parameter, and what rospy calls it.
 _NAMED = {
-    "ServiceProxy": "name",
     "get_param": "param_name",
     "get_param_cached": "param_name",
     "set_param": "param_name",
@@ -34,7 +34,7 @@ _PLAIN = frozenset(
     DEBUG INFO WARN ERROR FATAL AnyMsg Message SubscribeListener
     ROSException ROSInitException ROSInterruptException ROSSerializationException
     ROSInternalException ROSTimeMovedBackwardsException ServiceException
-    TransportException TransportInitError TransportTerminated
+    TransportException TransportInitError TransportTerminated exceptions
     get_published_topics get_param_names get_node_uri get_ros_root get_master MasterProxy
     parse_rosrpc_uri myargv""".split()
 )
@@ -56,7 +56,12 @@ def member(name: str, handle: Any) -> Any:
         logger = handle.get_name().strip("/").replace("/", ".")
         return functools.partial(getattr(rospy, name), logger_name=logger)
     if name in _NAMED:
-        return functools.partial(_resolved, getattr(rospy, name), _NAMED[name], handle)
+        return functools.partial(
+            _resolved, getattr(rospy, name), _NAMED[name], handle.resolve_name
+        )
+    if name == "ServiceProxy":
+        resolve = functools.partial(_resolve_service, handle)
+        return functools.partial(_resolved, rospy.ServiceProxy, "name", resolve)
     if name in _OURS:
         return functools.partial(_OURS[name], handle)
     if name in _PLAIN:
@@ -65,13 +70,19 @@ def member(name: str, handle: Any) -> Any:
     raise AttributeError(f"a NodeHandle has no '{name}': {reason}")
 
 
-def _resolved(function: Any, first: str, handle: Any, *args: Any, **kwds: Any) -> Any:
+def _resolved(
+    function: Any, first: str, resolve: Callable[[str], str], *args: Any, **kwds: Any
+) -> Any:
     """Call ``function`` with its first argument resolved, which may come as ``first=``, too."""
     if args:
-        args = (handle.resolve_name(args[0]), *args[1:])
+        args = (resolve(args[0]), *args[1:])
     elif first in kwds:
-        kwds[first] = handle.resolve_name(kwds[first])
+        kwds[first] = resolve(kwds[first])
     return function(*args, **kwds)
+
+
+def _resolve_service(handle: Any, name: str) -> str:
+    return str(handle.resolve_name(names.check(name, "service name")))
 
 
 def _search_param(handle: Any, param_name: str) -> Any:
@@ -83,7 +94,7 @@ def _search_param(handle: Any, param_name: str) -> Any:
 
 def _wait_for_service(handle: Any, service: str, timeout: Any = None) -> None:
     """Wait as ``rospy.wait_for_service`` does, until the nodelet is unloaded at most."""
-    name = handle.resolve_name(service)
+    name = _resolve_service(handle, service)
     patience = timeout.to_sec() if hasattr(timeout, "to_sec") else timeout
     left = math.inf if patience is None else patience
     end = time.monotonic() + left

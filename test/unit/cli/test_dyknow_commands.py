@@ -223,6 +223,19 @@ class TestStats:
         ]
         assert len(lines) == 4
 
+    def test_what_nobody_counts_is_not_shown_as_zero(self, chain: FakeClient) -> None:
+        chain.uncounted.add("/cam")
+        line = run(chain, "stats").lines[1].split()
+        assert line == ["/cam", "image", "out", *"------", "/raw"]
+        nodelet = run(chain, "stats --json").json["nodelets"][0]
+        assert nodelet["callback_errors"] is None
+        assert nodelet["ports"][0] == {
+            "name": "image",
+            "direction": "out",
+            "topic": "/raw",
+            **dict.fromkeys(("messages", "dropped", "rate", "mean_callback", "max_callback")),
+        }
+
     def test_who_does_not_answer_is_named(self, chain: FakeClient) -> None:
         chain.hung.add("/cam")
         outcome = run(chain, "stats --json")

@@ -63,6 +63,7 @@ MESSAGES = {
         "string detail",
         "Port[] ports",
     ),
+    "NodeletChanges": ("string[] nodelets",),
     "Model": (
         "uint64 revision",
         "uint64 library_revision",

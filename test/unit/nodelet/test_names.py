@@ -103,3 +103,19 @@ def test_pairs_with_bad_names_are_refused(pair):
     source, target = pair
     with pytest.raises(InvalidName):
         names.pair_remappings("/n", [source], [target], "/")
+
+
+@pytest.mark.parametrize(
+    ("name", "completed"),
+    [
+        ("~config-path", "/ns/n/config-path"),
+        ("config path", "/ns/config path"),
+        ("/1//2/", "/1/2"),
+        ("~/x", "/ns/n/x"),
+        ("~", "/ns/n"),
+        ("/", "/"),
+        ("", "/ns"),
+    ],
+)
+def test_parameters_may_have_names_of_any_characters(name, completed):
+    assert names.complete(name, "/ns", "/ns/n") == completed

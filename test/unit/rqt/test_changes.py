@@ -197,6 +197,9 @@ def test_rates_are_differences():
     assert meter.traffic[ref].text == "30.0 Hz\n−5.0/s"
     meter.note("/n", _Counts(1, 3, 0), 54.0)  # loaded anew
     assert (meter.traffic[ref].rate, meter.traffic[ref].drop_rate) == (7.0, 0.0)
+    meter.note("/n", _Counts(2, None, None), 55.0)  # nobody counts any more
+    assert meter.traffic == {}
+    meter.note("/n", _Counts(3, 9, 0), 56.0)
     meter.keep(["/other"])
     assert meter.traffic == {}
 
