@@ -1,0 +1,51 @@
+"""Packages that depend on DyKnow find its messages, in C++, in Python and in messages of theirs."""
+
+from __future__ import annotations
+
+import pytest
+from unit.packaging.workspaces import ROOT, Workspace
+
+
+def test_a_package_that_depends_on_dyknow_alone(tmp_path):
+    """In a workspace of its own, on top of the one that DyKnow was built in."""
+    workspace = Workspace(tmp_path / "ws", upon=[ROOT / "build/ws/devel"])
+    workspace.add_user("a_user", "dyknow")
+    workspace.make()
+    workspace.check_user("a_user", "devel")
+
+
+@pytest.mark.long
+def test_in_one_workspace_and_from_an_install_space(tmp_path):
+    one = Workspace(tmp_path / "one")
+    one.add_dyknow()
+    one.add_user("a_user", "dyknow")  # by name before it, so the order is that of dependencies
+    one.add_user("z_user", "dyknow", "dyknow_msgs")
+    one.make()
+    for name in ("a_user", "z_user"):
+        one.check_user(name, "devel")
+    one.make("install")
+    for name in ("a_user", "z_user"):
+        one.check_user(name, "install")
+
+    upon = Workspace(tmp_path / "upon", upon=[tmp_path / "one" / "install"])
+    upon.add_user("by_dyknow", "dyknow")
+    upon.add_user("by_messages", "dyknow_msgs")
+    upon.make()
+    for name in ("by_dyknow", "by_messages"):
+        upon.check_user(name, "devel")
+
+
+@pytest.mark.long
+def test_a_package_that_names_the_messages_alone(tmp_path):
+    """The nested package has to be linked beside dyknow, or no crawl finds it."""
+    workspace = Workspace(tmp_path / "ws")
+    workspace.add_dyknow()
+    workspace.link_messages()
+    workspace.add_user("a_user", "dyknow_msgs")
+    workspace.add_user("z_user", "dyknow")
+    workspace.make()
+    for name in ("a_user", "z_user"):
+        workspace.check_user(name, "devel")
+    workspace.make("install")
+    for name in ("a_user", "z_user"):
+        workspace.check_user(name, "install")
