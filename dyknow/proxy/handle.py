@@ -6,7 +6,7 @@ from typing import Any, Callable, Dict, Optional
 
 from dyknow.nodelet.handle import DEFAULT_BUFF_SIZE, Inbox, Publisher, Subscriber
 from dyknow.nodelet.handle import NodeHandle as PlainNodeHandle
-from dyknow.proxy.proxy import NodeletProxy, ReconfigureCallback
+from dyknow.proxy.proxy import NodeletProxy, ProxyStatistics, ReconfigureCallback
 
 
 class NodeHandle:
@@ -103,6 +103,14 @@ class NodeHandle:
             return inbox.get(f"a message at port '{topic}'", timeout)
         finally:
             state.unregister(self)
+
+    def get_statistics(self) -> ProxyStatistics:
+        """What the nodelet and its ports have done since it was loaded.
+
+        ``get_statistics`` tells the same to others: ``uptime``, ``reconfigurations``,
+        ``callback_errors``, and for each of ``ports`` its ``port`` and its ``traffic``.
+        """
+        return self._proxy.get_statistics()
 
     def set_reconfigure_callback(self, callback: Optional[ReconfigureCallback]) -> None:
         """Call back when ports were connected elsewhere.

@@ -321,6 +321,15 @@ class ClientTest(Started):
                 eventually(lambda: self.manager.list() == [], 2.0, "it is unloaded")
                 eventually(lambda: "/robot/relay" not in nodes(), 2.0, "the client is gone")
 
+    def test_a_manager_that_ended_before_is_no_trouble_at_the_end(self):
+        process = self.load("own", "--no-bond")
+        self.manager.stop()
+        self.manager.exit_code(10.0)
+        process.stop(signal.SIGINT)
+        self.assertEqual(process.exit_code(20.0), 0, process.output)
+        for word in ("Couldn't find", "WARN", "ERROR", "FATAL", "Traceback"):
+            self.assertNotIn(word, process.output)
+
     def test_kill_9_of_the_client_unloads(self):
         for client in CLIENTS:
             with self.subTest(client):

@@ -79,13 +79,14 @@ def run_unload(name: str, manager: str, argv: Sequence[str]) -> int:
     return DONE if unload(name, manager, _UNLOAD_TIMEOUT) else FAILED
 
 
-def unload(name: str, manager: str, timeout: float) -> bool:
+def unload(name: str, manager: str, timeout: float, at_exit: bool = False) -> bool:
     """Ask a manager to unload a nodelet; log what happens.
 
     Args:
         name: The nodelet, with the name under which it was loaded.
         manager: The manager's name.
         timeout: How long (s) the manager may take.
+        at_exit: Whether a manager that is gone already is as good: everything may be ending.
     """
     rospy.loginfo(f"Unloading nodelet {name} from manager {manager}")
     service = f"{manager}/unload_nodelet"
@@ -99,7 +100,7 @@ def unload(name: str, manager: str, timeout: float) -> bool:
         if _is_available(service, 0.1):
             rospy.logfatal(failure + _cause(error))
         else:
-            rospy.logwarn(
+            (rospy.logdebug if at_exit else rospy.logwarn)(
                 f"Couldn't find service {service}, perhaps the manager is already shut down"
             )
         return False
@@ -152,7 +153,7 @@ class _LoadClient:
         if self._events.get() is _Event.BROKEN:
             rospy.loginfo("Bond broken, exiting")
             return DONE
-        unloaded = unload(self._name, self._manager, _UNLOAD_TIMEOUT_AT_EXIT)
+        unloaded = unload(self._name, self._manager, _UNLOAD_TIMEOUT_AT_EXIT, at_exit=True)
         if bonds is not None:
             bonds.close(_BOND_TIMEOUT_AT_EXIT if unloaded else _LAST_WORD)
         return DONE
@@ -169,7 +170,7 @@ class _LoadClient:
         except queue.Empty:
             event = _Event.STOP
         if event is not _Event.REFUSED:
-            unload(self._name, self._manager, _UNLOAD_TIMEOUT_AT_EXIT)
+            unload(self._name, self._manager, _UNLOAD_TIMEOUT_AT_EXIT, at_exit=True)
         return DONE if event is _Event.LOADED else INTERRUPTED
 
     def _listen_for_stop(self) -> None:

@@ -1,4 +1,4 @@
-"""Packages that depend on DyKnow find its messages, in C++, in Python and in messages of theirs."""
+"""Packages that depend on DyKnow find its messages: C++, Python, and messages of their own."""
 
 from __future__ import annotations
 

@@ -143,3 +143,15 @@ def test_a_port_without_traffic_has_zeros(bench):
     traffic = bench.port("in")
     assert traffic.messages == traffic.dropped == 0
     assert traffic.rate == traffic.mean_callback == traffic.max_callback == 0.0
+
+
+def test_a_nodelet_has_them_from_its_handle(bench):
+    publisher = bench.nh.Publisher("out", Message)
+    bench.proxy.set_config([("out", "/t")])
+    publisher.publish(1)
+    bench.clock.seconds += 2.0
+    statistics = bench.nh.get_statistics()
+    assert statistics == bench.proxy.get_statistics()
+    assert (statistics.uptime, statistics.reconfigurations) == (2.0, 1)
+    (out,) = statistics.ports
+    assert (out.port.name, out.port.topic, out.traffic.messages) == ("out", "/t", 1)
