@@ -1,6 +1,7 @@
 """What nobody may change, whoever asks: enforced by the manager and by each proxy.
 
-The manager hands its guards to its nodelet managers, or a call to a proxy would pass them by.
+The manager hands its guards to its nodelet managers, or a call to a proxy would pass them by. A
+nodelet manager that several managers share is under the guards of all of them.
 """
 
 from __future__ import annotations
@@ -66,3 +67,17 @@ class Guards:
 
 NO_GUARDS = Guards()
 """Nothing is denied."""
+
+
+def together(several: Iterable[Guards]) -> Guards:
+    """Return guards that deny whatever one of several denies."""
+    every = list(several)
+    if not every:
+        return NO_GUARDS
+    return Guards(
+        denied_topics=tuple(sorted({each for one in every for each in one.denied_topics})),
+        read_only=any(one.read_only for one in every),
+        string_length=min(one.string_length for one in every),
+        array_length=min(one.array_length for one in every),
+        nodelets=min(one.nodelets for one in every),
+    )

@@ -69,19 +69,20 @@ LIBRARY = "".join(
 class ManagerProcess:
     """A DyKnow manager in a process of its own, its state, and a client."""
 
-    def __init__(self, state: str, **parameters: Any) -> None:
+    def __init__(self, state: str, node: str = MANAGER, **parameters: Any) -> None:
         self.state = state
+        self.node = node
         self.parameters = {"state_dir": state, "orphan_timeout": 60.0, **parameters}
-        self.client = ManagerClient(MANAGER, rospy.get_name())
+        self.client = ManagerClient(node, rospy.get_name())
         self.log = os.path.join(state, "output.log")
         self.process: Any = None
 
     def start(self, wait: bool = True) -> None:
         for name, value in self.parameters.items():
-            rospy.set_param(f"{MANAGER}/{name}", value)
+            rospy.set_param(f"{self.node}/{name}", value)
         with open(self.log, "ab") as log:
             self.process = subprocess.Popen(
-                [find_node("dyknow", "manager")[0]],
+                [find_node("dyknow", "manager")[0], f"__name:={self.node.lstrip('/')}"],
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,
@@ -104,7 +105,7 @@ class ManagerProcess:
 
     def children(self) -> dict[str, ProcessId]:
         """Nodelet managers that it has on its list."""
-        for file in Path(self.state).glob("*-dyknow-manager.children.json"):
+        for file in Path(self.state).glob("*.children.json"):
             return {
                 each["name"]: ProcessId(each["pid"], each["started"])
                 for each in json.loads(file.read_text())
@@ -139,7 +140,7 @@ class ManagerProcess:
         for process in self.children().values():
             process.signal(signal.SIGKILL)
             process.wait(5.0)
-        for name in (MANAGER, CHILD, CHILD + "_2"):
+        for name in (self.node, CHILD, CHILD + "_2"):
             if rospy.has_param(name):
                 rospy.delete_param(name)
         _clean_master()
@@ -155,10 +156,10 @@ class ManagerProcess:
 class ManagerCase(TellingCase):
     """Each test has a manager that it starts itself."""
 
-    def make(self, **parameters: Any) -> ManagerProcess:
+    def make(self, node: str = MANAGER, **parameters: Any) -> ManagerProcess:
         folder = tempfile.TemporaryDirectory()
         self.addCleanup(folder.cleanup)
-        manager = ManagerProcess(folder.name, **parameters)
+        manager = ManagerProcess(folder.name, node, **parameters)
         self.addCleanup(manager.destroy)
         return manager
 

@@ -6,6 +6,7 @@ at most one such limit: as long as its last answer is due it is not asked again.
 
 from __future__ import annotations
 
+import logging
 import threading
 from typing import (
     Any,
@@ -39,9 +40,11 @@ from dyknow.ros.hosting.declared import Declared
 from dyknow.ros.hosting.hearing import Hearing
 from dyknow.ros.hosting.peers import ListClient, Peer
 from dyknow.ros.master import Master
-from dyknow.ros.nodelets.guard_parameters import GUARDS, to_parameter
+from dyknow.ros.nodelets.guard_parameters import guards_key, to_parameter
 from dyknow.ros.service_client import ServiceClient, ServiceFailed
 from dyknow.ros.transport.registrar import Registrar
+
+_log = logging.getLogger("rosout.dyknow")
 
 #: Seconds for an unload, which waits up to 1 s for ``on_shutdown``.
 UNLOAD_TIMEOUT = 4.0
@@ -74,8 +77,12 @@ class RosHost(Host):
         self._master = master
         self._children = children
         self._peers = {name: Peer(master, name) for name in peers}
-        self._guards = to_parameter(guards, master.caller)
+        self._guards_key = guards_key(master.caller)
+        self._guards = to_parameter(guards)
+        #: Incarnations of nodelet managers that have the guards.
         self._guarded: Dict[str, str] = {}
+        #: Nodelet managers that could not be given the guards yet, and why.
+        self._unguarded: Dict[str, str] = {}
         self._declared = Declared()
         self._counting = Counting(master)
         self._hearing = Hearing(registrar)
@@ -136,6 +143,7 @@ class RosHost(Host):
     def load(self, manager: str, request: LoadRequest, timeout: float) -> None:
         """Set the parameters and load."""
         self._children.await_up(manager, timeout)
+        self._check_guarded(manager)
         # A manager that hangs would load it when it wakes up: it is asked something else first.
         if request.name in self.list(manager):
             raise NameTaken(request.name)
@@ -236,9 +244,9 @@ class RosHost(Host):
             peer.client.close()
 
     def release(self) -> None:
-        """Take the guards off the nodelet managers of others, at an end on purpose."""
+        """Take our guards off the nodelet managers of others, at an end on purpose."""
         for name in self._peers:
-            self._delete_parameter(names.join(name, GUARDS))
+            self._delete_parameter(names.join(name, self._guards_key))
 
     # Inside
 
@@ -254,17 +262,36 @@ class RosHost(Host):
         )
 
     def _guard(self, state: ManagerState) -> None:
-        """Hand the guards to a nodelet manager that is new to us."""
+        """Hand our guards to a nodelet manager that does not have them yet.
+
+        What does not work is tried again at the next look; nothing is loaded there before it does.
+        """
         if not state.alive or state.kind is not Kind.PYTHON:
             return
         with self._lock:
             if self._guarded.get(state.name) == state.incarnation:
                 return
+        try:
+            key = names.join(state.name, self._guards_key)
+            self._master.ask("setParam", key, self._guards)
+        except (PeerTimeout, LookupError) as error:
+            with self._lock:
+                is_news = state.name not in self._unguarded
+                self._unguarded[state.name] = str(error)
+            if is_news:
+                _log.warning("%s cannot be given the guards yet: %s", state.name, error)
+            return
+        with self._lock:
             self._guarded[state.name] = state.incarnation
-        self._asking(
-            state.name,
-            lambda: self._master.ask("setParam", names.join(state.name, GUARDS), self._guards),
-        )
+            was_owed = self._unguarded.pop(state.name, None) is not None
+        if was_owed:
+            _log.info("%s has the guards now", state.name)
+
+    def _check_guarded(self, manager: str) -> None:
+        with self._lock:
+            why = self._unguarded.get(manager)
+        if why is not None:
+            raise HostError(f"nodelet manager '{manager}' does not have the guards yet: {why}")
 
     def _client_of(self, manager: str) -> ListClient:
         if manager in self._peers:

@@ -35,7 +35,7 @@ from dyknow.ros.manager.watch import Watch
 from dyknow.ros.master import Master
 from dyknow.ros.model_messages import ModelMessages
 from dyknow.ros.nodelets.announcements import Listener
-from dyknow.ros.nodelets.guard_parameters import GUARDS, to_parameter
+from dyknow.ros.nodelets.guard_parameters import guards_key, to_parameter
 from dyknow.ros.nodelets.owner import OwnerLock
 from dyknow.ros.nodelets.workers import Workers
 from dyknow.ros.process import NodeProcess
@@ -73,7 +73,7 @@ class ManagerNode(Closable):
                 master,
                 self._owner,
                 settings.orphan_timeout,
-                {GUARDS: to_parameter(settings.guards, node)},
+                {guards_key(node): to_parameter(settings.guards)},
             ),
             names.parent(node),
             settings.state_path("children.json"),

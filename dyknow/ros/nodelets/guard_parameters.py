@@ -1,7 +1,9 @@
-"""How the DyKnow manager hands its guards to nodelet managers: a private parameter of theirs.
+"""How DyKnow managers hand their guards to nodelet managers: private parameters of these.
 
-The parameter server tells a nodelet manager of every change, so a check costs no remote call and
-guards that change reach nodelets that run.
+Each DyKnow manager has a parameter of its own, ``~guards/KEY``, and the guards of all add up:
+nobody lifts what another denies, and only its owner takes its own away. The parameter server
+tells a nodelet manager of every change, so a check costs no remote call and guards that change
+reach nodelets that run.
 """
 
 from __future__ import annotations
@@ -11,27 +13,28 @@ from typing import Any, Dict
 import rospy
 from rospy.impl.paramserver import get_param_server_cache
 
-from dyknow.guards import NO_GUARDS, Guards
+from dyknow.guards import NO_GUARDS, Guards, together
 
-#: Relative name of the parameter.
-GUARDS = "guards"
-_OWNER = "owner"
+_GUARDS = "guards"
 
 
-def to_parameter(guards: Guards, owner: str) -> Dict[str, Any]:
-    """Write guards as a value of the parameter server.
+def guards_key(owner: str) -> str:
+    """Relative name of the parameter in which a DyKnow manager hands over its guards.
 
     Args:
-        guards: the guards.
-        owner: node that may make changes in read-only mode: the DyKnow manager, which refuses
-            what users ask of it and still brings back nodelets that died.
+        owner: global name of its node; two owners never share a key, nor does one key begin
+            another, which would make them nested parameters.
     """
+    return f"{_GUARDS}/" + owner.strip("/").replace("_", "__").replace("/", "_s")
+
+
+def to_parameter(guards: Guards) -> Dict[str, Any]:
+    """Write guards as a value of the parameter server."""
     return {
         "denied_topics": list(guards.denied_topics),
         "read_only": guards.read_only,
         "string_length": guards.string_length,
         "array_length": guards.array_length,
-        _OWNER: owner,
     }
 
 
@@ -51,30 +54,54 @@ class GuardParameters:
     """The guards of this nodelet manager."""
 
     def __init__(self) -> None:
-        """Begin to follow the parameter; the node must be initialised."""
-        rospy.get_param_cached("~" + GUARDS, {})
-        self._name: str = rospy.resolve_name("~" + GUARDS)
+        """Begin to follow the parameters; the node must be initialised."""
+        self._name: str = rospy.resolve_name("~" + _GUARDS)
+        _take_up_new_keys(self._name)
+        rospy.get_param_cached(self._name, {})
 
     def current(self) -> Guards:
-        """Return the guards of this moment."""
-        return from_parameter(self._read())
+        """Return the guards of this moment, those of all owners together."""
+        return together(from_parameter(each) for each in self._read().values())
 
     def check_caller(self, caller: str, what: str) -> None:
-        """Refuse a change in read-only mode, unless the DyKnow manager makes it.
+        """Refuse a change in read-only mode, unless a read-only DyKnow manager makes it.
+
+        Such a manager refuses what users ask of it, and still brings back nodelets that died.
 
         Raises:
             Denied: the mode is read-only.
         """
-        value = self._read()
-        if not (isinstance(value, dict) and caller and value.get(_OWNER) == caller):
-            from_parameter(value).check_writable(what)
+        guards = self._read()
+        if (
+            not caller
+            or not from_parameter(guards.get(guards_key(caller).split("/")[1])).read_only
+        ):
+            together(from_parameter(each) for each in guards.values()).check_writable(what)
 
-    def _read(self) -> Any:
+    def _read(self) -> Dict[str, Any]:
         # Not by get_param_cached: it asks the master again as long as the parameter is not set.
         try:
-            return get_param_server_cache().get(self._name)
+            value = get_param_server_cache().get(self._name)
         except KeyError:
             return {}
+        if not isinstance(value, dict):
+            return {}
+        # A parameter that was deleted is an empty dictionary in rospy's cache.
+        return {key: guards for key, guards in value.items() if guards}
+
+
+def _take_up_new_keys(name: str) -> None:
+    """Let rospy note parameters below ``name`` that are set while we run.
+
+    Its cache refuses news of a parameter that it does not have yet.
+    """
+    cache = get_param_server_cache()
+    update = cache.update
+
+    def note(key: str, value: Any) -> None:
+        (cache.set if key.startswith(name + "/") else update)(key, value)
+
+    cache.update = note
 
 
 def caller_of(request: Any) -> str:

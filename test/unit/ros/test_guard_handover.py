@@ -1,0 +1,100 @@
+"""The guards are handed over when the master said so, and until then nothing is loaded."""
+
+from __future__ import annotations
+
+import threading
+import time
+from types import SimpleNamespace
+from xmlrpc.server import SimpleXMLRPCServer
+
+import pytest
+
+from dyknow.errors import HostError
+from dyknow.guards import Guards
+from dyknow.manager.host import Kind, LoadRequest
+from dyknow.ros.hosting.host import RosHost
+from dyknow.ros.master import Master
+
+NODELET_MANAGER = "/nodelet_manager"
+KEY = "/nodelet_manager/guards/manager"
+
+
+class SlowMaster:
+    """The parameter server of a master that answers late as long as it is told to."""
+
+    def __init__(self):
+        self.parameters = {}
+        self.is_late = threading.Event()
+        self._woken = threading.Event()
+        self._server = SimpleXMLRPCServer(("localhost", 0), logRequests=False)
+        self._server.register_function(self._set, "setParam")
+        self._server.register_function(lambda caller, name: [-1, "unknown", 0], "lookupService")
+        self.uri = f"http://localhost:{self._server.server_address[1]}"
+        self._thread = threading.Thread(target=self._server.serve_forever, daemon=True)
+        self._thread.start()
+
+    def _set(self, caller, key, value):
+        if self.is_late.is_set():
+            self._woken.wait(30.0)
+            return [-1, "too late", 0]
+        self.parameters[key] = value
+        return [1, "", 0]
+
+    def wake(self):
+        self.is_late.clear()
+        self._woken.set()
+
+    def close(self):
+        self.wake()
+        self._server.shutdown()
+        self._server.server_close()
+        self._thread.join()
+
+
+class OneChild:
+    """A nodelet manager that runs."""
+
+    def __init__(self):
+        record = SimpleNamespace(name=NODELET_MANAGER, kind=Kind.PYTHON, isolated_for="")
+        self._child = SimpleNamespace(record=record, incarnation="1")
+
+    def all(self):
+        return [self._child]
+
+    def await_up(self, name, timeout):
+        """It is."""
+
+
+@pytest.fixture
+def master():
+    master = SlowMaster()
+    yield master
+    master.close()
+
+
+def test_guards_that_were_not_taken_are_handed_over_again(master):
+    guards = Guards(denied_topics=("/e_stop",), read_only=True)
+    host = RosHost(Master("/manager", master.uri, timeout=0.3), OneChild(), (), guards)
+    request = LoadRequest("/nodelet", "package/Class")
+    master.is_late.set()
+    assert [state.name for state in host.managers()] == [NODELET_MANAGER]
+    assert KEY not in master.parameters
+    with pytest.raises(HostError, match="does not have the guards yet"):
+        host.load(NODELET_MANAGER, request, 1.0)
+
+    master.wake()
+    deadline = time.monotonic() + 30.0
+    while KEY not in master.parameters and time.monotonic() < deadline:
+        host.managers()  # the next looks
+    assert master.parameters[KEY]["denied_topics"] == ["/e_stop"]
+    assert master.parameters[KEY]["read_only"] is True
+    with pytest.raises(HostError, match="is not offered"):  # it gets as far as asking for a list
+        host.load(NODELET_MANAGER, request, 1.0)
+
+
+def test_guards_that_were_taken_are_not_handed_over_at_each_look(master):
+    host = RosHost(Master("/manager", master.uri, timeout=30.0), OneChild(), (), Guards())
+    host.managers()
+    del master.parameters[KEY]
+    host.managers()
+    assert KEY not in master.parameters
