@@ -231,6 +231,17 @@ class Protected(DyKnowError):
         super().__init__(f"nodelet '{name}' is protected; release it with set_protection first")
 
 
+class ProtectedFromUnloading(DyKnowError):
+    """A nodelet manager was asked to unload a nodelet that a DyKnow manager protects."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        super().__init__(
+            f"nodelet '{name}' is protected from unloading; release it with set_protection of its "
+            "DyKnow manager first"
+        )
+
+
 class SpawnFailed(DyKnowError):
     """A nodelet did not come up as its transformation says; nothing of it is left."""
 

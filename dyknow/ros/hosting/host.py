@@ -78,9 +78,11 @@ class RosHost(Host):
         self._children = children
         self._peers = {name: Peer(master, name) for name in peers}
         self._guards_key = guards_key(master.caller)
-        self._guards = to_parameter(guards)
-        #: Incarnations of nodelet managers that have the guards.
-        self._guarded: Dict[str, str] = {}
+        self._guards = guards
+        #: Nodelets that are protected, by nodelet manager.
+        self._protected: Dict[str, Tuple[str, ...]] = {}
+        #: Incarnations of nodelet managers that have the guards, with the nodelets named to them.
+        self._guarded: Dict[str, Tuple[str, Tuple[str, ...]]] = {}
         #: Nodelet managers that could not be given the guards yet, and why.
         self._unguarded: Dict[str, str] = {}
         self._declared = Declared()
@@ -122,6 +124,14 @@ class RosHost(Host):
         name = self._children.ensure(kind, isolated_for, hanging)
         self.managers()  # hands the guards over
         return name
+
+    def protect(self, nodelets: Mapping[str, Sequence[str]]) -> None:
+        """Say which nodelets each nodelet manager unloads for nobody but us, from the next look.
+
+        Plain C++ nodelet managers do not listen to that.
+        """
+        with self._lock:
+            self._protected = {each: tuple(sorted(nodelets[each])) for each in nodelets}
 
     def retire(self, manager: str) -> None:
         """End a child."""
@@ -269,11 +279,12 @@ class RosHost(Host):
         if not state.alive or state.kind is not Kind.PYTHON:
             return
         with self._lock:
-            if self._guarded.get(state.name) == state.incarnation:
+            protected = self._protected.get(state.name, ())
+            if self._guarded.get(state.name) == (state.incarnation, protected):
                 return
         try:
             key = names.join(state.name, self._guards_key)
-            self._master.ask("setParam", key, self._guards)
+            self._master.ask("setParam", key, to_parameter(self._guards, protected))
         except (PeerTimeout, LookupError) as error:
             with self._lock:
                 is_news = state.name not in self._unguarded
@@ -282,7 +293,7 @@ class RosHost(Host):
                 _log.warning("%s cannot be given the guards yet: %s", state.name, error)
             return
         with self._lock:
-            self._guarded[state.name] = state.incarnation
+            self._guarded[state.name] = (state.incarnation, protected)
             was_owed = self._unguarded.pop(state.name, None) is not None
         if was_owed:
             _log.info("%s has the guards now", state.name)

@@ -9,7 +9,7 @@ nodelet managers end too. A manager that is killed leaves them, and its next lif
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING, Optional, Sequence
+from typing import TYPE_CHECKING, Dict, List, Optional, Sequence
 
 import rosgraph.names
 import rospy
@@ -166,8 +166,16 @@ class ManagerNode(Closable):
     def _on_child(self) -> None:
         self._watch.hurry()
 
+    def _protected(self) -> Dict[str, List[str]]:
+        protected: Dict[str, List[str]] = {}
+        for record in self.manager.graph.all():
+            if record.is_protected:
+                protected.setdefault(record.manager, []).append(record.name)
+        return protected
+
     def _after_change(self) -> None:
         self._cpp.follow()
+        self._host.protect(self._protected())  # first: with the next line they are handed over
         self._listener.follow(self._python_managers())
 
     def _after_look(self) -> None:

@@ -1,21 +1,25 @@
 """How DyKnow managers hand their guards to nodelet managers: private parameters of these.
 
 Each DyKnow manager has a parameter of its own, ``~guards/KEY``, and the guards of all add up:
-nobody lifts what another denies, and only its owner takes its own away. The parameter server
+nobody lifts what another denies, and only its owner takes its own away. With them go the names of
+the nodelets that the owner protects: for others these are not unloaded. The parameter server
 tells a nodelet manager of every change, so a check costs no remote call and guards that change
 reach nodelets that run.
 """
 
 from __future__ import annotations
 
-from typing import Any, Dict
+from typing import Any, Dict, Sequence
 
 import rospy
 from rospy.impl.paramserver import get_param_server_cache
 
+from dyknow.errors import PeerTimeout, ProtectedFromUnloading
 from dyknow.guards import NO_GUARDS, Guards, together
+from dyknow.ros.master import Master
 
 _GUARDS = "guards"
+_PROTECTED = "protected"
 
 
 def guards_key(owner: str) -> str:
@@ -28,13 +32,14 @@ def guards_key(owner: str) -> str:
     return f"{_GUARDS}/" + owner.strip("/").replace("_", "__").replace("/", "_s")
 
 
-def to_parameter(guards: Guards) -> Dict[str, Any]:
-    """Write guards as a value of the parameter server."""
+def to_parameter(guards: Guards, protected: Sequence[str] = ()) -> Dict[str, Any]:
+    """Write guards, and the names of protected nodelets, as a value of the parameter server."""
     return {
         "denied_topics": list(guards.denied_topics),
         "read_only": guards.read_only,
         "string_length": guards.string_length,
         "array_length": guards.array_length,
+        _PROTECTED: list(protected),
     }
 
 
@@ -78,16 +83,40 @@ class GuardParameters:
         ):
             together(from_parameter(each) for each in guards.values()).check_writable(what)
 
+    def check_protection(self, caller: str, name: str) -> None:
+        """Refuse to unload a nodelet that another DyKnow manager than the caller protects.
+
+        The parameter server itself is asked: its news may still be on the way when a protection
+        has been acknowledged.
+
+        Raises:
+            ProtectedFromUnloading: one does.
+        """
+        for key, guards in self._ask().items():
+            if name in guards.get(_PROTECTED, ()) and guards_key(caller) != f"{_GUARDS}/{key}":
+                raise ProtectedFromUnloading(name)
+
     def _read(self) -> Dict[str, Any]:
         # Not by get_param_cached: it asks the master again as long as the parameter is not set.
         try:
             value = get_param_server_cache().get(self._name)
         except KeyError:
             return {}
-        if not isinstance(value, dict):
+        return _by_owner(value)
+
+    def _ask(self) -> Dict[str, Any]:
+        try:
+            return _by_owner(Master(rospy.get_name()).ask("getParam", self._name))
+        except LookupError:
             return {}
-        # A parameter that was deleted is an empty dictionary in rospy's cache.
-        return {key: guards for key, guards in value.items() if guards}
+        except PeerTimeout:
+            return self._read()
+
+
+def _by_owner(value: Any) -> Dict[str, Any]:
+    # A parameter that was deleted is an empty dictionary in rospy's cache.
+    parameters = value.items() if isinstance(value, dict) else ()
+    return {key: guards for key, guards in parameters if isinstance(guards, dict) and guards}
 
 
 def _take_up_new_keys(name: str) -> None:

@@ -156,10 +156,12 @@ class NodeletManager(Closable):
         Raises:
             UnknownNodelet: there is none of that name.
             Denied: the mode is read-only.
+            ProtectedFromUnloading: a DyKnow manager protects it.
         """
         name = _resolved(name)
         if caller:
             self._guards.check_caller(caller, f"unloading '{name}'")
+            self._guards.check_protection(caller, name)
         self.loader.unload(name)
         rospy.loginfo("unloaded nodelet %s%s", name, _for(caller))
 
