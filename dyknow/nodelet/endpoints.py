@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import collections
 import threading
-from typing import Any, Callable, Deque, Dict, FrozenSet, Optional, Tuple
+from typing import Any, Callable, Deque, Dict, Optional, Tuple
 
 from dyknow.nodelet.locking import message_lock
 from dyknow.nodelet.middleware import (
@@ -334,12 +334,12 @@ class Publication:
             self.topic = ""
         self._changed()
 
-    def peers(self) -> Tuple[str, FrozenSet[Any]]:
+    def peers(self) -> Tuple[str, Tuple[Any, ...]]:
         """The topic and who listens: one for each outside, ``HERE`` for all of this process."""
         with message_lock:
             topic, route, outside = self.topic, self._route, self._outside
-        listening = outside.peers() if outside is not None else frozenset()
-        return topic, (listening | {HERE} if route else listening)
+        listening = outside.peers() if outside is not None else ()
+        return topic, (listening if HERE in listening or not route else (HERE, *listening))
 
     def get_num_connections(self) -> int:
         """Count the peers; all of this process are one, as in roscpp."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import threading
 from dataclasses import dataclass, field
-from typing import Any, Callable, Dict, FrozenSet, List, Optional, Sequence
+from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 from dyknow.errors import DyKnowError, HandleClosed
 from dyknow.nodelet.middleware import (
@@ -73,9 +73,9 @@ class LocalPublisher(OutsidePublisher):
         """Whether somebody listens."""
         return bool(self.connections)
 
-    def peers(self) -> FrozenSet[Any]:
+    def peers(self) -> Tuple[Any, ...]:
         """Who listens."""
-        return frozenset(self.connections)
+        return tuple(self.connections)
 
     def publish(self, message: Any) -> None:
         """Hand the message to every listener."""

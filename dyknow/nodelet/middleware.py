@@ -11,7 +11,7 @@ does not reach by reference.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any, Callable, Dict, FrozenSet, Optional, Sequence
+from typing import Any, Callable, Dict, Optional, Sequence, Tuple
 
 Receive = Callable[[Any], None]
 Handler = Callable[[Any], Any]
@@ -36,7 +36,7 @@ class OutsidePublisher(ABC):
         """Whether somebody listens; looked at on every publish, so it must be quick."""
 
     @abstractmethod
-    def peers(self) -> FrozenSet[Any]:
+    def peers(self) -> Tuple[Any, ...]:
         """Who listens outside: one for each other process, ``HERE`` for rospy's own in here."""
 
     @abstractmethod

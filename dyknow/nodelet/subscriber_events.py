@@ -61,7 +61,7 @@ class SubscriberEvents:
         if self._closed:
             return
         topic, peers = self._publication.peers()
-        present = dict.fromkeys((topic, peer) for peer in peers)
+        present = [(topic, peer) for peer in peers]
         # Those who come first: a lazy nodelet shall not stop its inputs at a move between topics.
         for each in [each for each in present if each not in self._told]:
             self._told[each] = None

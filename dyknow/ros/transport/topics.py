@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import time
 import warnings
-from typing import Any, Callable, Dict, FrozenSet, Optional
+from typing import Any, Callable, Dict, FrozenSet, Optional, Tuple
 
 import genpy
 import rospy
@@ -90,10 +90,10 @@ class RospyPublisher(OutsidePublisher):
         self._told = registrar.subscribers(topic) or frozenset()
         self._local.refresh()
 
-    def peers(self) -> FrozenSet[Any]:
+    def peers(self) -> Tuple[Any, ...]:
         """Connections, and ``HERE`` for all ordinary subscribers of this process."""
-        outside = frozenset(self._implementation.connections or ())
-        return outside | {HERE} if self._local.foreign else outside
+        outside = tuple(self._implementation.connections or ())
+        return (HERE, *outside) if self._local.foreign else outside
 
     def publish(self, message: Any) -> None:
         """Serialise once for everyone outside; ordinary subscribers in here get the object."""

@@ -336,5 +336,5 @@ def test_connections_are_counted_as_in_roscpp(world):
     nh.Subscriber("t", Message, print)
     nh.Subscriber("t", Message, print)
     assert publisher.get_num_connections() == 1
-    world.middleware.listeners["/t"].extend([print, repr])
+    world.middleware.listeners["/t"].extend([print, print])
     assert publisher.get_num_connections() == 3
