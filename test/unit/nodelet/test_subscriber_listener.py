@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from unit.nodelet.fakes import Message, World, numbers
 
 import dyknow
@@ -274,3 +276,35 @@ def test_a_consumer_that_is_wired_to_a_lazy_port_starts_it(world, listener):
     assert lazy.sub is not None
     ports.connect(into="/elsewhere")
     assert lazy.sub is None
+
+
+TOPICS = ("", "/a", "/b")
+MOVES = st.one_of(
+    st.tuples(st.sampled_from(("out", "one", "two")), st.sampled_from(TOPICS)),
+    st.tuples(st.sampled_from(("outside", "drain")), st.sampled_from(TOPICS[1:])),
+)
+
+
+@given(st.lists(MOVES, max_size=30))
+def test_the_listener_and_the_count_agree_after_any_changes(moves):
+    world, listener = World(), Listener()
+    handles = {name: dyknow.NodeHandle(world.handle(f"/{name}")) for name in ("out", "one", "two")}
+    publisher = advertise(handles["out"], listener, "out")
+    listener.count = lambda: None
+    for name in ("one", "two"):
+        handles[name].Subscriber(name, Message, print)
+    for what, topic in moves:
+        if what in handles:
+            NodeletProxy.of(handles[what].context).set_config([(what, topic)])
+        elif what == "drain":
+            world.drain()
+        elif world.middleware.listeners.get(topic):
+            world.middleware.stop_listening(topic, print)
+        else:
+            world.middleware.listen(topic, print)
+    world.drain()
+    count = 0
+    for kind, _, number in listener.notes:
+        count += 1 if kind == "subscribe" else -1
+        assert number in (None, count)
+    assert count == publisher.get_num_connections()
