@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import gc
+import sys
 import threading
 
 import pytest
 from unit.nodelet.fakes import PATIENCE, World, make_pool_world, wait_for, wait_until
 
+from dyknow.nodelet import timers
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.handle import NodeHandle
 from dyknow.nodelet.local import ManualTicker
@@ -248,3 +250,55 @@ def test_a_failing_ticker_does_not_end_the_timers_of_others(caplog):
     finally:
         timers.close()
         world.close()
+
+
+def test_a_tick_works_for_what_is_due_however_many_timers_there_are(world):
+    for number in range(1000):
+        world.handle(f"/n{number}").Timer(100.0 + number, lambda event: None)
+
+    def steps():
+        """Lines of timers.py that the next tick runs."""
+        count = 0
+
+        def trace(frame, event, argument):
+            nonlocal count
+            if frame.f_code.co_filename != timers.__file__:
+                return None
+            count += event == "line"
+            return trace
+
+        before = sys.gettrace()
+        sys.settrace(trace)
+        try:
+            world.runtime.timers.tick()
+        finally:
+            sys.settrace(before)
+        return count
+
+    assert steps() < 50
+    world.middleware.ticker.advance(100.5)
+    assert steps() < 100
+
+
+def test_a_timer_that_is_made_just_before_a_jump_back_does_not_wait_for_the_old_future(world):
+    fired = []
+    advance(world, 1.0)
+    world.middleware.ticker.advance(99.0)
+    world.handle().Timer(1.0, lambda event: fired.append(event.current_real))
+    world.middleware.ticker.advance(-98.0)  # the queue has not seen any of it
+    advance(world, 0.0)
+    advance(world, 1.0)
+    assert fired == [3.0]
+
+
+def test_timers_that_are_due_shortly_after_each_other_are_fired_together(world):
+    for number in range(10):
+        world.handle(f"/n{number}").Timer(0.1 + number * 1e-4, lambda event: None)
+    queue = world.runtime.timers
+    assert queue.tick() == pytest.approx(0.1), "the first is not late"
+    world.middleware.ticker.advance(0.1)
+    assert queue.tick() == pytest.approx(0.102), "the others are late by two milliseconds"
+    fast = world.handle("/fast").Timer(0.0005, lambda event: None)
+    assert queue.tick() == pytest.approx(0.1001), "every call of a fast one is due"
+    fast.shutdown()
+    assert queue.tick() == pytest.approx(0.102)
