@@ -11,7 +11,7 @@ import threading
 import time
 import traceback
 from dataclasses import dataclass
-from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple, TypeVar
 
 from dyknow.errors import NoMessageClass
 from dyknow.guards import NO_GUARDS, Guards
@@ -25,6 +25,8 @@ from dyknow.nodelet.timers import Timer, TimerQueue
 _LOG_PAUSE = 1.0
 #: Errors that are told apart before the account starts anew.
 _LOG_PLACES = 100
+
+Part = TypeVar("Part")
 
 _log = logging.getLogger("rosout.dyknow")
 
@@ -236,12 +238,20 @@ class Context:
             if closable in self._closables:
                 self._closables.remove(closable)
 
-    def attach(self, thing: Any) -> None:
-        """Let the host open what belongs to a part of the nodelet, such as its proxy."""
-        self.attached = thing
-        opened = self.on_attach(self, thing)
+    def attachment(self, kind: Callable[[Context], Part]) -> Part:
+        """Return the part of the nodelet that lies above this layer, its proxy.
+
+        The first call makes it of the context, and lets the host open what belongs to it.
+        """
+        with self._lock:
+            part: Optional[Part] = self.attached
+            is_new = part is None
+            if part is None:
+                part = self.attached = kind(self)
+        opened = self.on_attach(self, part) if is_new else None
         if opened is not None:
             self.own(opened)
+        return part
 
     @property
     def running(self) -> bool:

@@ -77,11 +77,7 @@ class NodeletProxy:
     @classmethod
     def of(cls, context: Context) -> NodeletProxy:
         """Return the proxy of a nodelet; the first call makes it."""
-        if not isinstance(context.attached, cls):
-            context.attach(cls(context))
-        proxy = context.attached
-        assert isinstance(proxy, cls)
-        return proxy
+        return context.attachment(cls)
 
     @property
     def name(self) -> str:

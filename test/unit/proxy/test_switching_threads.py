@@ -51,6 +51,13 @@ class Filter(dyknow.Nodelet):
         self.out.publish((number, None))
 
 
+class Bare(dyknow.Nodelet):
+    """Has no ports, and so no proxy."""
+
+    def on_init(self):
+        pass
+
+
 class Pump:
     """Publishes as fast as the end of the chain keeps pace; at most 1000 are under way."""
 
@@ -228,3 +235,25 @@ def test_handles_that_come_and_go_do_not_fail_set_config(world):
     loader.close()
     assert world.registrations == []
     assert world.bus._topics == {}
+
+
+def test_handles_that_are_made_at_once_share_one_proxy(world, monkeypatch):
+    context = world.loader(bare=Bare).load("/bare", "bare").context
+    make, made, opened, others = NodeletProxy.__init__, [], [], threading.Event()
+
+    def wait_for_others(proxy, of):
+        made.append(proxy)
+        if len(made) > 1:
+            others.set()
+        others.wait(0.2)  # whoever is let through between the check and the act is here by then
+        make(proxy, of)
+
+    monkeypatch.setattr(NodeletProxy, "__init__", wait_for_others)
+    context.on_attach = lambda context, proxy: opened.append(proxy)
+    found = []
+    threads = [in_thread(lambda: found.append(NodeletProxy.of(context))) for _ in range(4)]
+    for thread in threads:
+        join(thread)
+    assert len(found) == 4
+    assert made == opened == [found[0]]
+    assert set(found) == {found[0]}
