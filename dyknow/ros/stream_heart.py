@@ -15,8 +15,11 @@ from bond.msg import Constants, Status
 
 from dyknow import names
 from dyknow.ros.bonding.claim_bonds import TOPIC
+from dyknow.ros.rounds import Rounds
 
 _QUEUE_SIZE = 10
+#: Seconds to wait, at the end, for a beat that is going out.
+_CLOSE_PATIENCE = 1.0
 
 
 class Heart(rospy.SubscribeListener):
@@ -34,13 +37,17 @@ class Heart(rospy.SubscribeListener):
         self._publisher: Any = rospy.Publisher(
             names.join(manager, TOPIC), Status, subscriber_listener=self, queue_size=_QUEUE_SIZE
         )
-        self._thread = threading.Thread(target=self._run, name="stream heart", daemon=True)
-        self._thread.start()
+        self._rounds = Rounds(
+            "stream heart",
+            lambda: self._say(active=True),
+            lambda: float(Constants.DEFAULT_HEARTBEAT_PERIOD),
+        )
+        self._rounds.start()
 
     def close(self) -> None:
         """Say that it is over, and beat no more."""
         self._closed.set()
-        self._thread.join()
+        self._rounds.close(_CLOSE_PATIENCE)
         self._say(active=False)
         self._publisher.unregister()
 
@@ -50,10 +57,6 @@ class Heart(rospy.SubscribeListener):
         """Beat for a newcomer: a manager that has heard us once misses us sooner."""
         if not self._closed.is_set():
             peer_publish(self._status(active=True))
-
-    def _run(self) -> None:
-        while not self._closed.wait(Constants.DEFAULT_HEARTBEAT_PERIOD):
-            self._say(active=True)
 
     def _say(self, active: bool) -> None:
         try:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import threading
 import time
+from functools import partial
 from typing import Any, Dict, List, Optional, Protocol
 
 import rospy
@@ -17,6 +18,7 @@ from dyknow_msgs.msg import StreamEvent
 from dyknow import names
 from dyknow.errors import HostError, PeerTimeout, Refused
 from dyknow.ros.client import ManagerClient
+from dyknow.ros.rounds import Rounds, attempt
 from dyknow.ros.stream_heart import Heart
 from dyknow.ros.stream_views import StreamEventView, StreamView, event_view
 
@@ -66,16 +68,16 @@ class StreamSession:
         self._client = client
         self._renew_lease = client.renewer()
         self._users = 0
-        self._condition = threading.Condition()
+        self._lock = threading.Lock()
         self._streams: Dict[str, Follower] = {}
         self._due: Dict[str, float] = {}
-        self._closed = False
         self._heart = Heart(client.manager)
         self._subscriber: Any = rospy.Subscriber(
             names.join(client.manager, "stream_events"), StreamEvent, self._on_event
         )
         self._await_connection()
-        threading.Thread(target=self._run, name="stream leases", daemon=True).start()
+        self._rounds = Rounds("renewing leases", self._keep, self._until_due)
+        self._rounds.start()
 
     @property
     def bond_id(self) -> str:
@@ -84,14 +86,14 @@ class StreamSession:
 
     def add(self, stream: Follower) -> None:
         """Keep a stream's claim alive, and tell it what becomes of it."""
-        with self._condition:
+        with self._lock:
             self._streams[stream.claim_id] = stream
             self._due[stream.claim_id] = 0.0  # at once, for what happened before it was here
-            self._condition.notify()
+        self._rounds.ask()
 
     def remove(self, claim_id: str) -> None:
         """Care for a stream no more."""
-        with self._condition:
+        with self._lock:
             self._streams.pop(claim_id, None)
             self._due.pop(claim_id, None)
 
@@ -102,9 +104,7 @@ class StreamSession:
             if self._users:
                 return
             self._sessions.pop(self._client.manager, None)
-        with self._condition:
-            self._closed = True
-            self._condition.notify()
+        self._rounds.close(0.0)
         self._subscriber.unregister()
         self._heart.close()
 
@@ -120,32 +120,29 @@ class StreamSession:
         return time.monotonic() + stream.lease * _RENEWED_AFTER
 
     def _on_event(self, message: Any) -> None:
-        with self._condition:
+        with self._lock:
             stream = self._streams.get(message.after.claim_id)
         if stream is not None:
             stream.note(event_view(message))
 
-    def _run(self) -> None:
-        while True:
-            due = self._await_due()
-            if due is None:
-                return
-            for stream in due:
-                self._renew(stream)
+    def _keep(self) -> None:
+        """Renew the leases that are due."""
+        now = time.monotonic()
+        with self._lock:
+            due = [self._streams[each] for each, at in self._due.items() if at <= now]
+        for stream in due:
+            attempt("renewing a lease", partial(self._renew, stream))
+        if due:
             self._refresh([stream.claim_id for stream in due])
 
-    def _await_due(self) -> Optional[List[Follower]]:
-        """Sleep until leases are to be renewed; None at the end."""
-        with self._condition:
-            while not self._closed:
-                now = time.monotonic()
-                soonest = min(self._due.values(), default=None)
-                if soonest is not None and soonest <= now:
-                    return [self._streams[each] for each, at in self._due.items() if at <= now]
-                self._condition.wait(None if soonest is None else soonest - now)
-            return None
+    def _until_due(self) -> Optional[float]:
+        """Seconds until the next lease is to be renewed; None if there is none."""
+        with self._lock:
+            soonest = min(self._due.values(), default=None)
+        return None if soonest is None else max(0.0, soonest - time.monotonic())
 
     def _renew(self, stream: Follower) -> None:
+        self._put_off(stream, time.monotonic() + _RETRY)  # if it fails, whatever fails
         next_due = self._next_due(stream)
         try:
             self._renew_lease(stream.claim_id, stream.lease)
@@ -156,10 +153,13 @@ class StreamSession:
             return
         except (HostError, PeerTimeout) as error:
             rospy.logwarn_throttle(10, f"the lease of stream {stream.claim_id}: {error}")
-            next_due = time.monotonic() + _RETRY
-        with self._condition:
+        else:
+            self._put_off(stream, next_due)
+
+    def _put_off(self, stream: Follower, due: float) -> None:
+        with self._lock:
             if stream.claim_id in self._due:
-                self._due[stream.claim_id] = next_due
+                self._due[stream.claim_id] = due
 
     def _refresh(self, claim_ids: List[str]) -> None:
         """See to it that nothing was missed: events are not kept for those who come late."""
@@ -168,7 +168,7 @@ class StreamSession:
         except (HostError, PeerTimeout):
             return  # the next renewal tells
         for claim_id in claim_ids:
-            with self._condition:
+            with self._lock:
                 stream: Optional[Follower] = self._streams.get(claim_id)
             if stream is not None and claim_id in claims:
                 stream.note_view(claims[claim_id])

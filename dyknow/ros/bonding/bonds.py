@@ -25,6 +25,7 @@ from dyknow.errors import DyKnowError, PeerTimeout
 from dyknow.ros.bonding.bond_states import BondTimings
 from dyknow.ros.bonding.bond_table import BondTable, Effects, OnBroken, Word
 from dyknow.ros.remote_calls import call_within
+from dyknow.ros.rounds import RETRY, attempt
 
 STOCK_TIMINGS = BondTimings(
     connect_timeout=Constants.DEFAULT_CONNECT_TIMEOUT,
@@ -101,7 +102,7 @@ class Bonds:
                 raise BondsClosed(self._topic)
             effects = self._table.add(bond_id, on_broken, time.monotonic())
             if self._thread is None:
-                self._thread = threading.Thread(target=self._serve, name="bonds", daemon=True)
+                self._thread = threading.Thread(target=self._run, name="bonds", daemon=True)
                 self._thread.start()
             self._condition.notify()
         self._perform(effects)
@@ -132,7 +133,12 @@ class Bonds:
         if thread is not None and thread is not threading.current_thread():
             thread.join(timeout + _PARAMETER_TIMEOUT)
 
-    def _serve(self) -> None:
+    def _run(self) -> None:
+        while not attempt("serving bonds", self._serve):
+            time.sleep(RETRY)
+
+    def _serve(self) -> bool:
+        """Serve until the last bond is gone."""
         publisher = rospy.Publisher(self._topic, Status, queue_size=_QUEUE_SIZE)
         with self._condition:
             self._publisher = publisher
@@ -140,6 +146,7 @@ class Bonds:
         try:
             while self._serve_once():
                 pass
+            return True
         finally:
             subscriber.unregister()
             publisher.unregister()

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import threading
-import time
-from typing import Callable
+from typing import Callable, Optional, Tuple
 
 import rospy
 from dyknow_msgs.msg import Model as ModelMessage
 
 from dyknow.manager.model import Model
 from dyknow.ros.model_messages import ModelMessages
+from dyknow.ros.rounds import Rounds
 
 #: Least seconds from one message to the next.
 PERIOD = 0.05
@@ -37,34 +36,24 @@ class ModelPublisher:
         self._take = take
         self._messages = messages
         self._before = before
-        self._changed = threading.Event()
-        self._closed = False
+        self._shown: Optional[Tuple[int, int]] = None
         self._publisher = rospy.Publisher(topic, ModelMessage, latch=True, queue_size=1)
-        self._thread = threading.Thread(target=self._run, name="model", daemon=True)
-        self._thread.start()
+        self._rounds = Rounds("publishing the model", self._publish, lambda: None, PERIOD)
+        self._rounds.start()
 
     def note_change(self) -> None:
         """Say that the model changed; returns at once."""
-        self._changed.set()
+        self._rounds.ask()
 
     def close(self) -> None:
         """Publish no more."""
-        self._closed = True
-        self._changed.set()
-        self._thread.join(1.0)
+        self._rounds.close(1.0)
         self._publisher.unregister()
 
-    def _run(self) -> None:
-        last = None
-        while True:
-            self._changed.wait()
-            self._changed.clear()
-            if self._closed:
-                return
-            self._before()
-            model = self._take()
-            shown = (model.revision, model.library_revision)
-            if shown != last:
-                last = shown
-                self._publisher.publish(self._messages.topic(model))
-            time.sleep(PERIOD)
+    def _publish(self) -> None:
+        self._before()
+        model = self._take()
+        revisions = (model.revision, model.library_revision)
+        if revisions != self._shown:
+            self._publisher.publish(self._messages.topic(model))
+            self._shown = revisions

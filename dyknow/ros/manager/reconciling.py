@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Callable, Optional
 
 from dyknow.manager.claims.keeper import Keeper
-from dyknow.ros.manager.rounds import PAUSE, Rounds
+from dyknow.ros.rounds import PAUSE, Rounds
 
 #: Seconds between two rounds as long as there is something to be looked after.
 PERIOD = 0.5

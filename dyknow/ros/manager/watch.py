@@ -6,7 +6,7 @@ import collections
 from typing import Callable, Deque, Set
 
 from dyknow.manager.manager import Manager
-from dyknow.ros.manager.rounds import PAUSE, Rounds
+from dyknow.ros.rounds import PAUSE, Rounds
 
 #: Seconds between two looks when nothing happens.
 PERIOD = 0.5

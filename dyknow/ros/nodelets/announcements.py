@@ -13,8 +13,10 @@ from typing import Any, Callable, Dict, Iterable, List, Set
 import rospy
 from dyknow_msgs.msg import NodeletChanges
 
+from dyknow.ros.rounds import Rounds
+
 TOPIC = "changes"
-#: Seconds in which further changes join the first.
+#: Seconds in which changes that follow one that was told are collected.
 _WINDOW = 0.02
 _QUEUE_SIZE = 1000
 
@@ -29,22 +31,22 @@ class Announcer:
             everything: names for those who begin to listen, since they may have missed some.
         """
         self._everything = everything
-        self._lock = threading.Condition()
+        self._lock = threading.Lock()
         self._names: Set[str] = set()
-        self._closed = False
         self._publisher = rospy.Publisher(
             f"~{TOPIC}",
             NodeletChanges,
             subscriber_listener=_Newcomers(self),
             queue_size=_QUEUE_SIZE,
         )
-        threading.Thread(target=self._run, name="announcements", daemon=True).start()
+        self._rounds = Rounds("announcing changes", self._announce, lambda: None, _WINDOW)
+        self._rounds.start()
 
     def tell(self, name: str) -> None:
         """Announce a nodelet; returns at once."""
         with self._lock:
             self._names.add(name)
-            self._lock.notify()
+        self._rounds.ask()
 
     def tell_newcomer(self, publish: Callable[[NodeletChanges], None]) -> None:
         """Announce everything to a new listener."""
@@ -54,23 +56,22 @@ class Announcer:
 
     def close(self) -> None:
         """Withdraw the topic."""
-        with self._lock:
-            self._closed = True
-            self._lock.notify()
+        self._rounds.close(0.0)
         self._publisher.unregister()
 
-    def _run(self) -> None:
-        while True:
+    def _announce(self) -> None:
+        with self._lock:
+            names, self._names = self._names, set()
+        if not names:
+            return
+        try:
+            self._publisher.publish(NodeletChanges(sorted(names)))
+        except rospy.ROSException:
+            return  # closed in between
+        except BaseException:
             with self._lock:
-                self._lock.wait_for(lambda: self._names or self._closed)
-                self._lock.wait_for(lambda: self._closed, _WINDOW)
-                if self._closed:
-                    return
-                names, self._names = sorted(self._names), set()
-            try:
-                self._publisher.publish(NodeletChanges(names))
-            except rospy.ROSException:
-                return  # closed in between
+                self._names |= names
+            raise
 
 
 class _Newcomers(rospy.SubscribeListener):

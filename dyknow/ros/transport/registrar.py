@@ -15,6 +15,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from functools import partial
 from typing import Any, Dict, FrozenSet, Optional, Tuple
 
 import rospy
@@ -29,6 +30,7 @@ from rospy.impl.registration import (
 
 from dyknow.errors import PeerTimeout
 from dyknow.ros.master import Master
+from dyknow.ros.rounds import attempt
 from dyknow.ros.transport.reminders import Reminders
 
 #: Seconds between two attempts while the master is down.
@@ -169,7 +171,7 @@ class Registrar(RegistrationListener):
                     self._thread = None
                     return
                 key, what = next(iter(self._owed.items()))
-            if not self._register(key, what):
+            if not attempt("registering", partial(self._register, key, what)):
                 time.sleep(_AGAIN)
                 continue
             with self._lock:

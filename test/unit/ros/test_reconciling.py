@@ -9,7 +9,7 @@ import pytest
 
 from dyknow.manager.claim import Claim, ClaimState, StreamRequest
 from dyknow.ros.manager.reconciling import PERIOD, Reconciling
-from dyknow.ros.manager.rounds import PAUSE
+from dyknow.ros.rounds import PAUSE
 
 
 class FakeKeeper:

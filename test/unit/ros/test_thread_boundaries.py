@@ -1,0 +1,162 @@
+"""Threads go on after whatever is raised in them."""
+
+from __future__ import annotations
+
+import threading
+import time
+from types import SimpleNamespace
+from typing import Any, Callable, Iterator, List
+
+import pytest
+import rospy
+
+from dyknow.manager.model import Model
+from dyknow.ros import rounds, stream_heart, stream_session
+from dyknow.ros.bonding import bonds
+from dyknow.ros.manager.model_publisher import ModelPublisher
+from dyknow.ros.nodelets.announcements import Announcer
+from dyknow.ros.rounds import Rounds
+
+PATIENCE = 10.0
+
+
+class Fault:
+    """Raises the first time, then does what it stands for."""
+
+    def __init__(self, work: Callable[..., Any] = lambda *arguments, **kwds: None) -> None:
+        self._work = work
+        self.calls = 0
+        self.done: List[Any] = []
+        self._condition = threading.Condition()
+
+    def __call__(self, *arguments: Any, **kwds: Any) -> Any:
+        self.calls += 1
+        if self.calls == 1:
+            raise RuntimeError("injected")
+        answer = self._work(*arguments, **kwds)
+        with self._condition:
+            self.done.append(arguments)
+            self._condition.notify_all()
+        return answer
+
+    def is_done(self, times: int = 1) -> bool:
+        with self._condition:
+            return self._condition.wait_for(lambda: len(self.done) >= times, PATIENCE)
+
+
+class FakeTopic:
+    """Stands for publisher and subscriber; the first publish raises what nobody expects."""
+
+    made: List[FakeTopic] = []
+
+    def __init__(self, *arguments: Any, **kwds: Any) -> None:
+        self.publish = Fault()
+        self.made.append(self)
+
+    def unregister(self) -> None:
+        pass
+
+    def get_num_connections(self) -> int:
+        return 1
+
+
+@pytest.fixture(autouse=True)
+def _fakes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(FakeTopic, "made", [])
+    monkeypatch.setattr(rospy, "Publisher", FakeTopic)
+    monkeypatch.setattr(rospy, "Subscriber", FakeTopic)
+    monkeypatch.setattr(rospy.Time, "now", classmethod(lambda cls: rospy.Time()))
+    monkeypatch.setattr(rounds, "RETRY", 0.01)
+    monkeypatch.setattr(bonds, "RETRY", 0.01)
+
+
+@pytest.fixture
+def closing() -> Iterator[List[Any]]:
+    things: List[Any] = []
+    yield things
+    for thing in things:
+        thing.close()
+
+
+@pytest.mark.parametrize("where", ["work", "period"])
+def test_a_round_that_fails_is_done_again_without_being_asked_for(where: str) -> None:
+    fault, work = Fault(), Fault()
+    work.calls = 1  # it does not fail
+    made = Rounds(
+        "testing",
+        fault if where == "work" else work,
+        (lambda: 0.0 if fault() is None else None) if where == "period" else lambda: None,
+    )
+    made.start()
+    made.ask()
+    try:
+        assert (fault if where == "work" else work).is_done()
+    finally:
+        made.close(PATIENCE)
+    assert not made.running
+
+
+@pytest.mark.parametrize("where", ["take", "before", "publish"])
+def test_the_model_is_published_although_something_failed(where: str, closing: List[Any]) -> None:
+    model = Model(1, 1, ())
+    take, before = Fault(lambda: model), Fault()
+    messages: Any = SimpleNamespace(topic=lambda model: model)
+    publisher = ModelPublisher(
+        "~model",
+        take if where == "take" else lambda: model,
+        messages,
+        before if where == "before" else lambda: None,
+    )
+    closing.append(publisher)
+    publish = FakeTopic.made[0].publish
+    publish.calls = 0 if where == "publish" else 1
+    publisher.note_change()
+    assert publish.is_done()
+    assert publish.done == [(model,)]
+
+
+def test_a_change_is_announced_although_it_failed_at_first(closing: List[Any]) -> None:
+    announcer = Announcer(lambda: ())
+    closing.append(announcer)
+    announcer.tell("/a")
+    publish = FakeTopic.made[0].publish
+    assert publish.is_done()
+    assert "/a" in str(publish.done[0][0])
+
+
+def test_the_heart_beats_on(monkeypatch: pytest.MonkeyPatch, closing: List[Any]) -> None:
+    monkeypatch.setattr(stream_heart.Constants, "DEFAULT_HEARTBEAT_PERIOD", 0.01)
+    heart = stream_heart.Heart("/manager")
+    closing.append(heart)
+    assert FakeTopic.made[0].publish.is_done(2)
+
+
+def test_leases_are_renewed_although_one_of_them_raises(
+    monkeypatch: pytest.MonkeyPatch, closing: List[Any]
+) -> None:
+    monkeypatch.setattr(stream_session, "Heart", lambda manager: SimpleNamespace(close=int))
+    monkeypatch.setattr(stream_session, "_RETRY", 0.01)
+    renew = Fault()
+    client: Any = SimpleNamespace(
+        manager="/manager", renewer=lambda: renew, renew_stream=renew, list_streams=lambda: ()
+    )
+    session = stream_session.StreamSession.open(client)
+    closing.append(session)
+    for name in ("first", "second"):
+        stream: Any = SimpleNamespace(claim_id=name, lease=0.03)
+        session.add(stream)
+    assert renew.is_done(4)
+    assert {arguments[0] for arguments in renew.done} == {"first", "second"}
+
+
+def test_bonds_are_served_on(monkeypatch: pytest.MonkeyPatch, closing: List[Any]) -> None:
+    quiet = SimpleNamespace(publish=lambda status: None, unregister=lambda: None)
+    monkeypatch.setattr(rospy, "Publisher", lambda *arguments, **kwds: quiet)
+    made = bonds.Bonds("/bond")
+    tick = Fault(made._table.tick)
+    monkeypatch.setattr(made._table, "tick", tick)
+    made.add("b", lambda: None)
+    assert tick.is_done()
+    begin = time.monotonic()
+    made.close(0.01)
+    assert time.monotonic() - begin < PATIENCE
