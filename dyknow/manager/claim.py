@@ -6,6 +6,10 @@ import enum
 from dataclasses import asdict, dataclass, field
 from typing import Any, Dict, Mapping, Optional, Tuple
 
+from dyknow.manager.moment import Moment
+from dyknow.manager.specifications.tags import parse_tag
+from dyknow.manager.well_typed import check_types
+
 
 class ClaimState(enum.IntEnum):
     """State of a claim; the numbers are those of ``dyknow_msgs/StreamStatus``."""
@@ -86,31 +90,41 @@ class Claim:
         """Nodelets of the stream, by name."""
         return tuple(sorted(self.wiring))
 
-    def body(self, now: float) -> Dict[str, Any]:
-        """Write the claim for the store; the lease as what is left of it."""
+    def body(self, now: Moment) -> Dict[str, Any]:
+        """Write the claim for the store; the lease as what is left of it, and since when."""
         body = asdict(self)
         body["state"] = int(self.state)
-        body["left"] = None if self.deadline is None else self.deadline - now
+        body["left"] = None if self.deadline is None else self.deadline - now.steady
+        body["written"] = asdict(now)
         del body["deadline"]
         return body
 
     @classmethod
-    def from_body(cls, body: Mapping[str, Any], now: float) -> Claim:
-        """Read what ``body`` wrote."""
+    def from_body(cls, body: Mapping[str, Any], now: Moment) -> Claim:
+        """Read what ``body`` wrote; the lease has gone on meanwhile.
+
+        Raises:
+            KeyError, TypeError, ValueError, InvalidTag: it is something else.
+        """
         fields = dict(body)
         left = fields.pop("left")
+        written = Moment(**fields.pop("written", asdict(now)))
+        check_types(written)
         request = dict(fields.pop("request"))
         request["exclude"] = tuple(request["exclude"])
-        return cls(
+        claim = cls(
             **{
                 **fields,
                 "request": StreamRequest(**request),
                 "state": ClaimState(fields["state"]),
                 "goal": tuple(fields["goal"]),
                 "sources": tuple(fields["sources"]),
-                "deadline": None if left is None else now + left,
+                "deadline": None if left is None else now.steady + left - now.since(written),
             }
         )
+        check_types(claim)
+        parse_tag(claim.request.tag)
+        return claim
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 from dataclasses import dataclass, field, replace
 from typing import Dict, List, Mapping, Tuple
@@ -99,11 +100,14 @@ class Lifecycle:
                 claimed=request.claimed,
                 ports=(),
             )
-            self._graph.put(record)
             try:
+                self._graph.put(record)
                 running = self._bring_up(record)
             except NameTaken:  # by a nodelet of others that nobody has seen yet: it stays
                 self._graph.remove(record.name)
+                with contextlib.suppress(HostError):
+                    if record.isolated and record.name not in self._host.list(manager):
+                        self._host.retire(manager)
                 raise
             except BaseException as error:
                 self._take_down(record)

@@ -90,6 +90,7 @@ class Manager:
 
     def look(self, changed: Optional[Set[str]] = None) -> None:
         """Compare the picture with reality; ``changed`` names nodelets to look at closely."""
+        self.store.write_pending()
         self.observer.look(changed or set())
 
     def end(self) -> None:

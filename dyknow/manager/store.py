@@ -1,41 +1,29 @@
 """Durable state: what the manager promised, kept over ``kill -9``.
 
-One sqlite file. A transaction is on disk for every other process before its call returns, so what
-was acknowledged is there after the manager was killed at any moment. A file that cannot be read
-is set aside, never overwritten.
+A change is on disk before the call that makes it returns, so what was acknowledged is there after
+the manager was killed at any moment. A disk that does not take it stops nobody: ``trouble`` says
+what is wrong, and the change is written when the disk takes it again (``state_file``). Entries
+that mean nothing are set aside, and the rest is used.
 """
 
 from __future__ import annotations
 
 import json
-import os
-import sqlite3
-import threading
 import time
-from typing import Any, Dict, Iterable, List, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, Iterable, List, Mapping, Optional, TypeVar
 
-from dyknow.errors import StoreError
+from dyknow import names
+from dyknow.errors import DyKnowError
 from dyknow.manager.model import Record, State
 from dyknow.manager.specifications.transformation import Parameter, Port, Transformation
+from dyknow.manager.specifications.values import parse_value
+from dyknow.manager.state_file import IN_MEMORY, StateFile
+from dyknow.manager.well_typed import check_types
 
-#: Changes with the tables.
-FORMAT = 1
-_IN_MEMORY = ":memory:"
+#: What reading an entry may raise that is none.
+MEANINGLESS = (DyKnowError, ValueError, TypeError, KeyError, AttributeError, RecursionError)
 
-_TABLES = """
-CREATE TABLE IF NOT EXISTS facts (
-  name TEXT PRIMARY KEY, value TEXT NOT NULL
-) WITHOUT ROWID;
-CREATE TABLE IF NOT EXISTS transformations (
-  label TEXT PRIMARY KEY, body TEXT NOT NULL
-) WITHOUT ROWID;
-CREATE TABLE IF NOT EXISTS nodelets (
-  name TEXT PRIMARY KEY, body TEXT NOT NULL
-) WITHOUT ROWID;
-CREATE TABLE IF NOT EXISTS claims (
-  id TEXT PRIMARY KEY, body TEXT NOT NULL
-) WITHOUT ROWID;
-"""
+_Entry = TypeVar("_Entry")
 
 
 def pack(transformation: Transformation) -> str:
@@ -44,8 +32,20 @@ def pack(transformation: Transformation) -> str:
 
 
 def unpack(body: str) -> Transformation:
-    """Read what ``pack`` wrote."""
+    """Read what ``pack`` wrote.
+
+    Raises:
+        ValueError, TypeError: it is something else.
+    """
     label, source, kind, cost, parameters, ports = json.loads(body)
+    texts = [label, source, kind]  # checked by hand: there may be hundreds of thousands
+    for parameter in parameters:
+        texts += parameter
+    for name, side, datatype, tags in ports:
+        texts += (name, side, datatype, *tags)
+    "".join(texts)
+    if type(cost) is not int:
+        raise TypeError(f"its cost is {cost!r}")
     return Transformation(
         label,
         source,
@@ -59,180 +59,136 @@ def unpack(body: str) -> Transformation:
 class Store:
     """The manager's state on disk; every method is safe from any thread."""
 
-    def __init__(self, path: str = _IN_MEMORY) -> None:
+    def __init__(self, path: str = IN_MEMORY, clock: Callable[[], float] = time.monotonic) -> None:
         """Open the state, or start an empty one.
 
         Args:
             path: the file; the default keeps everything in memory.
+            clock: seconds, steady.
 
         Raises:
-            StoreError: the folder cannot be written.
+            StoreError: the folder cannot be made, or the file is there and cannot be read at all.
         """
-        self.path = path
-        #: What was wrong with the file that was found, and where it was put; empty if all is well.
-        self.complaint = ""
-        self._lock = threading.Lock()
-        self._connection = self._open()
+        self._file = StateFile(path, clock)
+
+    @property
+    def complaint(self) -> str:
+        """What could not be used of what was found, and where it was put; empty if all is well."""
+        return self._file.complaint
+
+    @property
+    def trouble(self) -> str:
+        """Why changes are not on disk yet, and what to do about it; empty if they are."""
+        return self._file.trouble
+
+    @property
+    def remark(self) -> str:
+        """What the answer to a request has to add while changes are not on disk."""
+        return f"done, but not on disk yet: {self.trouble}" if self.trouble else ""
+
+    def write_pending(self) -> None:
+        """Write what the disk did not take, if it takes it now."""
+        self._file.write_pending()
 
     # Facts: small numbers that outlive the process
 
     def number(self, name: str) -> int:
         """Read a number, 0 if it was never written."""
-        rows = self._read("SELECT value FROM facts WHERE name = ?", (name,))
-        return int(rows[0][0]) if rows else 0
+        return self._read("facts", lambda key, text: int(text)).get(name, 0)
 
     def set_number(self, name: str, value: int) -> None:
         """Write a number."""
-        self._write([("REPLACE INTO facts VALUES (?, ?)", [(name, str(value))])])
+        self._file.write({("facts", name): str(value)})
 
     # Transformations
 
     def transformations(self) -> List[Transformation]:
         """Read all, by label."""
-        rows = self._read("SELECT body FROM transformations ORDER BY label")
-        return [unpack(body) for (body,) in rows]
+
+        def read(label: str, body: str) -> Transformation:
+            found = unpack(body)
+            if found.label != label:
+                raise ValueError(f"it says that it is '{found.label}'")
+            return found
+
+        return list(self._read("transformations", read).values())
 
     def put_transformations(
         self, transformations: Iterable[Transformation], library_revision: int
     ) -> None:
         """Add or replace, all of them or none."""
-        rows = [(each.label, pack(each)) for each in transformations]
-        self._write(
-            [
-                ("REPLACE INTO transformations VALUES (?, ?)", rows),
-                ("REPLACE INTO facts VALUES ('library_revision', ?)", [(str(library_revision),)]),
-            ]
-        )
+        rows = {("transformations", each.label): pack(each) for each in transformations}
+        self._file.write({**rows, ("facts", "library_revision"): str(library_revision)})
 
     def remove_transformation(self, label: str, library_revision: int) -> None:
         """Remove one."""
-        self._write(
-            [
-                ("DELETE FROM transformations WHERE label = ?", [(label,)]),
-                ("REPLACE INTO facts VALUES ('library_revision', ?)", [(str(library_revision),)]),
-            ]
+        self._file.write(
+            {
+                ("transformations", label): None,
+                ("facts", "library_revision"): str(library_revision),
+            }
         )
 
     # Nodelets
 
     def nodelets(self) -> List[Record]:
         """Read all records, by name."""
-        rows = self._read("SELECT name, body FROM nodelets ORDER BY name")
-        return [_record(name, json.loads(body)) for name, body in rows]
+        return list(self._read("nodelets", _record).values())
 
     def put_nodelet(self, record: Record) -> None:
         """Add or replace the record of a nodelet."""
-        self._write([("REPLACE INTO nodelets VALUES (?, ?)", [(record.name, _body(record))])])
+        self._file.write({("nodelets", record.name): _body(record)})
 
     def remove_nodelet(self, name: str) -> None:
         """Forget a nodelet."""
-        self._write([("DELETE FROM nodelets WHERE name = ?", [(name,)])])
+        self._file.write({("nodelets", name): None})
 
     # Claims, as their owner writes them
 
     def claims(self) -> Dict[str, Dict[str, Any]]:
         """Read all claims, by id."""
-        rows = self._read("SELECT id, body FROM claims ORDER BY id")
-        return {claim_id: json.loads(body) for claim_id, body in rows}
+        return self._read("claims", lambda claim_id, text: dict(json.loads(text)))
 
     def put_claim(self, claim_id: str, body: Dict[str, Any]) -> None:
         """Add or replace a claim."""
-        self._write([("REPLACE INTO claims VALUES (?, ?)", [(claim_id, json.dumps(body))])])
+        self._file.write({("claims", claim_id): json.dumps(body)})
 
     def remove_claim(self, claim_id: str) -> None:
         """Forget a claim."""
-        self._write([("DELETE FROM claims WHERE id = ?", [(claim_id,)])])
+        self._file.write({("claims", claim_id): None})
+
+    def reject_claims(self, causes: Mapping[str, str]) -> None:
+        """Set claims aside that mean nothing to their owner, with the causes by id."""
+        self._file.reject("claims", causes)
 
     def end(self) -> None:
         """Forget nodelets and claims: the manager is stopped on purpose. Transformations stay."""
-        self._write([("DELETE FROM nodelets", [()]), ("DELETE FROM claims", [()])])
+        self._file.write(
+            {
+                (table, key): None
+                for table in ("nodelets", "claims")
+                for key in self._file.rows(table)
+            }
+        )
 
     def close(self) -> None:
         """Close the file."""
-        with self._lock:
-            self._connection.close()
+        self._file.close()
 
     # Inside
 
-    def _open(self) -> sqlite3.Connection:
-        if self.path != _IN_MEMORY:
+    def _read(self, table: str, read: Callable[[str, str], _Entry]) -> Dict[str, _Entry]:
+        """Read a table; what means nothing is set aside."""
+        found: Dict[str, _Entry] = {}
+        causes: Dict[str, str] = {}
+        for key, text in self._file.rows(table).items():
             try:
-                os.makedirs(os.path.dirname(os.path.abspath(self.path)), exist_ok=True)
-            except OSError as error:
-                raise StoreError(self.path, error) from error
-        try:
-            return self._connect()
-        except (sqlite3.DatabaseError, ValueError, TypeError) as error:
-            if self.path == _IN_MEMORY or _cannot_open(error):
-                raise StoreError(self.path, error) from error
-            self._set_aside(error)
-        try:
-            return self._connect()
-        except sqlite3.DatabaseError as error:
-            raise StoreError(self.path, error) from error
-
-    def _connect(self) -> sqlite3.Connection:
-        connection = sqlite3.connect(self.path, check_same_thread=False, isolation_level=None)
-        try:
-            connection.execute("PRAGMA journal_mode = WAL")
-            connection.execute("PRAGMA synchronous = NORMAL")
-            connection.executescript(_TABLES)
-            (found,) = connection.execute("PRAGMA user_version").fetchone()
-            if found not in (0, FORMAT):
-                raise ValueError(f"it has format {found}, this program writes format {FORMAT}")
-            connection.execute(f"PRAGMA user_version = {FORMAT}")
-            (verdict,) = connection.execute("PRAGMA quick_check(1)").fetchone()
-            if verdict != "ok":
-                raise ValueError(verdict)
-            self._check(connection)
-        except BaseException:
-            connection.close()
-            raise
-        return connection
-
-    @staticmethod
-    def _check(connection: sqlite3.Connection) -> None:
-        for name, body in connection.execute("SELECT name, body FROM nodelets"):
-            _record(name, json.loads(body))
-        for (body,) in connection.execute("SELECT body FROM claims"):
-            json.loads(body)
-        for (value,) in connection.execute("SELECT value FROM facts"):
-            int(value)
-
-    def _set_aside(self, error: Exception) -> None:
-        aside = f"{self.path}.broken-{time.strftime('%Y%m%d-%H%M%S')}"
-        for suffix in ("", "-wal", "-shm"):
-            if os.path.exists(self.path + suffix):
-                os.replace(self.path + suffix, aside + suffix)
-        self.complaint = (
-            f"state file '{self.path}' could not be used ({error}); it was set aside as "
-            f"'{aside}' and an empty one was begun"
-        )
-
-    def _read(self, query: str, arguments: Sequence[Any] = ()) -> List[Tuple[Any, ...]]:
-        with self._lock:
-            try:
-                return self._connection.execute(query, arguments).fetchall()
-            except sqlite3.Error as error:
-                raise StoreError(self.path, error) from error
-
-    def _write(self, changes: Sequence[Tuple[str, Sequence[Tuple[Any, ...]]]]) -> None:
-        with self._lock:
-            try:
-                self._connection.execute("BEGIN IMMEDIATE")
-                try:
-                    for statement, rows in changes:
-                        self._connection.executemany(statement, rows)
-                    self._connection.execute("COMMIT")
-                except BaseException:
-                    self._connection.execute("ROLLBACK")
-                    raise
-            except sqlite3.Error as error:
-                raise StoreError(self.path, error) from error
-
-
-def _cannot_open(error: Exception) -> bool:
-    return isinstance(error, sqlite3.OperationalError) and "unable to open" in str(error)
+                found[key] = read(key, text)
+            except MEANINGLESS as error:
+                causes[key] = f"{type(error).__name__}: {error}"
+        if causes:
+            self._file.reject(table, causes)
+        return found
 
 
 def _body(record: Record) -> str:
@@ -253,9 +209,15 @@ def _body(record: Record) -> str:
     )
 
 
-def _record(name: str, body: Dict[str, Any]) -> Record:
+def _record(name: str, text: str) -> Record:
+    body = json.loads(text)
     made_from = body.pop("transformation")
     state = State(body.pop("state"))
-    return Record(
-        name=name, transformation=unpack(made_from) if made_from else None, state=state, **body
-    )
+    transformation = unpack(made_from) if made_from else None
+    record = Record(name=name, transformation=transformation, state=state, **body)
+    check_types(record)
+    if names.check(name, "nodelet name") != name or name[:1] != "/":
+        raise ValueError("its name is not global")
+    for parameter in transformation.parameters if transformation is not None else ():
+        parse_value(parameter.type, parameter.text)
+    return record

@@ -12,7 +12,8 @@ from typing import Any, Callable, Dict, List, Optional, Set
 
 from dyknow.errors import UnknownClaim
 from dyknow.manager.claim import Claim, ClaimEvent, ClaimState, StreamRequest
-from dyknow.manager.store import Store
+from dyknow.manager.moment import Moment
+from dyknow.manager.store import MEANINGLESS, Store
 
 
 class ClaimTable:
@@ -31,10 +32,7 @@ class ClaimTable:
         self._ended_kept = ended_kept
         self._writing = threading.Lock()  # the disk has them in the order of the memory
         self._lock = threading.Lock()
-        now = clock()
-        self._claims: Dict[str, Claim] = {
-            claim_id: Claim.from_body(body, now) for claim_id, body in store.claims().items()
-        }
+        self._claims: Dict[str, Claim] = self._stored()
         #: Called with every change, outside the locks.
         self.on_event: Callable[[ClaimEvent], None] = lambda event: None
 
@@ -155,7 +153,23 @@ class ClaimTable:
         if claim is not None and claim.deadline is not None and now >= claim.deadline:
             self.end(claim_id, ClaimState.EXPIRED, "its lease ended")
 
+    def _stored(self) -> Dict[str, Claim]:
+        now = Moment.now(self._clock)
+        claims: Dict[str, Claim] = {}
+        causes: Dict[str, str] = {}
+        for claim_id, body in self._store.claims().items():
+            try:
+                claim = Claim.from_body(body, now)
+                if claim.claim_id != claim_id:
+                    raise ValueError(f"it says that it is '{claim.claim_id}'")
+                claims[claim_id] = claim
+            except MEANINGLESS as error:
+                causes[claim_id] = f"{type(error).__name__}: {error}"
+        if causes:
+            self._store.reject_claims(causes)
+        return claims
+
     def _write(self, claim: Claim) -> None:
-        self._store.put_claim(claim.claim_id, claim.body(self._clock()))
+        self._store.put_claim(claim.claim_id, claim.body(Moment.now(self._clock)))
         with self._lock:
             self._claims[claim.claim_id] = claim

@@ -85,6 +85,7 @@ class Children:
         self._lock = threading.Condition()
         self._children: Dict[str, Child] = {}
         self._ending = False
+        self._unwritten = False  # the disk did not take the records
 
     def adopt(self) -> List[str]:
         """Take over the children of an earlier life that still run, and return their names."""
@@ -176,7 +177,9 @@ class Children:
         self._end(children)
 
     def echo(self) -> None:
-        """Show what the children printed since the last call."""
+        """Show what the children printed since the last call; write what could not be written."""
+        if self._unwritten:
+            self._write()
         for child in self.all():
             if child.follower is not None:
                 child.follower.copy(sys.stdout)
@@ -344,4 +347,8 @@ class Children:
             try:
                 child_records.write(self._path, records)
             except OSError as error:
-                _log.error("'%s' cannot be written: %s", self._path, error)
+                if not self._unwritten:
+                    _log.error("'%s' cannot be written: %s", self._path, error)
+                self._unwritten = True
+            else:
+                self._unwritten = False

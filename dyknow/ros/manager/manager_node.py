@@ -65,8 +65,6 @@ class ManagerNode(Closable):
         self._settings = settings
         self._owner = OwnerLock(settings.state_path("lock"))
         self._store = Store(settings.state_path("sqlite3"))
-        if self._store.complaint:
-            rospy.logerr("%s", self._store.complaint)
         master = Master(node)
         self._children = Children(
             Launcher(

@@ -24,6 +24,7 @@ from dyknow_msgs.srv import (
 from dyknow.errors import DuplicatePort, DyKnowError, InvalidConfiguration
 from dyknow.manager.lifecycle import SpawnRequest
 from dyknow.manager.manager import Manager
+from dyknow.ros.manager.remarks import with_remark
 from dyknow.ros.messages import config_pairs
 from dyknow.ros.model_messages import ModelMessages
 from dyknow.ros.nodelets.guard_parameters import caller_of
@@ -48,7 +49,7 @@ class ManagerServices:
         self._messages = messages
         self._after_change = after_change
         self._services: List[Any] = [
-            rospy.Service(name, service_class, handler)
+            rospy.Service(name, service_class, with_remark(handler, lambda: manager.store.remark))
             for name, service_class, handler in (
                 ("~add_transformation", AddTransformation, self._add_transformation),
                 ("~remove_transformation", RemoveTransformation, self._remove_transformation),

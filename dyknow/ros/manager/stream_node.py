@@ -7,6 +7,7 @@ bonds with clients, the services and the topic of events.
 from __future__ import annotations
 
 import threading
+from functools import partial
 from typing import Callable, Set
 
 import rospy
@@ -20,6 +21,7 @@ from dyknow.ros.bonding.claim_bonds import ClaimBonds
 from dyknow.ros.manager.reconciling import Reconciling
 from dyknow.ros.manager.stream_messages import StreamMessages
 from dyknow.ros.manager.stream_services import StreamServices
+from dyknow.ros.rounds import attempt
 
 #: Events that may wait for a slow subscriber.
 _QUEUE_SIZE = 1000
@@ -49,7 +51,13 @@ class StreamNode:
         self._reconciling = Reconciling(self._keeper, self._has_work)
         self._keeper.on_event = self._on_event
         self._bonds.follow(self._keeper.claims())
-        self._services = StreamServices(self._keeper, manager.guards, self._messages, after_change)
+        self._services = StreamServices(
+            self._keeper,
+            manager.guards,
+            self._messages,
+            after_change,
+            lambda: manager.store.remark,
+        )
         self._reconciling.start()
 
     def note_change(self) -> None:
@@ -61,7 +69,9 @@ class StreamNode:
         self._services.close()
         self._reconciling.close(1.0)
         # A repair that is going on is waited for, but not long.
-        ending = threading.Thread(target=self._keeper.end, name="end of claims", daemon=True)
+        ending = threading.Thread(
+            target=partial(attempt, "ending the claims", self._keeper.end), daemon=True
+        )
         ending.start()
         ending.join(_END_PATIENCE)
         self._bonds.close()  # the topic is withdrawn with the node, when the last is sent

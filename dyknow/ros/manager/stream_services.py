@@ -33,6 +33,7 @@ from dyknow.guards import Guards
 from dyknow.manager.claim import Claim, StreamRequest
 from dyknow.manager.claims.keeper import Acquired, Keeper
 from dyknow.manager.planning.explanation import as_tree
+from dyknow.ros.manager.remarks import with_remark
 from dyknow.ros.manager.stream_messages import StreamMessages
 from dyknow.ros.nodelets.guard_parameters import caller_of
 
@@ -57,6 +58,7 @@ class StreamServices:
         guards: Guards,
         messages: StreamMessages,
         after_change: Callable[[], None],
+        remark: Callable[[], str],
     ) -> None:
         """Offer them.
 
@@ -65,13 +67,14 @@ class StreamServices:
             guards: what nobody may do.
             messages: makes messages of claims.
             after_change: called after each attempt to change something, before it is answered.
+            remark: what the answer to a change has to add; empty for nothing.
         """
         self._keeper = keeper
         self._guards = guards
         self._messages = messages
         self._after_change = after_change
         self._services: List[Any] = [
-            rospy.Service(name, service_class, handler)
+            rospy.Service(name, service_class, with_remark(handler, remark))
             for name, service_class, handler in (
                 ("~acquire_stream", AcquireStream, self._acquire),
                 ("~release_stream", ReleaseStream, self._release),

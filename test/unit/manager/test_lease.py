@@ -1,0 +1,107 @@
+"""Leases over the death of the manager: they go on, and are never longer than they were."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+from faulty_disk import kept_aside
+from unit.manager.field import Field
+
+from dyknow.manager.claim import Claim, ClaimState, StreamRequest
+from dyknow.manager.moment import Moment
+
+WRITTEN = Moment(steady=1000.0, wall=50_000.0, boot="first")
+
+
+def left(now: Moment) -> float:
+    """What is left of a lease of ten seconds that was written with eight to go."""
+    claim = Claim("c", StreamRequest("T(a)", lease=10.0), deadline=WRITTEN.steady + 8.0)
+    body = json.loads(json.dumps(claim.body(WRITTEN)))
+    deadline = Claim.from_body(body, now).deadline
+    assert deadline is not None
+    return deadline - now.steady
+
+
+@pytest.mark.parametrize(
+    ("now", "expected"),
+    [
+        (Moment(1003.0, 50_003.0, "first"), 5.0),
+        (Moment(1003.0, 90_000.0, "first"), 5.0),  # somebody set the clock
+        (Moment(1003.0, 10.0, "first"), 5.0),
+        (Moment(1100.0, 50_003.0, "first"), -92.0),
+        (Moment(7.0, 50_003.0, "second"), 5.0),  # the machine was restarted
+        (Moment(2000.0, 50_003.0, "second"), 5.0),
+        (Moment(7.0, 10.0, "second"), 8.0),  # and has lost the time: no longer than it was
+        (Moment(7.0, 50_003.0, ""), 5.0),
+    ],
+)
+def test_a_lease_goes_on_whatever_happened_to_the_clocks(now: Moment, expected: float) -> None:
+    assert left(now) == pytest.approx(expected)
+
+
+def test_a_lease_that_was_written_without_its_moment_is_as_long_as_it_was() -> None:
+    body = Claim("c", StreamRequest("T(a)", lease=10.0), deadline=1008.0).body(WRITTEN)
+    del body["written"]
+    assert Claim.from_body(body, Moment(5.0, 1.0, "later")).deadline == 13.0
+
+
+def test_a_lease_goes_on_while_the_manager_is_dead(tmp_path: Path) -> None:
+    field = Field(str(tmp_path / "state"))
+    claim = field.acquire(lease=20.0).claim
+    assert claim.deadline is not None
+    field.settle(4.0)
+    field.store.close()
+    field.now += 6.0
+    field.open()
+    assert field.keeper.claims()[0].deadline == pytest.approx(claim.deadline)
+    field.settle(9.0)
+    assert field.state(claim.claim_id) is ClaimState.ACTIVE
+    field.settle(2.0)
+    assert field.state(claim.claim_id) is ClaimState.EXPIRED
+
+
+def test_a_lease_that_ended_while_the_manager_was_dead_has_ended(tmp_path: Path) -> None:
+    field = Field(str(tmp_path / "state"))
+    claim = field.acquire(lease=20.0).claim
+    field.store.close()
+    field.now += 30.0
+    field.open()
+    field.tick()
+    assert field.state(claim.claim_id) is ClaimState.EXPIRED
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"claim_id": "other"},
+        {"state": 9},
+        {"left": "long"},
+        {"left": float("nan")},
+        {"wiring": {"/n": "in"}},
+        {"written": {"steady": "x"}},
+        {"written": {"steady": "x", "wall": 1.0, "boot": ""}},
+        {"request": {}},
+        {"request": {"tag": "T("}},
+        {"goal": ["/n"]},
+        {"surprise": 1},
+    ],
+)
+def test_a_claim_that_means_nothing_is_set_aside_and_the_others_are_kept(
+    tmp_path: Path, change: dict[str, object]
+) -> None:
+    path = str(tmp_path / "state")
+    field = Field(path)
+    claim = field.acquire(lease=20.0).claim
+    field.store.close()
+    body = json.dumps({**claim.body(WRITTEN), "claim_id": "bad", **change})
+    with closing(sqlite3.connect(path, isolation_level=None)) as connection:
+        connection.execute("INSERT INTO claims VALUES ('bad', ?)", (body,))
+    field.open()
+    assert [each.claim_id for each in field.keeper.claims()] == [claim.claim_id]
+    assert "claims 'bad'" in field.store.complaint
+    (aside,) = kept_aside(path)
+    assert json.loads(aside.read_text())[0]["key"] == "bad"

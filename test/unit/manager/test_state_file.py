@@ -1,0 +1,374 @@
+"""The state file on disks with real faults, and damaged in every way."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import resource
+import shutil
+import sqlite3
+import subprocess
+import sys
+from contextlib import closing
+from pathlib import Path
+from typing import Callable, Dict
+
+import pytest
+from faulty_disk import full, kept_aside, locked, read_only, small_disk
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
+
+from dyknow.errors import StoreError
+from dyknow.manager import state_file
+from dyknow.manager.state_file import StateFile
+
+#: Enough to fill several pages, some of them overflowing.
+ROWS = {("nodelets", f"/n{i:03}"): f"{i:03} " + "x" * (40 * i) for i in range(60)}
+CLAIM = {("claims", "c"): "of a client"}
+
+
+class Clock:
+    def __init__(self) -> None:
+        self.now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def content(file: StateFile) -> Dict[tuple[str, str], str]:
+    return {
+        (table, key): text
+        for table in ("facts", "transformations", "nodelets", "claims")
+        for key, text in file.rows(table).items()
+    }
+
+
+def written(path: str, rows: Dict[tuple[str, str], str] = ROWS) -> str:
+    file = StateFile(path)
+    file.write(rows)
+    file.close()
+    return path
+
+
+def reopened(path: str) -> Dict[tuple[str, str], str]:
+    file = StateFile(path)
+    try:
+        assert (file.trouble, file.complaint) == ("", "")
+        return content(file)
+    finally:
+        file.close()
+
+
+# Trouble: the file is sound
+
+
+def test_a_disk_that_fills_up_is_named_and_what_it_did_not_take_is_written_later(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    clock = Clock()
+    with small_disk(tmp_path / "disk") as disk:
+        path = written(str(disk / "state"))
+        file = StateFile(path, clock)
+        with full(disk):
+            file.write({**CLAIM, ("nodelets", "/n000"): None, ("nodelets", "/big"): "y" * 50_000})
+            assert "disk is full" in file.trouble and "free some space" in file.trouble
+            assert "rollback" not in caplog.text
+            expected = {**ROWS, **CLAIM, ("nodelets", "/big"): "y" * 50_000}
+            del expected["nodelets", "/n000"]
+            assert content(file) == expected
+            clock.now += 10
+            file.write_pending()
+            assert "disk is full" in file.trouble
+        clock.now += 10
+        file.write_pending()
+        assert file.trouble == ""
+        file.close()
+        assert reopened(path) == expected
+        assert kept_aside(path) == []
+
+
+def test_a_trouble_that_goes_on_is_reported_from_time_to_time(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    clock = Clock()
+    path = written(str(tmp_path / "state"))
+    file = StateFile(path, clock)
+    with closing(sqlite3.connect(path, isolation_level=None)) as other:
+        other.execute("BEGIN IMMEDIATE")
+        file.write(CLAIM)
+        for _ in range(130):
+            clock.now += 1.0
+            file.write_pending()
+        reports = [each for each in caplog.records if each.levelno == logging.ERROR]
+        assert len(reports) == 3
+        assert "locked by another program" in reports[-1].getMessage()
+    clock.now += 1.0
+    file.write_pending()
+    assert caplog.records[-1].getMessage().endswith("is written again; nothing is missing")
+    file.close()
+
+
+def start_when_full(path: str) -> None:
+    with full(Path(path).parent):
+        assert_read_and_kept(path, "disk")
+
+
+def start_when_locked(path: str) -> None:
+    with locked(path):
+        assert_read_and_kept(path, "locked by another program")
+
+
+def start_when_read_only(path: str) -> None:
+    with read_only(Path(path).parent):
+        assert_read_and_kept(path, "read-only")
+
+
+def assert_read_and_kept(path: str, cause: str) -> None:
+    clock = Clock()
+    file = StateFile(path, clock)
+    assert content(file) == ROWS
+    assert cause in file.trouble and file.complaint == ""
+    file.write(CLAIM)
+    assert content(file) == {**ROWS, **CLAIM}
+    clock.now += 10
+    file.write_pending()
+    assert file.trouble
+    FILES.append((file, clock))
+
+
+FILES: list[tuple[StateFile, Clock]] = []
+
+
+@pytest.mark.parametrize("start", [start_when_full, start_when_locked, start_when_read_only])
+@pytest.mark.parametrize("killed", [False, True], ids=["closed", "killed"])
+def test_a_start_with_a_sound_file_that_cannot_be_written_reads_it_and_writes_it_later(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    start: Callable[[str], None],
+    killed: bool,
+) -> None:
+    monkeypatch.setattr(state_file, "_START_PATIENCE", 0.1)
+    with small_disk(tmp_path / "disk") as disk:
+        path = written(str(disk / "state"))
+        if killed:  # what was written last is still in the log beside the file
+            leave_log(path)
+            assert os.path.getsize(path + "-wal") > 0
+        start(path)
+        file, clock = FILES.pop()
+        clock.now += 10
+        file.write_pending()
+        assert file.trouble == ""
+        file.close()
+        assert reopened(path) == {**ROWS, **CLAIM}
+        assert kept_aside(path) == []
+
+
+def leave_log(path: str) -> None:
+    """Write the rows as somebody who is killed right afterwards."""
+    os.remove(path)
+    code = (
+        "import os, sys; from unit.manager.test_state_file import *;"
+        f"StateFile({path!r}).write(ROWS); os._exit(9)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], check=False, env=_environment())
+    assert done.returncode == 9
+
+
+def _environment() -> Dict[str, str]:
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+
+
+def test_a_file_that_may_not_grow_is_read_and_kept(tmp_path: Path) -> None:
+    path = written(str(tmp_path / "state"))
+    code = (
+        "import resource; from unit.manager.test_state_file import *;"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0));"
+        f"file = StateFile({path!r});"
+        "assert content(file) == ROWS;"
+        "file.write(CLAIM);"
+        "assert content(file) == {**ROWS, **CLAIM};"
+        "assert 'input/output' in file.trouble, file.trouble;"
+        "file.close()"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, env=_environment())
+    assert resource.getrlimit(resource.RLIMIT_FSIZE)[0] != 0
+    assert kept_aside(path) == []
+    assert reopened(path) == ROWS
+
+
+def test_what_cannot_be_read_at_all_is_an_error_and_stays(tmp_path: Path) -> None:
+    path = tmp_path / "state"
+    path.mkdir()
+    with pytest.raises(StoreError, match="cannot be read"):
+        StateFile(str(path))
+    assert list(tmp_path.iterdir()) == [path]
+
+
+# Damage
+
+
+def damaged(path: str, damage: Callable[[bytearray], bytes]) -> bytes:
+    with open(path, "rb") as file:
+        broken = bytes(damage(bytearray(file.read())))
+    for suffix in ("-wal", "-shm"):
+        if os.path.exists(path + suffix):
+            os.remove(path + suffix)
+    with open(path, "wb") as file:
+        file.write(broken)
+    return broken
+
+
+def flip(where: int, bits: int) -> Callable[[bytearray], bytes]:
+    def damage(data: bytearray) -> bytes:
+        data[where % len(data)] ^= bits
+        return data
+
+    return damage
+
+
+def truncate(where: int, unused: int) -> Callable[[bytearray], bytes]:
+    return lambda data: data[: where % len(data)]
+
+
+def zero(where: int, count: int) -> Callable[[bytearray], bytes]:
+    def damage(data: bytearray) -> bytes:
+        begin = where % len(data)
+        end = min(len(data), begin + 16 * count)
+        data[begin:end] = bytes(end - begin)
+        return data
+
+    return damage
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> str:
+    rows = {**ROWS, **CLAIM, ("facts", "revision"): "41"}
+    rows.update({("transformations", f"t{i}"): "t" * 200 for i in range(200)})
+    return written(str(tmp_path_factory.mktemp("sound") / "state"), rows)
+
+
+def check_start(sound: str, folder: Path, damage: Callable[[bytearray], bytes]) -> None:
+    """Start with a damaged file: nothing is raised, and what is used next lasts."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    path = str(folder / "state")
+    shutil.copyfile(sound, path)
+    broken = damaged(path, damage)
+    file = StateFile(path)
+    found = content(file)
+    assert file.trouble == ""
+    if file.complaint and broken:
+        (aside,) = kept_aside(path)
+        assert str(aside) in file.complaint
+        assert aside.read_bytes()[100:] == broken[100:]  # the header counts who opened it
+    file.write({("claims", "new"): "claim"})
+    file.close()
+    assert reopened(path) == {**found, ("claims", "new"): "claim"}
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(st.sampled_from([flip, truncate, zero]), st.integers(0, 10**6), st.integers(1, 255))
+@example(flip, 18, 7)  # sqlite takes the file for one that it may only read
+@example(flip, 60, 1)  # another format
+@example(truncate, 0, 1)
+@example(zero, 0, 255)
+def test_a_start_with_any_damage_works(
+    sound: str,
+    tmp_path_factory: pytest.TempPathFactory,
+    kind: Callable[[int, int], Callable[[bytearray], bytes]],
+    where: int,
+    extent: int,
+) -> None:
+    folder = tmp_path_factory.getbasetemp() / "damaged"
+    check_start(sound, folder, kind(where, extent))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kind", [flip, truncate, zero])
+def test_a_start_with_damage_at_every_place_works(
+    sound: str, tmp_path: Path, kind: Callable[[int, int], Callable[[bytearray], bytes]]
+) -> None:
+    for where in [*range(200), *range(200, os.path.getsize(sound), 211)]:
+        check_start(sound, tmp_path / "damaged", kind(where, 255))
+
+
+def test_what_can_be_read_of_a_damaged_file_is_kept(tmp_path: Path) -> None:
+    path = written(str(tmp_path / "state"))
+    with closing(sqlite3.connect(path)) as connection:
+        (page,) = connection.execute(
+            "SELECT rootpage FROM sqlite_master WHERE name = 'claims'"
+        ).fetchone()
+        (size,) = connection.execute("PRAGMA page_size").fetchone()
+    damaged(path, lambda data: data[: (page - 1) * size] + b"\xff" * size + data[page * size :])
+    file = StateFile(path)
+    assert content(file) == ROWS
+    assert "Page" in file.complaint or "malformed" in file.complaint
+    assert "60 nodelets" in file.complaint
+    file.close()
+    assert reopened(path) == ROWS
+
+
+@pytest.mark.parametrize("where", [0, 15, 16, 44, 100, 105, 3700, 3900])
+def test_a_damaged_first_page_loses_nothing(tmp_path: Path, where: int) -> None:
+    path = written(str(tmp_path / "state"), {**ROWS, **CLAIM})
+    damaged(path, lambda data: data[:where] + b"\xbb" * 196 + data[where + 196 :])
+    file = StateFile(path)
+    assert content(file) == {**ROWS, **CLAIM}
+    assert file.complaint
+    file.close()
+    assert reopened(path) == {**ROWS, **CLAIM}
+
+
+def test_a_damaged_file_on_a_full_disk_stays_until_its_successor_is_complete(
+    tmp_path: Path,
+) -> None:
+    clock = Clock()
+    with small_disk(tmp_path / "disk") as disk:
+        path = written(str(disk / "state"))
+        broken = damaged(path, flip(18, 7))
+        with full(disk):
+            for _ in range(2):  # killed, and started again
+                file = StateFile(path, clock)
+                assert content(file) == ROWS
+                assert "damaged" in file.trouble and "full" in file.trouble
+                assert Path(path).read_bytes()[100:] == broken[100:]
+                file.write(CLAIM)
+        clock.now += 10
+        file.write_pending()
+        assert file.trouble == "" and "set aside" in file.complaint
+        file.close()
+        assert reopened(path) == {**ROWS, **CLAIM}
+
+
+def test_a_replacement_that_was_interrupted_is_completed(tmp_path: Path) -> None:
+    path = written(str(tmp_path / "state"))
+    os.replace(path, path + ".new")  # the old one was set aside just before
+    assert reopened(path) == ROWS
+
+
+def test_a_file_that_is_damaged_while_it_is_open_is_replaced(tmp_path: Path) -> None:
+    path = written(str(tmp_path / "state"))
+    file = StateFile(path)
+    with closing(sqlite3.connect(path, isolation_level=None)) as other:
+        other.execute("DROP TABLE claims")
+    file.write(CLAIM)
+    assert file.trouble == ""
+    file.close()
+    assert reopened(path) == {**ROWS, **CLAIM}
+
+
+def test_rejected_rows_are_set_aside_with_the_cause(tmp_path: Path) -> None:
+    path = written(str(tmp_path / "state"), {**ROWS, ("claims", "bad"): "né"})
+    with closing(sqlite3.connect(path, isolation_level=None)) as other:
+        other.execute("INSERT INTO claims VALUES (CAST(x'ff41' AS TEXT), CAST(x'fe' AS TEXT))")
+    file = StateFile(path)
+    keys = list(file.rows("claims"))
+    file.reject("claims", {key: "no claim" for key in keys})
+    (aside,) = kept_aside(path)
+    entries = json.loads(aside.read_text())
+    assert [each["key"] for each in entries] == sorted(keys)
+    assert entries[0] == {"table": "claims", "key": "bad", "text": "né", "cause": "no claim"}
+    assert str(aside) in file.complaint and "claims 'bad': no claim" in file.complaint
+    file.close()
+    assert reopened(path) == ROWS
