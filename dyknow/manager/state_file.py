@@ -268,6 +268,8 @@ class StateFile:
         return name
 
     def _complain(self, what: str) -> None:
+        # Bytes that are no UTF-8 can be in what is damaged, but not in a message of ROS.
+        what = what.encode("utf-8", "backslashreplace").decode("utf-8")
         complaint = f"state file '{self.path}': {what}"
         self.complaint += ("\n" if self.complaint else "") + complaint
         _log.error("%s", complaint)

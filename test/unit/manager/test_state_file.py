@@ -370,5 +370,6 @@ def test_rejected_rows_are_set_aside_with_the_cause(tmp_path: Path) -> None:
     assert [each["key"] for each in entries] == sorted(keys)
     assert entries[0] == {"table": "claims", "key": "bad", "text": "né", "cause": "no claim"}
     assert str(aside) in file.complaint and "claims 'bad': no claim" in file.complaint
+    file.complaint.encode("utf-8")  # as the message that the log makes of it
     file.close()
     assert reopened(path) == ROWS
