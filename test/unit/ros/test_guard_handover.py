@@ -14,6 +14,7 @@ from dyknow.guards import Guards
 from dyknow.manager.host import Kind, LoadRequest
 from dyknow.ros.hosting.host import RosHost
 from dyknow.ros.master import Master
+from dyknow.ros.transport.registrar import Registrar
 
 NODELET_MANAGER = "/nodelet_manager"
 KEY = "/nodelet_manager/guards/manager"
@@ -65,6 +66,11 @@ class OneChild:
         """It is."""
 
 
+def host_of(master, timeout, guards):
+    asked = Master("/manager", master.uri, timeout)
+    return RosHost(asked, OneChild(), Registrar(asked), guards=guards)
+
+
 @pytest.fixture
 def master():
     master = SlowMaster()
@@ -74,7 +80,7 @@ def master():
 
 def test_guards_that_were_not_taken_are_handed_over_again(master):
     guards = Guards(denied_topics=("/e_stop",), read_only=True)
-    host = RosHost(Master("/manager", master.uri, timeout=0.3), OneChild(), (), guards)
+    host = host_of(master, 0.3, guards)
     request = LoadRequest("/nodelet", "package/Class")
     master.is_late.set()
     assert [state.name for state in host.managers()] == [NODELET_MANAGER]
@@ -93,7 +99,7 @@ def test_guards_that_were_not_taken_are_handed_over_again(master):
 
 
 def test_guards_that_were_taken_are_not_handed_over_at_each_look(master):
-    host = RosHost(Master("/manager", master.uri, timeout=30.0), OneChild(), (), Guards())
+    host = host_of(master, 30.0, Guards())
     host.managers()
     del master.parameters[KEY]
     host.managers()
