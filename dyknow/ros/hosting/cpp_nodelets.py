@@ -26,6 +26,7 @@ from dyknow import names
 from dyknow.errors import DuplicatePort, DyKnowError, UnknownNodelet
 from dyknow.manager.manager import Manager
 from dyknow.manager.model import Record, State
+from dyknow.ros.log_text import for_log
 from dyknow.ros.messages import config_pairs
 from dyknow.ros.model_messages import running_port
 from dyknow.ros.nodelets.guard_parameters import caller_of
@@ -78,10 +79,12 @@ class CppNodelet:
                 config[port] = topic
             self._manager.reconfigure(self._name, config)
         except DyKnowError as error:
-            rospy.logerr("%s: set_config of %s: %s", self._name, caller, error)
+            rospy.logerr("%s: set_config of %s: %s", self._name, for_log(caller), for_log(error))
             return SetConfigResponse(False, str(error))
         self._reconfigurations += 1
-        rospy.loginfo("%s: loaded anew with the connections that %s wants", self._name, caller)
+        rospy.loginfo(
+            "%s: loaded anew with the connections that %s wants", self._name, for_log(caller)
+        )
         return SetConfigResponse(True, "")
 
     def _get_statistics(self, request: Any) -> GetStatisticsResponse:

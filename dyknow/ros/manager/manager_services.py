@@ -24,6 +24,7 @@ from dyknow_msgs.srv import (
 from dyknow.errors import DuplicatePort, DyKnowError, InvalidConfiguration
 from dyknow.manager.lifecycle import SpawnRequest
 from dyknow.manager.manager import Manager
+from dyknow.ros.log_text import for_log
 from dyknow.ros.manager.remarks import with_remark
 from dyknow.ros.messages import config_pairs
 from dyknow.ros.model_messages import ModelMessages
@@ -129,11 +130,11 @@ class ManagerServices:
 
     def _try(self, request: Any, what: str, action: Callable[[], str | None]) -> Tuple[bool, str]:
         """Do what a request asks for; the answer says whether it worked, and why not."""
-        caller = caller_of(request)
+        what, caller = for_log(what), for_log(caller_of(request))
         try:
             message = self._followed_up(action) or ""
         except DyKnowError as error:
-            rospy.logwarn("%s for %s: refused: %s", what, caller, error)
+            rospy.logwarn("%s for %s: refused: %s", what, caller, for_log(error))
             return False, str(error)
         except Exception as error:  # the boundary of the service
             _log.exception("%s for %s failed", what, caller)

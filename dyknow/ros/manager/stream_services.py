@@ -33,6 +33,7 @@ from dyknow.guards import Guards
 from dyknow.manager.claim import Claim, StreamRequest
 from dyknow.manager.claims.keeper import Acquired, Keeper
 from dyknow.manager.planning.explanation import as_tree
+from dyknow.ros.log_text import for_log
 from dyknow.ros.manager.remarks import with_remark
 from dyknow.ros.manager.stream_messages import StreamMessages
 from dyknow.ros.nodelets.guard_parameters import caller_of
@@ -111,6 +112,7 @@ class StreamServices:
 
     def _release(self, request: Any) -> ReleaseStreamResponse:
         def release() -> None:
+            self._guards.check_sizes([request.claim_id])
             self._guards.check_writable(f"releasing '{request.claim_id}'")
             self._keeper.release(request.claim_id)
 
@@ -120,6 +122,7 @@ class StreamServices:
     def _renew(self, request: Any) -> RenewStreamResponse:
         """Renew a lease; it happens often, and is no news."""
         try:
+            self._guards.check_sizes([request.claim_id])
             claim: Claim = self._keeper.renew(request.claim_id, _lease(request))
         except DyKnowError as error:
             return RenewStreamResponse(False, str(error), rospy.Time())
@@ -129,6 +132,7 @@ class StreamServices:
         answer = ReplanStreamResponse()
 
         def replan() -> None:
+            self._guards.check_sizes([request.claim_id])
             acquired = self._keeper.replan(request.claim_id, request.dry_run)
             answer.message = acquired.claim.detail
             _tell_plan(answer, acquired)
@@ -164,14 +168,14 @@ class StreamServices:
 
     def _try(self, request: Any, what: str, action: Callable[[], None]) -> Optional[Exception]:
         """Do what a request asks for; returns why it did not work."""
-        caller = caller_of(request)
+        what, caller = for_log(what), for_log(caller_of(request))
         try:
             try:
                 action()
             finally:
                 self._after_change()
         except DyKnowError as error:
-            rospy.logwarn("%s for %s: refused: %s", what, caller, error)
+            rospy.logwarn("%s for %s: refused: %s", what, caller, for_log(error))
             return error
         except Exception as error:  # the boundary of the service
             _log.exception("%s for %s failed", what, caller)

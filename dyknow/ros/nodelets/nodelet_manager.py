@@ -33,6 +33,7 @@ from dyknow.nodelet.plugins import Plugins
 from dyknow.nodelet.scheduler import WorkerPool
 from dyknow.proxy.proxy import NodeletProxy
 from dyknow.ros.bonding.bonds import Bonds
+from dyknow.ros.log_text import for_log
 from dyknow.ros.messages import counts_message
 from dyknow.ros.nodelets.announcements import Announcer
 from dyknow.ros.nodelets.guard_parameters import GuardParameters, caller_of
@@ -135,13 +136,14 @@ class NodeletManager(Closable):
         Raises:
             DyKnowError: it could not be loaded, and nothing of it is left.
         """
+        guards = self._guards.current()
+        texts = (name, type_name, bond_id, *sources, *targets, *my_argv)
+        guards.check_sizes(texts, max(len(sources), len(targets), len(my_argv)))
         name = _resolved(name)
         namespace = names.parent(rospy.get_name())
         remappings = names.pair_remappings(name, sources, targets, namespace)
         if caller:
             self._guards.check_caller(caller, f"loading '{name}'")
-        guards = self._guards.current()
-        guards.check_sizes((type_name, *sources, *targets, *my_argv), len(sources))
         for target in remappings.values():
             guards.check_topic(target)
         self.loader.load(name, type_name, remappings, my_argv)
@@ -157,7 +159,9 @@ class NodeletManager(Closable):
             UnknownNodelet: there is none of that name.
             Denied: the mode is read-only.
             ProtectedFromUnloading: a DyKnow manager protects it.
+            TooMuch: the name is longer than any sensible one.
         """
+        self._guards.current().check_sizes([name])
         name = _resolved(name)
         if caller:
             self._guards.check_caller(caller, f"unloading '{name}'")
@@ -258,12 +262,13 @@ def _resolved(name: str) -> str:
 def _failed(what: str, name: str, error: DyKnowError) -> rospy.ServiceException:
     cause = error.__cause__
     lines = traceback.format_exception(type(cause), cause, cause.__traceback__) if cause else []
-    rospy.logerr("%s [%s]: %s", what, name, "\n".join([str(error), "".join(lines)]).rstrip())
+    text = "\n".join([str(error), "".join(lines)]).rstrip()
+    rospy.logerr("%s [%s]: %s", what, for_log(name), text)
     return rospy.ServiceException(str(error))
 
 
 def _for(caller: str) -> str:
-    return f" for {caller}" if caller else ""
+    return f" for {for_log(caller)}" if caller else ""
 
 
 def _end_without_owner() -> None:

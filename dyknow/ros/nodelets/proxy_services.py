@@ -18,6 +18,7 @@ from dyknow import names
 from dyknow.errors import DyKnowError
 from dyknow.nodelet.middleware import Closable
 from dyknow.proxy.proxy import NodeletProxy
+from dyknow.ros.log_text import for_log
 from dyknow.ros.messages import config_pairs, port_messages, statistics_message
 from dyknow.ros.nodelets.guard_parameters import GuardParameters, caller_of
 
@@ -75,13 +76,13 @@ class ProxyServices(Closable):
             self._guards.check_caller(caller, f"connecting ports of '{name}'")
             self._proxy.set_config(config)
         except DyKnowError as error:
-            rospy.logerr("%s: set_config of %s: %s", name, caller, error)
+            rospy.logerr("%s: set_config of %s: %s", name, for_log(caller), for_log(error))
             return SetConfigResponse(False, str(error))
         rospy.loginfo(
             "%s: %s connected %s",
             name,
-            caller,
-            ", ".join(f"'{port}' to {topic or 'nothing'}" for port, topic in config),
+            for_log(caller),
+            for_log(", ".join(f"'{port}' to {topic or 'nothing'}" for port, topic in config)),
         )
         return SetConfigResponse(True, "")
 
