@@ -1,4 +1,8 @@
-"""How large a specification may be, so that a hostile one cannot take the manager's memory."""
+"""How large what is read may be, so that a hostile text cannot take the manager's memory.
+
+What one request may contain besides is limited by ``dyknow.guards.Guards``; the page on security
+lists all limits.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +11,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Limits:
-    """The caps that hold while a specification is read; each is checked before it would hurt.
+    """The caps on specifications, wirings and ontologies; each is checked before it would hurt.
 
     Attributes:
         text_size: Size of the XML text in bytes.
@@ -20,6 +24,8 @@ class Limits:
         yaml_nodes: Scalars, lists and mappings in one YAML value.
         yaml_size: Characters in all YAML values of one text together, equal ones counted once.
         problems: Problems that are listed; reading ends when there are more.
+        ontology_size: Size of one file of an ontology in bytes.
+        expanded_entities: Bytes that the entities of one RDF/XML file may expand to.
     """
 
     text_size: int = 64 * 2**20
@@ -32,6 +38,8 @@ class Limits:
     yaml_nodes: int = 100_000
     yaml_size: int = 16 * 2**20
     problems: int = 1000
+    ontology_size: int = 256 * 2**20
+    expanded_entities: int = 16 * 2**20
 
 
 DEFAULT_LIMITS = Limits()

@@ -14,12 +14,11 @@ import rdflib
 from rdflib import OWL, RDF, RDFS
 
 from dyknow.errors import IndividualsError, OntologyFileError, UnknownConcept
+from dyknow.manager.specifications.entities import check_entities
+from dyknow.manager.specifications.limits import DEFAULT_LIMITS, Limits
 
 FORMATS = {".ttl": "turtle", ".owl": "xml", ".rdf": "xml", ".nt": "nt"}
 """The formats that are read, by the file's extension."""
-
-MAX_FILE_SIZE = 256 * 2**20
-"""The size in bytes of the largest file that is read."""
 
 _BUILT_IN = (
     "http://www.w3.org/2002/07/owl#",
@@ -159,33 +158,38 @@ class Ontology:
                 self._by_name.setdefault(name, set()).add(uri)
 
 
-def load_ontology(paths: Iterable[str]) -> Ontology:
+def load_ontology(paths: Iterable[str], limits: Limits = DEFAULT_LIMITS) -> Ontology:
     """Read an ontology from local files.
 
     Args:
         paths: The files; the extension tells the format: .ttl, .owl, .rdf or .nt.
+        limits: The caps on each file.
 
     Raises:
         OntologyFileError: A file cannot be read, or is not what its extension says.
     """
     graph = rdflib.Graph()
     for path in paths:
-        _load(graph, os.fspath(path))
+        _load(graph, os.fspath(path), limits)
     return Ontology(graph)
 
 
-def _load(graph: rdflib.Graph, path: str) -> None:
+def _load(graph: rdflib.Graph, path: str, limits: Limits) -> None:
     kind = FORMATS.get(Path(path).suffix.lower())
     if kind is None:
         raise OntologyFileError(path, f"expected a file ending in {', '.join(sorted(FORMATS))}")
     try:
         with open(path, "rb") as file:
-            data = file.read(MAX_FILE_SIZE + 1)
+            data = file.read(limits.ontology_size + 1)
     except OSError as error:
         raise OntologyFileError(path, f"cannot be read: {error.strerror or error}") from error
-    if len(data) > MAX_FILE_SIZE:
-        raise OntologyFileError(path, f"is too large; expected at most {MAX_FILE_SIZE} bytes")
+    if len(data) > limits.ontology_size:
+        raise OntologyFileError(
+            path, f"is too large; expected at most {limits.ontology_size} bytes"
+        )
     try:
+        if kind == "xml":
+            check_entities(data, limits)
         # Handing over bytes, not a location, leaves rdflib nothing to fetch.
         graph.parse(data=data, format=kind, publicID=Path(path).absolute().as_uri())
     except Exception as error:  # each of rdflib's parsers raises its own, without a common base

@@ -137,7 +137,8 @@ class ManagerNode(Closable):
         for path in self._settings.transformations:
             try:
                 with open(path, encoding="utf-8") as file:
-                    found = self.manager.library.add(file.read(), path)
+                    text = file.read(self._settings.limits.text_size + 1)
+                found = self.manager.library.add(text, path)
             except (OSError, ValueError, DyKnowError) as error:
                 rospy.logerr("transformations of '%s' are not added: %s", path, error)
                 continue

@@ -199,6 +199,66 @@ def test_nothing_is_fetched_and_no_other_file_is_read(tmp_path, monkeypatch, ext
     assert load_ontology([str(path)]).individuals("http://example.org/C") == ("cam1",)
 
 
+RDF = """<?xml version="1.0"?>
+<!DOCTYPE rdf:RDF [
+{entities}
+]>
+<rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#"
+         xmlns:rdfs="http://www.w3.org/2000/01/rdf-schema#">
+  <rdf:Description rdf:about="http://example.org/a">
+    <rdf:type rdf:resource="http://example.org/C"/>
+    <rdfs:label>{label}</rdfs:label>
+  </rdf:Description>
+</rdf:RDF>
+"""
+
+
+def entity(name, value):
+    return f'<!ENTITY {name} "{value}">'
+
+
+NESTED = "\n".join(
+    [
+        entity("a", "a" * 10),
+        *(entity(one, f"&{of};" * 10) for one, of in zip("bcdefgh", "abcdefg")),
+    ]
+)
+
+
+@pytest.mark.parametrize(
+    ("entities", "label", "reason"),
+    [
+        (NESTED, "&h;", "the entity 'b' contains others"),
+        (entity("a", "&#38;b;"), "&a;", "the entity 'a' contains others"),
+        (entity("a", "x" * 100_000), "&a;" * 2000, "expand to 200000000 bytes"),
+        ("<!ENTITY % a \"<!ENTITY b 'c'>\"> %a;", "&b;", "'a' is one for declarations"),
+    ],
+)
+def test_entities_that_explode_are_refused_before_they_do(tmp_path, entities, label, reason):
+    path = tmp_path / "o.owl"
+    path.write_text(RDF.format(entities=entities, label=label))
+
+    with pytest.raises(OntologyFileError, match=reason):
+        load_ontology([str(path)])
+
+
+def test_exploding_entities_hide_in_no_encoding(tmp_path):
+    path = tmp_path / "o.owl"
+    text = RDF.format(entities=entity("a", "x" * 100_000), label="&a;" * 2000)
+    path.write_bytes(text.replace("?>", ' encoding="utf-16"?>', 1).encode("utf-16"))
+
+    with pytest.raises(OntologyFileError, match="UTF-16"):
+        load_ontology([str(path)])
+
+
+def test_entities_are_shorthands_for_namespaces(tmp_path):
+    path = tmp_path / "o.owl"
+    text = RDF.format(entities=entity("ns", "http://example.org/"), label="cam")
+    path.write_text(text.replace('"http://example.org/C"', '"&ns;D"'))
+
+    assert load_ontology([str(path)]).individuals("http://example.org/D") == ("cam",)
+
+
 @pytest.mark.parametrize(
     ("name", "content", "reason"),
     [
