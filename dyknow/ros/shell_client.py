@@ -12,7 +12,7 @@ import re
 import socket
 import time
 import xmlrpc.client
-from typing import Any, Callable, List, Optional, TypeVar
+from typing import Any, Callable, Dict, List, Optional, Sequence, TypeVar
 from xml.parsers.expat import ExpatError
 
 from dyknow_msgs.msg import Model, StreamEvent
@@ -29,6 +29,7 @@ from dyknow.ros.topic_reader import TopicReader
 from dyknow.ros.views import ModelView, model_view
 
 T = TypeVar("T")
+_UNSET = object()
 
 #: Seconds within which the manager's model follows a change that was made on a proxy.
 FOLLOW_TIMEOUT = 2.0
@@ -127,6 +128,25 @@ class ShellClient(ManagerClient):
         """Names of all topics that the master knows."""
         known = self._on_master(lambda: self._asked.ask("getTopicTypes"))
         return sorted(name for name, _ in known)
+
+    def stored_parameters(self, nodelet: str, parameters: Sequence[str]) -> Dict[str, Any]:
+        """Values that the parameter server has for parameters of a nodelet, by their names."""
+
+        def ask() -> Any:
+            try:
+                return self._asked.ask("getParam", nodelet)
+            except LookupError:
+                return {}  # it has none at all
+
+        stored = self._on_master(ask)
+        found = {}
+        for name in parameters:
+            value = stored
+            for part in name.split("/"):
+                value = value.get(part, _UNSET) if isinstance(value, dict) else _UNSET
+            if value is not _UNSET:
+                found[name] = value
+        return found
 
     def is_own_manager(self, name: str) -> bool:
         """Whether a nodelet manager is one that the DyKnow manager starts when it is needed."""

@@ -64,11 +64,11 @@ class Step:
 
 
 def steps_of(plan: Plan, client: Client) -> List[Step]:
-    """List the steps: transformations, then new nodelets, then changes of those that run."""
-    steps: List[Step] = []
+    """List the steps: what makes way, transformations, new nodelets, changes of those that run."""
+    steps = [_end(each, plan, client) for each in plan.remade]
     steps.extend(_add(each, client) for each in plan.added)
     steps.extend(_replace(old, new, client) for old, new in zip(plan.replaced, plan.replacing))
-    for nodelet in plan.spawned:
+    for nodelet in plan.made:
         steps.extend(_make(nodelet, plan, client))
     for kept in plan.kept:
         steps.extend(_change(kept, client))
@@ -142,24 +142,47 @@ def _replace(old: Transformation, new: Transformation, client: Client) -> Step:
     )
 
 
+def _end(kept: Kept, plan: Plan, client: Client) -> Step:
+    """End a nodelet that is to be made anew."""
+    former = WiredNodelet.of(kept.present)
+
+    def bring_back() -> None:
+        blueprint = plan.former.get(former.label)
+        if blueprint is None:
+            raise DyKnowError(f"the library has no '{former.label}' any more")
+        declared, later = _by_declaration(former, blueprint)
+        _spawn(client, former, declared, former.manager)
+        if later:
+            client.set_config(former.name, later)
+        if kept.outdated:
+            raise DyKnowError("it runs again, but is made as the library says now")
+
+    return Step(
+        f"ending '{former.name}'",
+        former.name,
+        lambda: client.destroy(former.name),
+        bring_back,
+    )
+
+
 def _make(nodelet: WiredNodelet, plan: Plan, client: Client) -> List[Step]:
     """Spawn a nodelet; ports that its transformation does not declare are connected then."""
-    declared = {port.name for port in plan.blueprints[nodelet.label].ports}
-    config = {port: topic for port, topic in nodelet.connections if port in declared}
-    later = {port: topic for port, topic in nodelet.connections if port not in declared}
+    config, later = _by_declaration(nodelet, plan.blueprints[nodelet.label])
     manager = "" if nodelet.name in plan.any_manager else nodelet.manager
-
-    def spawn() -> None:
-        client.spawn(
-            nodelet.label, nodelet.name, config, nodelet.is_protected, nodelet.isolated, manager
-        )
 
     def destroy() -> None:
         if nodelet.is_protected:
             client.set_protection(nodelet.name, False)
         client.destroy(nodelet.name)
 
-    steps = [Step(f"spawning '{nodelet.name}'", nodelet.name, spawn, destroy)]
+    steps = [
+        Step(
+            f"spawning '{nodelet.name}'",
+            nodelet.name,
+            lambda: _spawn(client, nodelet, config, manager),
+            destroy,
+        )
+    ]
     if later:
         steps.append(
             Step(
@@ -170,6 +193,24 @@ def _make(nodelet: WiredNodelet, plan: Plan, client: Client) -> List[Step]:
             )
         )
     return steps
+
+
+def _by_declaration(
+    nodelet: WiredNodelet, blueprint: Transformation
+) -> Tuple[Dict[str, str], Dict[str, str]]:
+    """Split the connections into those of declared ports and the others."""
+    declared = {port.name for port in blueprint.ports}
+    connections = nodelet.connections
+    return (
+        {port: topic for port, topic in connections if port in declared},
+        {port: topic for port, topic in connections if port not in declared},
+    )
+
+
+def _spawn(client: Client, nodelet: WiredNodelet, config: Dict[str, str], manager: str) -> None:
+    client.spawn(
+        nodelet.label, nodelet.name, config, nodelet.is_protected, nodelet.isolated, manager
+    )
 
 
 def _change(kept: Kept, client: Client) -> List[Step]:

@@ -3,7 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Callable, Collection, Dict, List, Mapping, Set, Tuple
+from typing import (
+    TYPE_CHECKING,
+    Callable,
+    Collection,
+    Dict,
+    List,
+    Mapping,
+    Optional,
+    Sequence,
+    Set,
+    Tuple,
+)
 
 from dyknow.manager.specifications.transformation import TOPIC, Transformation
 from dyknow.wiring.ports import connections_of, types_fit
@@ -13,12 +24,26 @@ if TYPE_CHECKING:
     from dyknow.ros.views import ModelView, NodeletView
 
 
+#: Tells which values the parameter server has for parameters of a nodelet, by their names.
+Stored = Callable[[str, Sequence[str]], Mapping[str, object]]
+
+
 @dataclass(frozen=True)
 class Kept:
-    """A nodelet that runs already, as it is wanted and as it is."""
+    """A nodelet that runs already, as it is wanted and as it is.
+
+    Attributes:
+        wanted: what the file says.
+        present: what runs.
+        differences: how it was made otherwise than it would be made now, in words.
+        outdated: whether the library had another transformation of that label at that time: it
+            cannot be made again as it was.
+    """
 
     wanted: WiredNodelet
     present: NodeletView
+    differences: Tuple[str, ...] = ()
+    outdated: bool = False
 
     @property
     def moves(self) -> Dict[str, str]:
@@ -45,10 +70,13 @@ class Plan:
         replaced: transformations that the library has otherwise: the present ones.
         replacing: what these are replaced with.
         same: labels of those that it has just so.
-        spawned: nodelets to make, readers before writers.
-        kept: nodelets that run already.
+        spawned: nodelets to make that are not there, readers before writers.
+        remade: nodelets that run and are to be made anew, since they were made otherwise.
+        kept: nodelets that run already, and go on.
         any_manager: names of nodelets whose nodelet manager is not there: the manager chooses.
         problems: why the load is refused; empty if it is not.
+        blueprints: the transformations to make nodelets from, by label.
+        former: those that the library has now, by label.
     """
 
     added: List[Transformation] = field(default_factory=list)
@@ -56,10 +84,18 @@ class Plan:
     replacing: List[Transformation] = field(default_factory=list)
     same: List[str] = field(default_factory=list)
     spawned: List[WiredNodelet] = field(default_factory=list)
+    remade: List[Kept] = field(default_factory=list)
     kept: List[Kept] = field(default_factory=list)
     any_manager: Set[str] = field(default_factory=set)
     problems: List[str] = field(default_factory=list)
     blueprints: Dict[str, Transformation] = field(default_factory=dict)
+    former: Dict[str, Transformation] = field(default_factory=dict)
+
+    @property
+    def made(self) -> List[WiredNodelet]:
+        """All nodelets to make, new and anew, readers before writers."""
+        wanted = [*self.spawned, *(each.wanted for each in self.remade)]
+        return readers_first(wanted, self.blueprints)
 
 
 def plan_load(
@@ -69,6 +105,7 @@ def plan_load(
     is_own_manager: Callable[[str], bool] = lambda name: False,
     replace: bool = False,
     any_manager: bool = False,
+    stored: Optional[Stored] = None,
 ) -> Plan:
     """Compare a wiring with what runs.
 
@@ -77,13 +114,18 @@ def plan_load(
         snapshot: What is there, with its transformations.
         managers: Nodelet managers that are up.
         is_own_manager: Tells a nodelet manager that the DyKnow manager starts when it is needed.
-        replace: Replace transformations that the library has otherwise.
+        replace: Replace transformations that the library has otherwise, and make nodelets anew
+            that were made otherwise.
         any_manager: Let the manager choose where the wanted nodelet manager is not up.
+        stored: Tells the parameters of nodelets; None if nobody can tell.
     """
     plan = Plan()
-    _plan_transformations(plan, wiring, snapshot, replace)
-    plan.blueprints = {each.label: each for each in snapshot.transformations}
-    plan.blueprints.update({each.label: each for each in wiring.transformations})
+    plan.former = {each.label: each for each in snapshot.transformations}
+    plan.blueprints = {
+        **plan.former,
+        **{each.label: each for each in wiring.transformations},
+    }
+    _plan_transformations(plan, wiring, replace)
     for nodelet in wiring.nodelets:
         blueprint = plan.blueprints.get(nodelet.label)
         if blueprint is None:
@@ -94,10 +136,10 @@ def plan_load(
             continue
         _check_blueprint(plan, nodelet, blueprint)
         present = snapshot.nodelet(nodelet.name)
-        if present is not None:
-            _plan_kept(plan, nodelet, present)
+        if present is None:
+            plan.spawned.append(nodelet)
+        elif not _plan_present(plan, nodelet, present, replace, stored):
             continue
-        plan.spawned.append(nodelet)
         if nodelet.manager and nodelet.manager not in managers:
             if any_manager or is_own_manager(nodelet.manager):
                 plan.any_manager.add(nodelet.name)
@@ -156,10 +198,9 @@ def _topics(
     ]
 
 
-def _plan_transformations(plan: Plan, wiring: Wiring, snapshot: ModelView, replace: bool) -> None:
-    library = {each.label: each for each in snapshot.transformations}
+def _plan_transformations(plan: Plan, wiring: Wiring, replace: bool) -> None:
     for transformation in wiring.transformations:
-        present = library.get(transformation.label)
+        present = plan.former.get(transformation.label)
         if present is None:
             plan.added.append(transformation)
         elif present == transformation:
@@ -174,23 +215,76 @@ def _plan_transformations(plan: Plan, wiring: Wiring, snapshot: ModelView, repla
                 )
 
 
-def _plan_kept(plan: Plan, nodelet: WiredNodelet, present: NodeletView) -> None:
+def _plan_present(
+    plan: Plan,
+    nodelet: WiredNodelet,
+    present: NodeletView,
+    replace: bool,
+    stored: Optional[Stored],
+) -> bool:
+    """Keep a nodelet that runs, or make it anew; returns whether it is to be made anew."""
+    if not present.transformation:
+        plan.problems.append(
+            f"nodelet '{nodelet.name}' runs already, loaded by others; expected '{nodelet.label}'"
+        )
+        return False
+    differences = _replaced(plan, nodelet, present)
+    blueprint = plan.blueprints[nodelet.label]
+    outdated = () if differences else _otherwise_made(blueprint, present, stored)
+    if not differences and not (outdated and replace):
+        plan.kept.append(Kept(nodelet, present, outdated, bool(outdated)))
+        return False
+    differences += outdated
+    if not replace:
+        plan.problems.append(
+            f"nodelet '{nodelet.name}' runs already, {'; '.join(differences)}; make it anew with "
+            "--replace"
+        )
+        return False
+    if present.is_protected:
+        plan.problems.append(
+            f"nodelet '{nodelet.name}' is protected, and would have to be made anew: "
+            f"{'; '.join(differences)}; release it first: dyknow unprotect {nodelet.name}"
+        )
+        return False
+    plan.remade.append(Kept(nodelet, present, differences, bool(outdated)))
+    return True
+
+
+def _replaced(plan: Plan, nodelet: WiredNodelet, present: NodeletView) -> Tuple[str, ...]:
+    """Say why a nodelet cannot stay what it is."""
+    found: List[str] = []
     if present.transformation != nodelet.label:
-        made_from = (
-            f"made from '{present.transformation}'"
-            if present.transformation
-            else "loaded by others"
-        )
-        plan.problems.append(
-            f"nodelet '{nodelet.name}' runs already, {made_from}; expected '{nodelet.label}'"
-        )
-    elif present.isolated != nodelet.isolated:
-        plan.problems.append(
-            f"nodelet '{nodelet.name}' runs already, {'' if present.isolated else 'not '}"
-            "isolated; expected the contrary"
-        )
-    else:
-        plan.kept.append(Kept(nodelet, present))
+        found.append(f"made from '{present.transformation}', not '{nodelet.label}'")
+    elif nodelet.label in (each.label for each in plan.replaced):
+        found.append(f"made from another '{nodelet.label}'")
+    if present.isolated != nodelet.isolated:
+        found.append("isolated" if present.isolated else "not isolated")
+    return tuple(found)
+
+
+def _otherwise_made(
+    blueprint: Transformation, present: NodeletView, stored: Optional[Stored]
+) -> Tuple[str, ...]:
+    """Compare what can be seen of a nodelet with the transformation of its label.
+
+    A nodelet keeps the transformation that it was made from when the library gets another.
+    """
+    found: List[str] = []
+    if stored is not None and blueprint.parameters:
+        values = stored(present.name, [each.name for each in blueprint.parameters])
+        for name, _, text in blueprint.parameters:
+            if name not in values:
+                found.append(f"parameter {name} is not set, expected {text}")
+        for parameter in blueprint.parameters:
+            name, text = parameter.name, parameter.text
+            if name in values and values[name] != parameter.value:
+                found.append(f"parameter {name} is {values[name]}, expected {text}")
+    for port in blueprint.ports:
+        shown = present.port(port.name)
+        if shown is not None and (shown.direction, shown.tags) != (port.direction, port.tags):
+            found.append(f"port {port.name} was declared otherwise")
+    return tuple(found)
 
 
 def _check_blueprint(plan: Plan, nodelet: WiredNodelet, blueprint: Transformation) -> None:

@@ -40,6 +40,18 @@ class WiredNodelet:
     manager: str = ""
     connections: Tuple[Tuple[str, str], ...] = ()
 
+    @classmethod
+    def of(cls, nodelet: NodeletView) -> WiredNodelet:
+        """Take a nodelet that runs as it is."""
+        return cls(
+            nodelet.name,
+            nodelet.transformation,
+            nodelet.is_protected,
+            nodelet.isolated,
+            "" if nodelet.isolated else nodelet.manager,
+            tuple(connections_of(nodelet).items()),
+        )
+
 
 @dataclass(frozen=True)
 class Wiring:
@@ -87,17 +99,7 @@ def wiring_of(snapshot: ModelView) -> Tuple[Wiring, List[NodeletView]]:
     used = {nodelet.transformation for nodelet in own}
     wiring = Wiring(
         tuple(known[label] for label in sorted(used)),
-        tuple(
-            WiredNodelet(
-                nodelet.name,
-                nodelet.transformation,
-                nodelet.is_protected,
-                nodelet.isolated,
-                "" if nodelet.isolated else nodelet.manager,
-                tuple(connections_of(nodelet).items()),
-            )
-            for nodelet in sorted(own, key=lambda each: each.name)
-        ),
+        tuple(WiredNodelet.of(nodelet) for nodelet in sorted(own, key=lambda each: each.name)),
     )
     return wiring, [nodelet for nodelet in snapshot.nodelets if not nodelet.transformation]
 

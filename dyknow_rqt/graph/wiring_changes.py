@@ -9,8 +9,16 @@ from dyknow.errors import DyKnowError
 from dyknow.wiring.load import carry_out, steps_of
 from dyknow.wiring.plan import Plan, plan_load
 from dyknow.wiring.ports import connections_of
-from dyknow.wiring.wiring import Wiring
-from dyknow_rqt.graph.changes import CannotUndo, Change, DestroyNodelet, Library, Protect, Rewire
+from dyknow.wiring.wiring import WiredNodelet, Wiring
+from dyknow_rqt.graph.changes import (
+    CannotUndo,
+    Change,
+    DestroyNodelet,
+    Library,
+    Protect,
+    Rewire,
+    SpawnNodelet,
+)
 from dyknow_rqt.graph.library_changes import RestoreTransformations
 from dyknow_rqt.graph.snapshot import PortRef, Snapshot
 
@@ -90,13 +98,25 @@ def _ways_back(plan: Plan) -> List[Change]:
         if moves:
             back = {port: before.get(port, "") for port in moves}
             changes.append(Rewire(_at(name, back), f"reconnect {name}", _at(name, moves)))
-    for nodelet in reversed(plan.spawned):
+    for nodelet in reversed(plan.made):
         if nodelet.is_protected:
             changes.append(Protect(nodelet.name, False))
         changes.append(DestroyNodelet(nodelet.name))
     if plan.added or plan.replaced:
         new = tuple(each.label for each in plan.added)
         changes.append(RestoreTransformations(tuple(plan.replaced), new, "put back the library"))
+    for remade in reversed(plan.remade):
+        former = WiredNodelet.of(remade.present)
+        changes.append(
+            SpawnNodelet(
+                former.label,
+                former.name,
+                former.connections,
+                former.is_protected,
+                former.isolated,
+                former.manager,
+            )
+        )
     return changes
 
 

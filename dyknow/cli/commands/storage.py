@@ -73,7 +73,8 @@ def _load_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--replace",
         action="store_true",
-        help="replace transformations that the library has otherwise (default: refuse)",
+        help="replace transformations that the library has otherwise, and make nodelets anew that "
+        "were made otherwise (default: refuse)",
     )
     parser.add_argument(
         "--any-manager",
@@ -97,6 +98,7 @@ def _load(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
         client.is_own_manager,
         arguments.replace,
         arguments.any_manager,
+        client.stored_parameters,
     )
     if plan.problems:
         for problem in plan.problems:
@@ -146,7 +148,12 @@ def _shape(plan: Plan, failed: List[str]) -> Dict[str, Any]:
             "kept": plan.same,
         },
         "nodelets": {
-            "spawned": [each.name for each in plan.spawned if each.name not in failed],
+            "spawned": [
+                each.name for each in plan.made if each in plan.spawned and each.name not in failed
+            ],
+            "replaced": [
+                each.wanted.name for each in plan.remade if each.wanted.name not in failed
+            ],
             "changed": [
                 kept.wanted.name
                 for kept in plan.kept
@@ -154,20 +161,28 @@ def _shape(plan: Plan, failed: List[str]) -> Dict[str, Any]:
             ],
             "kept": [kept.wanted.name for kept in plan.kept if kept.is_as_wanted],
         },
+        "differences": [
+            {"nodelet": each.wanted.name, "differences": list(each.differences)}
+            for each in (*plan.remade, *plan.kept)
+            if each.differences
+        ],
     }
 
 
 def _lines(plan: Plan, failed: List[str], dry_run: bool) -> Iterator[str]:
     shape = _shape(plan, failed)
+    kept_otherwise = {each.wanted.name: each.differences for each in plan.kept}
     empty = True
     for thing in ("transformations", "nodelets"):
         for what, subjects in shape[thing].items():
-            words = {"kept": "exists already", "spawned": "spawned"}.get(what, what)
+            words = "exists already" if what == "kept" else what
             if dry_run and what != "kept":
                 words = f"would be {what}"
             for subject in subjects:
                 empty = False
-                yield f"{thing[:-1]} {subject}: {words}"
+                differences = kept_otherwise.get(subject) if thing == "nodelets" else None
+                hint = f" ({'; '.join(differences)}: see --replace)" if differences else ""
+                yield f"{thing[:-1]} {subject}: {words}{hint}"
     if empty:
         yield "nothing to load" if not failed else "nothing was loaded"
 
@@ -187,7 +202,8 @@ COMMANDS = (
         "load a saved wiring",
         "Make what runs as a saved wiring says. The file is checked completely before anything is "
         "changed. Nodelets that run already are kept, and connected and protected as the file "
-        "says; those that it does not name are left alone. When a step fails, what was done is "
+        "says; with --replace those that were made otherwise are made anew. Those that it does "
+        "not name are left alone. When a step fails, what was done is "
         "undone.",
         "dyknow load robot.xml\ndyknow load robot.xml --dry-run\n"
         "dyknow load robot.xml --keep-going --any-manager",

@@ -6,7 +6,7 @@ import io
 import json
 import shlex
 from dataclasses import dataclass
-from typing import Any, Callable, Mapping
+from typing import Any, Callable, Mapping, Sequence
 
 from unit.manager.world import World
 
@@ -167,6 +167,12 @@ class FakeClient:
 
     def topics(self) -> list[str]:
         return ["/rosout"]
+
+    def stored_parameters(self, nodelet: str, parameters: Sequence[str]) -> dict[str, Any]:
+        known = self.world.host.parameters
+        return {
+            name: known[f"{nodelet}/{name}"] for name in parameters if f"{nodelet}/{name}" in known
+        }
 
     def is_own_manager(self, name: str) -> bool:
         return name.startswith("/fake_")

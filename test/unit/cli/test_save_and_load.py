@@ -67,6 +67,7 @@ def test_loading_twice_changes_nothing(client: FakeClient, file: Path) -> None:
     shape = run(client, f"load {file} --json").json
     assert shape["nodelets"] == {
         "spawned": [],
+        "replaced": [],
         "changed": [],
         "kept": ["/cam", "/n", "/robot/relay"],
     }
@@ -106,7 +107,7 @@ def test_everything_is_checked_first(client: FakeClient, file: Path) -> None:
     for said in (
         "transformation 'native' is in the library already, and differs; replace it with",
         "nodelet '/cam': neither the file nor the library has its transformation 'unheard of'",
-        "nodelet '/robot/relay' runs already, made from 'camera'; expected 'relay'",
+        "nodelet '/robot/relay' runs already, made from 'camera', not 'relay'; make it anew with",
         "nodelet '/n': its nodelet manager '/elsewhere' is not running; start it, or let the",
     ):
         assert f"dyknow: {file}: {said}" in outcome.err
@@ -139,6 +140,93 @@ def test_another_manager_can_be_allowed(client: FakeClient, file: Path) -> None:
     file.write_text(file.read_text().replace('manager="/fake_0"', 'manager="/elsewhere"'))
     assert run(client, f"load {file}").code == 1
     assert run(client, f"load {file} --any-manager").code == 0
+
+
+def rate(client: FakeClient, nodelet: str) -> object:
+    return client.world.host.parameters[f"{nodelet}/rate"]
+
+
+def give_the_library_another_camera(client: FakeClient) -> None:
+    text = client.world.manager.library.get("camera").to_xml()
+    client.world.manager.add_transformation(text.replace(">30<", ">31<"))
+
+
+def test_nodelets_of_a_replaced_transformation_are_made_anew(
+    client: FakeClient, file: Path
+) -> None:
+    give_the_library_another_camera(client)
+    client.world.spawn("camera", "cam", config={"image": "elsewhere"})
+    client.world.spawn("camera", "other")
+    assert rate(client, "/cam") == 31
+    outcome = run(client, f"load {file} --replace --dry-run")
+    assert "nodelet /cam: would be replaced" in outcome.lines
+    outcome = run(client, f"load {file} --replace --json")
+    assert outcome.json["transformations"]["replaced"] == ["camera"]
+    assert outcome.json["nodelets"]["replaced"] == ["/cam"]
+    assert outcome.json["nodelets"]["spawned"] == ["/n", "/robot/relay"]
+    assert rate(client, "/cam") == 30
+    assert client.nodelets().nodelet("/cam").port("image").topic == "/raw"
+    assert rate(client, "/other") == 31  # the file does not name it
+
+
+def test_a_nodelet_of_an_earlier_transformation_is_made_anew(
+    client: FakeClient, file: Path
+) -> None:
+    give_the_library_another_camera(client)
+    client.world.spawn("camera", "cam", config={"image": "/raw"})
+    transformation = next(
+        each for each in FakeClient(World()).model().transformations if each.label == "camera"
+    )
+    client.world.manager.add_transformation(transformation.to_xml())
+    outcome = run(client, f"load {file}")
+    assert outcome.code == 0
+    assert (
+        "nodelet /cam: exists already (parameter rate is 31.0, expected 30: see --replace)"
+        in outcome.lines
+    )
+    assert rate(client, "/cam") == 31
+    outcome = run(client, f"load {file} --replace --json")
+    assert outcome.json["nodelets"]["replaced"] == ["/cam"]
+    assert outcome.json["differences"] == [
+        {"nodelet": "/cam", "differences": ["parameter rate is 31.0, expected 30"]}
+    ]
+    assert rate(client, "/cam") == 30
+    assert run(client, f"load {file} --replace --json").json["nodelets"]["replaced"] == []
+
+
+def test_a_nodelet_made_from_something_else_is_made_anew(client: FakeClient, file: Path) -> None:
+    client.world.spawn("camera", "/robot/relay")
+    assert run(client, f"load {file} --replace").code == 0
+    assert client.nodelets().nodelet("/robot/relay").transformation == "relay"
+
+
+def test_a_protected_nodelet_is_not_made_anew(client: FakeClient, file: Path) -> None:
+    give_the_library_another_camera(client)
+    client.world.spawn("camera", "cam", is_protected=True)
+    outcome = run(client, f"load {file} --replace")
+    assert outcome.code == 1
+    assert "nodelet '/cam' is protected" in outcome.err
+    assert "dyknow unprotect /cam" in outcome.err
+    assert client.calls == []
+
+
+def test_what_was_made_anew_is_brought_back_when_a_later_step_fails(
+    client: FakeClient, file: Path
+) -> None:
+    give_the_library_another_camera(client)
+    client.world.spawn("camera", "cam", config={"image": "elsewhere"})
+    before, library = graph(client), client.model().transformations
+
+    def fail(call: str, subject: str) -> None:
+        if (call, subject) == ("spawn", "/n"):
+            raise Refused("not today")
+
+    client.fail = fail
+    outcome = run(client, f"load {file} --replace")
+    assert outcome.err == "dyknow: spawning '/n': not today; everything is as it was\n"
+    assert graph(client) == before
+    assert rate(client, "/cam") == 31
+    assert client.model().transformations == library
 
 
 def test_a_step_that_is_refused_undoes_those_before(client: FakeClient, file: Path) -> None:
