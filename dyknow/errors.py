@@ -53,6 +53,8 @@ from __future__ import annotations
 
 from typing import Iterable, NamedTuple, Sequence, Tuple
 
+from dyknow.similar import did_you_mean
+
 
 def _listed(names: Iterable[str]) -> str:
     return ", ".join(sorted(names)) or "none"
@@ -154,9 +156,8 @@ class TooMuch(DyKnowError):
 class UnknownTransformation(DyKnowError):
     """The library has no transformation of that label."""
 
-    def __init__(self, label: str, similar: Sequence[str] = ()) -> None:
+    def __init__(self, label: str, hint: str = "") -> None:
         self.label = label
-        hint = f"; did you mean {', '.join(similar)}?" if similar else ""
         super().__init__(f"no transformation is labelled '{label}'{hint}")
 
 
@@ -290,7 +291,9 @@ class UnknownNodelet(NodeletError):
 
     def __init__(self, name: str, known: Iterable[str]) -> None:
         self.known = tuple(sorted(known))
-        super().__init__(name, f"no nodelet named '{name}' is loaded; loaded: {_listed(known)}")
+        hint = did_you_mean(name, self.known)
+        text = f"no nodelet named '{name}' is loaded; loaded: {_listed(self.known)}{hint}"
+        super().__init__(name, text)
 
 
 class UnknownNodeletType(NodeletError):
@@ -300,7 +303,8 @@ class UnknownNodeletType(NodeletError):
         self.known = tuple(sorted(known))
         self.broken = tuple(broken)
         text = (
-            f"no package declares a nodelet type '{type_name}'; declared types: {_listed(known)}"
+            f"no package declares a nodelet type '{type_name}'; declared types: "
+            f"{_listed(self.known)}{did_you_mean(type_name, self.known)}"
         )
         if broken:
             text += "; descriptions that could not be used: " + "; ".join(broken)
@@ -364,7 +368,8 @@ class UnknownPort(PortError):
     def __init__(self, port: str, known: Iterable[str]) -> None:
         self.port = port
         self.known = tuple(sorted(known))
-        super().__init__(f"unknown port '{port}'; known ports: {_listed(known)}")
+        hint = did_you_mean(port, self.known)
+        super().__init__(f"unknown port '{port}'; known ports: {_listed(self.known)}{hint}")
 
 
 class DuplicatePort(PortError):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Dict, List, Sequence, Tuple
 
@@ -13,6 +12,7 @@ from dyknow.errors import DyKnowError
 from dyknow.manager.model import PortState
 from dyknow.manager.specifications.transformation import IN, OUT
 from dyknow.ros.client_errors import Silent
+from dyknow.similar import did_you_mean
 from dyknow.wiring.ports import types_fit
 
 if TYPE_CHECKING:
@@ -64,8 +64,7 @@ def find_port(reference: PortReference, ports: Sequence[PortState]) -> PortState
         if port.name == reference.port:
             return port
     known = ", ".join(f"{port.name} ({port.direction})" for port in ports) or "none"
-    similar = difflib.get_close_matches(reference.port, [port.name for port in ports], 1)
-    hint = f"; did you mean '{similar[0]}'?" if similar else ""
+    hint = did_you_mean(reference.port, [port.name for port in ports])
     raise CannotConnect(
         f"nodelet '{reference.nodelet}' has no port '{reference.port}'; its ports: {known}{hint}"
     )

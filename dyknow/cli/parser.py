@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import difflib
 import os
 from typing import Dict, List, Sequence, Tuple
 
 from dyknow.cli.arguments import Kind, Parser, manager_node, seconds, takes
 from dyknow.cli.command import Command
 from dyknow.cli.commands import GROUPS
+from dyknow.similar import did_you_mean
 
 DEFAULT_MANAGER = "/dyknow_manager"
 
@@ -67,9 +67,7 @@ def _check_command(parser: Parser, words: Sequence[str]) -> None:
     first = words[0]
     if first.startswith("-") or first in known:
         return
-    similar = difflib.get_close_matches(first, known, 3)
-    hint = f"; did you mean {' or '.join(similar)}?" if similar else ""
-    parser.error(f"there is no command '{first}'{hint}")
+    parser.error(f"there is no command '{first}'{did_you_mean(first, known)}")
 
 
 def _default_manager(parser: Parser) -> str:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import difflib
 from typing import TYPE_CHECKING, Mapping
 
+from dyknow.similar import did_you_mean
 from dyknow.wiring.ports import connections_of
 
 if TYPE_CHECKING:
@@ -19,8 +19,7 @@ def state_of(nodelet: NodeletView) -> str:
 def unknown_nodelet(name: str, model: ModelView) -> str:
     """Say that there is no such nodelet, and which similar ones there are."""
     known = [nodelet.name for nodelet in model.nodelets]
-    similar = difflib.get_close_matches(name, known, 3)
-    hint = f"; did you mean {' or '.join(similar)}?" if similar else "; see 'dyknow list'"
+    hint = did_you_mean(name, known) or "; see 'dyknow list'"
     return f"no nodelet named '{name}' runs{hint}"
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import threading
 from typing import TYPE_CHECKING, Dict, List, Optional, Sequence
 
@@ -11,6 +10,7 @@ from dyknow.manager.specifications.limits import DEFAULT_LIMITS, Limits
 from dyknow.manager.specifications.specification import Specifications, parse
 from dyknow.manager.specifications.transformation import TOPIC, Transformation
 from dyknow.manager.store import Store
+from dyknow.similar import did_you_mean
 
 if TYPE_CHECKING:
     from dyknow.manager.specifications.ontology import (
@@ -74,7 +74,7 @@ class Library:
             if found is not None:
                 return found
             labels: Sequence[str] = list(self._by_label) if len(self._by_label) < 10_000 else ()
-        raise UnknownTransformation(label, difflib.get_close_matches(label, labels))
+        raise UnknownTransformation(label, did_you_mean(label, labels))
 
     def add(self, text: str, file_name: str = "specification") -> Specifications:
         """Add what a specification says; the label's older transformation is replaced.

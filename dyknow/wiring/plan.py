@@ -273,13 +273,12 @@ def _otherwise_made(
     found: List[str] = []
     if stored is not None and blueprint.parameters:
         values = stored(present.name, [each.name for each in blueprint.parameters])
-        for name, _, text in blueprint.parameters:
-            if name not in values:
-                found.append(f"parameter {name} is not set, expected {text}")
         for parameter in blueprint.parameters:
-            name, text = parameter.name, parameter.text
-            if name in values and values[name] != parameter.value:
-                found.append(f"parameter {name} is {values[name]}, expected {text}")
+            name, expected = parameter.name, f"expected {parameter.text}"
+            if name not in values:
+                found.append(f"parameter {name} is not set, {expected}")
+            elif values[name] != parameter.value:
+                found.append(f"parameter {name} is {values[name]}, {expected}")
     for port in blueprint.ports:
         shown = present.port(port.name)
         if shown is not None and (shown.direction, shown.tags) != (port.direction, port.tags):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import difflib
 import re
 import sys
 from typing import Any, Dict, Iterable, List, Optional, Sequence
@@ -17,6 +16,7 @@ from dyknow.cli.tables import columns, count
 from dyknow.errors import DyKnowError, Refused, UnknownTransformation
 from dyknow.manager.specifications.transformation import IN, OUT, Transformation
 from dyknow.ros.client_errors import Unreachable
+from dyknow.similar import did_you_mean
 
 STDIN = "-"
 
@@ -65,9 +65,9 @@ def _chosen(shell: Shell, labels: Sequence[str]) -> List[Transformation]:
         return list(known.values())
     unknown = [label for label in labels if label not in known]
     for label in unknown[1:]:
-        shell.error(UnknownTransformation(label, difflib.get_close_matches(label, known)))
+        shell.error(UnknownTransformation(label, did_you_mean(label, known)))
     if unknown:
-        raise UnknownTransformation(unknown[0], difflib.get_close_matches(unknown[0], known))
+        raise UnknownTransformation(unknown[0], did_you_mean(unknown[0], known))
     return [known[label] for label in dict.fromkeys(labels)]
 
 

@@ -20,7 +20,7 @@ from dyknow.manager.specifications.transformation import (
     Transformation,
 )
 from dyknow.manager.specifications.values import BadValue, infer_type, parse_value
-from dyknow.manager.specifications.wording import listed, shorten
+from dyknow.manager.specifications.wording import listed, meant, shorten
 
 MAX_COST = 2**32 - 1
 
@@ -186,7 +186,7 @@ class Builder:
                 self._findings.problem(
                     line,
                     f"the tag is for the port '{shorten(port)}', which is not declared; known "
-                    f"ports: {listed(tags)}",
+                    f"ports: {listed(tags)}{meant(port, tags)}",
                 )
 
     def _check_tag(self, text: str, supplied: bool, line: int) -> None:

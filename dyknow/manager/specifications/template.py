@@ -18,7 +18,7 @@ from dyknow.errors import OntologyError
 from dyknow.manager.specifications.draft import BLANK, ArgDraft, Draft
 from dyknow.manager.specifications.findings import Findings
 from dyknow.manager.specifications.limits import Limits
-from dyknow.manager.specifications.wording import listed, shorten
+from dyknow.manager.specifications.wording import listed, meant, shorten
 
 _VARIABLE = re.compile(r"\$\$\{|\$\{([^{}]*)\}|\$\{")
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_.-]*\Z")
@@ -131,7 +131,7 @@ class Expander:
                 self._findings.problem(
                     line,
                     f"unknown variable {found}; known variables: {known} (write $${{ for ${{ "
-                    "itself)",
+                    f"itself){meant(match.group(1) or '', positions)}",
                 )
         return good
 

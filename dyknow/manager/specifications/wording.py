@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Iterable
+from typing import Collection, Iterable
+
+from dyknow.similar import did_you_mean
 
 _TEXT = 60
 _NAMES = 20
+_FEW = 100
 
 
 def shorten(text: str) -> str:
@@ -18,3 +21,8 @@ def listed(names: Iterable[str]) -> str:
     known = sorted(names)
     more = f" and {len(known) - _NAMES} more" if len(known) > _NAMES else ""
     return (", ".join(shorten(name) for name in known[:_NAMES]) or "none") + more
+
+
+def meant(name: str, known: Collection[str]) -> str:
+    """Suggest what may have been meant; not among so many that a program has written them."""
+    return did_you_mean(name, known) if len(known) <= _FEW else ""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import os
 import re
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from dyknow import names
 from dyknow.errors import DyKnowError
 from dyknow.guards import NO_GUARDS, Guards
 from dyknow.manager.specifications.limits import DEFAULT_LIMITS, Limits
+from dyknow.similar import did_you_mean
 
 _PARAMETERS = (
     "nodelet_managers",
@@ -102,9 +102,9 @@ def _warn_of_strangers() -> None:
     given = rospy.get_param("~", {})
     for name in sorted(given) if isinstance(given, dict) else ():
         if name not in _PARAMETERS:
-            close = difflib.get_close_matches(name, _PARAMETERS, 1)
-            hint = f"did you mean ~{close[0]}?" if close else "known: ~" + " ~".join(_PARAMETERS)
-            rospy.logwarn("the parameter ~%s says nothing to the manager; %s", name, hint)
+            hint = did_you_mean(name, _PARAMETERS, at_most=1, prefix="~")
+            hint = hint or "; known: ~" + " ~".join(_PARAMETERS)
+            rospy.logwarn("the parameter ~%s says nothing to the manager%s", name, hint)
 
 
 def _refuse(name: str, expected: str, value: Any) -> DyKnowError:

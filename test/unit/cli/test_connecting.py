@@ -104,7 +104,7 @@ def test_an_undoing_that_fails_is_told(client: FakeClient) -> None:
         ("connect camm:a robot/relay:in", "no nodelet named '/camm' runs; did you mean /cam?"),
         (
             "connect cam:imag robot/relay:in",
-            "nodelet '/cam' has no port 'imag'; its ports: image (out); did you mean 'image'?",
+            "nodelet '/cam' has no port 'imag'; its ports: image (out); did you mean image?",
         ),
         (
             "connect robot/relay:in cam:image",

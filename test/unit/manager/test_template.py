@@ -181,7 +181,8 @@ def test_a_template_that_cannot_be_expanded_has_its_ports_checked_all_the_same()
         parse(template("${X}", {"X": "{a}"}, extra))
     assert [problem.message for problem in caught.value.problems] == [
         "unknown variable ${T}; known variables: X (write $${ for ${ itself)",
-        "the tag is for the port 'out_${X}', which is not declared; known ports: in_${X}",
+        "the tag is for the port 'out_${X}', which is not declared; known ports: in_${X}; did you "
+        "mean in_${X}?",
     ]
     assert caught.value.warnings == ()
 
