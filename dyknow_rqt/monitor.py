@@ -9,7 +9,18 @@ from __future__ import annotations
 import logging
 import time
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Callable, Dict, Mapping, Optional, Tuple, TypeVar, Union
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Callable,
+    Dict,
+    FrozenSet,
+    Mapping,
+    Optional,
+    Tuple,
+    TypeVar,
+    Union,
+)
 
 from python_qt_binding.QtCore import QObject, QTimer, Signal
 
@@ -19,7 +30,7 @@ from dyknow.manager.specifications.transformation import Transformation
 from dyknow_rqt.graph.changes import CannotUndo, Change
 from dyknow_rqt.graph.history import History
 from dyknow_rqt.graph.rates import Meter, in_turns
-from dyknow_rqt.graph.snapshot import PlainNode, Snapshot, plain_nodes
+from dyknow_rqt.graph.snapshot import PlainNode, Snapshot, plain_nodes, taken_topics
 from dyknow_rqt.guard import guarded
 from dyknow_rqt.remote import Remote
 from dyknow_rqt.workers import Workers
@@ -40,6 +51,7 @@ _ASKING = 1.0
 class _Looked:
     model: ModelView
     nodes: Tuple[PlainNode, ...]
+    taken: FrozenSet[str]
     statistics: Tuple[Tuple[str, Statistics, float], ...]
 
 
@@ -253,10 +265,14 @@ class Monitor(QObject):
         model = self.remote.graph()
         topics = {port.topic for each in model.nodelets for port in each.ports if port.topic}
         hosts = {each.manager for each in model.nodelets}
+        nodes: Tuple[PlainNode, ...] = ()
+        taken: FrozenSet[str] = frozenset()
         try:
-            nodes = plain_nodes(*self.remote.system_state(), topics, hosts)
+            publishers, subscribers = self.remote.system_state()
+            nodes = plain_nodes(publishers, subscribers, topics, hosts)
+            taken = taken_topics(publishers, model.nodelets, hosts)
         except (DyKnowError, LookupError):
-            nodes = ()
+            pass  # the model is shown without them
         statistics = []
         end = time.monotonic() + _ASKING
         for name in names:
@@ -267,7 +283,7 @@ class Monitor(QObject):
             except DyKnowError:
                 continue  # it is gone, or hangs; the model says so
             statistics.append((name, answer, time.monotonic()))
-        return _Looked(model, nodes, tuple(statistics))
+        return _Looked(model, nodes, taken, tuple(statistics))
 
     def _take_look(self, looked: _Looked) -> None:
         self._looking = False
@@ -276,7 +292,7 @@ class Monitor(QObject):
         if linked_anew or looked.model.revision >= self._revision:
             if self._heard is not None and self._heard.revision <= looked.model.revision:
                 self._heard = None  # it would be a step back
-            self._take_model(looked.model, looked.nodes)
+            self._take_model(looked.model, looked.nodes, looked.taken)
         self._meter.keep(each.name for each in self.snapshot.nodelets)
         for name, statistics, moment in looked.statistics:
             self._meter.note(name, statistics, moment)
@@ -295,12 +311,14 @@ class Monitor(QObject):
             return
         start = time.monotonic()
         self._set_linked(True, "")
-        self._take_model(model, self.snapshot.nodes)
+        self._take_model(model, self.snapshot.nodes, self.snapshot.taken)
         self._drawing.setInterval(min(1000, int((time.monotonic() - start) * 2000)))
 
-    def _take_model(self, model: ModelView, nodes: Tuple[PlainNode, ...]) -> None:
+    def _take_model(
+        self, model: ModelView, nodes: Tuple[PlainNode, ...], taken: FrozenSet[str]
+    ) -> None:
         self._revision = model.revision
-        snapshot = Snapshot(model.nodelets, nodes)
+        snapshot = Snapshot(model.nodelets, nodes, taken)
         if snapshot != self.snapshot:
             self.snapshot = snapshot
             self.changed.emit(snapshot)

@@ -8,7 +8,7 @@ import math
 import os
 import sys
 from dataclasses import dataclass
-from typing import NoReturn, Optional, Tuple
+from typing import NoReturn, Optional, Tuple, Union
 
 from dyknow import names
 from dyknow.errors import InvalidName
@@ -20,8 +20,8 @@ class Kind(enum.Enum):
     NODELET = "nodelet"
     LABEL = "label"
     SPAWNABLE = "label of a nodelet"
-    OUT_PORT = "out-port"
-    IN_PORT = "in-port"
+    STREAM_SOURCE = "out-port or topic"
+    STREAM_TARGET = "in-port or topic"
     PORT = "port"
     PORT_OF_LABEL = "port of the label, and topic"
     TOPIC = "topic"
@@ -92,6 +92,11 @@ def port_reference(text: str) -> PortReference:
     if not colon or not nodelet or not port:
         raise argparse.ArgumentTypeError(f"'{text}': expected NODELET:PORT, such as camera:image")
     return PortReference(graph_name(nodelet), port)
+
+
+def port_or_topic(text: str) -> Union[PortReference, str]:
+    """Read `NODELET:PORT`, or else the name of a topic, which has no colon."""
+    return port_reference(text) if ":" in text else graph_name(text)
 
 
 def port_topic(text: str) -> Tuple[str, str]:

@@ -20,6 +20,7 @@ class Command:
         examples: command lines, one a line.
         add_arguments: declares its arguments, besides those that all commands have.
         run: does it; returns the exit code, None for success. Raises DyKnowError.
+        problem: says what is wrong with arguments that do not go together; empty if nothing is.
     """
 
     name: str
@@ -28,3 +29,4 @@ class Command:
     examples: str
     add_arguments: Callable[[argparse.ArgumentParser], None]
     run: Callable[[argparse.Namespace, Shell], Optional[int]]
+    problem: Callable[[argparse.Namespace], str] = lambda arguments: ""

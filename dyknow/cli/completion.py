@@ -189,7 +189,9 @@ class _Names:
             return self._tags()
         if kind is Kind.PORT_OF_LABEL:
             return self._ports_of_label()
-        return self._ports({Kind.OUT_PORT: OUT, Kind.IN_PORT: IN}.get(kind, ""))
+        if kind in (Kind.STREAM_SOURCE, Kind.STREAM_TARGET):
+            return self._ends(kind)
+        return self._ports("")
 
     def _nodelets(self) -> tuple[NodeletView, ...]:
         return self._client.nodelets().nodelets
@@ -261,6 +263,14 @@ class _Names:
             elif colon and nodelet.name == self._global(name):
                 found.extend(f"{name}:{port}" for port in ports)
         return found
+
+    def _ends(self, kind: Kind) -> Iterable[str]:
+        """Ports, and topics too where the other end is a port or not there yet."""
+        ports = self._ports(OUT if kind is Kind.STREAM_SOURCE else IN)
+        from_topic = bool(self._words("source")) and ":" not in self._words("source")[-1]
+        if ":" in self._last or (kind is Kind.STREAM_TARGET and from_topic):
+            return ports
+        return [*ports, *self._as_typed(self._topics())]
 
     def _type_of_source(self) -> str:
         """ROS type of the out-port that is to be connected, empty if that is not known."""

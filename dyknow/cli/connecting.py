@@ -1,11 +1,10 @@
-"""Connects an out-port to an in-port: both ends on one topic, or both as they were."""
+"""Connects ports to each other and to topics: all ends as they should be, or as they were."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Dict, List, Sequence, Tuple
 
-from dyknow import names
 from dyknow.cli.arguments import PortReference
 from dyknow.cli.views import state_of, unknown_nodelet
 from dyknow.errors import DyKnowError
@@ -13,7 +12,7 @@ from dyknow.manager.model import PortState
 from dyknow.manager.specifications.transformation import IN, OUT
 from dyknow.ros.client_errors import Silent
 from dyknow.similar import did_you_mean
-from dyknow.wiring.ports import types_fit
+from dyknow.wiring.ports import by_name, choose_topic, types_fit
 
 if TYPE_CHECKING:
     from dyknow.ros.shell_client import ShellClient
@@ -91,27 +90,6 @@ def check_ends(
         raise CannotConnect(f"cannot connect: {'; '.join(problems)}")
 
 
-def choose_topic(source: PortReference, out: PortState, into: PortState, is_fed: bool) -> str:
-    """Choose a topic so that the in-port hears the out-port, and only that.
-
-    The out-port's topic; else the in-port's, unless `is_fed` says that somebody publishes there
-    already; else `/NODELET/PORT` of the out-port.
-    """
-    if out.topic:
-        return out.topic
-    if into.topic and not is_fed:
-        return into.topic
-    return names.join(source.nodelet, source.port.lstrip("~/"))
-
-
-def _is_fed(client: ShellClient, topic: str) -> bool:
-    return any(
-        port.direction == OUT and port.topic == topic
-        for nodelet in client.nodelets().nodelets
-        for port in nodelet.ports
-    )
-
-
 def connect(
     client: ShellClient, source: PortReference, target: PortReference, topic: str = ""
 ) -> Tuple[str, List[Change]]:
@@ -126,9 +104,11 @@ def connect(
     out = find_port(source, ports_of(client, source.nodelet))
     into = find_port(target, ports_of(client, target.nodelet))
     check_ends(source, out, target, into)
+    topic = topic or out.topic
     if not topic:
-        is_fed = not out.topic and bool(into.topic) and _is_fed(client, into.topic)
-        topic = choose_topic(source, out, into, is_fed)
+        nodelets = client.nodelets().nodelets
+        published = client.published({each.manager for each in nodelets})
+        topic = choose_topic(source.nodelet, out, into, nodelets, published)
     # The reader first: whatever is published on the topic from then on finds it.
     changes = [
         Change(reference, port.topic, topic)
@@ -137,6 +117,45 @@ def connect(
     ]
     apply(client, changes)
     return topic, changes
+
+
+def connect_to_topic(
+    client: ShellClient, reference: PortReference, topic: str, direction: str
+) -> List[Change]:
+    """Connect a port to a topic.
+
+    Args:
+        client: the manager and its nodelets.
+        reference: the port.
+        topic: global name of the topic.
+        direction: what the port has to be.
+
+    Returns:
+        What had to be changed.
+
+    Raises:
+        CannotConnect: it was refused, and the port is as it was.
+    """
+    nodelet = client.nodelets().nodelet(topic)
+    if nodelet is not None:
+        ports = ", ".join(p.name for p in by_name(nodelet.ports) if p.direction != direction)
+        raise CannotConnect(
+            f"'{topic}' is a nodelet; expected a topic, or its port as {topic}:PORT; its "
+            f"{_other(direction)}-ports: {ports or 'none'}"
+        )
+    port = find_port(reference, ports_of(client, reference.nodelet))
+    if port.direction != direction:
+        raise CannotConnect(
+            f"cannot connect: '{reference}' is an {port.direction}-port; swap the two, the stream "
+            "leads from the first to the second"
+        )
+    changes = [] if port.topic == topic else [Change(reference, port.topic, topic)]
+    apply(client, changes)
+    return changes
+
+
+def _other(direction: str) -> str:
+    return OUT if direction == IN else IN
 
 
 def apply(client: ShellClient, changes: Sequence[Change]) -> None:

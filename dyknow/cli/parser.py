@@ -13,6 +13,15 @@ from dyknow.similar import did_you_mean
 
 DEFAULT_MANAGER = "/dyknow_manager"
 
+#: ROS's words for every node; a command is none, and needs neither.
+_FROM_ROSLAUNCH = ("__name", "__log")
+_ENVIRONMENT = {
+    "__ns": "ROS_NAMESPACE",
+    "__master": "ROS_MASTER_URI",
+    "__ip": "ROS_IP",
+    "__hostname": "ROS_HOSTNAME",
+}
+
 _COMMON = """\
 Relative names of nodelets and topics begin in the namespace of the manager.
 Exit codes: 0 done, 1 refused or failed, 2 wrong usage, 3 no manager or master.
@@ -44,22 +53,52 @@ def build_parser() -> Tuple[Parser, Dict[str, Parser]]:
 
 
 def parse(words: Sequence[str]) -> argparse.Namespace:
-    """Understand the words of a command line; ROS's own (`a:=b`) are left out.
+    """Understand the words of a command line.
 
     Raises:
         SystemExit: help was asked for (0), or the usage is wrong (2).
     """
-    words = [word for word in words if ":=" not in word]
     parser, parsers = build_parser()
+    words = _without_ros_words(parser, words)
     if not words:
         parser.error("a command is missing: dyknow COMMAND [ARGUMENT ...]")
     _check_command(parser, words)
     arguments = parser.parse_args(words)
+    problem = all_commands()[arguments.command].problem(arguments)
+    if problem:
+        parsers[arguments.command].error(problem)
     arguments.parsers = parser, parsers
     arguments.json = getattr(arguments, "json", False)
     arguments.timeout = getattr(arguments, "timeout", None)
     arguments.manager_node = getattr(arguments, "manager_node", None) or _default_manager(parser)
     return arguments
+
+
+def _without_ros_words(parser: Parser, words: Sequence[str]) -> List[str]:
+    """Leave out what roslaunch gives every program; refuse what would have no effect."""
+    own = [word for word in words if ":=" not in word]
+    command = next((word for word in own if word in all_commands()), "")
+    if command == "complete":  # the words are somebody's who has not finished them
+        return own
+    for word in words:
+        if ":=" in word and word.split(":=")[0] not in _FROM_ROSLAUNCH:
+            parser.error(f"'{word}' would have no effect: {_instead(command, word)}")
+    return own
+
+
+def _instead(command: str, word: str) -> str:
+    """Say how to get what `a:=b` does elsewhere in ROS."""
+    name, _, value = word.partition(":=")
+    if name in _ENVIRONMENT:
+        return f"set {_ENVIRONMENT[name]} in the environment"
+    if command == "spawn" and name.startswith("_"):
+        return (
+            "a spawn takes no parameters; write them in the transformation ('dyknow export LABEL "
+            "-o FILE', 'dyknow import FILE')"
+        )
+    if command == "spawn":
+        return f"connect a port of the new nodelet with --connect {name}:{value}"
+    return f"'dyknow {command}' takes neither remappings nor parameters"
 
 
 def _check_command(parser: Parser, words: Sequence[str]) -> None:

@@ -12,7 +12,7 @@ import re
 import socket
 import time
 import xmlrpc.client
-from typing import Any, Callable, Dict, List, Optional, Sequence, TypeVar
+from typing import Any, Callable, Container, Dict, FrozenSet, List, Optional, Sequence, TypeVar
 from xml.parsers.expat import ExpatError
 
 from dyknow_msgs.msg import Model, StreamEvent
@@ -147,6 +147,13 @@ class ShellClient(ManagerClient):
             if value is not _UNSET:
                 found[name] = value
         return found
+
+    def published(self, hosts: Container[str]) -> FrozenSet[str]:
+        """Topics that nodes publish on, other than these nodelet managers."""
+        publishers, _, _ = self._on_master(lambda: self._asked.ask("getSystemState"))
+        return frozenset(
+            topic for topic, nodes in publishers if any(node not in hosts for node in nodes)
+        )
 
     def is_own_manager(self, name: str) -> bool:
         """Whether a nodelet manager is one that the DyKnow manager starts when it is needed."""

@@ -154,7 +154,7 @@ def _end(kept: Kept, plan: Plan, client: Client) -> Step:
         _spawn(client, former, declared, former.manager)
         if later:
             client.set_config(former.name, later)
-        if kept.outdated:
+        if kept.differences:
             raise DyKnowError("it runs again, but is made as the library says now")
 
     return Step(

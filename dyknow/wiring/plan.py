@@ -35,15 +35,13 @@ class Kept:
     Attributes:
         wanted: what the file says.
         present: what runs.
-        differences: how it was made otherwise than it would be made now, in words.
-        outdated: whether the library had another transformation of that label at that time: it
-            cannot be made again as it was.
+        differences: how it was made otherwise than the library says now, in words: from an
+            earlier transformation, so that it cannot be made again as it was.
     """
 
     wanted: WiredNodelet
     present: NodeletView
     differences: Tuple[str, ...] = ()
-    outdated: bool = False
 
     @property
     def moves(self) -> Dict[str, str]:
@@ -223,44 +221,37 @@ def _plan_present(
     stored: Optional[Stored],
 ) -> bool:
     """Keep a nodelet that runs, or make it anew; returns whether it is to be made anew."""
-    if not present.transformation:
+    if present.transformation != nodelet.label:
+        made_from = (
+            f"made from '{present.transformation}'"
+            if present.transformation
+            else "loaded by others"
+        )
         plan.problems.append(
-            f"nodelet '{nodelet.name}' runs already, loaded by others; expected '{nodelet.label}'"
+            f"nodelet '{nodelet.name}' runs already, {made_from}; expected '{nodelet.label}'"
         )
         return False
-    differences = _replaced(plan, nodelet, present)
-    blueprint = plan.blueprints[nodelet.label]
-    outdated = () if differences else _otherwise_made(blueprint, present, stored)
-    if not differences and not (outdated and replace):
-        plan.kept.append(Kept(nodelet, present, outdated, bool(outdated)))
-        return False
-    differences += outdated
-    if not replace:
+    if present.isolated != nodelet.isolated:
         plan.problems.append(
-            f"nodelet '{nodelet.name}' runs already, {'; '.join(differences)}; make it anew with "
-            "--replace"
+            f"nodelet '{nodelet.name}' runs already, {'' if present.isolated else 'not '}"
+            "isolated; expected the contrary"
         )
+        return False
+    is_replaced = nodelet.label in (each.label for each in plan.replaced)
+    outdated: Tuple[str, ...] = ()
+    if not is_replaced:
+        outdated = _otherwise_made(plan.blueprints[nodelet.label], present, stored)
+    if not replace or not (is_replaced or outdated):
+        plan.kept.append(Kept(nodelet, present, outdated))
         return False
     if present.is_protected:
         plan.problems.append(
-            f"nodelet '{nodelet.name}' is protected, and would have to be made anew: "
-            f"{'; '.join(differences)}; release it first: dyknow unprotect {nodelet.name}"
+            f"nodelet '{nodelet.name}' is protected, and would have to be made anew; release it "
+            f"first: dyknow unprotect {nodelet.name}"
         )
         return False
-    plan.remade.append(Kept(nodelet, present, differences, bool(outdated)))
+    plan.remade.append(Kept(nodelet, present, outdated))
     return True
-
-
-def _replaced(plan: Plan, nodelet: WiredNodelet, present: NodeletView) -> Tuple[str, ...]:
-    """Say why a nodelet cannot stay what it is."""
-    found: List[str] = []
-    if present.transformation != nodelet.label:
-        found.append(f"made from '{present.transformation}', not '{nodelet.label}'")
-    elif nodelet.label in (each.label for each in plan.replaced):
-        found.append(f"made from another '{nodelet.label}'")
-    if present.isolated != nodelet.isolated:
-        found.append("isolated" if present.isolated else "not isolated")
-    return tuple(found)
 
 
 def _otherwise_made(

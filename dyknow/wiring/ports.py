@@ -1,8 +1,11 @@
-"""Short looks at ports: what they are connected to, and which fit together."""
+"""Short looks at ports: what they are connected to, which fit together, and where they meet."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Dict, Iterable, List
+from typing import TYPE_CHECKING, Container, Dict, Iterable, List
+
+from dyknow import names
+from dyknow.manager.specifications.transformation import OUT
 
 if TYPE_CHECKING:
     from dyknow.manager.model import PortState
@@ -25,3 +28,44 @@ def connections_of(nodelet: NodeletView) -> Dict[str, str]:
 def types_fit(one: str, other: str) -> bool:
     """Whether streams of two types may be connected; an unknown type fits every one."""
     return one == other or not one or not other or ANY in (one, other)
+
+
+def topic_after(nodelet: str, port: str) -> str:
+    """Name a topic after an out-port."""
+    return names.join(nodelet, port.lstrip("~/"))
+
+
+def choose_topic(
+    nodelet: str,
+    out: PortState,
+    into: PortState,
+    nodelets: Iterable[NodeletView],
+    published: Container[str],
+) -> str:
+    """Choose the topic on which an out-port and an in-port meet.
+
+    The one that the out-port publishes on already, so that others who listen keep their stream;
+    else the one where the in-port waits, if nobody publishes on it; else a new one, named after
+    the out-port: the in-port hears the out-port, and only that.
+
+    Args:
+        nodelet: global name of the out-port's nodelet.
+        out: the out-port.
+        into: the in-port.
+        nodelets: all that run.
+        published: topics that ordinary nodes publish on.
+    """
+    if out.topic:
+        return out.topic
+    directions: Dict[str, List[str]] = {}
+    for each in nodelets:
+        for port in each.ports:
+            directions.setdefault(port.topic, []).append(port.direction)
+    is_fed = into.topic in published or OUT in directions.get(into.topic, ())
+    if into.topic and not is_fed:
+        return into.topic
+    wish = topic_after(nodelet, out.name)
+    topic, number = wish, 2
+    while topic in directions or topic in published:
+        topic, number = f"{wish}_{number}", number + 1
+    return topic

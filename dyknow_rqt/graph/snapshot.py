@@ -4,10 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, AbstractSet, Dict, List, Mapping, Optional, Sequence, Tuple
+from typing import (
+    TYPE_CHECKING,
+    AbstractSet,
+    Dict,
+    FrozenSet,
+    List,
+    Mapping,
+    Optional,
+    Sequence,
+    Tuple,
+)
 
 from dyknow.manager.model import PortState
 from dyknow.manager.specifications.transformation import IN
+from dyknow.wiring.ports import topic_after
 
 if TYPE_CHECKING:
     from dyknow.ros.views import NodeletView
@@ -58,10 +69,17 @@ class Topic:
 
 @dataclass(frozen=True)
 class Snapshot:
-    """The computation graph at one moment; two are equal when there is nothing to redraw."""
+    """The computation graph at one moment; two are equal when there is nothing to redraw.
+
+    Attributes:
+        nodelets: what the manager shows.
+        nodes: ordinary nodes that use topics of nodelets.
+        taken: topics after out-ports that are not connected, where ordinary nodes publish.
+    """
 
     nodelets: Tuple[NodeletView, ...] = ()
     nodes: Tuple[PlainNode, ...] = ()
+    taken: FrozenSet[str] = frozenset()
 
     def nodelet(self, name: str) -> Optional[NodeletView]:
         """Return the nodelet of that name, or None."""
@@ -128,4 +146,27 @@ def plain_nodes(
             tuple(sorted(sides[1].get(name, ()))),
         )
         for name in sorted({*sides[0], *sides[1]})
+    )
+
+
+def taken_topics(
+    publishers: Side, nodelets: Sequence[NodeletView], hosts: AbstractSet[str]
+) -> FrozenSet[str]:
+    """Find topics after out-ports that are not connected, where ordinary nodes publish.
+
+    Args:
+        publishers: of all topics, as the master tells.
+        nodelets: all that run.
+        hosts: nodelet managers; what they use, their nodelets use.
+    """
+    wishes = {
+        topic_after(nodelet.name, port.name)
+        for nodelet in nodelets
+        for port in nodelet.ports
+        if port.direction != IN and not port.topic
+    }
+    return frozenset(
+        topic
+        for topic, nodes in publishers
+        if topic in wishes and any(node not in hosts for node in nodes)
     )

@@ -8,6 +8,7 @@ from dyknow import names
 from dyknow.errors import DyKnowError
 from dyknow.manager.model import PortState
 from dyknow.manager.specifications.transformation import IN
+from dyknow.wiring import ports
 from dyknow.wiring.ports import types_fit
 from dyknow_rqt.graph.changes import Rewire
 from dyknow_rqt.graph.snapshot import PortRef, Snapshot
@@ -45,11 +46,7 @@ def topics_for(snapshot: Snapshot, ref: PortRef) -> List[str]:
 
 
 def choose_topic(snapshot: Snapshot, source: PortRef, sink: PortRef) -> str:
-    """Choose the topic for a connection.
-
-    The one that the out-port publishes on already, so that others who listen keep their stream;
-    else the one where the in-port waits, if nobody publishes on it; else a new one, named after
-    the out-port.
+    """Choose the topic for a connection, as ``dyknow connect`` does.
 
     Raises:
         DoNotFit: no stream can lead from one port to the other.
@@ -63,16 +60,8 @@ def choose_topic(snapshot: Snapshot, source: PortRef, sink: PortRef) -> str:
         raise DoNotFit(
             f"{source} sends {out_port.datatype}, but {sink} expects {in_port.datatype}"
         )
-    if out_port.topic:
-        return out_port.topic
-    topics = snapshot.topics()
-    if in_port.topic and not topics[in_port.topic].sources and not _published(snapshot, in_port):
-        return in_port.topic
-    wish = names.join(source.nodelet, source.port.lstrip("~"))
-    topic, number = wish, 2
-    while topic in topics:
-        topic, number = f"{wish}_{number}", number + 1
-    return topic
+    published = snapshot.taken.union(*(node.publishes for node in snapshot.nodes))
+    return ports.choose_topic(source.nodelet, out_port, in_port, snapshot.nodelets, published)
 
 
 def connect(snapshot: Snapshot, one: PortRef, other: PortRef) -> Rewire:
@@ -123,7 +112,3 @@ def rewire(snapshot: Snapshot, topics: Tuple[Tuple[PortRef, str], ...], text: st
         text,
         tuple((ref, now) for ref, _, now in needed),
     )
-
-
-def _published(snapshot: Snapshot, port: PortState) -> bool:
-    return any(port.topic in node.publishes for node in snapshot.nodes)

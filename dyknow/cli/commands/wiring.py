@@ -3,28 +3,49 @@
 from __future__ import annotations
 
 import argparse
-from typing import Dict, List, Sequence
+from typing import Dict, List, Optional, Sequence, Union
 
-from dyknow.cli.arguments import Kind, PortReference, graph_name, port_reference, takes
+from dyknow.cli.arguments import (
+    Kind,
+    PortReference,
+    graph_name,
+    port_or_topic,
+    port_reference,
+    takes,
+)
 from dyknow.cli.command import Command
-from dyknow.cli.connecting import Change, apply, connect, find_port, ports_of
+from dyknow.cli.connecting import (
+    Change,
+    apply,
+    connect,
+    connect_to_topic,
+    find_port,
+    ports_of,
+)
 from dyknow.cli.shapes import Shape
 from dyknow.cli.shell import Shell
 from dyknow.cli.views import shows
+from dyknow.manager.specifications.transformation import IN, OUT
 
 
 def _connect_arguments(parser: argparse.ArgumentParser) -> None:
     takes(
         parser.add_argument(
-            "source", metavar="A:OUT", type=port_reference, help="an out-port: NODELET:PORT"
+            "source",
+            metavar="FROM",
+            type=port_or_topic,
+            help="where the stream comes from: an out-port, NODELET:PORT, or a topic",
         ),
-        Kind.OUT_PORT,
+        Kind.STREAM_SOURCE,
     )
     takes(
         parser.add_argument(
-            "target", metavar="B:IN", type=port_reference, help="an in-port: NODELET:PORT"
+            "target",
+            metavar="TO",
+            type=port_or_topic,
+            help="where it goes to: an in-port, NODELET:PORT, or a topic",
         ),
-        Kind.IN_PORT,
+        Kind.STREAM_TARGET,
     )
     takes(
         parser.add_argument(
@@ -32,26 +53,44 @@ def _connect_arguments(parser: argparse.ArgumentParser) -> None:
             metavar="T",
             type=graph_name,
             default=None,
-            help="the topic to use (default: the out-port's, else the in-port's, else /A/OUT)",
+            help="the topic between two ports (default: the out-port's, else the in-port's, else "
+            "/A/OUT)",
         ),
         Kind.TOPIC,
     )
 
 
+def _connect_problem(arguments: argparse.Namespace) -> str:
+    ends = arguments.source, arguments.target
+    if all(isinstance(end, str) for end in ends):
+        return (
+            f"'{ends[0]}' and '{ends[1]}' are topics; expected a port at one end at least, "
+            "NODELET:PORT, such as camera:image"
+        )
+    if arguments.topic and any(isinstance(end, str) for end in ends):
+        return "--topic names the topic between two ports; one end is a topic already"
+    return ""
+
+
 def _connect(arguments: argparse.Namespace, shell: Shell) -> None:
-    source = _resolved(shell, arguments.source)
-    target = _resolved(shell, arguments.target)
-    topic = shell.resolve(arguments.topic) if arguments.topic else ""
-    topic, changes = connect(shell.client, source, target, topic)
+    source, target = _end(shell, arguments.source), _end(shell, arguments.target)
+    if isinstance(source, str) and isinstance(target, PortReference):
+        topic, changes = source, connect_to_topic(shell.client, target, source, IN)
+    elif isinstance(source, PortReference) and isinstance(target, str):
+        topic, changes = target, connect_to_topic(shell.client, source, target, OUT)
+    elif isinstance(source, PortReference) and isinstance(target, PortReference):
+        wish = shell.resolve(arguments.topic) if arguments.topic else ""
+        topic, changes = connect(shell.client, source, target, wish)
     _wait(shell, changes)
+    way = " -> ".join(dict.fromkeys((str(source), topic, str(target))))
     shell.show(
         {
-            "out": _reference_shape(source),
-            "in": _reference_shape(target),
+            "out": _end_shape(source),
+            "in": _end_shape(target),
             "topic": topic,
             "changed": [_change_shape(change) for change in changes],
         },
-        [f"{source} -> {topic} -> {target}" + ("" if changes else " (as it was)")],
+        [way + ("" if changes else " (as it was)")],
     )
 
 
@@ -83,6 +122,14 @@ def _disconnect(arguments: argparse.Namespace, shell: Shell) -> None:
     )
 
 
+def _end(shell: Shell, end: Union[PortReference, str]) -> Union[PortReference, str]:
+    return shell.resolve(end) if isinstance(end, str) else _resolved(shell, end)
+
+
+def _end_shape(end: Union[PortReference, str]) -> Optional[Shape]:
+    return None if isinstance(end, str) else _reference_shape(end)
+
+
 def _resolved(shell: Shell, reference: PortReference) -> PortReference:
     return PortReference(shell.resolve(reference.nodelet), reference.port)
 
@@ -107,13 +154,17 @@ def _change_shape(change: Change) -> Shape:
 COMMANDS = (
     Command(
         "connect",
-        "connect an out-port to an in-port",
-        "Connect an out-port to an in-port while both nodelets run. Directions and types are "
-        "checked first; the in-port is moved first, and moved back if the out-port cannot be.",
+        "connect ports to each other, or to topics",
+        "Connect an out-port to an in-port, a topic to an in-port, or an out-port to a topic, "
+        "while the nodelets run. Directions and types are checked first; of two ports the in-port "
+        "is moved first, and moved back if the out-port cannot be.",
         "dyknow connect camera:image undistort:rawcamera\n"
-        "dyknow connect camera:image undistort:rawcamera --topic /camera/image_raw",
+        "dyknow connect camera:image undistort:rawcamera --topic /camera/image_raw\n"
+        "dyknow connect /usb_cam/image_raw undistort:rawcamera\n"
+        "dyknow connect undistort:undist /image_rect",
         _connect_arguments,
         _connect,
+        _connect_problem,
     ),
     Command(
         "disconnect",

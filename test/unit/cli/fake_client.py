@@ -6,7 +6,7 @@ import io
 import json
 import shlex
 from dataclasses import dataclass
-from typing import Any, Callable, Mapping, Sequence
+from typing import Any, Callable, Container, Mapping, Sequence
 
 from unit.manager.world import World
 
@@ -32,6 +32,7 @@ class FakeClient:
         calls: the changes that were asked for, in order.
         fail: called before each of them with its name and subject; may raise.
         hung: nodelets that do not answer.
+        ordinary: topics that ordinary nodes publish on.
     """
 
     namespace = "/"
@@ -42,6 +43,7 @@ class FakeClient:
         self.fail: Callable[[str, str], None] = lambda call, subject: None
         self.hung: set[str] = set()
         self.uncounted: set[str] = set()
+        self.ordinary: set[str] = set()
         self.keeper = Keeper(world.manager, clock=lambda: 0.0)
         #: What happens, one after the other, while a command waits for events.
         self.script: list[Callable[[], None]] = []
@@ -173,6 +175,9 @@ class FakeClient:
         return {
             name: known[f"{nodelet}/{name}"] for name in parameters if f"{nodelet}/{name}" in known
         }
+
+    def published(self, hosts: Container[str]) -> frozenset[str]:
+        return frozenset(self.ordinary)
 
     def is_own_manager(self, name: str) -> bool:
         return name.startswith("/fake_")

@@ -1,29 +1,46 @@
-"""The topic that `dyknow connect` chooses."""
+"""The topic on which two ports meet: one choice, for the command line and for the window."""
 
 from __future__ import annotations
 
 import pytest
+from unit.cli.fake_client import FakeClient, run
+from unit.manager.world import World
 
-pytest.importorskip("rospy")
-
-from dyknow.cli.connecting import PortReference, choose_topic
-from dyknow.manager.model import PortState
+from dyknow_rqt.graph.snapshot import PortRef, Snapshot, plain_nodes, taken_topics
+from dyknow_rqt.graph.wiring import choose_topic
 
 
 @pytest.mark.parametrize(
-    ("out", "into", "is_fed", "topic"),
+    ("topics", "ordinary", "topic"),
     [
-        ("/a", "/b", True, "/a"),
-        ("", "/b", False, "/b"),
-        ("", "/b", True, "/one/out"),
-        ("", "", False, "/one/out"),
+        ({}, [], "/cam/image"),
+        ({"/cam": "/a", "/relay": "/b"}, [], "/a"),
+        ({"/relay": "/b"}, [], "/b"),
+        ({"/relay": "/b", "/other": "/b"}, [], "/cam/image"),
+        ({"/relay": "/b"}, ["/b"], "/cam/image"),
+        ({"/other": "/cam/image"}, [], "/cam/image_2"),
+        ({"/other": "/cam/image", "/relay": "/cam/image_2"}, ["/cam/image_2"], "/cam/image_3"),
+        ({"/relay": "/b"}, ["/b", "/cam/image"], "/cam/image_2"),
     ],
 )
-def test_the_in_port_hears_the_out_port_and_only_that(
-    out: str, into: str, is_fed: bool, topic: str
+def test_command_line_and_window_choose_the_same(
+    topics: dict[str, str], ordinary: list[str], topic: str
 ) -> None:
-    source = PortReference("/one", "out")
-    chosen = choose_topic(
-        source, PortState("out", "out", topic=out), PortState("in", "in", topic=into), is_fed
+    client = FakeClient(World())
+    client.world.spawn("camera", "cam")
+    client.world.spawn("camera", "other")
+    client.world.spawn("relay", "relay")
+    client.ordinary.update(ordinary)
+    ports = {"/cam": "image", "/other": "image", "/relay": "in"}
+    for nodelet, place in topics.items():
+        client.set_config(nodelet, {ports[nodelet]: place})
+    publishers = [(each, ["/usb_cam"]) for each in ordinary]
+    nodelets = client.nodelets().nodelets
+    connected = {port.topic for nodelet in nodelets for port in nodelet.ports}
+    snapshot = Snapshot(
+        nodelets,
+        plain_nodes(publishers, (), connected, set()),
+        taken_topics(publishers, nodelets, set()),
     )
-    assert chosen == topic
+    assert choose_topic(snapshot, PortRef("/cam", "image"), PortRef("/relay", "in")) == topic
+    assert run(client, "connect cam:image relay:in --json").json["topic"] == topic

@@ -65,10 +65,12 @@ def offered(client: FakeClient, text: str) -> list[str]:
         ("spawn relay r --connect in:/r", ["/raw", "/rosout"]),
         ("spawn relay r --connect in:/raw o", ["out:"]),
         ("spawn relay r --manager ", ["/fake_0"]),
-        ("connect ", ["/cam:", "/robot/relay:"]),
+        ("connect ", ["/cam:", "/raw", "/robot/relay:", "/rosout"]),
         ("connect cam:", ["image"]),
         ("connect /cam:im", ["image"]),
-        ("connect cam:image ", ["/robot/relay:"]),
+        ("connect cam:image ", ["/raw", "/robot/relay:", "/rosout"]),
+        ("connect cam:image /ro", ["/robot/relay:", "/rosout"]),
+        ("connect /raw ", ["/robot/relay:"]),
         ("connect cam:image robot/relay:", ["in"]),
         ("connect cam:image robot/relay:in --topic=/ra", ["/raw"]),
         ("connect a b --topic /ra", ["/raw"]),
@@ -87,7 +89,7 @@ def test_the_in_port_has_to_fit_the_out_port(client: FakeClient) -> None:
     text = "<transformation><label>text</label><source>pkg/Text</source></transformation>"
     client.world.manager.add_transformation(text)
     client.world.spawn("text", "text")
-    assert offered(client, "connect cam:image ") == ["/robot/relay:"]
+    assert offered(client, "connect cam:image /r") == ["/raw", "/robot/relay:", "/rosout"]
     assert offered(client, "disconnect ") == ["/cam:", "/robot/relay:", "/text:"]
 
 

@@ -49,6 +49,45 @@ def test_a_topic_that_is_given_begins_at_the_manager(client: FakeClient) -> None
     assert set(topics(client).values()) == {"/raw"}
 
 
+def test_an_in_port_is_connected_to_a_topic(client: FakeClient) -> None:
+    assert run(client, "connect raw robot/relay:in").lines == ["/raw -> /robot/relay:in"]
+    assert topics(client) == {"/robot/relay:in": "/raw"}
+    assert run(client, "connect /raw robot/relay:in --json").json == {
+        "out": None,
+        "in": {"nodelet": "/robot/relay", "port": "in"},
+        "topic": "/raw",
+        "changed": [],
+    }
+    assert client.calls == [("set_config", "/robot/relay")]
+
+
+def test_an_out_port_is_connected_to_a_topic(client: FakeClient) -> None:
+    assert run(client, "connect cam:image /raw --json").json == {
+        "out": {"nodelet": "/cam", "port": "image"},
+        "in": None,
+        "topic": "/raw",
+        "changed": [{"nodelet": "/cam", "port": "image", "before": "", "after": "/raw"}],
+    }
+    assert topics(client) == {"/cam:image": "/raw"}
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("connect /raw cam:image", "'/cam:image' is an out-port; swap the two"),
+        ("connect robot/relay:in /raw", "'/robot/relay:in' is an in-port; swap the two"),
+        ("connect cam robot/relay:in", "'/cam' is a nodelet; expected a topic, or its port as"),
+        ("connect cam:image robot/relay", "its in-ports: in"),
+        ("connect /raw robot/relay:inn", "no port 'inn'; its ports: in (in), out (out); did you"),
+    ],
+)
+def test_a_topic_at_the_wrong_end_is_refused(client: FakeClient, line: str, said: str) -> None:
+    outcome = run(client, line)
+    assert outcome.code == 1
+    assert said in outcome.err
+    assert client.calls == []
+
+
 def test_the_reader_is_moved_first(client: FakeClient) -> None:
     run(client, "connect cam:image robot/relay:in")
     assert client.calls == [("set_config", "/robot/relay"), ("set_config", "/cam")]

@@ -63,7 +63,16 @@ def test_examples_are_understood() -> None:
         (["spawn", "relay"], "the following arguments are required: NAME"),
         (["spawn", "relay", "a b"], "'a b' is not a valid name"),
         (["spawn", "relay", "~a"], "'~a' is private to nobody here"),
-        (["connect", "a", "b:in"], "'a': expected NODELET:PORT, such as camera:image"),
+        (["connect", "a", "b"], "'a' and 'b' are topics; expected a port at one end at least"),
+        (["connect", "a", "b:in", "--topic", "c"], "one end is a topic already"),
+        (["spawn", "relay", "a", "_rate:=20"], "'_rate:=20' would have no effect: a spawn takes"),
+        (["spawn", "relay", "a", "in:=/x"], "connect a port of the new nodelet with --connect in"),
+        (
+            ["list", "__ns:=/robot"],
+            "'__ns:=/robot' would have no effect: set ROS_NAMESPACE",
+        ),
+        (["list", "__master:=http://x:1"], "set ROS_MASTER_URI in the environment"),
+        (["--json", "list", "a:=b"], "'dyknow list' takes neither remappings nor parameters"),
         (["connect", "a:", "b:in"], "expected NODELET:PORT"),
         (["connect", "a:out", "b:in", "--topic", "x//y"], "'x//y' is not a valid name"),
         (["spawn", "relay", "a", "--connect", "in"], "'in': expected PORT:TOPIC"),
@@ -96,8 +105,8 @@ def test_options_of_every_command_stand_before_or_behind_it() -> None:
         assert arguments.manager_node == "/m"
 
 
-def test_arguments_of_ros_are_left_out() -> None:
-    assert parse(["list", "__name:=x", "a:=b"]).command == "list"
+def test_what_roslaunch_adds_is_left_out() -> None:
+    assert parse(["list", "__name:=x", "__log:=/tmp/x.log"]).command == "list"
 
 
 def test_the_manager_comes_from_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
