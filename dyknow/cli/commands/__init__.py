@@ -16,6 +16,7 @@ from dyknow.cli.commands import (
     statistics,
     storage,
     streams,
+    tags,
     wiring,
 )
 
@@ -24,7 +25,7 @@ GROUPS: Tuple[Tuple[str, Tuple[Command, ...]], ...] = (
     ("What runs", (*looking.COMMANDS, *statistics.COMMANDS, *graph.COMMANDS)),
     ("Nodelets", nodelets.COMMANDS),
     ("Connections", wiring.COMMANDS),
-    ("Streams on request", (*holding.COMMANDS, *streams.COMMANDS)),
+    ("Streams on request", (*tags.COMMANDS, *holding.COMMANDS, *streams.COMMANDS)),
     ("Transformations", (*library.COMMANDS, *checking.COMMANDS)),
     ("Whole wirings", storage.COMMANDS),
     ("", completion.COMMANDS),

@@ -76,7 +76,10 @@ def _acquire(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
 def _ask(arguments: argparse.Namespace, shell: Shell, lease: float) -> StreamView:
     try:
         request = request_of(arguments, lease, arguments.max_silence)
-        claim_id = shell.client.acquire_stream(request).claim_id
+        answer = shell.client.acquire_stream(request)
+        for warning in answer.message.splitlines():
+            shell.warn(warning)
+        claim_id = answer.claim_id
     except StreamRefused as error:
         if not error.claim_id:
             raise

@@ -18,6 +18,7 @@ from typing import Callable, List, Mapping, Optional, Tuple
 
 from dyknow.errors import DyKnowError, NoPlanFound
 from dyknow.manager.claim import Claim, ClaimEvent, ClaimState, StreamRequest
+from dyknow.manager.claims.advice import refusal
 from dyknow.manager.claims.claim_table import ClaimTable
 from dyknow.manager.claims.delivery import Delivery
 from dyknow.manager.claims.first_message import FirstMessages
@@ -170,7 +171,8 @@ class Keeper:
             if isinstance(answer, NoPlan):
                 if not dry_run:
                     self._table.add(replace(claim, detail=str(answer)), "requested")
-                raise NoPlanFound(str(answer), claim.claim_id)
+                reason = refusal(self._manager, answer, request.exclude)
+                raise NoPlanFound(reason, claim.claim_id)
             if dry_run:
                 return Acquired(claim, answer, *_intended(answer, {}))
             plan, done = self._repair.carry_out(claim, answer, lenient=True)
@@ -211,7 +213,8 @@ class Keeper:
             cheaper = self._offers.cheaper(claim) if damage is None else None
             answer = cheaper or self._prospects.plan(claim, lenient=True)
             if isinstance(answer, NoPlan):
-                raise NoPlanFound(str(answer), claim_id)
+                reason = refusal(self._manager, answer, claim.request.exclude)
+                raise NoPlanFound(reason, claim_id)
             if dry_run:
                 return Acquired(claim, answer, *_intended(answer, own))
             plan, done = self._repair.carry_out(claim, answer, lenient=True)

@@ -1,6 +1,7 @@
 """Explains a plan: as a tree for people, and as a drawing in the language of Graphviz.
 
-The tree can be read back, so that whoever was sent one can draw it::
+What is used more than once is new where it stands first and shared everywhere else, so the prices
+add up to that of the plan. The tree can be read back, so that whoever was sent one can draw it::
 
     FieldPosition(ball): cost 2
     └─ localization.position (new, cost 1)
@@ -18,7 +19,7 @@ from dyknow.manager.planning.problem import Answer, Live, NoPlan, Plan, Source, 
 
 _LINE = re.compile(r"(?P<lead>[ │├└─]*─ )(?:(?P<port>\S+) ← )?(?P<what>.*) \((?P<how>[^()]*)\)\Z")
 _INDENT = 3
-_ABOVE = "see above"
+_ABOVE = "shared, see above"
 
 
 class Entry(NamedTuple):
@@ -131,7 +132,7 @@ def _entries(plan: Plan) -> List[Entry]:
             continue
         step = steps[source.label]
         how = f"new, cost {step.action.cost}" if step.action.cost else "at no cost"
-        if source.label in told and step.inputs:
+        if source.label in told:
             how = _ABOVE
         entries.append(Entry(depth, port, f"{source.label}.{source.port}", how))
         if source.label not in told:

@@ -14,6 +14,7 @@ import rospy
 from dyknow_msgs.msg import StreamEvent
 
 from dyknow.manager.claim import ClaimEvent
+from dyknow.manager.claims.advice import unknown_labels
 from dyknow.manager.claims.keeper import Keeper
 from dyknow.manager.manager import Manager
 from dyknow.manager.specifications.tags import Subsumption
@@ -57,6 +58,7 @@ class StreamNode:
             self._messages,
             after_change,
             lambda: manager.store.remark,
+            lambda labels: unknown_labels(manager, labels) if labels else (),
         )
         self._reconciling.start()
 

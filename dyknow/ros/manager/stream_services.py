@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from typing import Any, Callable, List, Optional, Tuple, Type
+from typing import Any, Callable, List, Optional, Sequence, Tuple, Type
 
 import rospy
 from dyknow_msgs.srv import (
@@ -60,6 +60,7 @@ class StreamServices:
         messages: StreamMessages,
         after_change: Callable[[], None],
         remark: Callable[[], str],
+        unknown_labels: Callable[[Sequence[str]], Sequence[str]],
     ) -> None:
         """Offer them.
 
@@ -69,11 +70,13 @@ class StreamServices:
             messages: makes messages of claims.
             after_change: called after each attempt to change something, before it is answered.
             remark: what the answer to a change has to add; empty for nothing.
+            unknown_labels: says which labels that a client excludes are those of nothing.
         """
         self._keeper = keeper
         self._guards = guards
         self._messages = messages
         self._after_change = after_change
+        self._unknown_labels = unknown_labels
         self._services: List[Any] = [
             rospy.Service(name, service_class, with_remark(handler, remark))
             for name, service_class, handler in (
@@ -94,7 +97,9 @@ class StreamServices:
         answer = AcquireStreamResponse()
 
         def acquire() -> None:
-            acquired = self._keeper.acquire(self._checked(request), request.dry_run)
+            wanted = self._checked(request)
+            acquired = self._keeper.acquire(wanted, request.dry_run)
+            answer.message = "\n".join(self._unknown_labels(wanted.exclude))
             claim = acquired.claim
             answer.claim_id, answer.topic = claim.claim_id, claim.topic
             answer.datatype, answer.message = claim.datatype, claim.detail

@@ -15,6 +15,7 @@ from dyknow.cli.parser import parse
 from dyknow.cli.shell import Shell
 from dyknow.errors import DyKnowError, HostError, NoPlanFound, Refused
 from dyknow.manager.claim import Claim, ClaimEvent, StreamRequest
+from dyknow.manager.claims.advice import unknown_labels
 from dyknow.manager.claims.keeper import Acquired, Keeper
 from dyknow.manager.lifecycle import SpawnRequest
 from dyknow.manager.model import Record
@@ -135,7 +136,7 @@ class FakeClient:
             acquired.cost,
             0.0,
             _tree(acquired),
-            "",
+            "\n".join(unknown_labels(self.world.manager, request.exclude)),
         )
 
     def release_stream(self, claim_id: str) -> None:

@@ -32,6 +32,34 @@ def left(client: FakeClient) -> str:
     return str(run(client, f"{ACQUIRE} --lease 0 --json").json["claim"])
 
 
+class TestTags:
+    def test_who_supplies_what(self, client: FakeClient) -> None:
+        client.world.spawn("camera", "cam")
+        outcome = run(client, "tags")
+        assert outcome.lines == [
+            "TAG          TYPE               SUPPLIED BY",
+            "Raw(camera)  sensor_msgs/Image  camera, /cam (runs)",
+        ]
+
+    def test_json(self, client: FakeClient) -> None:
+        client.world.manager.add_transformation(
+            '<transformation type="topic"><label>t</label><source>/t</source><ports>'
+            '<port type="out">o</port></ports><tags><tag port="o">Joints(nao)</tag></tags>'
+            "</transformation>"
+        )
+        shape = run(client, "tags JOINTS --json").json
+        assert shape == {
+            "tags": [
+                {
+                    "tag": "Joints(nao)",
+                    "datatypes": [],
+                    "transformations": ["t"],
+                    "nodelets": [],
+                }
+            ]
+        }
+
+
 class TestPlan:
     def test_as_a_tree(self, client: FakeClient) -> None:
         assert run(client, "plan 'Raw(camera)'").lines == [
@@ -55,10 +83,31 @@ class TestPlan:
             "plan": "Raw(camera): cost 1\n└─ camera.image (new, cost 1)",
         }
 
+    def test_what_was_left_out_is_told(self, client: FakeClient) -> None:
+        error = run(client, "plan 'Raw(camera)' --exclude camera").err
+        assert "nothing supplies Raw(camera) (excluded: camera)" in error
+
+    def test_a_label_that_excludes_nothing(self, client: FakeClient) -> None:
+        outcome = run(client, "plan 'Raw(camera)' --exclude camra relay")
+        said = "no transformation is labelled 'camra'; did you mean camera?"
+        assert outcome.code == 0
+        assert outcome.err == f"dyknow: warning: {said}\n"
+        error = run(client, "plan 'Raw(cat)' --exclude camra").err
+        assert f"(excluded: camra); did you mean Raw(camera)?; {said}" in error
+        outcome = run(client, "acquire 'Raw(camera)' --lease 0 --exclude camra")
+        assert outcome.err == f"dyknow: warning: {said}\n"
+
+    def test_a_tag_that_is_nearly_one(self, client: FakeClient) -> None:
+        error = run(client, "plan 'Rawe(camera)'").err
+        assert "nothing supplies Rawe(camera); did you mean Raw(camera)?" in error
+        assert "did you mean" not in run(client, "plan 'FieldPosition(ball)'").err
+
     def test_what_is_missing(self, client: FakeClient) -> None:
         outcome = run(client, "plan 'Raw(camera)' --exclude camera")
         assert (outcome.code, outcome.out) == (1, "")
-        assert outcome.err == ("dyknow: no plan for Raw(camera): nothing supplies Raw(camera)\n")
+        assert outcome.err == (
+            "dyknow: no plan for Raw(camera): nothing supplies Raw(camera) (excluded: camera)\n"
+        )
 
 
 class TestAcquire:

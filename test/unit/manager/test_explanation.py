@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 
@@ -57,8 +58,27 @@ def test_shared_parts_are_told_once_and_depth_does_not_matter() -> None:
     diamonds = Plan(demand("X"), New(f"level {depth - 1}", "out"), tuple(steps), depth)
     text = as_tree(diamonds)
     assert len(text.split("\n")) == 2 * depth
-    assert text.count("see above") == depth - 2
+    assert text.count("shared, see above") == depth - 1
+    assert prices(text) == depth
     assert as_dot(diamonds).count(" -> ") == 2 * depth - 1
+
+
+def prices(text: str) -> int:
+    return sum(map(int, re.findall(r"\(new, cost (\d+)\)", text)))
+
+
+def test_prices_add_up_where_a_leaf_is_shared() -> None:
+    camera, left, right, both = (
+        Step(Action("camera", 5, ()), ()),
+        Step(Action("left", 1, (Need("in", demand("X")),)), (("in", New("camera", "image")),)),
+        Step(Action("right", 2, (Need("in", demand("X")),)), (("in", New("camera", "image")),)),
+        Step(Action("both", 1, ()), (("l", New("left", "out")), ("r", New("right", "out")))),
+    )
+    answer = Plan(demand("X"), New("both", "out"), (camera, left, right, both), 9)
+    text = as_tree(answer)
+    assert prices(text) == 9
+    assert text.endswith("      └─ in ← camera.image (shared, see above)")
+    assert tree_as_dot(text).count('"camera" [') == 1
 
 
 def test_without_a_plan_the_missing_tags_are_named() -> None:
