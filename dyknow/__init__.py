@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 __all__ = ["NodeHandle", "Nodelet", "acquire"]
 
+__version__ = "0.1.0"
+
 _HOMES = {
     "Nodelet": "dyknow.nodelet",
     "NodeHandle": "dyknow.proxy",

@@ -6,6 +6,7 @@ import argparse
 import os
 from typing import Dict, List, Sequence, Tuple
 
+from dyknow import __version__
 from dyknow.cli.arguments import Kind, Parser, manager_node, seconds, takes
 from dyknow.cli.command import Command
 from dyknow.cli.commands import GROUPS
@@ -43,6 +44,7 @@ def build_parser() -> Tuple[Parser, Dict[str, Parser]]:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
+    parser.add_argument("--version", action="version", version=f"dyknow {__version__}")
     _add_common(parser)
     chosen = parser.add_subparsers(dest="command", metavar="COMMAND", parser_class=Parser)
     chosen.required = True

@@ -56,6 +56,7 @@ class Observer:
         self._lock = threading.Lock()
         self._dead: Set[str] = set()  # found by this look
         self._returning: Set[str] = set()  # being brought back
+        self._silent: Set[str] = set()  # nodelet managers that do not answer; it was logged
         #: Called with the record of a nodelet that was made for a claim and died.
         self.on_death: Callable[[Record], None] = lambda record: None
 
@@ -86,7 +87,9 @@ class Observer:
                     if state.alive:
                         listed[state.name] = set(self._host.list(state.name))
                 except HostError as error:
-                    _log.warning("nodelet manager %s: %s", state.name, error)
+                    self._note_silent(state.name, error)
+                else:
+                    self._silent.discard(state.name)
             by_name = {state.name: state for state in states}
             for record in self._graph.all():
                 host = by_name.get(record.manager)
@@ -100,6 +103,12 @@ class Observer:
             dead, self._dead = sorted(self._dead), set()
         for name in dead:
             self._bring_back_soon(name)
+
+    def _note_silent(self, manager: str, error: HostError) -> None:
+        """Say once that a nodelet manager does not answer: it is asked again at every look."""
+        if manager not in self._silent:
+            self._silent.add(manager)
+            _log.warning("%s; it is said once", error.__cause__ or error)
 
     def _check(
         self,

@@ -94,9 +94,9 @@ class ShellClient(ManagerClient):
             try:
                 message = reader.read(seconds)
             except OSError as error:
-                raise self._no_manager(_why_silent(error, seconds)) from error
+                raise self._no_manager(error, seconds) from error
         if message is None:
-            raise self._no_manager(f"did not answer within {seconds:g} s")
+            raise self._no_manager(PeerTimeout(self.manager, seconds), seconds)
         return model_view(message)
 
     def stream_events(self) -> EventReader:
@@ -172,11 +172,11 @@ class ShellClient(ManagerClient):
         except ServiceLost as error:
             if owner != self.manager:
                 raise Silent(f"nodelet '{owner}' does not answer: {error}") from error
-            raise self._no_manager(_why_silent(error, seconds)) from error
+            raise self._no_manager(error, seconds) from error
         except PeerTimeout as error:
             if owner != self.manager:
                 raise Silent(f"nodelet '{owner}' did not answer within {seconds:g} s") from error
-            raise self._no_manager(f"did not answer within {seconds:g} s") from error
+            raise self._no_manager(error, seconds) from error
 
     def _topic(self, name: str, message_class: Any) -> TopicReader:
         """Connect to a topic of the manager."""
@@ -185,10 +185,8 @@ class ShellClient(ManagerClient):
         self._find_master()
         try:
             return TopicReader(self._asked, self.manager, topic, message_class, seconds)
-        except LookupError:
-            raise self._no_manager("is not running") from None
-        except (PeerTimeout, OSError) as error:
-            raise self._no_manager(_why_silent(error, seconds)) from error
+        except (LookupError, PeerTimeout, OSError) as error:
+            raise self._no_manager(error, seconds) from error
 
     def _nodes_with(self, suffix: str) -> List[str]:
         _, _, services = self._on_master(lambda: self._asked.ask("getSystemState"))
@@ -217,20 +215,26 @@ class ShellClient(ManagerClient):
                 "ROS_MASTER_URI right?"
             ) from error
 
-    def _no_manager(self, why: str) -> Unreachable:
-        return Unreachable(
-            f"DyKnow manager '{self.manager}' {why}: start one with 'rosrun dyknow manager', or "
-            "name another with --manager-node or $DYKNOW_MANAGER"
-        )
-
-
-def _why_silent(error: BaseException, seconds: float) -> str:
-    cause = error.__cause__ or error
-    if isinstance(cause, LookupError):
-        return "is not running"
-    if isinstance(cause, (PeerTimeout, socket.timeout)):
-        return f"did not answer within {seconds:g} s"
-    return f"is registered, but does not answer ({_words(error)})"
+    def _no_manager(self, error: BaseException, seconds: float) -> Unreachable:
+        """Say why the manager does not answer, and what to do: it is not there, dead, or hangs."""
+        cause = error.__cause__ or error
+        if isinstance(cause, LookupError):
+            why = (
+                "is not running: start one with 'rosrun dyknow manager', or name another with "
+                "--manager-node or $DYKNOW_MANAGER"
+            )
+        elif isinstance(cause, (PeerTimeout, socket.timeout)):
+            why = (
+                f"runs, but did not answer within {seconds:g} s: it hangs, is busy, or its host "
+                "is away; ask again with a longer --timeout, or end it: rosnode kill "
+                f"{self.manager}, if need be kill -9"
+            )
+        else:
+            why = (
+                f"is registered, but does not answer ({_words(error)}): it was probably killed; "
+                "start it again with 'rosrun dyknow manager'"
+            )
+        return Unreachable(f"DyKnow manager '{self.manager}' {why}")
 
 
 def _words(error: BaseException) -> str:

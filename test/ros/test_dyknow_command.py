@@ -25,6 +25,7 @@ from manager_suite import (
     specification,
 )
 from processes import Running
+from roslib.packages import find_node
 
 DYKNOW = [sys.executable, "-m", "dyknow.cli"]
 
@@ -365,11 +366,20 @@ class UnreachableTest(unittest.TestCase):
         self.assertEqual((done.code, done.out), (3, ""), done.err)
         self.assertIn(said, done.err)
         self.assertEqual(done.err.count("\n"), 1, done.err)
+        return done
 
     def test_no_manager(self):
         for words in (["list"], ["library"], ["spawn", "a", "b"], ["save", "-"], ["stats"]):
             self.check("DyKnow manager '/n' is not running", *words, "--manager-node", "n")
         self.check("'/ns/other' is not", "list", DYKNOW_MANAGER="other", ROS_NAMESPACE="/ns")
+
+    def test_a_manager_takes_no_words_that_would_have_no_effect(self):
+        program = find_node("dyknow", "manager")[0]
+        done = subprocess.run(
+            [program, "--read-only"], capture_output=True, text=True, timeout=60, check=False
+        )
+        self.assertEqual((done.returncode, done.stdout), (255, ""))
+        self.assertIn("'--read-only' would have no effect", done.stderr)
 
     def test_no_master(self):
         for uri in ("http://localhost:1", "http://no.such.host.invalid:11311", "nonsense"):
@@ -380,13 +390,16 @@ class UnreachableTest(unittest.TestCase):
         os.kill(self.manager.process.pid, signal.SIGSTOP)
         try:
             for words in (["list"], ["library"], ["destroy", "x"]):
-                self.check("did not answer within 0.5 s", *words, "--timeout", "0.5")
+                done = self.check("did not answer within 0.5 s", *words, "--timeout", "0.5")
+                self.assertIn("it hangs, is busy, or its host is away", done.err)
+                self.assertNotIn("start one", done.err)
             self.assertEqual(Done("complete", "dyknow info ").out, "")
         finally:
             os.kill(self.manager.process.pid, signal.SIGCONT)
         self.manager.kill()
         for words in (["list"], ["library"]):
-            self.check(f"DyKnow manager '{MANAGER}' is registered, but does not answer", *words)
+            done = self.check(f"'{MANAGER}' is registered, but does not answer", *words)
+            self.assertIn("start it again", done.err)
 
 
 if __name__ == "__main__":

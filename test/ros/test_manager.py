@@ -316,6 +316,22 @@ class GuardsTest(ManagerCase):
 
 
 class StartTest(ManagerCase):
+    def test_transformations_of_one_manager_are_not_those_of_the_next(self):
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        file = Path(folder.name, "library.xml")
+        file.write_text(LIBRARY)
+        manager = self.make(transformations=[str(file)])
+        manager.start()
+        self.assertIn("relay", [t.label for t in manager.client.get_model().transformations])
+        manager.kill()  # whoever starts it again starts it with its parameters
+        self.assertTrue(rospy.has_param(f"{MANAGER}/transformations"))
+        manager.start()
+        manager.stop()
+        other = self.make()
+        other.start()
+        self.assertEqual(other.client.get_model().transformations, ())
+
     def test_an_end_on_purpose_leaves_nothing_but_transformations(self):
         before = registrations("/"), parameters("/")
         for number in (signal.SIGINT, signal.SIGTERM, None):

@@ -65,7 +65,7 @@ class ManagerNode(Closable):
         self._settings = settings
         self._owner = OwnerLock(settings.state_path("lock"))
         self._store = Store(settings.state_path("sqlite3"))
-        master = Master(node)
+        master = self._master = Master(node)
         self._children = Children(
             Launcher(
                 master,
@@ -127,6 +127,7 @@ class ManagerNode(Closable):
         self._workers.close(_WORKERS_PATIENCE)
         self.manager.end()
         self._host.release()
+        self._forget_transformations()
         self._host.close()
         self._store.close()
         self._owner.release()
@@ -144,6 +145,17 @@ class ManagerNode(Closable):
                 continue
             for warning in found.warnings:
                 rospy.logwarn("%s", warning)
+
+    def _forget_transformations(self) -> None:
+        """Delete ``~transformations``: they are in the durable library, until they are removed.
+
+        Otherwise the parameter would add them to the library of whoever comes next, also where
+        that was never told to.
+        """
+        try:
+            self._master.ask("deleteParam", names.join(self._master.caller, "transformations"))
+        except (LookupError, PeerTimeout):
+            return  # it was not set, or nobody is there to keep it
 
     def _retire_empty(self) -> None:
         """End processes for nodelets that nobody was told of."""
@@ -214,6 +226,14 @@ def _ontology(paths: Sequence[str]) -> Ontology | None:
 def main(argv: Sequence[str] = ()) -> int:
     """Run the node until it is told to end; returns the exit code."""
     argv = list(argv or sys.argv)
+    for word in argv[1:]:
+        if ":=" not in word:
+            print(
+                f"manager: '{word}' would have no effect; expected ROS's own arguments alone, "
+                "such as __name:=NAME or _PARAMETER:=VALUE",
+                file=sys.stderr,
+            )
+            return FAILED
     return FAILED if _is_running(argv) else NodeProcess(_NAME, argv, _start).run()
 
 

@@ -5,9 +5,12 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
 
 import pytest
 
+import dyknow
 from dyknow.cli.arguments import PortReference
 from dyknow.cli.main import main
 from dyknow.cli.parser import all_commands, parse
@@ -38,6 +41,15 @@ def test_the_help_lists_every_command_but_the_hidden_one(
     text = capsys.readouterr().out
     for name in all_commands():
         assert (f"\n  {name} " in text) == (name != "complete")
+
+
+def test_the_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--version"]) == 0
+    root = Path(__file__).parents[3]
+    for manifest in (root / "package.xml", root / "dyknow_msgs" / "package.xml"):
+        version = ElementTree.parse(manifest).findtext("version")
+        assert version == dyknow.__version__
+    assert capsys.readouterr().out == f"dyknow {dyknow.__version__}\n"
 
 
 def test_examples_are_understood() -> None:

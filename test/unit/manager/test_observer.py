@@ -170,3 +170,21 @@ def test_an_unchanged_picture_is_no_new_revision(world: World) -> None:
     for _ in range(5):
         world.manager.look({"/a"})
     assert (world.manager.graph.revision, changes) == (revision, [])
+
+
+def test_a_nodelet_manager_that_hangs_is_logged_once(
+    world: World, caplog: pytest.LogCaptureFixture
+) -> None:
+    world.spawn("camera", "a")
+
+    def said() -> int:
+        return sum("it is said once" in each.getMessage() for each in caplog.records)
+
+    for times in (1, 2):
+        world.host.hang("/fake_0")
+        for _ in range(20):
+            world.manager.look()
+        assert said() == times
+        world.host.wake("/fake_0")
+        world.manager.look()
+    assert all(each.getMessage().count("/fake_0") <= 1 for each in caplog.records)
