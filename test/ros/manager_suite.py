@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import tempfile
@@ -82,13 +83,16 @@ class ManagerProcess:
             rospy.set_param(f"{self.node}/{name}", value)
         with open(self.log, "ab") as log:
             self.process = subprocess.Popen(
-                [find_node("dyknow", "manager")[0], f"__name:={self.node.lstrip('/')}"],
+                [find_node("dyknow", "manager")[0], *self._renaming()],
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,
             )
         if wait:
             eventually(self.is_up, 30.0, f"the manager is up\n{self.output}")
+
+    def _renaming(self) -> list[str]:
+        return [] if self.node == MANAGER else [f"__name:={self.node.lstrip('/')}"]
 
     def is_up(self) -> bool:
         try:
@@ -105,7 +109,8 @@ class ManagerProcess:
 
     def children(self) -> dict[str, ProcessId]:
         """Nodelet managers that it has on its list."""
-        for file in Path(self.state).glob("*.children.json"):
+        name = re.sub(r"[^A-Za-z0-9.]+", "-", self.node)
+        for file in Path(self.state).glob(f"*{name}.children.json"):
             return {
                 each["name"]: ProcessId(each["pid"], each["started"])
                 for each in json.loads(file.read_text())

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import argparse
 import sys
-from typing import Any, Dict, List, Optional, Sequence, Tuple
+from typing import TYPE_CHECKING, Any, Dict, List, Optional, Sequence, Tuple
 
 from dyknow.cli.arguments import Kind, takes
 from dyknow.cli.command import Command
 from dyknow.cli.shell import FAILED, Shell
 from dyknow.cli.tables import count
 from dyknow.errors import Problem
+
+if TYPE_CHECKING:
+    from dyknow.manager.specifications.ontology import Ontology
 
 STDIN = "-"
 
@@ -35,9 +38,11 @@ def _check_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _check(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
-    reports = [(file, _report(file, arguments.ontology)) for file in arguments.files]
+    ontology = _ontology(arguments.ontology)
+    unread = ontology.warnings if ontology is not None else ()
+    reports = [(file, _report(file, ontology)) for file in arguments.files]
     bad = False
-    lines: List[str] = []
+    lines: List[str] = [_with_warning(problem) for problem in unread]
     for file, (labels, problems, warnings) in reports:
         bad = bad or bool(problems)
         lines.extend(str(problem) for problem in problems)
@@ -54,24 +59,28 @@ def _check(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
                     "warnings": [_problem_shape(problem) for problem in warnings],
                 }
                 for file, (labels, problems, warnings) in reports
-            ]
+            ],
+            "ontology_warnings": [_problem_shape(problem) for problem in unread],
         },
         lines,
     )
     return FAILED if bad else None
 
 
+def _ontology(files: Sequence[str]) -> Optional[Ontology]:
+    if not files:
+        return None
+    from dyknow.manager.specifications.ontology import load_ontology
+
+    return load_ontology(files)
+
+
 def _report(
-    file: str, ontologies: Sequence[str]
+    file: str, ontology: Optional[Ontology]
 ) -> Tuple[Sequence[str], Sequence[Problem], Sequence[Problem]]:
     from dyknow.errors import SpecificationError
     from dyknow.manager.specifications.specification import parse, parse_file
 
-    ontology = None
-    if ontologies:
-        from dyknow.manager.specifications.ontology import load_ontology
-
-        ontology = load_ontology(ontologies)
     try:
         if file == STDIN:
             found = parse(sys.stdin.buffer.read(), "standard input", ontology)

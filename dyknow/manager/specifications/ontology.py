@@ -2,20 +2,23 @@
 
 The files are read once, with rdflib, into plain dictionaries, and never consulted again. Only
 local files are read: `owl:imports` is not followed, and what is imported has to be named too.
+Named classes are read, with their named sub- and superclasses; what a file says besides that is
+told in `warnings`.
 """
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Dict, FrozenSet, Iterable, List, Set, Tuple
+from typing import Dict, FrozenSet, Iterable, List, Sequence, Set, Tuple
 
 import rdflib
 from rdflib import OWL, RDF, RDFS
 
-from dyknow.errors import IndividualsError, OntologyFileError, UnknownConcept
+from dyknow.errors import IndividualsError, OntologyFileError, Problem, UnknownConcept
 from dyknow.manager.specifications.entities import check_entities
 from dyknow.manager.specifications.limits import DEFAULT_LIMITS, Limits
+from dyknow.manager.specifications.ontology_remarks import language_order, local_name, remarks_on
 
 FORMATS = {".ttl": "turtle", ".owl": "xml", ".rdf": "xml", ".nt": "nt"}
 """The formats that are read, by the file's extension."""
@@ -31,13 +34,19 @@ _Edges = Dict[str, Set[str]]
 class Ontology:
     """What a set of files says about classes and individuals.
 
-    Classes and individuals are named by their URI or by their `rdfs:label`; a class without a
-    label also by the last part of its URI. Thus the functor and the arguments of a tag such as
+    Classes and individuals are named by their URI or by their `rdfs:label`; those without a
+    label also by the last part of their URI. Thus the functor and the arguments of a tag such as
     `BallObject(nao1)` are names.
+
+    Attributes:
+        warnings: What the files say that is not read.
     """
 
-    def __init__(self, graph: rdflib.Graph) -> None:
+    def __init__(self, graph: rdflib.Graph, warnings: Sequence[Problem] = ()) -> None:
+        self.warnings: Tuple[Problem, ...] = tuple(warnings)
         self._labels: Dict[str, Set[str]] = {}
+        self._by_language: Dict[str, Dict[str, Set[str]]] = {}
+        self._blank: Set[str] = set()
         self._superclasses: _Edges = {}
         self._subclasses: _Edges = {}
         self._types: _Edges = {}
@@ -50,6 +59,10 @@ class Ontology:
     def individuals(self, concept: str) -> Tuple[str, ...]:
         """Give the labels of the individuals of a class and of its subclasses.
 
+        An individual without a label goes by the last part of its URI. Of labels in several
+        languages the one without a language counts, else the English one, else the first by the
+        code of its language.
+
         Args:
             concept: The URI of the class.
 
@@ -58,19 +71,14 @@ class Ontology:
 
         Raises:
             UnknownConcept: No class has this URI.
-            IndividualsError: An individual has no label or several, or shares its label with
-                another one. It names all such individuals.
+            IndividualsError: An individual has several labels in one language, or shares its
+                label with another one. It names all such individuals.
         """
-        if concept not in self._superclasses:
-            raise UnknownConcept(concept)
-        found: Set[str] = set()
-        for kind in _reachable([concept], self._subclasses):
-            found |= self._instances.get(kind, set())
         reasons: List[str] = []
         owners: Dict[str, str] = {}
-        for individual in sorted(found):
-            labels = sorted(self._labels.get(individual, ()))
-            if len(labels) != 1 or not labels[0]:
+        for individual in self._of(concept):
+            labels = self._terms(individual)
+            if len(labels) != 1:
                 listed = ", ".join(f"'{label}'" for label in labels) or "none"
                 reasons.append(f"<{individual}> has the labels {listed}; expected exactly one")
             elif labels[0] in owners:
@@ -81,6 +89,14 @@ class Ontology:
         if reasons:
             raise IndividualsError(concept, reasons)
         return tuple(sorted(owners))
+
+    def unlabelled(self, concept: str) -> Tuple[str, ...]:
+        """Give the URIs of those individuals of a class that go by the last part of them.
+
+        Raises:
+            UnknownConcept: No class has this URI.
+        """
+        return tuple(each for each in self._of(concept) if not self._by_language.get(each))
 
     def is_subsumed(self, supplied: str, demanded: str) -> bool:
         """Tell whether a supplied functor or argument will do where another is demanded.
@@ -116,6 +132,21 @@ class Ontology:
             known = self._above[name] = frozenset(names)
         return known
 
+    def _of(self, concept: str) -> List[str]:
+        if concept not in self._superclasses:
+            raise UnknownConcept(concept)
+        found: Set[str] = set()
+        for kind in _reachable([concept], self._subclasses):
+            found |= self._instances.get(kind, set())
+        return sorted(found)
+
+    def _terms(self, individual: str) -> List[str]:
+        """Labels in the language that counts, of which there should be one."""
+        by_language = self._by_language.get(individual)
+        if by_language:
+            return sorted(by_language[min(by_language, key=language_order)])
+        return [] if individual in self._blank else [local_name(individual)]
+
     def _read(self, graph: rdflib.Graph) -> None:
         for kind in (OWL.Class, RDFS.Class):
             for node in graph.subjects(RDF.type, kind):
@@ -131,8 +162,14 @@ class Ontology:
                 self._add_class(str(kind))
                 self._types.setdefault(str(node), set()).add(str(kind))
                 self._instances.setdefault(str(kind), set()).add(str(node))
+                if isinstance(node, rdflib.BNode):
+                    self._blank.add(str(node))
         for node, label in graph.subject_objects(RDFS.label):
-            self._labels.setdefault(str(node), set()).add(str(label).strip())
+            text = str(label).strip()
+            if text:
+                self._labels.setdefault(str(node), set()).add(text)
+                languages = self._by_language.setdefault(str(node), {})
+                languages.setdefault(getattr(label, "language", None) or "", set()).add(text)
 
     def _add_class(self, uri: str) -> None:
         self._superclasses.setdefault(uri, set())
@@ -148,8 +185,8 @@ class Ontology:
 
     def _names(self, uri: str) -> Set[str]:
         names = {uri} | self._labels.get(uri, set())
-        if uri in self._superclasses and len(names) == 1:
-            names.add(uri.rsplit("#", 1)[-1].rsplit("/", 1)[-1] or uri)
+        if len(names) == 1 and uri not in self._blank:
+            names.add(local_name(uri))
         return names
 
     def _name_all(self) -> None:
@@ -168,13 +205,17 @@ def load_ontology(paths: Iterable[str], limits: Limits = DEFAULT_LIMITS) -> Onto
     Raises:
         OntologyFileError: A file cannot be read, or is not what its extension says.
     """
-    graph = rdflib.Graph()
+    everything = rdflib.Graph()
+    warnings: List[Problem] = []
     for path in paths:
-        _load(graph, os.fspath(path), limits)
-    return Ontology(graph)
+        graph = rdflib.Graph()
+        data = _load(graph, os.fspath(path), limits)
+        warnings.extend(remarks_on(graph, os.fspath(path), data))
+        everything += graph
+    return Ontology(everything, warnings)
 
 
-def _load(graph: rdflib.Graph, path: str, limits: Limits) -> None:
+def _load(graph: rdflib.Graph, path: str, limits: Limits) -> bytes:
     kind = FORMATS.get(Path(path).suffix.lower())
     if kind is None:
         raise OntologyFileError(path, f"expected a file ending in {', '.join(sorted(FORMATS))}")
@@ -195,6 +236,7 @@ def _load(graph: rdflib.Graph, path: str, limits: Limits) -> None:
     except Exception as error:  # each of rdflib's parsers raises its own, without a common base
         reason = " ".join(str(error).split())
         raise OntologyFileError(path, f"is not valid {kind}: {reason[:300]}") from error
+    return data
 
 
 def _reachable(starts: Iterable[str], edges: _Edges) -> Set[str]:

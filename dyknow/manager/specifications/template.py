@@ -36,6 +36,9 @@ class Concepts(Protocol):
     def individuals(self, concept: str) -> Tuple[str, ...]:
         """Give the labels of a class's individuals, sorted, or raise an `OntologyError`."""
 
+    def unlabelled(self, concept: str) -> Tuple[str, ...]:
+        """Give the URIs of those among them that have no label of their own."""
+
 
 class Expander:
     """Expands the templates of one text; the limits hold for all of them together."""
@@ -101,6 +104,12 @@ class Expander:
         except OntologyError as error:
             self._problem(arg, f"has no terms: {error}")
             return ()
+        for uri in self._ontology.unlabelled(text):
+            self._findings.warning(
+                arg.line,
+                f"the individual <{shorten(uri)}> has no rdfs:label; its term is the last part of "
+                "its URI",
+            )
         if not terms:
             self._problem(arg, f"has no terms: the class <{shorten(text)}> has no individuals")
         return terms

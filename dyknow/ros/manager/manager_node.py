@@ -82,6 +82,8 @@ class ManagerNode(Closable):
             master, self._children, Registrar(), settings.nodelet_managers, settings.guards
         )
         self._ontology = _ontology(settings.ontologies)
+        for warning in self._ontology.warnings if self._ontology is not None else ():
+            rospy.logwarn("%s", warning)
         self.manager = Manager(
             self._host,
             self._store,

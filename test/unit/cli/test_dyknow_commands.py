@@ -167,6 +167,28 @@ class TestLibrary:
 
 
 class TestCheck:
+    def test_what_an_ontology_says_that_is_not_read(self, tmp_path: Path) -> None:
+        nobody: FakeClient = None  # type: ignore[assignment]
+        owl, xml = tmp_path / "o.ttl", tmp_path / "t.xml"
+        owl.write_text(
+            "@prefix : <http://x.org/#> .\n@prefix owl: <http://www.w3.org/2002/07/owl#> .\n"
+            ":Camera a owl:Class .\n:Colour owl:oneOf ( :red ) .\n:front a :Camera .\n"
+        )
+        xml.write_text(
+            "<transformation><label>l(${X})</label><source>p/C</source>\n"
+            '<args><arg label="X">http://x.org/#Camera</arg></args></transformation>'
+        )
+        outcome = run(nobody, f"check {xml} --ontology {owl}")
+        assert outcome.code == 0
+        assert outcome.lines == [
+            f"{owl}:4: warning: owl:oneOf of <http://x.org/#Colour> is not read",
+            f"{xml}:2: warning: the individual <http://x.org/#front> has no rdfs:label; its term "
+            "is the last part of its URI",
+            f"{xml}: 1 transformation: l(front)",
+        ]
+        shape = run(nobody, f"check {xml} --ontology {owl} --json").json
+        assert [each["line"] for each in shape["ontology_warnings"]] == [4]
+
     def test_needs_nobody(self, tmp_path: Path) -> None:
         good, bad = tmp_path / "good.xml", tmp_path / "bad.xml"
         good.write_text(

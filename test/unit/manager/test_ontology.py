@@ -84,19 +84,101 @@ def test_the_names_above_a_name_are_what_it_can_stand_for(soccer):
     assert soccer.names_above("unheard_of") == {"unheard_of"}
 
 
-def test_a_missing_and_a_doubled_label_name_their_individuals(ontology):
+def test_a_missing_label_falls_back_to_the_end_of_the_uri(ontology):
     found = ontology(
-        ':C a owl:Class . :a a :C . :b a :C ; rdfs:label "b", "bee" . :c a :C ; rdfs:label "c" .'
-        ':d a :C ; rdfs:label "c" . :e a :C ; rdfs:label " " .'
+        ':C a owl:Class . :a a :C . :b a :C ; rdfs:label " " . :c a :C ; rdfs:label "sea" .'
+        "<http://example.org/things/d> a :C ."
+    )
+
+    assert found.individuals("http://example.org/#C") == ("a", "b", "d", "sea")
+    assert found.unlabelled("http://example.org/#C") == (
+        "http://example.org/#a",
+        "http://example.org/#b",
+        "http://example.org/things/d",
+    )
+    assert found.is_subsumed("a", "C")
+    assert not found.is_subsumed("c", "C")
+
+
+def test_a_fallback_shares_no_name_with_a_label(ontology):
+    found = ontology(':C a owl:Class . :a a :C . :b a :C ; rdfs:label "a" . [] a :C .')
+
+    with pytest.raises(IndividualsError) as caught:
+        found.individuals("http://example.org/#C")
+    shared, blank = sorted(caught.value.reasons)
+    assert shared == "<http://example.org/#a> and <http://example.org/#b> share the label 'a'"
+    assert blank.endswith("has the labels none; expected exactly one")
+
+
+@pytest.mark.parametrize(
+    ("labels", "term"),
+    [
+        ('"kamera"@sv, "camera"@en', "camera"),
+        ('"kamera"@sv, "camera"@en-GB, "cam"', "cam"),
+        ('"Kamera"@de, "appareil"@fr', "Kamera"),
+    ],
+)
+def test_one_language_of_a_label_counts_and_that_is_told(ontology, labels, term):
+    found = ontology(f"\n:C a owl:Class .\n:x a :C ;\n  rdfs:label {labels} .\n")
+
+    assert found.individuals("http://example.org/#C") == (term,)
+    assert found.is_subsumed("kamera" if "kamera" in labels else "appareil", "C")
+    [warning] = found.warnings
+    assert warning.line == 8
+    assert "<http://example.org/#x> has labels in several languages" in warning.message
+    assert f"its term is '{term}'" in warning.message
+
+
+UNREAD = """
+<http://example.org/> a owl:Ontology ;
+  owl:imports <http://example.org/other.owl> .
+:Colour a owl:Class ;
+  owl:oneOf ( :red :green ) .
+:Thing owl:unionOf ( :Colour :Ball ) .
+:Both owl:intersectionOf ( :Colour :Ball ) .
+:Ball a owl:Class ;
+  rdfs:subClassOf :Thing ,
+    [ a owl:Restriction ; owl:onProperty :p ; owl:someValuesFrom :Colour ] .
+:Goal owl:equivalentClass [ a owl:Class ;
+  owl:oneOf ( :left :right ) ] .
+:Ball owl:equivalentClass :Sphere .
+:red a :Colour ; rdfs:label "red" .
+"""
+
+
+def test_what_is_not_read_is_told_with_line_and_term(ontology):
+    found = ontology(UNREAD)
+
+    base = "http://example.org/"
+    assert [(each.line, each.message) for each in found.warnings] == [
+        (7, f"owl:imports of <{base}other.owl> is not followed; name the file too"),
+        (9, f"owl:oneOf of <{base}#Colour> is not read"),
+        (10, f"owl:unionOf of <{base}#Thing> is not read"),
+        (11, f"owl:intersectionOf of <{base}#Both> is not read"),
+        (14, f"a superclass of <{base}#Ball> without a name, an owl:Restriction, is not read"),
+        (16, f"owl:equivalentClass of <{base}#Goal> with owl:oneOf is not read"),
+    ]
+    assert found.is_subsumed("Sphere", "Ball")
+
+
+def test_remarks_are_counted_beyond_a_hundred(ontology):
+    found = ontology("".join(f":c{n} owl:oneOf ( :x ) .\n" for n in range(130)))
+
+    assert len(found.warnings) == 101
+    assert found.warnings[-1].message == "30 more such remarks"
+
+
+def test_doubled_labels_name_their_individuals(ontology):
+    found = ontology(
+        ':C a owl:Class . :b a :C ; rdfs:label "b", "bee" . :c a :C ; rdfs:label "c" .'
+        ':d a :C ; rdfs:label "c" .'
     )
 
     with pytest.raises(IndividualsError) as caught:
         found.individuals("http://example.org/#C")
     assert caught.value.reasons == (
-        "<http://example.org/#a> has the labels none; expected exactly one",
         "<http://example.org/#b> has the labels 'b', 'bee'; expected exactly one",
         "<http://example.org/#c> and <http://example.org/#d> share the label 'c'",
-        "<http://example.org/#e> has the labels ''; expected exactly one",
     )
 
 

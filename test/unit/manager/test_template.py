@@ -24,6 +24,9 @@ class Concepts:
             raise UnknownConcept(concept)
         return ("back", "front")
 
+    def unlabelled(self, concept):
+        return ("http://example.org/#back",)
+
 
 def template(label, args, extra=""):
     def escape(text):
@@ -149,6 +152,14 @@ def test_the_terms_may_be_the_individuals_of_a_class():
     text = template("l(${Cam})", {"Cam": "http://example.org/#Camera"})
 
     assert labels_of(text, ontology=Concepts()) == ["l(back)", "l(front)"]
+    warned = parse(text, ontology=Concepts()).warnings
+    assert [(each.line > 0, each.message) for each in warned] == [
+        (
+            True,
+            "the individual <http://example.org/#back> has no rdfs:label; its term is the last "
+            "part of its URI",
+        )
+    ]
 
 
 def test_a_class_that_the_ontology_does_not_have_is_a_problem_of_the_arg():
@@ -162,6 +173,9 @@ def test_a_class_that_the_ontology_does_not_have_is_a_problem_of_the_arg():
 def test_a_class_without_individuals_is_a_problem():
     class Empty:
         def individuals(self, concept):
+            return ()
+
+        def unlabelled(self, concept):
             return ()
 
     text = template("l(${Cam})", {"Cam": "urn:x"})
