@@ -17,6 +17,7 @@ from typing import (
 )
 
 from dyknow.manager.specifications.transformation import TOPIC, Transformation
+from dyknow.manager.specifications.wording import shorten
 from dyknow.wiring.ports import connections_of, types_fit
 from dyknow.wiring.wiring import WiredNodelet, Wiring
 
@@ -265,11 +266,11 @@ def _otherwise_made(
     if stored is not None and blueprint.parameters:
         values = stored(present.name, [each.name for each in blueprint.parameters])
         for parameter in blueprint.parameters:
-            name, expected = parameter.name, f"expected {parameter.text}"
+            name, expected = parameter.name, f"expected {shorten(parameter.text)}"
             if name not in values:
                 found.append(f"parameter {name} is not set, {expected}")
             elif values[name] != parameter.value:
-                found.append(f"parameter {name} is {values[name]}, {expected}")
+                found.append(f"parameter {name} is {shorten(str(values[name]))}, {expected}")
     for port in blueprint.ports:
         shown = present.port(port.name)
         if shown is not None and (shown.direction, shown.tags) != (port.direction, port.tags):

@@ -197,6 +197,21 @@ class CommandTest(unittest.TestCase):
         self.assertEqual(self.done("disconnect", "r:in").lines, ["/r:in has left /other"])
         self.assertEqual(self.topics("/r")["in"], "")
 
+    def test_ports_are_connected_to_topics_while_messages_flow(self):
+        self.done("spawn", "counter", "c")
+        self.done("spawn", "relay", "r")
+        receiver = Receiver("/out")
+        self.addCleanup(receiver.close)
+        self.assertEqual(self.done("connect", "c:out", "/numbers").lines, ["/c:out -> /numbers"])
+        self.assertEqual(self.done("connect", "numbers", "r:in").lines, ["/numbers -> /r:in"])
+        self.assertEqual(self.done("connect", "r:out", "out").lines, ["/r:out -> /out"])
+        receiver.flows()
+        self.assertEqual(self.topics("/r"), {"in": "/numbers", "out": "/out"})
+        self.assertIn("swap the two", self.failed(1, "connect", "/numbers", "c:out"))
+        # A topic with another type is refused by the proxy.
+        self.assertIn("std_msgs/Header", self.failed(1, "connect", "/rosout", "r:in"))
+        self.assertEqual(self.topics("/r")["in"], "/numbers")
+
     def test_the_first_end_goes_back_when_the_second_is_refused(self):
         self.done("spawn", "counter", "c")
         self.done("spawn", "relay", "r", "--connect", "in:/before")
@@ -306,6 +321,42 @@ class CommandTest(unittest.TestCase):
         done = Done("load", str(file), "--keep-going", "--json")
         self.assertEqual((done.code, done.json["nodelets"]["spawned"]), (1, ["/r"]))
         self.assertEqual([each.name for each in self.client.get_model().nodelets], ["/r"])
+
+    def test_replacing_reaches_the_nodelets(self):
+        self.done("spawn", "counter", "c", "--connect", "out:/x")
+        self.done("spawn", "relay", "r", "--connect", "in:/x")
+        file = self.work / "w.xml"
+        self.done("save", str(file))
+        text = file.read_text()
+        file.write_text(text.replace(">50", ">20"))
+        self.assertIn("--replace", self.failed(1, "load", str(file)))
+        done = self.done("load", str(file), "--replace")
+        self.assertIn("nodelet /c: replaced", done.lines)
+        self.assertIn("nodelet /r: exists already", done.lines)
+        self.assertEqual(rospy.get_param("/c/rate"), 20.0)
+        self.assertEqual(self.topics("/c"), {"out": "/x"})
+        # A parameter that others have changed is told, and set back by --replace alone.
+        rospy.set_param("/c/rate", 5.0)
+        done = self.done("load", str(file))
+        line = "nodelet /c: exists already (parameter rate is 5.0, expected 20.0: see --replace)"
+        self.assertIn(line, done.lines)
+        self.assertEqual(rospy.get_param("/c/rate"), 5.0)
+        self.done("load", str(file), "--replace")
+        self.assertEqual(rospy.get_param("/c/rate"), 20.0)
+
+    def test_tags_and_what_is_excluded(self):
+        file = self.work / "tagged.xml"
+        text = specification("tagged", "dyknow_manager_test/Counter", "out>", rate=50.0)
+        tags = '<tags><tag port="out">Number(robot)</tag></tags>'
+        file.write_text(text.replace("</transformation>", tags + "</transformation>"))
+        self.done("import", str(file))
+        self.assertEqual(self.done("tags").lines[1].split(), ["Number(robot)", "-", "tagged"])
+        said = self.failed(1, "plan", "Numbers(robot)", "--exclude", "tagget")
+        self.assertIn("(excluded: tagget); did you mean Number(robot)?", said)
+        self.assertIn("no transformation is labelled 'tagget'; did you mean tagged?", said)
+        done = Done("plan", "Number(robot)", "--exclude", "tagget")
+        self.assertEqual(done.code, 0)
+        self.assertIn("warning: no transformation is labelled 'tagget'", done.err)
 
     # Habits
 

@@ -48,6 +48,12 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def _problem(arguments: argparse.Namespace) -> str:
+    if arguments.count is not None and arguments.watch is None:
+        return "--count says how often --watch shows; expected both, or neither"
+    return ""
+
+
 def _stats(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
     names = [shell.resolve(name) for name in arguments.names]
     if arguments.watch is None:
@@ -157,5 +163,6 @@ COMMANDS = (
         "dyknow stats --watch 0.5 --count 10 --json",
         _arguments,
         _stats,
+        _problem,
     ),
 )

@@ -148,9 +148,7 @@ def _shape(plan: Plan, failed: List[str]) -> Dict[str, Any]:
             "kept": plan.same,
         },
         "nodelets": {
-            "spawned": [
-                each.name for each in plan.made if each in plan.spawned and each.name not in failed
-            ],
+            "spawned": [each.name for each in plan.spawned if each.name not in failed],
             "replaced": [
                 each.wanted.name for each in plan.remade if each.wanted.name not in failed
             ],
@@ -203,8 +201,7 @@ COMMANDS = (
         "Make what runs as a saved wiring says. The file is checked completely before anything is "
         "changed. Nodelets that run already are kept, and connected and protected as the file "
         "says; with --replace those that were made otherwise are made anew. Those that it does "
-        "not name are left alone. When a step fails, what was done is "
-        "undone.",
+        "not name are left alone. When a step fails, what was done is undone.",
         "dyknow load robot.xml\ndyknow load robot.xml --dry-run\n"
         "dyknow load robot.xml --keep-going --any-manager",
         _load_arguments,

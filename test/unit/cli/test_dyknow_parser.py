@@ -92,6 +92,7 @@ def test_examples_are_understood() -> None:
         (["list", "--timeout", "-1"], "expected"),
         (["stats", "--watch", "0"], "expected seconds"),
         (["stats", "--count", "0"], "expected a number from 1 on"),
+        (["stats", "--count", "3"], "--count says how often --watch shows"),
         (["graph", "--dot", "--svg", "x"], "not allowed with argument"),
         (["list", "--lon"], "unrecognized arguments: --lon"),
     ],
