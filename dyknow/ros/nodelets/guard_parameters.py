@@ -29,7 +29,11 @@ def guards_key(owner: str) -> str:
         owner: global name of its node; two owners never share a key, nor does one key begin
             another, which would make them nested parameters.
     """
-    return f"{_GUARDS}/" + owner.strip("/").replace("_", "__").replace("/", "_s")
+    return f"{_GUARDS}/{_key_of(owner)}"
+
+
+def _key_of(owner: str) -> str:
+    return owner.strip("/").replace("_", "__").replace("/", "_s")
 
 
 def to_parameter(guards: Guards, protected: Sequence[str] = ()) -> Dict[str, Any]:
@@ -77,10 +81,8 @@ class GuardParameters:
             Denied: the mode is read-only.
         """
         guards = self._read()
-        if (
-            not caller
-            or not from_parameter(guards.get(guards_key(caller).split("/")[1])).read_only
-        ):
+        own = from_parameter(guards.get(_key_of(caller)))
+        if not own.read_only:
             together(from_parameter(each) for each in guards.values()).check_writable(what)
 
     def check_protection(self, caller: str, name: str) -> None:
