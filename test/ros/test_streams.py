@@ -61,7 +61,9 @@ class AcquireTest(StreamCase):
             with self.assertRaises(StreamRefused) as caught:
                 dyknow.acquire(tag, datatype)
             self.assertEqual(caught.exception.result, result, str(caught.exception))
-        with self.assertRaisesRegex(StreamRefused, r"nothing supplies Position\(cat\); did you mean Position\(ball\)\?$"):
+        with self.assertRaisesRegex(
+            StreamRefused, r"nothing supplies Position\(cat\); did you mean Position\(ball\)\?$"
+        ):
             dyknow.acquire("Position(cat)")
         answer = manager.client.acquire_stream(StreamRequest(GOAL), dry_run=True)
         self.assertEqual((answer.claim_id, answer.spawned), ("", ("camera", "filter", "tracker")))
