@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from dyknow.errors import InvalidName, Refused
+from dyknow.wiring.wiring import wiring_of
 from dyknow_rqt.graph.changes import (
     CannotUndo,
     DestroyNodelet,
@@ -23,6 +26,7 @@ from dyknow_rqt.graph.wiring import (
     partners,
     topics_for,
 )
+from dyknow_rqt.graph.wiring_changes import LoadWiring
 from dyknow_rqt.soccer_graph import soccer
 
 CEILING = PortRef("/field/ceiling_camera", "field_position")
@@ -124,6 +128,22 @@ def test_changes_can_be_taken_back(remote):
         ),
     ):
         there_and_back(remote, change)
+
+
+def test_a_wiring_that_replaces_a_transformation_makes_its_nodelets_anew(remote):
+    saved, _ = wiring_of(remote.library())
+    wiring = replace(
+        saved,
+        transformations=tuple(
+            each._replace(cost=77) if each.label == "tracker" else each
+            for each in saved.transformations
+        ),
+    )
+    change = LoadWiring(wiring).apply(remote)
+    assert library(remote)["tracker"].cost == 77
+    assert [each.wanted.name for each in change.plan.remade] == ["/field/tracker"]
+    LoadWiring(saved).apply(remote)
+    there_and_back(remote, LoadWiring(wiring))
 
 
 def test_a_connection_is_made_whole_or_not_at_all(remote):
