@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Optional, Tuple
+from typing import Any, Optional, Sequence, Tuple
 
 from dyknow_msgs.msg import StreamEvent, StreamStatus
 
 from dyknow.manager.claim import ClaimState
 from dyknow.ros.client_errors import Result, StreamRefused
+
+#: Begins the lines of a message that are no detail of the claim.
+WARNING = "warning: "
 
 
 @dataclass(frozen=True)
@@ -48,7 +51,12 @@ class StreamEventView:
 
 @dataclass(frozen=True)
 class AcquiredView:
-    """Answer to ``acquire_stream``; the fields are those of the service."""
+    """Answer to ``acquire_stream``; the fields are those of the service.
+
+    Attributes:
+        message: the detail of the claim.
+        warnings: what is probably not meant; in the service they are lines of the message.
+    """
 
     claim_id: str
     topic: str
@@ -59,6 +67,7 @@ class AcquiredView:
     expires: float
     plan: str
     message: str
+    warnings: Tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -70,6 +79,11 @@ class ReplannedView:
     cost: float
     plan: str
     message: str
+
+
+def with_warnings(detail: str, warnings: Sequence[str]) -> str:
+    """Write the message of an answer that is yes, which ``acquired_view`` takes apart."""
+    return "\n".join([*filter(None, [detail]), *(WARNING + each for each in warnings)])
 
 
 def stream_view(message: StreamStatus) -> StreamView:
@@ -105,6 +119,7 @@ def acquired_view(answer: Any) -> AcquiredView:
     """
     if not answer.success:
         raise StreamRefused(answer.message, Result(answer.result), answer.claim_id)
+    lines = answer.message.splitlines()
     return AcquiredView(
         answer.claim_id,
         answer.topic,
@@ -114,7 +129,8 @@ def acquired_view(answer: Any) -> AcquiredView:
         answer.cost,
         answer.expires.to_sec(),
         answer.plan,
-        answer.message,
+        "\n".join(line for line in lines if not line.startswith(WARNING)),
+        tuple(line[len(WARNING) :] for line in lines if line.startswith(WARNING)),
     )
 
 

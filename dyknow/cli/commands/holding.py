@@ -77,7 +77,7 @@ def _ask(arguments: argparse.Namespace, shell: Shell, lease: float) -> StreamVie
     try:
         request = request_of(arguments, lease, arguments.max_silence)
         answer = shell.client.acquire_stream(request)
-        for warning in answer.message.splitlines():
+        for warning in answer.warnings:
             shell.warn(warning)
         claim_id = answer.claim_id
     except StreamRefused as error:

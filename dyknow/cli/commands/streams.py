@@ -28,7 +28,7 @@ def _plan_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _plan(arguments: argparse.Namespace, shell: Shell) -> None:
     answer = shell.client.acquire_stream(request_of(arguments), dry_run=True)
-    for warning in answer.message.splitlines():
+    for warning in answer.warnings:
         shell.warn(warning)
     dot = tree_as_dot(answer.plan) if arguments.dot else ""
     shape: Dict[str, Any] = {

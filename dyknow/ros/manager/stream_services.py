@@ -37,6 +37,7 @@ from dyknow.ros.log_text import for_log
 from dyknow.ros.manager.remarks import with_remark
 from dyknow.ros.manager.stream_messages import StreamMessages
 from dyknow.ros.nodelets.guard_parameters import caller_of
+from dyknow.ros.stream_views import with_warnings
 
 _log = logging.getLogger("rosout.dyknow")
 
@@ -99,10 +100,10 @@ class StreamServices:
         def acquire() -> None:
             wanted = self._checked(request)
             acquired = self._keeper.acquire(wanted, request.dry_run)
-            answer.message = "\n".join(self._unknown_labels(wanted.exclude))
             claim = acquired.claim
             answer.claim_id, answer.topic = claim.claim_id, claim.topic
-            answer.datatype, answer.message = claim.datatype, claim.detail
+            answer.datatype = claim.datatype
+            answer.message = with_warnings(claim.detail, self._unknown_labels(wanted.exclude))
             answer.expires = self._messages.expires(claim)
             _tell_plan(answer, acquired)
 

@@ -136,7 +136,8 @@ class FakeClient:
             acquired.cost,
             0.0,
             _tree(acquired),
-            "\n".join(unknown_labels(self.world.manager, request.exclude)),
+            claim.detail,
+            unknown_labels(self.world.manager, request.exclude),
         )
 
     def release_stream(self, claim_id: str) -> None:

@@ -10,7 +10,7 @@ from dyknow.manager.claim import Claim, ClaimEvent, ClaimState, StreamRequest
 from dyknow.ros.client_errors import Result, StreamRefused
 from dyknow.ros.manager.stream_messages import StreamMessages
 from dyknow.ros.manager.stream_services import _result
-from dyknow.ros.stream_views import acquired_view, event_view, stream_view
+from dyknow.ros.stream_views import acquired_view, event_view, stream_view, with_warnings
 
 
 @pytest.fixture(autouse=True)
@@ -86,3 +86,13 @@ def test_no_is_an_exception() -> None:
     with pytest.raises(StreamRefused, match="none") as caught:
         acquired_view(answer)
     assert (caught.value.result, caught.value.claim_id) == (Result.NO_PLAN, "waiting")
+
+
+@pytest.mark.parametrize("detail", ["", "no message yet"])
+@pytest.mark.parametrize("warnings", [(), ("no transformation is labelled 'x'", "nor 'y'")])
+def test_warnings_of_an_answer_are_no_detail_of_the_claim(
+    detail: str, warnings: tuple[str, ...]
+) -> None:
+    message = with_warnings(detail, warnings)
+    found = acquired_view(AcquireStreamResponse(success=True, message=message))
+    assert (found.message, found.warnings) == (detail, warnings)
