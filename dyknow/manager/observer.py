@@ -1,7 +1,8 @@
 """Keeps the picture true, and brings back what died.
 
-What others unload or connect on purpose is taken as their will: the record follows. Only death is
-repaired: the nodelet manager's process is another one than when the nodelet was loaded.
+What others unload or connect on purpose is taken as their will: the record follows. A nodelet was
+unloaded on purpose if the process that ran it runs on and lists it no more; a process that is
+about to end gives no list. Everything else is death, and repaired.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import logging
 import threading
 import time
 from dataclasses import replace
-from typing import Callable, Dict, Iterable, List, Set
+from typing import Callable, Dict, Iterable, Set
 
 from dyknow.errors import Busy, DyKnowError, HostError, NameTaken
 from dyknow.manager.graph import Graph
@@ -138,8 +139,8 @@ class Observer:
         elif record.transformation is None:
             self._graph.remove(record.name)
         elif alive and state is not None and state.incarnation == record.incarnation:
-            if record.name in self._listed_now(record.manager):
-                return  # it came up since the look began
+            if not self._is_unlisted(record):
+                return
             if record.state is State.RUNNING:
                 _log.info("%s was unloaded by others; it is not brought back", record.name)
                 self._lifecycle.forget(record)
@@ -186,6 +187,7 @@ class Observer:
     def _lose(self, record: Record, why: str) -> None:
         if record.state is State.RUNNING:
             _log.warning("%s is lost: %s", record.name, why)
+        if record.state is State.RUNNING or (record.state is State.LOST and record.detail != why):
             self._graph.put(replace(record, state=State.LOST, detail=why))
 
     def _find_dead(self, record: Record) -> None:
@@ -237,9 +239,9 @@ class Observer:
     def _meet(self, name: str, manager: str) -> None:
         try:
             with self._graph.changing(name, new=True):
-                if name in self._listed_now(manager):  # and not gone since the look began
+                if name in self._host.list(manager):  # and not gone since the look began
                     self._graph.put(self._foreign(name, manager), durable=False)
-        except (Busy, NameTaken):
+        except (Busy, NameTaken, HostError):
             return
 
     def _foreign(self, name: str, manager: str) -> Record:
@@ -249,11 +251,20 @@ class Observer:
             ports = ()  # a plain nodelet has no proxy
         return Record(name, None, manager, state=State.RUNNING, ports=ports)
 
-    def _listed_now(self, manager: str) -> List[str]:
+    def _is_unlisted(self, record: Record) -> bool:
+        """Whether the process of a nodelet runs on without it, and not only since the look began.
+
+        Which process it is that answered is asked after the answer.
+        """
         try:
-            return self._host.list(manager)
+            if record.name in self._host.list(record.manager):
+                return False
         except HostError:
-            return []
+            return False
+        return any(
+            state.name == record.manager and state.incarnation == record.incarnation
+            for state in self._host.managers()
+        )
 
 
 def _as_it_was(record: Record, state: ManagerState | None, listed: Dict[str, Set[str]]) -> bool:

@@ -61,6 +61,8 @@ class ServiceClient:
         self._turn = threading.Lock()
         self._socket: Optional[socket.socket] = None
         self._owed = False
+        #: Where the service was found last: another process has another address.
+        self.address = ""
 
     def call(self, timeout: float, *args: Any, **kwds: Any) -> Any:
         """Call the service and return its response.
@@ -149,6 +151,7 @@ class ServiceClient:
             uri = self._master.ask("lookupService", self.name)
         except LookupError as error:
             raise ServiceLost(f"service {self.name} is not offered") from error
+        self.address = uri
         host, port = rosgraph.network.parse_http_host_and_port(uri.replace("rosrpc://", "http://"))
         seconds = max(0.001, min(deadline - time.monotonic(), CONNECT_TIMEOUT))
         connection = socket.create_connection((host, port), seconds)

@@ -61,6 +61,7 @@ LIBRARY = "".join(
         specification("wrong", "dyknow_manager_test/Relay", ">in out> nothing>", speed=3),
         specification("unknown", "dyknow_manager_test/Nothing", ">in out>"),
         specification("suicidal", "dyknow_manager_test/DestroysItself", ">in"),
+        specification("fatal", "dyknow_manager_test/Fatal", ">in out>"),
         specification("aborts", "dyknow_manager_test/Aborts", ">in out> >order"),
         "</transformations>",
     ]

@@ -22,11 +22,16 @@ _PYTHON_SIGN = "changes"
 
 
 class ListClient:
-    """Asks one nodelet manager what it runs, over a connection that is kept."""
+    """Asks one process of a nodelet manager what it runs, over a connection that is kept.
+
+    When the connection breaks another process may have the name by now. Its list says nothing of
+    the nodelets of this one, so it is not taken for an answer.
+    """
 
     def __init__(self, master: Master, name: str) -> None:
         """Prepare; nothing is sent yet."""
         self._client = ServiceClient(master, f"{name}/list", NodeletList, persistent=True)
+        self._address = ""
         #: Whether the last question was answered in time.
         self.answers = True
 
@@ -35,7 +40,7 @@ class ListClient:
 
         Raises:
             PeerTimeout: no answer in time.
-            HostError: it is not there.
+            HostError: it is not there, or another process has its name.
         """
         try:
             names: Any = self._client.call(TIMEOUT).nodelets
@@ -43,6 +48,10 @@ class ListClient:
             self.answers = False
             raise
         self.answers = True
+        self._address = self._address or self._client.address
+        if self._client.address != self._address:
+            self._client.close()
+            raise HostError("another process has that name now")
         return sorted(names)
 
     @property
@@ -72,6 +81,8 @@ class Peer:
         with self._turn:
             if self.incarnation and self.client.connected:
                 return
+            self.client.close()
+            self.client = ListClient(self._master, self.name)
             try:
                 self.incarnation = self._identify()
             except (HostError, PeerTimeout, LookupError):

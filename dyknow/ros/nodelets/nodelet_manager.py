@@ -100,6 +100,7 @@ class NodeletManager(Closable):
         )
         self._announcer = Announcer(self.loader.list)
         self._services: List[Any] = []
+        self._ending = False
 
     def offer(self) -> None:
         """Offer the services of nodelet/Nodelet{Load,Unload,List}, and the one for counts."""
@@ -170,7 +171,12 @@ class NodeletManager(Closable):
         rospy.loginfo("unloaded nodelet %s%s", name, _for(caller))
 
     def close(self) -> None:
-        """Unload everything and end."""
+        """Unload everything and end.
+
+        What is unloaded now nobody asked to have unloaded, so the list is not given any more: who
+        keeps nodelets running has to see a process that ends, not nodelets that go.
+        """
+        self._ending = True
         for service in self._services:
             service.shutdown("the nodelet manager ends")
         self.loader.close()
@@ -237,7 +243,10 @@ class NodeletManager(Closable):
         return NodeletUnloadResponse(True)
 
     def _list(self, request: Any) -> NodeletListResponse:
-        return NodeletListResponse(self.loader.list())
+        running = self.loader.list()
+        if self._ending:  # asked last: what this list lacks may have been unloaded by the end
+            raise rospy.ServiceException("the nodelet manager ends")
+        return NodeletListResponse(running)
 
     def _get_counts(self, request: Any) -> GetCountsResponse:
         wanted = set(request.nodelets)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
+import signal
 import time
 
+import rospy
 from dyknow_msgs.srv import Destroy
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header, String
@@ -79,6 +82,40 @@ class Aborts(Relay):
     def on_init(self):
         super().on_init()
         self.order = self.nh.Subscriber("order", Header, lambda message: os.abort(), queue_size=1)
+
+
+class Fatal(Relay):
+    """Ends its process, in the way that ~on_init, ~on_message, ~on_shutdown or ~order names."""
+
+    ways = {
+        "abort": os.abort,
+        "segfault": lambda: ctypes.string_at(0),
+        "exit": lambda: os._exit(3),
+        "kill": lambda: os.kill(os.getpid(), signal.SIGKILL),
+        "shutdown": lambda: rospy.signal_shutdown("a nodelet wants it"),
+    }
+
+    def on_init(self):
+        self.nh = dyknow.NodeHandle(self.node_handle)
+        self.end_at("on_init")
+        self.out = self.nh.Publisher("out", Header, queue_size=1000)
+        self.input = self.nh.Subscriber("in", Header, self.on_message, queue_size=1000)
+        self.order = self.private_node_handle.Subscriber("order", String, self.on_order)
+
+    def on_order(self, message):
+        self.ways[message.data]()
+
+    def on_message(self, message):
+        self.end_at("on_message")
+        self.out.publish(message)
+
+    def on_shutdown(self):
+        self.end_at("on_shutdown")
+
+    def end_at(self, moment):
+        way = self.nh.get_param("~" + moment, "")
+        if way:
+            self.ways[way]()
 
 
 class Moody(Relay):

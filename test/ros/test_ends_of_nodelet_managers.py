@@ -1,0 +1,208 @@
+#!/usr/bin/env python3
+"""However the process of a nodelet manager ends, its nodelets come back; unloads are followed.
+
+The parameter ~repetitions says how often each way is tried.
+"""
+
+from __future__ import annotations
+
+import signal
+from typing import Callable
+
+import rosnode
+import rospy
+import rostest
+from manager_suite import CHILD, ManagerCase, eventually, specification
+from nodelet.srv import NodeletLoad, NodeletUnload
+from processes import NODELET, STOCK_NODELET, Running
+from std_msgs.msg import String
+
+from dyknow.manager.model import State
+from dyknow.ros.os_process import ProcessId
+
+PEER = "/peer"
+CPP = "/dyknow_cpp_nodelet_manager"
+NATIVE = specification("native", "image_proc/resize", ">image ~image>")
+#: Port to topic, by nodelet; `/fatal` is an order away from ending its process.
+WIRING = {
+    "/counter": {"out": "/s0"},
+    "/relay1": {"in": "/s0", "out": "/s1"},
+    "/relay2": {"in": "/s1", "out": "/s2"},
+    "/fatal": {"in": "", "out": ""},
+}
+
+
+class EndsTest(ManagerCase):
+    def setUp(self):
+        self.repetitions = rospy.get_param("~repetitions", 1)
+        peers = [PEER] if "peer" in self._testMethodName else []
+        self.manager = self.started(nodelet_managers=peers)
+
+    def spawn(self, manager: str) -> None:
+        for name, wiring in WIRING.items():
+            label = name.strip("/12")
+            protected = name in ("/counter", "/relay2")
+            self.manager.client.spawn(label, name, wiring, protected, manager=manager)
+            self.addCleanup(self.forget, name)
+
+    def forget(self, name: str) -> None:
+        for key in rospy.get_param_names():
+            if key.startswith(name + "/"):
+                rospy.delete_param(key)
+
+    def order(self, way: str) -> None:
+        publisher = rospy.Publisher("/fatal/order", String, queue_size=1, latch=True)
+        try:
+            publisher.publish(way)
+            eventually(publisher.get_num_connections, 10.0, "it listens")
+            child = self.manager.child()
+            eventually(lambda: not child.alive, 20.0, "its process has ended")
+        finally:
+            publisher.unregister()
+
+    def looks_as_spawned(self) -> bool:
+        """Whether everything is there, as it was, and nothing else."""
+        found = {each.name: each for each in self.manager.client.get_model().nodelets}
+        return {
+            name: {port.name: port.topic for port in nodelet.ports}
+            for name, nodelet in found.items()
+            if nodelet.state is State.RUNNING
+            and nodelet.is_protected == (name in ("/counter", "/relay2"))
+        } == WIRING
+
+    def check_each_way_back(self, process: Callable[[], ProcessId], end: Callable[[], None]):
+        for repetition in range(self.repetitions):
+            eventually(self.looks_as_spawned, 10.0, self.what(repetition))
+            ended = process()
+            end()
+            eventually(lambda: not ended.alive, 20.0, "its process has ended")  # noqa: B023
+            eventually(lambda: process() != ended, 20.0, "another has taken its place")  # noqa: B023
+            # The pauses grow when one dies again and again.
+            eventually(self.looks_as_spawned, 10.0, self.what(repetition))
+
+    def what(self, repetition: int) -> str:
+        found = self.manager.client.get_model().nodelets
+        states = ", ".join(f"{each.name} {each.state.name} {each.detail}" for each in found)
+        return f"all nodelets run, time {repetition + 1}: {states}\n{self.manager.output}"
+
+    # A nodelet manager of the DyKnow manager's own
+
+    def check_child(self, end: Callable[[], None]) -> None:
+        self.spawn("")
+        self.check_each_way_back(self.manager.child, end)
+
+    def test_sigint(self):
+        self.check_child(lambda: self.manager.child().signal(signal.SIGINT))
+
+    def test_sigterm(self):
+        self.check_child(lambda: self.manager.child().signal(signal.SIGTERM))
+
+    def test_sigkill(self):
+        self.check_child(lambda: self.manager.child().signal(signal.SIGKILL))
+
+    def test_a_crash(self):
+        self.check_child(lambda: self.manager.child().signal(signal.SIGSEGV))
+
+    def test_rosnode_kill(self):
+        self.check_child(lambda: rosnode.kill_nodes([CHILD]))
+
+    def test_a_nodelet_that_shuts_the_node_down(self):
+        self.check_child(lambda: self.order("shutdown"))
+
+    def test_another_nodelet_manager_that_takes_the_name(self):
+        def take_over() -> None:
+            other = Running(*NODELET, "manager", f"__name:={CHILD[1:]}")
+            self.addCleanup(other.__exit__)
+
+        self.check_child(take_over)
+
+    def test_a_stock_nodelet_manager(self):
+        self.manager.client.add_transformation(NATIVE)
+        for number in range(3):
+            self.manager.client.spawn("native", f"/native{number}", {"image": "/i"}, number == 0)
+            self.addCleanup(self.forget, f"/native{number}")
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
+            for repetition in range(self.repetitions):
+                ended = self.manager.child(CPP)
+                ended.signal(number)
+                eventually(lambda: self.manager.child(CPP) != ended, 20.0, "started")  # noqa: B023
+                eventually(self.natives_run, 20.0, self.what(repetition))
+
+    def natives_run(self) -> bool:
+        found = self.manager.client.get_model().nodelets
+        return [each.name for each in found if each.state is State.RUNNING] == [
+            f"/native{number}" for number in range(3)
+        ]
+
+    # One that others start, end and start again
+
+    def test_a_peer_that_others_end(self):
+        peer = self.start_peer()
+        self.spawn(PEER)
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
+            for repetition in range(self.repetitions):
+                peer.stop(number)
+                peer.exit_code(20.0)
+                eventually(self.all_lost, 10.0, self.what(repetition))
+                peer = self.start_peer()
+                eventually(self.looks_as_spawned, 10.0, self.what(repetition))
+
+    def test_another_nodelet_manager_that_takes_the_name_of_a_peer(self):
+        peer = self.start_peer()
+        self.spawn(PEER)
+        for repetition in range(self.repetitions):
+            successor = self.start_peer()
+            peer.exit_code(20.0)
+            peer = successor
+            eventually(self.looks_as_spawned, 10.0, self.what(repetition))
+
+    def start_peer(self) -> Running:
+        peer = Running(*NODELET, "manager", f"__name:={PEER[1:]}")
+        self.addCleanup(peer.__exit__)
+        peer.wait_for("Initializing nodelet")
+        return peer
+
+    def all_lost(self) -> bool:
+        found = self.manager.client.get_model().nodelets
+        return [each.name for each in found if each.state is State.LOST] == sorted(WIRING)
+
+    # What somebody wants to be gone
+
+    def test_what_is_unloaded_by_the_stock_service_is_gone(self):
+        self.spawn("")
+        unload = rospy.ServiceProxy(f"{CHILD}/unload_nodelet", NodeletUnload)
+        unload("/relay1")
+        eventually(lambda: self.manager.nodelet("/relay1") is None, 1.0, "it is gone")
+        self.manager.kill_child()
+        self.assert_gone("/relay1")
+
+    def test_a_nodelet_that_unloads_itself_is_gone(self):
+        self.spawn("")
+        self.manager.client.spawn("suicidal", "/suicidal", {"in": "/s0"})
+        eventually(lambda: self.manager.nodelet("/suicidal") is None, 1.0, "it is gone")
+        self.manager.kill_child()
+        self.assert_gone("/suicidal")
+
+    def test_what_a_broken_bond_unloads_is_gone(self):
+        self.spawn("")
+        with Running(*STOCK_NODELET, "load", "dyknow_manager_test/Relay", CHILD) as client:
+            eventually(lambda: len(self.manager.client.get_model().nodelets) == 5, 5.0, "seen")
+        self.assertTrue(client.has_ended)
+        eventually(lambda: len(self.manager.client.get_model().nodelets) == 4, 10.0, "it is gone")
+        self.assertTrue(self.looks_as_spawned())
+
+    def assert_gone(self, name: str) -> None:
+        others = [each for each in WIRING if each != name]
+        load = rospy.ServiceProxy(f"{CHILD}/load_nodelet", NodeletLoad)
+        load.wait_for_service(20.0)
+
+        def all_back() -> bool:
+            found = {each.name: each.state for each in self.manager.client.get_model().nodelets}
+            return found == dict.fromkeys(others, State.RUNNING)
+
+        eventually(all_back, 10.0, self.what(0))
+
+
+if __name__ == "__main__":
+    rospy.init_node("ends_test")
+    rostest.rosrun("dyknow", "ends_of_nodelet_managers", "__main__")
