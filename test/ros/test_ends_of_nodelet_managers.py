@@ -1,12 +1,13 @@
 #!/usr/bin/env python3
 """However the process of a nodelet manager ends, its nodelets come back; unloads are followed.
 
-The parameter ~repetitions says how often each way is tried.
+The parameter ~repetitions says how often each way is tried, each time with a new manager.
 """
 
 from __future__ import annotations
 
 import signal
+import unittest
 from typing import Callable
 
 import rosnode
@@ -34,7 +35,6 @@ WIRING = {
 
 class EndsTest(ManagerCase):
     def setUp(self):
-        self.repetitions = rospy.get_param("~repetitions", 1)
         peers = [PEER] if "peer" in self._testMethodName else []
         self.manager = self.started(nodelet_managers=peers)
 
@@ -70,26 +70,19 @@ class EndsTest(ManagerCase):
             and nodelet.is_protected == (name in ("/counter", "/relay2"))
         } == WIRING
 
-    def check_each_way_back(self, process: Callable[[], ProcessId], end: Callable[[], None]):
-        for repetition in range(self.repetitions):
-            eventually(self.looks_as_spawned, 10.0, self.what(repetition))
-            ended = process()
-            end()
-            eventually(lambda: not ended.alive, 20.0, "its process has ended")  # noqa: B023
-            eventually(lambda: process() != ended, 20.0, "another has taken its place")  # noqa: B023
-            # The pauses grow when one dies again and again.
-            eventually(self.looks_as_spawned, 10.0, self.what(repetition))
-
-    def what(self, repetition: int) -> str:
-        found = self.manager.client.get_model().nodelets
-        states = ", ".join(f"{each.name} {each.state.name} {each.detail}" for each in found)
-        return f"all nodelets run, time {repetition + 1}: {states}\n{self.manager.output}"
+    def check_back(self, process: Callable[[], ProcessId], end: Callable[[], None]) -> None:
+        self.assertTrue(self.looks_as_spawned())
+        ended = process()
+        end()
+        eventually(lambda: not ended.alive, 10.0, "its process has ended")
+        eventually(lambda: process() != ended, 10.0, "another has taken its place")
+        eventually(self.looks_as_spawned, 10.0, "all nodelets are back")
 
     # A nodelet manager of the DyKnow manager's own
 
     def check_child(self, end: Callable[[], None]) -> None:
         self.spawn("")
-        self.check_each_way_back(self.manager.child, end)
+        self.check_back(self.manager.child, end)
 
     def test_sigint(self):
         self.check_child(lambda: self.manager.child().signal(signal.SIGINT))
@@ -122,11 +115,10 @@ class EndsTest(ManagerCase):
             self.manager.client.spawn("native", f"/native{number}", {"image": "/i"}, number == 0)
             self.addCleanup(self.forget, f"/native{number}")
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
-            for repetition in range(self.repetitions):
-                ended = self.manager.child(CPP)
-                ended.signal(number)
-                eventually(lambda: self.manager.child(CPP) != ended, 20.0, "started")  # noqa: B023
-                eventually(self.natives_run, 20.0, self.what(repetition))
+            ended = self.manager.child(CPP)
+            ended.signal(number)
+            eventually(lambda: self.manager.child(CPP) != ended, 10.0, "started")  # noqa: B023
+            eventually(self.natives_run, 10.0, "all nodelets are back")
 
     def natives_run(self) -> bool:
         found = self.manager.client.get_model().nodelets
@@ -140,21 +132,18 @@ class EndsTest(ManagerCase):
         peer = self.start_peer()
         self.spawn(PEER)
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
-            for repetition in range(self.repetitions):
-                peer.stop(number)
-                peer.exit_code(20.0)
-                eventually(self.all_lost, 10.0, self.what(repetition))
-                peer = self.start_peer()
-                eventually(self.looks_as_spawned, 10.0, self.what(repetition))
+            peer.stop(number)
+            peer.exit_code(20.0)
+            eventually(self.all_lost, 5.0, "all nodelets are missed")
+            peer = self.start_peer()
+            eventually(self.looks_as_spawned, 10.0, "all nodelets are back")
 
     def test_another_nodelet_manager_that_takes_the_name_of_a_peer(self):
         peer = self.start_peer()
         self.spawn(PEER)
-        for repetition in range(self.repetitions):
-            successor = self.start_peer()
-            peer.exit_code(20.0)
-            peer = successor
-            eventually(self.looks_as_spawned, 10.0, self.what(repetition))
+        self.start_peer()
+        peer.exit_code(20.0)
+        eventually(self.looks_as_spawned, 10.0, "all nodelets are back")
 
     def start_peer(self) -> Running:
         peer = Running(*NODELET, "manager", f"__name:={PEER[1:]}")
@@ -200,7 +189,13 @@ class EndsTest(ManagerCase):
             found = {each.name: each.state for each in self.manager.client.get_model().nodelets}
             return found == dict.fromkeys(others, State.RUNNING)
 
-        eventually(all_back, 10.0, self.what(0))
+        eventually(all_back, 10.0, "the others are back, and nothing else")
+
+
+def load_tests(loader, tests, pattern) -> unittest.TestSuite:
+    names = loader.getTestCaseNames(EndsTest)
+    repetitions = rospy.get_param("~repetitions", 1)
+    return unittest.TestSuite(EndsTest(name) for name in names for _ in range(repetitions))
 
 
 if __name__ == "__main__":
