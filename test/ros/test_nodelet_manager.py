@@ -15,9 +15,14 @@ import rostest
 from bond.msg import Status
 from dyknow_msgs.msg import NodeletChanges
 from graph import Ended, Manager, call, registrations, set_config
+from nodelet.srv import NodeletList, NodeletLoad, NodeletUnload
 from processes import NODELET, STOCK_NODELET, eventually, finished
 from std_msgs.msg import Header
 from telling import TellingCase
+
+from dyknow.errors import HostError, PeerTimeout
+from dyknow.ros.master import Master
+from dyknow.ros.service_client import ServiceClient
 
 CLIENTS = {"stock": STOCK_NODELET, "own": NODELET}
 
@@ -477,6 +482,25 @@ class LaunchTest(Started):
 
     def note(self, message):
         self.heard.append(message.seq)
+
+
+class DescriptorsTest(Started):
+    def test_a_process_without_file_descriptors_answers_when_some_are_free(self):
+        command = " ".join(NODELET)
+        self.start("bash", "-c", f"ulimit -n 64; exec {command} manager __name:=few")
+        master = Master(rospy.get_name())
+        rospy.wait_for_service("/few/unload_nodelet", 10.0)
+        load = ServiceClient(master, "/few/load_nodelet", NodeletLoad)
+        load.call(10.0, name="/relay", type="dyknow_test/Relay")
+        clients = []
+        with self.assertRaises((HostError, PeerTimeout)):
+            for _ in range(64):
+                clients.append(ServiceClient(master, "/few/list", NodeletList, persistent=True))
+                clients[-1].call(2.0)
+        for client in clients:
+            client.close()
+        ServiceClient(master, "/few/unload_nodelet", NodeletUnload).call(10.0, "/relay")
+        self.assertEqual(registrations("/relay"), registrations("/nothing"))
 
 
 if __name__ == "__main__":
