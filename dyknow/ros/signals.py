@@ -29,4 +29,12 @@ def on_signals(numbers: Iterable[int], told: Callable[[], None]) -> None:
                 if number in wanted:
                     told()
 
+    # A forked process would write into the same pipe, and tell this one of its own signals.
+    os.register_at_fork(after_in_child=lambda: _let_go(wanted))
     threading.Thread(target=listen, name="signals", daemon=True).start()
+
+
+def _let_go(numbers: Iterable[int]) -> None:
+    signal.set_wakeup_fd(-1)
+    for number in numbers:
+        signal.signal(number, signal.SIG_DFL)
