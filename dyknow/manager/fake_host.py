@@ -18,8 +18,9 @@ from typing import (
     Tuple,
 )
 
+from dyknow import names
 from dyknow.errors import HostError, HostTimeout, NameTaken
-from dyknow.manager.host import Count, Host, Kind, Listening, LoadRequest, ManagerState
+from dyknow.manager.host import Count, Crash, Host, Kind, Listening, LoadRequest, ManagerState
 from dyknow.manager.model import PortState
 from dyknow.manager.specifications.transformation import Parameter
 
@@ -98,6 +99,7 @@ class FakeHost(Host):
         self.parameters: Dict[str, object] = {}
         self._incarnations = itertools.count(1)
         self._hung: set[str] = set()
+        self._crashes: List[Crash] = []
 
     # By hand
 
@@ -107,6 +109,21 @@ class FakeHost(Host):
         process.nodelets.clear()
         self._hung.discard(manager)
         process.state = ManagerState(manager, process.state.kind, "", process.state.isolated_for)
+
+    def crash(
+        self, manager: str, running: Optional[Iterable[str]] = (), unloading: Iterable[str] = ()
+    ) -> None:
+        """Let a nodelet manager die of a fault of its own.
+
+        Args:
+            manager: its name.
+            running: nodelets whose code it ran; None if nobody can tell.
+            unloading: those that it was unloading because somebody asked for it.
+        """
+        at_work = None if running is None else frozenset(map(names.mark, running))
+        unloaded = frozenset(map(names.mark, unloading))
+        self._crashes.append(Crash(manager, "SIGSEGV", at_work, unloaded))
+        self.kill(manager)
 
     def hang(self, manager: str) -> None:
         """Stop a nodelet manager's process, as SIGSTOP does."""
@@ -182,6 +199,11 @@ class FakeHost(Host):
             replace(self.processes[name].state, responsive=name not in self._hung)
             for name in sorted(self.processes)
         ]
+
+    def crashes(self) -> List[Crash]:
+        """Tell of the crashes since the last call."""
+        crashes, self._crashes = self._crashes, []
+        return crashes
 
     def ensure(self, kind: Kind, isolated_for: str = "") -> str:
         """Start a nodelet manager if there is none."""

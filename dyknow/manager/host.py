@@ -59,6 +59,26 @@ class ManagerState:
 
 
 @dataclass(frozen=True)
+class Crash:
+    """A nodelet manager's process that ended by a fault of its own: a native crash, ``_exit``.
+
+    One that was told to end, or killed by others, is none.
+
+    Attributes:
+        manager: its name.
+        cause: signal or exit code, in words.
+        running: marks (``names.mark``) of the nodelets whose code was running; None if nobody can
+            tell, as of the stock nodelet manager.
+        unloading: marks of those whose unload somebody had asked for.
+    """
+
+    manager: str
+    cause: str
+    running: Optional[FrozenSet[int]] = None
+    unloading: FrozenSet[int] = frozenset()
+
+
+@dataclass(frozen=True)
 class LoadRequest:
     """What is needed to load a nodelet.
 
@@ -119,6 +139,14 @@ class Host(ABC):
     def managers(self) -> List[ManagerState]:
         """List the nodelet managers that nodelets can be given to, dead ones included."""
 
+    def crashes(self) -> List[Crash]:
+        """Crashes since the last call, as far as they are seen.
+
+        A nodelet manager that ``managers`` shows as dead, or anew, after a crash is told of by
+        the next call.
+        """
+        return []
+
     @abstractmethod
     def ensure(self, kind: Kind, isolated_for: str = "") -> str:
         """Return the name of a nodelet manager of that kind that is up, starting it if need be.
@@ -138,7 +166,10 @@ class Host(ABC):
 
     @abstractmethod
     def unload(self, manager: str, name: str) -> None:
-        """Unload a nodelet, also one that is still being loaded."""
+        """Unload a nodelet, also one that is still being loaded.
+
+        If its process dies of that, ``managers`` shows so by the time that this raises.
+        """
 
     @abstractmethod
     def forget(self, name: str, parameters: Sequence[Parameter]) -> None:

@@ -25,6 +25,7 @@ from dyknow.manager.graph import Graph
 from dyknow.manager.host import Host, Kind, LoadRequest
 from dyknow.manager.model import PortState, Record, State, declared_ports, seen_ports
 from dyknow.manager.specifications.transformation import TOPIC, Transformation
+from dyknow.manager.suspects import Suspects
 
 #: Seconds to wait for a look, or for somebody else, to be done with a nodelet.
 PATIENCE = 5.0
@@ -60,12 +61,15 @@ class SpawnRequest:
 class Lifecycle:
     """Makes, restores, reloads and destroys the nodelets of the graph."""
 
-    def __init__(self, host: Host, graph: Graph, guards: Guards, spawn_timeout: float) -> None:
-        """Work on ``graph`` through ``host``."""
+    def __init__(
+        self, host: Host, graph: Graph, guards: Guards, spawn_timeout: float, suspects: Suspects
+    ) -> None:
+        """Work on ``graph`` through ``host``; ``suspects`` are kept apart."""
         self._host = host
         self._graph = graph
         self._guards = guards
         self._timeout = spawn_timeout
+        self._suspects = suspects
 
     def spawn(self, transformation: Transformation, request: SpawnRequest) -> Record:
         """Make a nodelet of a transformation; its name is global.
@@ -81,24 +85,27 @@ class Lifecycle:
         config = self._resolved(transformation, request.name, request.config)
         with self._graph.changing(request.name, new=True, patience=PATIENCE):
             kind = self._host.kind_of(transformation.source)
+            suspicion = "" if request.manager else self._suspects.verdict(request.name)
+            isolated = request.isolated or bool(suspicion)
             manager = placement.choose(
                 self._host,
                 self._graph.all(),
                 kind,
                 (*config.values(), *request.near),
                 request.manager,
-                request.name if request.isolated else "",
+                request.name if isolated else "",
             )
             record = Record(
                 name=request.name,
                 transformation=transformation,
                 manager=manager,
                 is_protected=request.is_protected,
-                isolated=request.isolated,
+                isolated=isolated,
                 rewired_by_reload=kind is Kind.CPP,
                 topics=config,
                 claimed=request.claimed,
                 ports=(),
+                suspicion=suspicion,
             )
             try:
                 self._graph.put(record)
@@ -121,11 +128,18 @@ class Lifecycle:
     def restore(self, record: Record) -> Record:
         """Bring back a nodelet that died, where it was or, isolated, in a new process.
 
-        The record says FAILED, with the reason, when that does not work.
+        One that is suspected of having crashed its process is isolated from now on. The record
+        says FAILED, with the reason, when that does not work.
         """
         transformation = record.transformation
         assert transformation is not None
-        starting = replace(record, state=State.STARTING, detail="")
+        suspicion = self._suspects.verdict(record.name)
+        if suspicion and not record.isolated:
+            _log.warning("%s is given a process of its own; %s", record.name, suspicion)
+            # The process that it leaves is not its own, to be ended with it.
+            record = replace(record, isolated=True, manager="")
+        record = replace(record, suspicion=suspicion or record.suspicion)
+        starting = replace(record, state=State.STARTING, detail=record.suspicion)
         self._graph.put(starting)
         try:
             if record.isolated:
@@ -136,7 +150,8 @@ class Lifecycle:
             return record  # it is there: the next look takes it up
         except DyKnowError as error:
             self._take_down(starting)
-            running = replace(record, state=State.FAILED, detail=str(error), ports=())
+            detail = "; ".join(filter(None, (str(error), record.suspicion)))
+            running = replace(record, state=State.FAILED, detail=detail, ports=())
         self._graph.put(running)
         return running
 
@@ -159,6 +174,7 @@ class Lifecycle:
                 self._unload(record)
             self._dispose(record)
             self._graph.remove(name)
+            self._suspects.acquit(name)
 
     def clear(self, record: Record) -> None:
         """Destroy a nodelet whatever its state, as part of the manager's end."""
@@ -248,7 +264,10 @@ class Lifecycle:
         )
         self._host.load(record.manager, request, self._timeout)
         record = replace(
-            record, state=State.RUNNING, detail="", incarnation=self._incarnation(record.manager)
+            record,
+            state=State.RUNNING,
+            detail=record.suspicion,
+            incarnation=self._incarnation(record.manager),
         )
         if record.rewired_by_reload:
             return replace(record, ports=declared_ports(record))

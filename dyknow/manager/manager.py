@@ -23,6 +23,7 @@ from dyknow.manager.observer import Observer, at_once
 from dyknow.manager.specifications.specification import Specifications
 from dyknow.manager.specifications.transformation import Transformation
 from dyknow.manager.store import Store
+from dyknow.manager.suspects import Suspects
 
 
 @dataclass(frozen=True)
@@ -72,8 +73,9 @@ class Manager:
         self.store = store
         self._settings = settings
         self.graph = Graph(store)
-        self.lifecycle = Lifecycle(host, self.graph, guards, settings.spawn_timeout)
-        self.observer = Observer(host, self.graph, self.lifecycle, clock, run)
+        suspects = Suspects(clock)
+        self.lifecycle = Lifecycle(host, self.graph, guards, settings.spawn_timeout, suspects)
+        self.observer = Observer(host, self.graph, self.lifecycle, suspects, clock, run)
 
     @property
     def on_change(self) -> Callable[[], None]:

@@ -55,6 +55,7 @@ class Record:
         ports: what was last seen.
         claimed: made for a claim, and collected when no claim needs it.
         incarnation: of the nodelet manager when it was loaded.
+        suspicion: why it was given a process of its own; empty if nobody suspects it.
     """
 
     name: str
@@ -69,6 +70,7 @@ class Record:
     ports: Tuple[PortState, ...] = ()
     claimed: bool = False
     incarnation: str = ""
+    suspicion: str = ""
 
     @property
     def label(self) -> str:

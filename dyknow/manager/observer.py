@@ -13,12 +13,14 @@ import time
 from dataclasses import replace
 from typing import Callable, Dict, Iterable, Set
 
+from dyknow import names
 from dyknow.errors import Busy, DyKnowError, HostError, NameTaken
 from dyknow.manager.graph import Graph
-from dyknow.manager.host import Host, ManagerState
+from dyknow.manager.host import Crash, Host, ManagerState
 from dyknow.manager.lifecycle import Lifecycle
 from dyknow.manager.model import Record, State, seen_ports, topics_of
 from dyknow.manager.patience import Patience
+from dyknow.manager.suspects import Suspects
 
 _log = logging.getLogger("rosout.dyknow")
 
@@ -36,6 +38,7 @@ class Observer:
         host: Host,
         graph: Graph,
         lifecycle: Lifecycle,
+        suspects: Suspects,
         clock: Callable[[], float] = time.monotonic,
         run: Callable[[Callable[[], None]], None] = at_once,
     ) -> None:
@@ -45,17 +48,20 @@ class Observer:
             host: who is asked.
             graph: the picture.
             lifecycle: brings nodelets back.
+            suspects: told of crashes.
             clock: seconds, steady.
             run: does the work of bringing nodelets back; a look does not wait for it.
         """
         self._host = host
         self._graph = graph
         self._lifecycle = lifecycle
+        self._suspects = suspects
         self._turn = threading.Lock()  # one look at a time; nobody else waits for it
         self._patience = Patience(clock)
         self._run = run
         self._lock = threading.Lock()
         self._dead: Set[str] = set()  # found by this look
+        self._crashes: Dict[str, Crash] = {}  # told of since the look before it, by manager
         self._returning: Set[str] = set()  # being brought back
         self._silent: Set[str] = set()  # nodelet managers that do not answer; it was logged
         #: Called with the record of a nodelet that was made for a claim and died.
@@ -82,6 +88,10 @@ class Observer:
         """
         with self._turn:
             states = self._host.managers()
+            self._crashes = {}
+            for crash in self._host.crashes():
+                self._crashes[crash.manager] = crash
+                self._accuse(crash)
             listed: Dict[str, Set[str]] = {}
             for state in states:
                 try:
@@ -110,6 +120,18 @@ class Observer:
         if manager not in self._silent:
             self._silent.add(manager)
             _log.warning("%s; it is said once", error.__cause__ or error)
+
+    def _accuse(self, crash: Crash) -> None:
+        hosted = [each.name for each in self._graph.all() if each.manager == crash.manager]
+        self._suspects.accuse(crash, hosted)
+        running = crash.running or ()
+        at_work = ", ".join(name for name in hosted if names.mark(name) in running)
+        _log.error(
+            "nodelet manager %s crashed (%s)%s",
+            crash.manager,
+            crash.cause,
+            f" while it ran code of {at_work}" if at_work else "",
+        )
 
     def _check(
         self,
@@ -147,7 +169,13 @@ class Observer:
             else:  # it failed, or the manager was killed while it brought it back
                 self._find_dead(record)
         elif alive or state is None or (state.own and not state.alive):
-            self._lose(record, "its nodelet manager has died")
+            crash = self._crashes.get(record.manager)
+            if crash is not None and names.mark(record.name) in crash.unloading:
+                _log.info("%s was being unloaded when its process died", record.name)
+                self._lifecycle.forget(record)
+                return
+            cause = f" ({crash.cause})" if crash is not None else ""
+            self._lose(record, f"its nodelet manager has died{cause}")
             self._find_dead(record)
         else:
             self._lose(record, f"nodelet manager {record.manager} does not answer")
@@ -159,7 +187,9 @@ class Observer:
             return
         if came_back:
             self._patience.came_up(record.name)
-        record = replace(record, state=State.RUNNING, detail="", incarnation=incarnation)
+        record = replace(
+            record, state=State.RUNNING, detail=record.suspicion, incarnation=incarnation
+        )
         if (closely or came_back) and not record.rewired_by_reload:
             try:
                 ports = seen_ports(record, self._host.ports(record.name))
@@ -184,7 +214,8 @@ class Observer:
             return False
         return True
 
-    def _lose(self, record: Record, why: str) -> None:
+    def _lose(self, record: Record, trouble: str) -> None:
+        why = "; ".join(filter(None, (trouble, record.suspicion)))
         if record.state is State.RUNNING:
             _log.warning("%s is lost: %s", record.name, why)
         if record.state is State.RUNNING or (record.state is State.LOST and record.detail != why):

@@ -204,6 +204,7 @@ def _body(record: Record) -> str:
             "state": int(record.state),
             "claimed": record.claimed,
             "incarnation": record.incarnation,
+            "suspicion": record.suspicion,
         },
         sort_keys=True,
     )

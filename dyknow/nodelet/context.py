@@ -13,6 +13,7 @@ import traceback
 from dataclasses import dataclass
 from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple, TypeVar
 
+from dyknow import names
 from dyknow.errors import NoMessageClass
 from dyknow.guards import NO_GUARDS, Guards
 from dyknow.nodelet.bus import Bus, Endpoint
@@ -82,7 +83,8 @@ class Context:
         self.name = name
         self.remappings = dict(remappings or {})
         self.my_argv = tuple(my_argv)
-        self.strand = Strand(runtime.executor, name, held=True)
+        self.mark = names.mark(name)
+        self.strand = Strand(runtime.executor, name, held=True, mark=self.mark)
         self.callback_errors = 0
         self._failures: Dict[Tuple[str, type, str], Tuple[float, int]] = {}
         self.closed = False
@@ -118,7 +120,7 @@ class Context:
         """
         with self._lock:
             held = self._held and not at_once
-            strand = Strand(self.runtime.executor, f"{self.name} ({what})", held)
+            strand = Strand(self.runtime.executor, f"{self.name} ({what})", held, self.mark)
             if self.closed:
                 strand.kill()
             self._strands.append(strand)

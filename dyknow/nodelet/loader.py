@@ -141,7 +141,8 @@ class Loader:
         context.on_attach = self._on_attach
         context.unload = lambda: self._unload_self(name, entry)
         try:
-            nodelet_class = self._find_class(type_name)
+            with self.runtime.executor.record.noting(context.mark):  # its import is its code too
+                nodelet_class = self._find_class(type_name)
             if context.closed:
                 raise UnloadedMeanwhile(name, "load")
             run = _Run(lambda: self._start(entry, nodelet_class), f"{name} on_init")
@@ -183,7 +184,7 @@ class Loader:
         unloads = []
         for name in reversed(loaded):
             try:
-                unload = self._begin(name, None)
+                unload = self._begin(name, None, wanted=False)
             except UnknownNodelet:
                 continue  # somebody else was faster
             unload.wait(_HEAD_START)
@@ -191,7 +192,8 @@ class Loader:
         for unload in unloads:
             self._finish(unload)
 
-    def _begin(self, name: str, only: Optional[_Entry]) -> _Unload:
+    def _begin(self, name: str, only: Optional[_Entry], wanted: bool = True) -> _Unload:
+        """Begin an unload, ``wanted`` by somebody or part of the end of the process."""
         with self._lock:
             entry = self._entries.get(name)
             known = [each for each, one in self._entries.items() if one.state is _State.RUNNING]
@@ -200,7 +202,7 @@ class Loader:
             was_running = entry.state is _State.RUNNING
             entry.state = _State.UNLOADING
         entry.context.stop()
-        return _Unload(name, entry, self._shut_down(entry) if was_running else None)
+        return _Unload(name, entry, self._shut_down(entry, wanted) if was_running else None)
 
     def _finish(self, unload: _Unload) -> None:
         name, context = unload.name, unload.entry.context
@@ -220,9 +222,11 @@ class Loader:
 
     @staticmethod
     def _start(entry: _Entry, nodelet_class: Type[Nodelet]) -> None:
-        nodelet = nodelet_class()
-        nodelet.bind(entry.context)
-        nodelet.on_init()
+        context = entry.context
+        with context.runtime.executor.record.noting(context.mark):
+            nodelet = nodelet_class()
+            nodelet.bind(context)
+            nodelet.on_init()
         entry.nodelet = nodelet
 
     def _free(self, name: str, entry: _Entry) -> None:
@@ -238,16 +242,19 @@ class Loader:
             _log.info("%s: asked to be unloaded twice", name)
 
     @staticmethod
-    def _shut_down(entry: _Entry) -> _Run:
+    def _shut_down(entry: _Entry, wanted: bool) -> _Run:
         nodelet, context = entry.nodelet, entry.context
         assert nodelet is not None
 
         def hooks() -> None:
-            for hook in (nodelet.on_shutdown, *context.shutdown_hooks):
-                try:
-                    hook()
-                except BaseException:  # the boundary: the other hooks and the unload go on
-                    _log.error("%s: on_shutdown raised\n%s", context.name, traceback.format_exc())
+            with context.runtime.executor.record.noting(context.mark, unloading=wanted):
+                for hook in (nodelet.on_shutdown, *context.shutdown_hooks):
+                    try:
+                        hook()
+                    except BaseException:  # the boundary: the other hooks and the unload go on
+                        _log.error(
+                            "%s: on_shutdown raised\n%s", context.name, traceback.format_exc()
+                        )
 
         return _Run(hooks, f"{context.name} on_shutdown")
 

@@ -26,6 +26,7 @@ import traceback
 import weakref
 from typing import Callable, Deque, Dict, List, Optional, Tuple
 
+from dyknow.nodelet.crash_record import CrashRecord
 from dyknow.nodelet.locking import message_lock
 
 Task = Callable[[], object]
@@ -50,13 +51,22 @@ class Strand:
         "_ready",
         "_tasks",
         "alive",
+        "mark",
         "name",
         "running",
     )
 
-    def __init__(self, executor: Executor, name: str, held: bool = False) -> None:
-        """Create a strand on ``executor``; a ``held`` one collects tasks until ``resume``."""
+    def __init__(self, executor: Executor, name: str, held: bool = False, mark: int = 0) -> None:
+        """Create a strand on ``executor``; a ``held`` one collects tasks until ``resume``.
+
+        Args:
+            executor: what runs it.
+            name: for the log.
+            held: whether it waits for ``resume``.
+            mark: of the nodelet whose code it runs, for the crash record.
+        """
         self.name = name
+        self.mark = mark
         self.alive = True
         self.running = False
         self._tasks: Deque[Task] = collections.deque()
@@ -132,8 +142,10 @@ class Strand:
 class Executor:
     """What a strand needs to be run; keeps account of the strands for ``drain``."""
 
-    def __init__(self) -> None:
+    def __init__(self, record: Optional[CrashRecord] = None) -> None:
         self.strands: weakref.WeakSet[Strand] = weakref.WeakSet()
+        #: Where threads note whose code they run.
+        self.record = record or CrashRecord()
 
     def ready(self, strand: Strand) -> None:
         """Take a strand that has something to do; the caller has the lock."""
@@ -187,9 +199,11 @@ class _Worker:
         turns: tasks that it has begun.
         replaced: whether it is to end as soon as it can, since another was hired in its place.
         call: released by who calls it.
+        word: its index in the crash record.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, word: int) -> None:
+        self.word = word
         self.strand: Optional[Strand] = None
         self.turns = 0
         self.replaced = False
@@ -204,12 +218,18 @@ class WorkerPool(Executor):
     Args:
         size: callbacks that can run at the same time.
         stuck_after: seconds after which a callback that has not returned is reported, once.
+        clock: seconds, steady.
+        record: where its threads note whose code they run.
     """
 
     def __init__(
-        self, size: int, stuck_after: float = 10.0, clock: Clock = time.monotonic
+        self,
+        size: int,
+        stuck_after: float = 10.0,
+        clock: Clock = time.monotonic,
+        record: Optional[CrashRecord] = None,
     ) -> None:
-        super().__init__()
+        super().__init__(record)
         if size < 1:
             raise ValueError(f"a worker pool needs at least one worker, not {size}")
         self.size = size
@@ -265,7 +285,7 @@ class WorkerPool(Executor):
         self._awake.set()
 
     def _hire(self) -> None:
-        worker = _Worker()
+        worker = _Worker(self.record.take())
         worker.thread = threading.Thread(
             target=self._work, args=(worker,), name="dyknow-worker", daemon=True
         )
@@ -275,6 +295,7 @@ class WorkerPool(Executor):
     def _work(self, worker: _Worker) -> None:
         strand: Optional[Strand] = None
         line_up = self._idle.append
+        words, word = self.record.words, worker.word
         while True:
             if not _attempt(False):
                 _wait()
@@ -299,9 +320,11 @@ class WorkerPool(Executor):
                 if self._dozes:
                     self._dozes = False
                     self._awake.set()
+                words[word] = strand.mark
                 strand.run(task)
                 line_up = self._idle.append
             elif strand is None:
+                words[word] = 0
                 if self._drainers:
                     with self._quiet:
                         self._quiet.notify_all()
@@ -310,6 +333,7 @@ class WorkerPool(Executor):
                     self._called -= 1
                 line_up = self._idle.appendleft  # unless it finds something to do now
         worker.strand = None
+        self.record.give_back(word)
         self._workers.remove(worker)
 
     def _watch(self) -> None:

@@ -1,7 +1,8 @@
 """Processes of this machine, known for certain: by their id and the moment of their start.
 
 An id alone may belong to somebody else by now. The end of a process is noticed at once, whether
-it is a child of this process or was started in an earlier life of it.
+it is a child of this process or was started in an earlier life of it; how it ended is known of
+children only.
 """
 
 from __future__ import annotations
@@ -12,10 +13,12 @@ import signal
 import subprocess
 import time
 from dataclasses import dataclass
-from typing import Optional, Sequence
+from typing import List, Optional, Sequence
 
 #: Seconds between two looks, where the kernel cannot tell of the end of a process.
 _PERIOD = 0.1
+#: Seconds that what a process left behind has to end when it is asked to.
+_REST_PATIENCE = 1.0
 
 
 @dataclass(frozen=True)
@@ -33,13 +36,8 @@ class ProcessId:
     @classmethod
     def of(cls, pid: int) -> Optional[ProcessId]:
         """Look a process up; None if there is none, or only the memory of one."""
-        try:
-            with open(f"/proc/{pid}/stat", "rb") as file:
-                # The second field is the program's name, in brackets, with anything in it.
-                fields = file.read().rpartition(b")")[2].split()
-        except OSError:
-            return None
-        return None if fields[0] in (b"Z", b"X") else cls(pid, int(fields[19]))
+        fields = _stat(pid)
+        return None if not fields or fields[0] in (b"Z", b"X") else cls(pid, int(fields[19]))
 
     @property
     def alive(self) -> bool:
@@ -63,7 +61,34 @@ class ProcessId:
         Returns:
             Whether it has ended.
         """
+        ended = self._await_end(timeout)
         _reap(self.pid)
+        return ended
+
+    def wait_for_rest(self) -> Optional[int]:
+        """Wait for its end, however long it takes, and end what it left in its session.
+
+        Returns:
+            Its exit code, or the negative number of the signal that ended it; None if it is no
+            child of this process.
+        """
+        self._await_end(None)
+        rest = _session(self.pid)  # while it is not reaped nobody else has its id
+        for process in rest:
+            process.signal(signal.SIGTERM)
+        deadline = time.monotonic() + _REST_PATIENCE
+        for process in rest:
+            process.end(max(0.0, deadline - time.monotonic()))
+        return _reap(self.pid)
+
+    def end(self, patience: float) -> None:
+        """End it: ask it first, and force it when it has not ended after ``patience`` seconds."""
+        self.signal(signal.SIGTERM)
+        if not self.wait(patience):
+            self.signal(signal.SIGKILL)
+            self.wait()
+
+    def _await_end(self, timeout: Optional[float]) -> bool:
         descriptor = _pidfd(self.pid)
         if descriptor is None:
             return self._poll(timeout)
@@ -74,15 +99,7 @@ class ProcessId:
                 poll.poll(None if timeout is None else max(0.0, timeout) * 1000)
         finally:
             os.close(descriptor)
-        _reap(self.pid)
         return not self.alive
-
-    def end(self, patience: float) -> None:
-        """End it: ask it first, and force it when it has not ended after ``patience`` seconds."""
-        self.signal(signal.SIGTERM)
-        if not self.wait(patience):
-            self.signal(signal.SIGKILL)
-            self.wait()
 
     def _poll(self, timeout: Optional[float]) -> bool:
         deadline = None if timeout is None else time.monotonic() + timeout
@@ -90,7 +107,6 @@ class ProcessId:
             if deadline is not None and time.monotonic() >= deadline:
                 return False
             time.sleep(_PERIOD)
-            _reap(self.pid)
         return True
 
 
@@ -128,8 +144,33 @@ def _pidfd(pid: int) -> Optional[int]:
         return None
 
 
-def _reap(pid: int) -> None:
+def _stat(pid: int) -> List[bytes]:
+    """Fields of a process from its state on; none if there is no such process."""
     try:
-        os.waitpid(pid, os.WNOHANG)
+        with open(f"/proc/{pid}/stat", "rb") as file:
+            # The second field is the program's name, in brackets, with anything in it.
+            return file.read().rpartition(b")")[2].split()
+    except OSError:
+        return []
+
+
+def _session(leader: int) -> List[ProcessId]:
+    """Processes of the session that a process began, without itself."""
+    found = []
+    for entry in os.listdir("/proc"):
+        if entry.isdigit() and int(entry) != leader:
+            fields = _stat(int(entry))
+            if fields and int(fields[3]) == leader and fields[0] not in (b"Z", b"X"):
+                found.append(ProcessId(int(entry), int(fields[19])))
+    return found
+
+
+def _reap(pid: int) -> Optional[int]:
+    """Status of a child that has ended, as ``wait_for_rest`` gives it; else None."""
+    try:
+        reaped, status = os.waitpid(pid, os.WNOHANG)
     except ChildProcessError:
-        return  # not a child of this process
+        return None  # not a child of this process
+    if not reaped:
+        return None
+    return -os.WTERMSIG(status) if os.WIFSIGNALED(status) else os.WEXITSTATUS(status)

@@ -53,9 +53,9 @@ class EndsTest(ManagerCase):
     def order(self, way: str) -> None:
         publisher = rospy.Publisher("/fatal/order", String, queue_size=1, latch=True)
         try:
+            child = self.manager.child()
             publisher.publish(way)
             eventually(publisher.get_num_connections, 10.0, "it listens")
-            child = self.manager.child()
             eventually(lambda: not child.alive, 20.0, "its process has ended")
         finally:
             publisher.unregister()

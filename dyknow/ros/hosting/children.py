@@ -16,7 +16,7 @@ from typing import AbstractSet, Callable, Dict, FrozenSet, List, Optional
 
 from dyknow import names
 from dyknow.errors import HostError, PeerTimeout
-from dyknow.manager.host import Kind
+from dyknow.manager.host import Crash, Kind
 from dyknow.manager.patience import LONG_LIFE, pause
 from dyknow.ros.hosting import child_records
 from dyknow.ros.hosting.child_records import ChildRecord
@@ -49,7 +49,6 @@ class Child:
     wanted: bool = True
     gone: threading.Event = field(default_factory=threading.Event)
     trouble: str = ""
-    uri: str = ""
     stale: str = ""
     follower: Optional[Follower] = None
 
@@ -84,6 +83,7 @@ class Children:
         self._on_change = on_change
         self._lock = threading.Condition()
         self._children: Dict[str, Child] = {}
+        self._crashes: List[Crash] = []
         self._ending = False
         self._unwritten = False  # the disk did not take the records
 
@@ -114,6 +114,12 @@ class Children:
         with self._lock:
             return [self._children[name] for name in sorted(self._children)]
 
+    def incarnation(self, name: str) -> str:
+        """The process of a child; empty while none is up."""
+        with self._lock:
+            child = self._children.get(name)
+            return child.incarnation if child is not None else ""
+
     def want(self, kind: Kind, count: int) -> None:
         """See to it that there are so many shared children; they come up in the background."""
         have = [c for c in self.all() if c.record.kind is kind and not c.record.isolated_for]
@@ -133,18 +139,19 @@ class Children:
         """
         deadline = time.monotonic() + START_TIMEOUT
         with self._lock:
-            fitting = [
+            same = [
                 child
                 for child in self._children.values()
-                if child.record.kind is kind
-                and child.record.isolated_for == isolated_for
-                and child.wanted
-                and child.record.name not in without
+                if child.record.kind is kind and child.record.isolated_for == isolated_for
             ]
+            fitting = [each for each in same if each.wanted and each.record.name not in without]
         up = [child for child in fitting if child.up]
         if up:
             return min(child.record.name for child in up)
         if not fitting:
+            if isolated_for:
+                for child in (each for each in same if not each.wanted):
+                    child.gone.wait(deadline - time.monotonic())  # then its name is free again
             name = self._free_name(kind, isolated_for)
             fitting = [self._add(Child(ChildRecord(name, kind, isolated_for)))]
         return self._wait_up(fitting[0], deadline)
@@ -155,6 +162,17 @@ class Children:
             child = self._children.get(name)
         if child is not None and not child.up:
             self._wait_up(child, time.monotonic() + timeout)
+
+    def crashes(self) -> List[Crash]:
+        """Return the crashes since the last call."""
+        with self._lock:
+            crashes, self._crashes = self._crashes, []
+        return crashes
+
+    def await_end(self, name: str, incarnation: str, timeout: float) -> None:
+        """Wait until a process is noticed to have ended, if it has."""
+        with self._lock:
+            self._lock.wait_for(lambda: self.incarnation(name) != incarnation, timeout)
 
     def end(self, name: str) -> None:
         """End a child for good, by force if need be."""
@@ -217,7 +235,7 @@ class Children:
 
     def _wait_up(self, child: Child, deadline: float) -> str:
         with self._lock:
-            while not child.up and child.wanted and not child.gone.is_set():
+            while not child.up and not child.gone.is_set():
                 if not self._lock.wait(deadline - time.monotonic()):
                     break
             if child.up:
@@ -228,48 +246,61 @@ class Children:
     # One thread for each child
 
     def _keep(self, child: Child) -> None:
-        """Run one child, life after life; an isolated one has only one."""
+        """Run one child, life after life."""
         deaths = 0  # in quick succession
         while child.wanted:
             begin = time.monotonic()
             try:
                 self._live(child)
-            except (OSError, HostError, PeerTimeout) as error:
+            except (OSError, HostError, PeerTimeout, LookupError) as error:
                 child.trouble = str(error)
                 _log.error("nodelet manager %s: %s", child.record.name, error)
-            if not child.wanted or child.record.isolated_for:
+            except Exception as error:  # the boundary of the thread: the next life may do better
+                child.trouble = str(error)
+                _log.exception("nodelet manager %s", child.record.name)
+            if not child.wanted:
                 break
             deaths = 1 if time.monotonic() - begin >= LONG_LIFE else deaths + 1
             with self._lock:
                 self._lock.wait_for(lambda: not child.wanted, pause(deaths - 1))
-        with self._lock:
-            self._children.pop(child.record.name, None)
-            child.gone.set()
-            self._lock.notify_all()
+        try:
+            self._launcher.clean_up(child.record.name)  # while nobody else is given its name
+        finally:
+            with self._lock:
+                self._children.pop(child.record.name, None)
+                child.gone.set()
+                self._lock.notify_all()
         self._write()
         self._on_change()
 
     def _live(self, child: Child) -> None:
         name = child.record.name
-        if child.record.process is None:
-            self._launch(child)
-        found = child.record.process
-        assert found is not None
         try:
+            if child.record.process is None:
+                self._launch(child)
+            found = child.record.process
+            assert found is not None
             self._follow_until_up(child, found)
             if not child.wanted:
                 found.end(PATIENCE)
-            found.wait()
+            status = found.wait_for_rest()
+            if child.wanted:
+                _log.warning("nodelet manager %s (process %d) has died", name, found.pid)
+                self._note(self._launcher.examine(child.record.kind, name, found.pid, status))
         finally:
             with self._lock:
                 child.up, child.adopted = False, False
+                child.wanted &= not child.record.isolated_for  # such a one has only one life
                 child.record = replace(child.record, process=None)
-        if child.wanted:
-            _log.warning("nodelet manager %s (process %d) has died", name, found.pid)
+                self._lock.notify_all()
         self.echo()
-        if not child.wanted or child.record.isolated_for:
-            self._launcher.tidy(name, child.uri)
         self._on_change()
+
+    def _note(self, crash: Optional[Crash]) -> None:
+        """Have it told before anybody sees that the child is dead."""
+        if crash is not None:
+            with self._lock:
+                self._crashes.append(crash)
 
     def _launch(self, child: Child) -> None:
         name = child.record.name
@@ -308,7 +339,6 @@ class Children:
                 raise HostError(f"it has not come up within {START_TIMEOUT:g} s")
             time.sleep(_STEP)
             uri = self._launcher.address(name, child.stale)
-        child.uri = uri
         with self._lock:
             child.up = child.wanted
             self._lock.notify_all()
@@ -339,7 +369,6 @@ class Children:
             ender.join(2 * PATIENCE)
         for child in children:
             child.gone.wait(PATIENCE)
-            self._launcher.forget(child.record.name)
 
     def _write(self) -> None:
         with self._lock:

@@ -31,7 +31,7 @@ from nodelet.srv import NodeletLoad, NodeletUnload
 from dyknow import names
 from dyknow.errors import HostError, HostTimeout, NameTaken, PeerTimeout
 from dyknow.guards import NO_GUARDS, Guards
-from dyknow.manager.host import Count, Host, Kind, Listening, LoadRequest, ManagerState
+from dyknow.manager.host import Count, Crash, Host, Kind, Listening, LoadRequest, ManagerState
 from dyknow.manager.model import PortState
 from dyknow.manager.specifications.transformation import Parameter
 from dyknow.ros.hosting.children import Child, Children
@@ -41,13 +41,15 @@ from dyknow.ros.hosting.hearing import Hearing
 from dyknow.ros.hosting.peers import ListClient, Peer
 from dyknow.ros.master import Master
 from dyknow.ros.nodelets.guard_parameters import guards_key, to_parameter
-from dyknow.ros.service_client import ServiceClient, ServiceFailed
+from dyknow.ros.service_client import ServiceClient, ServiceFailed, ServiceLost
 from dyknow.ros.transport.registrar import Registrar
 
 _log = logging.getLogger("rosout.dyknow")
 
 #: Seconds for an unload, which waits up to 1 s for ``on_shutdown``.
 UNLOAD_TIMEOUT = 4.0
+#: Seconds for the end of a process to be noticed.
+DEATH_TIMEOUT = 2.0
 #: Seconds for a proxy to connect ports, which waits up to 0.5 s for peers outside.
 CONNECT_TIMEOUT = 4.0
 #: Seconds for a proxy to say what its ports are.
@@ -117,6 +119,10 @@ class RosHost(Host):
         for state in states:
             self._guard(state)
         return sorted(states, key=lambda state: state.name)
+
+    def crashes(self) -> List[Crash]:
+        """Those of our children; how the processes of others end is not seen here."""
+        return self._children.crashes()
 
     def ensure(self, kind: Kind, isolated_for: str = "") -> str:
         """Start a child if need be."""
@@ -190,8 +196,14 @@ class RosHost(Host):
                 raise HostError(f"nodelet '{name}' was not loaded")
         if not self._client_of(manager).answers:
             self.list(manager)  # fails at once as long as it hangs
+        incarnation = self._children.incarnation(manager)
         service = f"{manager}/unload_nodelet"
-        self._asking(manager, lambda: self._call(service, NodeletUnload, UNLOAD_TIMEOUT, name))
+        try:
+            self._asking(manager, lambda: self._call(service, NodeletUnload, UNLOAD_TIMEOUT, name))
+        except ServiceLost:
+            if incarnation:
+                self._children.await_end(manager, incarnation, DEATH_TIMEOUT)
+            raise
 
     def forget(self, name: str, parameters: Sequence[Parameter]) -> None:
         """Delete the parameters, and the namespace if nothing is left in it."""
@@ -307,9 +319,7 @@ class RosHost(Host):
     def _client_of(self, manager: str) -> ListClient:
         if manager in self._peers:
             return self._peers[manager].client
-        incarnation = next(
-            (c.incarnation for c in self._children.all() if c.record.name == manager), ""
-        )
+        incarnation = self._children.incarnation(manager)
         if not incarnation:
             raise HostError(f"nodelet manager '{manager}' is not running")
         with self._lock:

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
 import re
+import signal
 import sys
+import threading
 from typing import Any, Mapping, Optional, Tuple
 
-import rosgraph.network
+import rosgraph
 import rospkg
 from roslib.packages import find_node
 
 from dyknow import names
 from dyknow.errors import HostError, PeerTimeout
-from dyknow.manager.host import Kind
+from dyknow.manager.host import Crash, Kind
+from dyknow.nodelet import crash_record
 from dyknow.ros import os_process
 from dyknow.ros.master import Master
 from dyknow.ros.nodelets.owner import OwnerLock
@@ -22,6 +26,10 @@ from dyknow.ros.os_process import ProcessId
 from dyknow.ros.output import Follower
 
 _ANSWER_TIMEOUT = 1.0
+#: Signals that a process brings upon itself.
+_FAULTS = (signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL, signal.SIGABRT)
+#: Private parameter of a nodelet manager: where it notes who is at work.
+_CRASH_RECORD = "crash_record"
 
 _log = logging.getLogger("rosout.dyknow")
 
@@ -53,7 +61,8 @@ class Launcher:
             "orphan_timeout": orphan_timeout,
             **parameters,
         }
-        self._log_folder = rospkg.get_log_dir()
+        host, port = rosgraph.network.parse_http_host_and_port(master.uri)
+        self._log_folder = os.path.join(rospkg.get_log_dir(), f"dyknow-{host}-{port}")
         os.makedirs(self._log_folder, exist_ok=True)
 
     def launch(self, kind: Kind, name: str) -> Tuple[ProcessId, Follower]:
@@ -65,7 +74,7 @@ class Launcher:
             OSError: the program cannot be started.
             HostError: the program is not installed.
         """
-        for key, value in self._parameters.items():
+        for key, value in self._parameters_of(name).items():
             self._master.ask("setParam", names.join(name, key), value)
         output = self._output(name)
         found = os_process.start(_command(kind, name), output, rospkg.get_ros_home())
@@ -77,22 +86,48 @@ class Launcher:
         """Follow what one prints that runs already."""
         return Follower(self._output(name), at_end=True)
 
-    def tidy(self, name: str, uri: str) -> None:
-        """Unregister what a dead one left at the master."""
-        if not uri:
-            return
+    def examine(self, kind: Kind, name: str, pid: int, status: Optional[int]) -> Optional[Crash]:
+        """Tell why a process ended, if it did so by a fault of its own.
+
+        Args:
+            kind: what it hosted.
+            name: its name.
+            pid: its id.
+            status: its exit code, or the negative number of a signal; None if nobody knows.
+        """
+        if status is None or (status < 0 and -status not in _FAULTS):
+            return None
+        cause = signal.Signals(-status).name if status < 0 else f"exit code {status}"
+        if kind is Kind.CPP:
+            return Crash(name, cause) if status else None
         try:
-            self._master.purge(name, uri)
+            found = crash_record.read(self._crash_record(name), pid)
+        except (OSError, ValueError) as error:
+            _log.debug("who was at work in %s is not known: %s", name, error)
+            found = crash_record.AtWork()
+        # What ended with an exit code while nobody was at work ended in order, or at its start.
+        if status >= 0 and not found.running:
+            return None
+        return Crash(name, cause, found.running, found.unloading)
+
+    def clean_up(self, name: str) -> None:
+        """Remove what one leaves that does not come back: registrations, parameters, its record.
+
+        If another process has taken its name they are that one's now.
+        """
+        try:
+            uri = self._master.node(name)
+            if self.living(name) is not None:
+                return
+            with contextlib.suppress(OSError):
+                os.remove(self._crash_record(name))
+            if uri:
+                self._master.purge(name, uri)
+            for key in self._parameters_of(name):
+                with contextlib.suppress(LookupError):
+                    self._master.ask("deleteParam", names.join(name, key))
         except (LookupError, PeerTimeout) as error:
             _log.warning("what nodelet manager %s left at the master: %s", name, error)
-
-    def forget(self, name: str) -> None:
-        """Delete the parameters that ``launch`` set."""
-        for key in self._parameters:
-            try:
-                self._master.ask("deleteParam", names.join(name, key))
-            except (LookupError, PeerTimeout):
-                continue
 
     def living(self, name: str) -> Optional[ProcessId]:
         """The process of a node that answers; an id of -1 if it runs on another machine."""
@@ -145,10 +180,20 @@ class Launcher:
             timeout,
             str(found.pid),
         )
-        os_process.start(command, output, rospkg.get_ros_home())
+        watcher = os_process.start(command, output, rospkg.get_ros_home())
+        threading.Thread(target=watcher.wait, name=f"watcher of {found.pid}", daemon=True).start()
+
+    def _parameters_of(self, name: str) -> Mapping[str, Any]:
+        return {**self._parameters, _CRASH_RECORD: self._crash_record(name)}
+
+    def _crash_record(self, name: str) -> str:
+        return self._file(name, "running")
 
     def _output(self, name: str) -> str:
-        return os.path.join(self._log_folder, re.sub(r"\W+", "-", name).strip("-") + "-output.log")
+        return self._file(name, "output.log")
+
+    def _file(self, name: str, what: str) -> str:
+        return os.path.join(self._log_folder, re.sub(r"\W+", "-", name).strip("-") + "-" + what)
 
 
 def _command(kind: Kind, name: str) -> Tuple[str, ...]:

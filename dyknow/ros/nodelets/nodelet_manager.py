@@ -7,6 +7,7 @@ on that.
 
 from __future__ import annotations
 
+import faulthandler
 import os
 import sys
 import traceback
@@ -27,6 +28,7 @@ from nodelet.srv import (
 from dyknow import names
 from dyknow.errors import BadParameter, DyKnowError, TooMuch
 from dyknow.nodelet.context import Context, Runtime
+from dyknow.nodelet.crash_record import CrashRecord
 from dyknow.nodelet.loader import Loader
 from dyknow.nodelet.middleware import Closable
 from dyknow.nodelet.plugins import Plugins
@@ -90,7 +92,8 @@ class NodeletManager(Closable):
         """Start without nodelets and without services."""
         self._workers = settings.workers
         sys.setswitchinterval(settings.switch_interval)
-        pool = WorkerPool(settings.workers, settings.stuck_after)
+        self._record = _crash_record()
+        pool = WorkerPool(settings.workers, settings.stuck_after, record=self._record)
         self._guards = GuardParameters()
         self._runtime = Runtime.make(RospyMiddleware(pool), pool, guards=self._guards.current)
         self._bonds = Bonds(names.join(rospy.get_name(), "bond"))
@@ -183,6 +186,7 @@ class NodeletManager(Closable):
         self._announcer.close()
         self._bonds.close()
         self._runtime.close()
+        self._record.close()
 
     # Bonds
 
@@ -291,7 +295,18 @@ def _end_without_owner() -> None:
         )
 
 
+def _crash_record() -> CrashRecord:
+    """Where a DyKnow manager looks for who was at work, if this process should crash."""
+    path = rospy.get_param("~crash_record", "")
+    try:
+        return CrashRecord(str(path))
+    except OSError as error:
+        rospy.logwarn("a crash of this process will not be explained: %s", error)
+        return CrashRecord()
+
+
 def _make() -> Optional[NodeletManager]:
+    faulthandler.enable()  # a crash prints what each thread was at
     try:
         return NodeletManager(Settings.read())
     except DyKnowError as error:

@@ -8,7 +8,7 @@ import pytest
 from unit.manager.world import World
 
 from dyknow.errors import HostError
-from dyknow.manager.host import LoadRequest
+from dyknow.manager.host import Kind, LoadRequest
 from dyknow.manager.model import State
 
 
@@ -47,6 +47,42 @@ def test_a_deliberate_unload_by_others_is_followed(world: World) -> None:
     world.kill_manager()
     assert world.states() == {"/b": "RUNNING"}
     assert world.host.running == ["/b"]
+
+
+def test_what_a_process_unloads_as_it_ends_is_brought_back(world: World) -> None:
+    world.spawn("camera", "a")
+    real, answers = world.host.list, [[]]
+
+    def ending(manager: str) -> list[str]:
+        if answers:
+            return answers.pop()
+        raise HostError("the nodelet manager ends")
+
+    world.host.list = ending  # type: ignore[method-assign, assignment]
+    world.manager.look()
+    world.manager.look()
+    assert world.states() == {"/a": "LOST"}
+    world.host.list = real  # type: ignore[method-assign]
+    world.host.kill("/fake_0")
+    world.manager.look()
+    assert world.states() == {"/a": "RUNNING"}
+
+
+def test_the_list_of_another_process_says_nothing(world: World) -> None:
+    world.spawn("camera", "a", is_protected=True)
+    real = world.host.list
+
+    def restarted(manager: str) -> list[str]:
+        world.host.list = real  # type: ignore[method-assign]
+        world.host.kill(manager)
+        world.host.ensure(Kind.PYTHON)
+        return real(manager)
+
+    world.host.list = restarted  # type: ignore[method-assign, assignment]
+    world.manager.look()
+    world.manager.look()
+    assert world.states() == {"/a": "RUNNING"}
+    assert world.manager.graph.get("/a").is_protected
 
 
 def test_a_nodelet_that_others_loaded_appears_without_a_transformation(world: World) -> None:

@@ -29,6 +29,35 @@ STUBBORN = (
     "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN)\n"
     "print('up', flush=True); time.sleep(1000)",
 )
+EXITS = (sys.executable, "-c", "import os; os._exit(3)")
+FORKS = (
+    sys.executable,
+    "-c",
+    "import os, signal, sys, time\n"
+    "pid = os.fork()\n"
+    "if not pid and 'stubborn' in sys.argv: signal.signal(signal.SIGTERM, signal.SIG_IGN)\n"
+    "if not pid: print('up', os.getpid(), flush=True)\n"
+    "time.sleep(1000)",
+)
+#: Its forked process is told to end, and then it is told itself.
+HANDLES = """
+import os, queue, signal, threading, time
+from dyknow.ros.signals import on_signals
+told = queue.SimpleQueue()
+on_signals([signal.SIGTERM], lambda: told.put("to end"))
+readable, writable = os.pipe()
+pid = os.fork()
+if not pid:
+    os.write(writable, b"up")
+    time.sleep(1000)
+os.read(readable, 2)
+os.kill(pid, signal.SIGTERM)
+_, status = os.waitpid(pid, 0)
+print("forked:", -os.WTERMSIG(status), flush=True)
+assert told.empty()
+os.kill(os.getpid(), signal.SIGTERM)
+print(told.get(), flush=True)
+"""
 
 
 def start(tmp_path: Path, command: tuple[str, ...] = SLEEP) -> ProcessId:
@@ -49,6 +78,32 @@ def test_the_end_of_a_child_is_noticed(tmp_path: Path) -> None:
     assert found.wait(5.0)
     assert not found.alive
     found.signal(signal.SIGKILL)  # nobody is there to get it
+
+
+def test_how_a_child_ended_is_known(tmp_path: Path) -> None:
+    found = start(tmp_path)
+    found.signal(signal.SIGSEGV)
+    assert found.wait_for_rest() == -signal.SIGSEGV
+    assert os_process.start(EXITS, str(tmp_path / "o"), str(tmp_path)).wait_for_rest() == 3
+    assert found.wait_for_rest() is None  # it was told already, or is no child
+
+
+@pytest.mark.parametrize("stubborn", [False, True])
+def test_what_a_child_forked_ends_with_it(tmp_path: Path, stubborn: bool) -> None:
+    found = start(tmp_path, (*FORKS, "stubborn") if stubborn else FORKS)
+    forked = ProcessId.of(int((tmp_path / "output").read_text().split()[1]))
+    assert forked is not None
+    found.signal(signal.SIGKILL)
+    try:
+        assert found.wait_for_rest() == -signal.SIGKILL
+        assert not forked.alive
+    finally:
+        forked.signal(signal.SIGKILL)
+
+
+def test_a_forked_process_has_signals_of_its_own() -> None:
+    process = subprocess.run([sys.executable, "-c", HANDLES], timeout=30.0, stdout=-1, text=True)
+    assert process.stdout == f"forked: {-signal.SIGTERM}\nto end\n"
 
 
 def test_the_end_of_a_process_of_others_is_noticed(tmp_path: Path) -> None:

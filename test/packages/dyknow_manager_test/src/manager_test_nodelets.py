@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import multiprocessing
 import os
 import signal
 import time
@@ -116,6 +117,18 @@ class Fatal(Relay):
         way = self.nh.get_param("~" + moment, "")
         if way:
             self.ways[way]()
+
+
+class Forks(dyknow.Nodelet):
+    """Has a process of its own beside it, and says so in ~pid."""
+
+    def on_init(self):
+        self.nh = dyknow.NodeHandle(self.node_handle)
+        self.process = multiprocessing.get_context("fork").Process(
+            target=time.sleep, args=(1000.0,), daemon=True
+        )
+        self.process.start()
+        self.nh.set_param("~pid", self.process.pid)
 
 
 class Moody(Relay):

@@ -1,0 +1,78 @@
+"""Which nodelets are kept apart, since their processes crash while their code runs.
+
+A nodelet that crashes its process takes its neighbours along each time that it comes back. Who was
+at work when a process crashed is accused; after two accusations it is restored in a process of its
+own, where it harms nobody else.
+"""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+from typing import Callable, Dict, Iterable
+
+from dyknow import names
+from dyknow.manager.host import Crash
+
+#: Accusations after which a nodelet is kept apart: once may be chance.
+ENOUGH = 2
+#: Seconds after which an accusation that led to nothing is forgotten.
+MEMORY = 600.0
+
+
+@dataclass(frozen=True)
+class _Account:
+    accusations: int
+    last: float
+    cause: str
+
+
+class Suspects:
+    """Accusations by nodelet; every method is safe from any thread."""
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        """Suspect nobody; ``clock`` gives seconds, steady."""
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._accounts: Dict[int, _Account] = {}
+
+    def accuse(self, crash: Crash, hosted: Iterable[str]) -> None:
+        """Accuse those who were at work, or, where nobody can tell, all that the process hosted.
+
+        Args:
+            crash: what happened.
+            hosted: names of the nodelets of the nodelet manager.
+        """
+        marks = crash.running
+        if marks is None:
+            marks = frozenset(names.mark(name) for name in hosted)
+        now = self._clock()
+        with self._lock:
+            for mark in marks:
+                past = self._recent(mark, now)
+                count = past.accusations if past is not None else 0
+                self._accounts[mark] = _Account(count + 1, now, crash.cause)
+
+    def verdict(self, name: str) -> str:
+        """Return why a nodelet is to have a process of its own; empty if it need not."""
+        mark = names.mark(name)
+        with self._lock:
+            account = self._recent(mark, self._clock())
+        if account is None or account.accusations < ENOUGH:
+            return ""
+        return (
+            f"alone in its process: {account.accusations} crashes while its code ran, "
+            f"the last by {account.cause}"
+        )
+
+    def acquit(self, name: str) -> None:
+        """Forget what a nodelet is accused of: somebody destroyed it, and may have mended it."""
+        with self._lock:
+            self._accounts.pop(names.mark(name), None)
+
+    def _recent(self, mark: int, now: float) -> _Account | None:
+        account = self._accounts.get(mark)
+        if account is not None and now - account.last > MEMORY:
+            del self._accounts[mark]
+            return None
+        return account

@@ -1,0 +1,127 @@
+"""Whose code each thread runs, in a file that outlives the process.
+
+When a native crash ends a process nobody can ask it any more who was at work. So each thread that
+runs code of nodelets notes whose it is in a word of its own of a small mapped file: what was
+written there the kernel keeps, whatever ends the process.
+
+The file is an array of 64-bit words. The first is the id of the process, 0 once that has ended in
+order; the others belong to threads and hold the mark of a nodelet (``names.mark``), or 0. A mark
+is even: while a nodelet is being unloaded because somebody asked for it, its last bit is set.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import mmap
+import os
+import struct
+import threading
+from dataclasses import dataclass
+from typing import FrozenSet, Iterator, List
+
+#: Threads that can be told apart; those beyond share the last word.
+_THREADS = 511
+_WORD = struct.Struct("=Q")
+_SIZE = (1 + _THREADS) * _WORD.size
+_UNLOADING = 1
+
+
+class CrashRecord:
+    """The words of this process."""
+
+    def __init__(self, path: str = "") -> None:
+        """Begin with nobody at work.
+
+        Args:
+            path: the file, which takes the place of one that is there; empty for none, as in a
+                process whose end nobody looks into.
+
+        Raises:
+            OSError: the file cannot be made.
+        """
+        self._lock = threading.Lock()
+        self._free: List[int] = list(range(_THREADS, 0, -1))
+        #: Written by the thread that has the word, read by nobody here.
+        self.words: memoryview[int] = memoryview(_map(path)).cast("Q")
+        self.words[0] = os.getpid()
+
+    def take(self) -> int:
+        """Give a thread a word; returns its index."""
+        with self._lock:
+            return self._free.pop() if len(self._free) > 1 else self._free[0]
+
+    def give_back(self, index: int) -> None:
+        """Take the word of a thread that ends."""
+        with self._lock:
+            self.words[index] = 0
+            if index != self._free[0]:
+                self._free.append(index)
+
+    @contextlib.contextmanager
+    def noting(self, mark: int, unloading: bool = False) -> Iterator[None]:
+        """Note whose code this thread runs meanwhile.
+
+        Args:
+            mark: of the nodelet.
+            unloading: it is its last, and somebody wants that.
+        """
+        index = self.take()
+        self.words[index] = mark | _UNLOADING if unloading else mark
+        try:
+            yield
+        finally:
+            self.give_back(index)
+
+    def close(self) -> None:
+        """Note that the process ends in order, whoever is still at work."""
+        self.words[0] = 0
+
+
+@dataclass(frozen=True)
+class AtWork:
+    """Who was at work when a process ended, as marks.
+
+    Attributes:
+        running: whose code ran.
+        unloading: those of them that were being unloaded because somebody asked for it.
+    """
+
+    running: FrozenSet[int] = frozenset()
+    unloading: FrozenSet[int] = frozenset()
+
+
+def read(path: str, pid: int) -> AtWork:
+    """Read who was at work when a process ended; nobody if it ended in order.
+
+    Raises:
+        OSError: the file cannot be read.
+        ValueError: it is not that of the process.
+    """
+    with open(path, "rb") as file:
+        found = file.read(_SIZE + 1)
+    if len(found) != _SIZE:
+        raise ValueError(f"'{path}' has not {_SIZE} bytes")
+    (process,), *words = _WORD.iter_unpack(found)
+    if process == 0:
+        return AtWork()
+    if process != pid:
+        raise ValueError(f"'{path}' is of process {process}")
+    marks = [word for (word,) in words if word]
+    return AtWork(
+        frozenset(mark & ~_UNLOADING for mark in marks),
+        frozenset(mark & ~_UNLOADING for mark in marks if mark & _UNLOADING),
+    )
+
+
+def _map(path: str) -> mmap.mmap:
+    if not path:
+        return mmap.mmap(-1, _SIZE)
+    # A new file each time: who has the old one mapped may still be about to end.
+    new = f"{path}.{os.getpid()}"
+    descriptor = os.open(new, os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o600)
+    try:
+        os.ftruncate(descriptor, _SIZE)
+        os.replace(new, path)
+        return mmap.mmap(descriptor, _SIZE)
+    finally:
+        os.close(descriptor)

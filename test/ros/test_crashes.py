@@ -1,0 +1,195 @@
+#!/usr/bin/env python3
+"""Nodelets that crash their process, again and again: their neighbours are left in peace."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+
+import rosgraph
+import rospkg
+import rospy
+import rostest
+from manager_suite import (
+    CHILD,
+    ManagerCase,
+    Receiver,
+    each_within,
+    eventually,
+    nodes,
+    parameters,
+    registrations,
+)
+from nodelet.srv import NodeletUnload
+from std_msgs.msg import String
+
+from dyknow.errors import DyKnowError
+from dyknow.manager.model import State
+from dyknow.ros.os_process import ProcessId
+
+NEIGHBOURS = ("/counter", "/relay")
+
+
+class CrashesTest(ManagerCase):
+    def setUp(self):
+        self.manager = self.started()
+        self.client = self.manager.client
+        self.client.spawn("counter", "/counter", {"out": "/s0"}, True)
+        self.client.spawn("relay", "/relay", {"in": "/s0", "out": "/s1"})
+        self.receiver = Receiver("/s1")
+        self.addCleanup(self.receiver.close)
+        self.receiver.flows()
+
+    def spawn_fatal(self, topic: str = "", **moments: str) -> None:
+        for moment, way in moments.items():
+            rospy.set_param(f"/fatal/{moment}", way)
+            self.addCleanup(self.forget, f"/fatal/{moment}")
+        self.client.spawn("fatal", "/fatal", {"in": topic})
+
+    def forget(self, parameter: str) -> None:
+        if rospy.has_param(parameter):
+            rospy.delete_param(parameter)
+
+    def states(self) -> dict[str, State]:
+        return {each.name: each.state for each in self.client.get_model().nodelets}
+
+    def neighbours_run(self) -> bool:
+        states = self.states()
+        return all(states.get(name) is State.RUNNING for name in NEIGHBOURS)
+
+    def assert_left_in_peace(self) -> None:
+        """The neighbours have a process that lives on, without losing a message."""
+        eventually(self.neighbours_run, 5.0, f"the neighbours run\n{self.manager.output}")
+        self.receiver.flows()
+        self.receiver.numbers.clear()
+        child = self.manager.child()
+        for _ in each_within(2.0):
+            self.receiver.flows()
+        self.assertEqual(self.manager.child(), child)
+        first, last = self.receiver.numbers[0], self.receiver.numbers[-1]
+        self.assertEqual(self.receiver.numbers, list(range(first, last + 1)))
+
+    def test_one_that_crashes_on_each_message_is_kept_apart(self):
+        for way in ("segfault", "exit"):
+            with self.subTest(way):
+                self.spawn_fatal("/s0", on_message=way)
+                eventually(lambda: self.manager.nodelet("/fatal").isolated, 10.0, "it is alone")
+                self.assert_left_in_peace()
+                found = self.manager.nodelet("/fatal").detail
+                self.assertRegex(found, "alone .* SIGSEGV|alone .* exit code 3")
+                self.assertRegex(self.manager.output, "crashed .* while it ran code of .*/fatal")
+                self.client.destroy("/fatal")
+                self.assertNotIn("/fatal", self.states())
+
+    def test_one_whose_on_init_crashes_is_kept_apart(self):
+        self.spawn_fatal()
+        rospy.set_param("/fatal/on_init", "abort")
+        self.addCleanup(self.forget, "/fatal/on_init")
+        self.manager.child().signal(signal.SIGKILL)
+        eventually(lambda: self.manager.nodelet("/fatal").isolated, 10.0, "it is alone")
+        self.assert_left_in_peace()
+        eventually(lambda: self.states()["/fatal"] is State.FAILED, 5.0, "it does not come up")
+        self.assertIn("SIGABRT", self.manager.nodelet("/fatal").detail)
+        rospy.delete_param("/fatal/on_init")
+        eventually(lambda: self.states()["/fatal"] is State.RUNNING, 40.0, "it comes up")
+
+    def test_one_that_crashes_when_it_is_destroyed_is_gone(self):
+        self.spawn_fatal(on_shutdown="segfault")
+        self.client.destroy("/fatal")
+        self.assertNotIn("/fatal", self.states())
+        self.assert_left_in_peace()
+        self.assertNotIn("/fatal", self.states())
+
+    def test_one_that_crashes_when_others_unload_it_is_gone(self):
+        self.spawn_fatal(on_shutdown="segfault")
+        with self.assertRaises(rospy.ServiceException):
+            rospy.ServiceProxy(f"{CHILD}/unload_nodelet", NodeletUnload)("/fatal")
+        eventually(lambda: "/fatal" not in self.states(), 2.0, "it is gone")
+        self.assert_left_in_peace()
+        self.assertNotIn("/fatal", self.states())
+
+    def test_one_that_is_killed_by_others_is_no_suspect(self):
+        self.spawn_fatal()
+        for _ in range(3):
+            killed = self.manager.child()
+            order = rospy.Publisher("/fatal/order", String, queue_size=1)
+            self.addCleanup(order.unregister)
+            eventually(order.get_num_connections, 10.0, "it listens")
+            order.publish("kill")
+            eventually(lambda: not killed.alive, 5.0, "it is killed")  # noqa: B023
+            order.unregister()
+            eventually(lambda: self.manager.child() != killed, 10.0, "it is started again")  # noqa: B023
+            eventually(lambda: self.states()["/fatal"] is State.RUNNING, 10.0, "it is back")
+        self.assertFalse(self.manager.nodelet("/fatal").isolated)
+
+
+def everything() -> set[str]:
+    """All that the master knows."""
+    return {*parameters("/"), *registrations("/"), *nodes()}
+
+
+def files() -> list[str]:
+    """What the nodelet managers of this master keep among the logs."""
+    host, port = rosgraph.network.parse_http_host_and_port(rosgraph.get_master_uri())
+    return os.listdir(os.path.join(rospkg.get_log_dir(), f"dyknow-{host}-{port}"))
+
+
+class LeftoversTest(ManagerCase):
+    def assert_as(self, before: set[str]) -> None:
+        for _ in each_within(20.0):
+            if everything() == before:
+                return
+        self.assertEqual(everything(), before)
+
+    def test_what_died_leaves_nothing(self):
+        manager = self.started()
+        manager.child()
+        eventually(lambda: CHILD in nodes(), 5.0, "it is up")
+        before = everything()
+        manager.client.spawn("relay", "/alone", {"in": "/a"}, isolated=True)
+        for name in ("/alone_nodelet_manager", CHILD):
+            manager.kill_child(name)
+        eventually(lambda: manager.nodelet("/alone").state is State.RUNNING, 10.0, "it is back")
+        self.assertIn("alone_nodelet_manager-running", files())
+        manager.client.destroy("/alone")
+        self.assert_as(before)
+        self.assertNotIn("alone_nodelet_manager-running", files())
+
+    def test_what_dies_before_it_is_up_leaves_nothing(self):
+        manager = self.started()
+        manager.child()
+        eventually(lambda: CHILD in nodes(), 5.0, "it is up")
+        before = everything()
+        name = "/alone_nodelet_manager"
+        spawn = threading.Thread(target=self.spawn_in_vain, args=(manager,))
+        spawn.start()
+        eventually(lambda: name in nodes(), 10.0, "it begins to register")
+        manager.children()[name].signal(signal.SIGKILL)
+        spawn.join()
+        self.assert_as(before)
+
+    def spawn_in_vain(self, manager):
+        with self.assertRaises(DyKnowError):
+            manager.client.spawn("hangs", "/alone", isolated=True)
+
+    def test_what_a_nodelet_forked_ends_with_its_process(self):
+        manager = self.started()
+        manager.client.spawn("forks", "/forks")
+        eventually(lambda: rospy.get_param("/forks/pid", 0), 5.0, "it has forked")
+        forked = ProcessId.of(rospy.get_param("/forks/pid"))
+        rospy.delete_param("/forks/pid")
+        self.assertTrue(forked.alive)
+        manager.child().signal(signal.SIGKILL)
+        eventually(lambda: not forked.alive, 5.0, "it has ended")
+        eventually(lambda: rospy.get_param("/forks/pid", 0), 10.0, "it is back, and forks again")
+        forked = ProcessId.of(rospy.get_param("/forks/pid"))
+        forked.signal(signal.SIGTERM)  # which is not for the nodelet manager
+        eventually(lambda: not forked.alive, 5.0, "it has ended")
+        self.assertEqual(manager.nodelet("/forks").state, State.RUNNING)
+        rospy.delete_param("/forks/pid")
+
+
+if __name__ == "__main__":
+    rospy.init_node("crashes_test")
+    rostest.rosrun("dyknow", "crashes", "__main__")

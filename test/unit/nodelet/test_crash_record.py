@@ -1,0 +1,131 @@
+"""Who was at work is known after the process has died, whatever it died of."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+from dyknow import names
+from dyknow.nodelet.crash_record import AtWork, CrashRecord, read
+
+#: A pool of two workers; `/a` ends the process, `/b` blocks, `/c` has run before.
+PROGRAM = """
+import ctypes, os, signal, sys, threading
+from dyknow import names
+from dyknow.nodelet.crash_record import CrashRecord
+from dyknow.nodelet.scheduler import Strand, WorkerPool
+
+ways = {
+    "segfault": lambda: ctypes.string_at(0),
+    "abort": os.abort,
+    "exit": lambda: os._exit(3),
+    "kill": lambda: os.kill(os.getpid(), signal.SIGKILL),
+    "end": lambda: ended.set(),
+}
+path, way = sys.argv[1:]
+record = CrashRecord(path)
+pool = WorkerPool(2, record=record)
+a, b, c = (Strand(pool, name, mark=names.mark(name)) for name in ("/a", "/b", "/c"))
+ended, blocked = threading.Event(), threading.Event()
+c.post(lambda: None)
+pool.drain()
+b.post(lambda: (blocked.set(), threading.Event().wait()))
+blocked.wait()
+a.post(ways[way])
+ended.wait()
+record.close()
+"""
+
+
+def run(path: Path, way: str) -> tuple[int, AtWork]:
+    """Let a process end that way; its exit code, and what is read of it afterwards."""
+    process = subprocess.Popen([sys.executable, "-c", PROGRAM, str(path), way])
+    code = process.wait(30.0)
+    return code, read(str(path), process.pid)
+
+
+@pytest.mark.parametrize(
+    ("way", "code"),
+    [
+        ("segfault", -signal.SIGSEGV),
+        ("abort", -signal.SIGABRT),
+        ("exit", 3),
+        ("kill", -signal.SIGKILL),
+    ],
+)
+def test_who_was_at_work_is_known_afterwards(tmp_path: Path, way: str, code: int) -> None:
+    assert run(tmp_path / "record", way) == (
+        code,
+        AtWork(frozenset({names.mark("/a"), names.mark("/b")})),
+    )
+
+
+def test_nobody_was_at_work_in_a_process_that_ended_in_order(tmp_path: Path) -> None:
+    assert run(tmp_path / "record", "end") == (0, AtWork())
+
+
+def test_what_is_no_record_of_the_process_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "record"
+    with pytest.raises(OSError, match="No such file"):
+        read(str(path), 1)
+    path.write_bytes(b"x")
+    with pytest.raises(ValueError, match="bytes"):
+        read(str(path), 1)
+    CrashRecord(str(path))
+    with pytest.raises(ValueError, match="of process"):
+        read(str(path), os.getpid() + 1)
+
+
+def test_a_successor_does_not_disturb_who_still_writes(tmp_path: Path) -> None:
+    path = str(tmp_path / "record")
+    first = CrashRecord(path)
+    CrashRecord(path)
+    first.words[first.take()] = 2
+    assert read(path, os.getpid()) == AtWork()
+    assert os.listdir(tmp_path) == ["record"]
+
+
+def test_an_unload_that_is_wanted_is_told_apart(tmp_path: Path) -> None:
+    path = str(tmp_path / "record")
+    record = CrashRecord(path)
+    a, b = names.mark("/a"), names.mark("/b")
+    with record.noting(a), record.noting(b, unloading=True):
+        assert read(path, os.getpid()) == AtWork(frozenset({a, b}), frozenset({b}))
+    assert read(path, os.getpid()) == AtWork()
+
+
+def test_more_threads_than_words_share_the_last(tmp_path: Path) -> None:
+    path = str(tmp_path / "record")
+    record = CrashRecord(path)
+    indices = [record.take() for _ in range(600)]
+    assert len(set(indices)) == 511
+    for index in indices:
+        record.give_back(index)
+    taken = [record.take() for _ in range(510)]
+    assert len(set(taken)) == 510
+
+
+def test_a_mark_leaves_room_for_the_bit_of_the_unload() -> None:
+    marks = {names.mark(f"/nodelet{number}") for number in range(10000)}
+    assert len(marks) == 10000
+    assert not any(mark % 2 or not 0 < mark < 1 << 64 for mark in marks)
+
+
+def test_many_threads_take_words_at_once() -> None:
+    record = CrashRecord()
+    taken: list[int] = []
+    threads = [
+        threading.Thread(target=lambda: taken.extend(record.take() for _ in range(25)))
+        for _ in range(20)
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(set(taken)) == 500
