@@ -144,8 +144,7 @@ class LeftoversTest(ManagerCase):
 
     def test_what_died_leaves_nothing(self):
         manager = self.started()
-        manager.child()
-        eventually(lambda: CHILD in nodes(), 5.0, "it is up")
+        eventually(lambda: registrations(f"{CHILD}/list"), 10.0, "it is up")
         before = everything()
         manager.client.spawn("relay", "/alone", {"in": "/a"}, isolated=True)
         for name in ("/alone_nodelet_manager", CHILD):
@@ -158,8 +157,7 @@ class LeftoversTest(ManagerCase):
 
     def test_what_dies_before_it_is_up_leaves_nothing(self):
         manager = self.started()
-        manager.child()
-        eventually(lambda: CHILD in nodes(), 5.0, "it is up")
+        eventually(lambda: registrations(f"{CHILD}/list"), 10.0, "it is up")
         before = everything()
         name = "/alone_nodelet_manager"
         spawn = threading.Thread(target=self.spawn_in_vain, args=(manager,))
