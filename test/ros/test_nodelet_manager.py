@@ -382,6 +382,22 @@ class ClientTest(Started):
                 self.assertIn("dyknow_test/Relay", self.manager.output)  # what there is
 
 
+class EndTest(Started):
+    def test_an_end_of_manager_and_clients_at_once_is_silent(self):
+        manager = self.start_manager("/ending")
+        clients = [
+            self.start(*STOCK_NODELET, "load", "dyknow_test/Relay", "ending", f"__name:=relay{n}")
+            for n in range(3)
+        ]
+        eventually(lambda: len(manager.list()) == 3, 10.0, "all are loaded")
+        for process in (manager, *clients):
+            process.stop()
+        for process in (manager, *clients):
+            process.exit_code(20.0)
+            self.assertNotIn("Couldn't find service", process.output)
+            self.assertNotIn("Could not process inbound connection", process.output)
+
+
 class StandaloneTest(Started):
     def test_one_nodelet_under_the_name_of_its_node(self):
         process = self.start(

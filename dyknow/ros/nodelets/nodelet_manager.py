@@ -10,6 +10,7 @@ from __future__ import annotations
 import faulthandler
 import os
 import sys
+import threading
 import traceback
 from dataclasses import dataclass
 from typing import Any, Dict, List, Optional, Sequence
@@ -44,6 +45,9 @@ from dyknow.ros.nodelets.packages import plugin_files
 from dyknow.ros.nodelets.proxy_services import ProxyServices
 from dyknow.ros.process import NodeProcess
 from dyknow.ros.transport.middleware import RospyMiddleware
+
+#: Seconds, at the end, for clients that end at the same time.
+CLIENTS_PATIENCE = 0.5
 
 
 @dataclass(frozen=True)
@@ -98,6 +102,7 @@ class NodeletManager(Closable):
         self._runtime = Runtime.make(RospyMiddleware(pool), pool, guards=self._guards.current)
         self._bonds = Bonds(names.join(rospy.get_name(), "bond"))
         self._bonded: Dict[str, str] = {}
+        self._bond_ended = threading.Condition()
         self.loader = Loader(
             self._runtime, Plugins(plugin_files).load, self._attach, self._unloaded
         )
@@ -180,6 +185,9 @@ class NodeletManager(Closable):
         keeps nodelets running has to see a process that ends, not nodelets that go.
         """
         self._ending = True
+        # Ctrl-C of a launch file ends the clients too: they unload what they loaded.
+        with self._bond_ended:
+            self._bond_ended.wait_for(lambda: not self._bonded, CLIENTS_PATIENCE)
         for service in self._services:
             service.shutdown("the nodelet manager ends")
         self.loader.close()
@@ -215,6 +223,8 @@ class NodeletManager(Closable):
         bond_id = self._bonded.pop(name, None)
         if bond_id is not None:
             self._bonds.remove(bond_id)
+            with self._bond_ended:
+                self._bond_ended.notify_all()
 
     def _attach(self, context: Context, thing: Any) -> Optional[Closable]:
         if not isinstance(thing, NodeletProxy):
