@@ -102,6 +102,17 @@ class EndsTest(ManagerCase):
     def test_a_nodelet_that_shuts_the_node_down(self):
         self.check_child(lambda: self.order("shutdown"))
 
+    def test_an_isolated_one(self):
+        self.manager.client.spawn("relay", "/alone", {"in": "/s0", "out": "/s1"}, isolated=True)
+        self.addCleanup(self.forget, "/alone")
+        before = self.manager.nodelet("/alone")
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
+            ended = self.manager.child("/alone_nodelet_manager")
+            ended.signal(number)
+            eventually(lambda: not ended.alive, 10.0, "its process has ended")  # noqa: B023
+            eventually(lambda: self.manager.nodelet("/alone") != before, 5.0, "it is missed")
+            eventually(lambda: self.manager.nodelet("/alone") == before, 10.0, "it is back")
+
     def test_another_nodelet_manager_that_takes_the_name(self):
         def take_over() -> None:
             other = Running(*NODELET, "manager", f"__name:={CHILD[1:]}")
