@@ -114,12 +114,6 @@ class Children:
         with self._lock:
             return [self._children[name] for name in sorted(self._children)]
 
-    def incarnation(self, name: str) -> str:
-        """The process of a child; empty while none is up."""
-        with self._lock:
-            child = self._children.get(name)
-            return child.incarnation if child is not None else ""
-
     def want(self, kind: Kind, count: int) -> None:
         """See to it that there are so many shared children; they come up in the background."""
         have = [c for c in self.all() if c.record.kind is kind and not c.record.isolated_for]
@@ -172,7 +166,8 @@ class Children:
     def await_end(self, name: str, incarnation: str, timeout: float) -> None:
         """Wait until a process is noticed to have ended, if it has."""
         with self._lock:
-            self._lock.wait_for(lambda: self.incarnation(name) != incarnation, timeout)
+            child = self._children.get(name)
+            self._lock.wait_for(lambda: child is None or child.incarnation != incarnation, timeout)
 
     def end(self, name: str) -> None:
         """End a child for good, by force if need be."""

@@ -196,7 +196,7 @@ class RosHost(Host):
                 raise HostError(f"nodelet '{name}' was not loaded")
         if not self._client_of(manager).answers:
             self.list(manager)  # fails at once as long as it hangs
-        incarnation = self._children.incarnation(manager)
+        incarnation = self._incarnation(manager)
         service = f"{manager}/unload_nodelet"
         try:
             self._asking(manager, lambda: self._call(service, NodeletUnload, UNLOAD_TIMEOUT, name))
@@ -319,7 +319,7 @@ class RosHost(Host):
     def _client_of(self, manager: str) -> ListClient:
         if manager in self._peers:
             return self._peers[manager].client
-        incarnation = self._children.incarnation(manager)
+        incarnation = self._incarnation(manager)
         if not incarnation:
             raise HostError(f"nodelet manager '{manager}' is not running")
         with self._lock:
@@ -329,6 +329,11 @@ class RosHost(Host):
             if key not in self._lists:
                 self._lists[key] = ListClient(self._master, manager)
             return self._lists[key]
+
+    def _incarnation(self, manager: str) -> str:
+        """The process of a child of ours; empty while none is up."""
+        children = self._children.all()
+        return next((c.incarnation for c in children if c.record.name == manager), "")
 
     def _drop_late(self, manager: str, name: str) -> None:
         """Unload what came up after everybody had stopped waiting for it."""
