@@ -101,6 +101,7 @@ class Children:
             if found is not None and self._launcher.is_ours(name):
                 records.append(ChildRecord(name, kind, process=found))
         children = [self._add(Child(record, adopted=True)) for record in records]
+        self._write()  # those that were found by name
         deadline = time.monotonic() + _ADOPTION_TIMEOUT
         for child in children:
             try:
