@@ -12,7 +12,6 @@ keeps it. So that there is one owner is what a second file is for, which owners 
 from __future__ import annotations
 
 import fcntl
-import logging
 import os
 import signal
 import sys
@@ -29,8 +28,6 @@ _CONTENTION = 1.0
 _STEP = 0.02
 #: Seconds that a nodelet manager without an owner has to end by itself.
 PATIENCE = 3.0
-
-_log = logging.getLogger("rosout.dyknow")
 
 
 class OwnerLock:
