@@ -14,6 +14,7 @@ from typing import Any, Optional
 import rosgraph.network
 
 from dyknow.errors import PeerTimeout
+from dyknow.ros.addresses import connect
 from dyknow.ros.master import Master
 
 _LENGTH = struct.Struct("<I")
@@ -50,7 +51,7 @@ class TopicReader:
             raise LookupError(f"{publisher} offers no TCPROS connection for {topic}")
         _, host, port = offer
         try:
-            self._connection = socket.create_connection((host, port), _left(deadline))
+            self._connection = connect(host, port, _left(deadline))
         except socket.timeout as error:
             raise PeerTimeout(self._what, timeout) from error
         try:

@@ -1,0 +1,144 @@
+"""Connections to hosts by name; a name server that is silent holds up nobody but who asks for it.
+
+``getaddrinfo`` has no time limit of its own. Each name is looked up by one thread at a time, whose
+answer is for everybody, and callers wait for it only as long as they have time. A name that was
+found before is never waited for: its old address serves until there is a new one.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import threading
+import time
+from dataclasses import dataclass
+from typing import Callable, Dict, Optional, Tuple
+
+import rosgraph.network
+
+#: Seconds after which an address is looked up again.
+FRESH = 10.0
+#: Seconds after which a connection ends whose other side acknowledges nothing: its host is away.
+#: A process that hangs does not count, the kernel acknowledges in its place.
+UNACKNOWLEDGED = 2.0
+
+
+def look_up(host: str) -> Tuple[str, ...]:
+    """Ask the system for the addresses of a host, however long it takes.
+
+    Raises:
+        OSError: it has none.
+    """
+    found = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
+    return tuple(dict.fromkeys(str(address[0]) for *_, address in found))
+
+
+@dataclass
+class _Entry:
+    """What is known of a name; ``asking`` while a thread looks it up."""
+
+    addresses: Tuple[str, ...] = ()
+    since: float = 0.0
+    asking: bool = False
+    error: Optional[OSError] = None
+
+
+class Addresses:
+    """Addresses by name; every method is safe from any thread."""
+
+    def __init__(
+        self,
+        look_up: Callable[[str], Tuple[str, ...]] = look_up,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """Know no host.
+
+        Args:
+            look_up: gives the addresses of a host or raises OSError; may take its time.
+            clock: seconds, steady.
+        """
+        self._look_up = look_up
+        self._clock = clock
+        self._changed = threading.Condition()
+        self._entries: Dict[str, _Entry] = {}
+
+    def of(self, host: str, timeout: float) -> Tuple[str, ...]:
+        """Return the addresses of a host; what is an address already is returned as it is.
+
+        Raises:
+            socket.timeout: they are not known in time.
+            OSError: it has none.
+        """
+        if _is_address(host):
+            return (host,)
+        with self._changed:
+            entry = self._entries.setdefault(host, _Entry())
+            fresh = bool(entry.addresses) and self._clock() - entry.since < FRESH
+            if not fresh and not entry.asking:
+                entry.asking = True
+                threading.Thread(
+                    target=self._ask, args=(host, entry), name=f"address of {host}", daemon=True
+                ).start()
+            self._changed.wait_for(lambda: entry.addresses or not entry.asking, timeout)
+            if entry.addresses:
+                return entry.addresses
+            raise socket.timeout("timed out") if entry.asking else entry.error or OSError(host)
+
+    def _ask(self, host: str, entry: _Entry) -> None:
+        found: Tuple[str, ...] = ()
+        error: Optional[OSError] = None
+        try:
+            found = self._look_up(host)
+        except (OSError, UnicodeError) as failure:  # UnicodeError: it is no name of a host
+            error = failure if isinstance(failure, OSError) else OSError(str(failure))
+        with self._changed:
+            if found:
+                entry.addresses, entry.since = found, self._clock()
+            entry.error, entry.asking = error, False
+            self._changed.notify_all()
+
+
+def _is_address(host: str) -> bool:
+    for family in (socket.AF_INET, socket.AF_INET6):
+        with contextlib.suppress(OSError):
+            socket.inet_pton(family, host)
+            return True
+    return False
+
+
+#: The addresses that all of this process share.
+ADDRESSES = Addresses()
+
+
+def connect(host: str, port: int, timeout: float) -> socket.socket:
+    """Connect to a host; the search for its address counts.
+
+    Raises:
+        socket.timeout: not in time.
+        OSError: there is no such host, or it refuses.
+    """
+    deadline = time.monotonic() + timeout
+    failure: Optional[OSError] = None
+    for address in ADDRESSES.of(host, timeout):
+        try:
+            left = max(0.001, deadline - time.monotonic())
+            connection = socket.create_connection((address, port), left)
+        except OSError as error:
+            failure = failure or error
+            continue
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        milliseconds = round(1000 * UNACKNOWLEDGED)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, milliseconds)
+        return connection
+    raise failure or OSError(f"{host} has no address")
+
+
+def is_here(host: str, timeout: float) -> bool:
+    """Whether a host is this one.
+
+    Raises:
+        OSError: nobody knows where it is, or not in time.
+    """
+    found = ADDRESSES.of(host, timeout)
+    return any(rosgraph.network.is_local_address(each) for each in found)

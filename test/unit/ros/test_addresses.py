@@ -1,0 +1,114 @@
+"""Names of hosts are looked up by nobody for longer than there is time."""
+
+from __future__ import annotations
+
+import socket
+import threading
+from typing import Iterator, Tuple
+
+import pytest
+
+from dyknow.ros.addresses import FRESH, Addresses
+
+LONG = 30.0
+
+
+class NameServer:
+    """Answers when it is told to."""
+
+    def __init__(self) -> None:
+        self.asked = threading.Semaphore(0)
+        self.count = 0
+        self.answers = threading.Event()
+        self.addresses: Tuple[str, ...] = ("192.0.2.1",)
+
+    def look_up(self, host: str) -> Tuple[str, ...]:
+        self.count += 1
+        self.asked.release()
+        assert self.answers.wait(LONG)
+        if not self.addresses:
+            raise socket.gaierror(socket.EAI_NONAME, "no such host")
+        return self.addresses
+
+
+class Clock:
+    now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def server() -> Iterator[NameServer]:
+    server = NameServer()
+    yield server
+    server.answers.set()
+
+
+def test_what_is_an_address_is_not_looked_up(server: NameServer) -> None:
+    addresses = Addresses(server.look_up)
+    assert addresses.of("192.0.2.7", 0.0) == ("192.0.2.7",)
+    assert addresses.of("::1", 0.0) == ("::1",)
+    assert server.count == 0
+
+
+def test_a_silent_name_server_costs_a_caller_no_more_than_its_time(server: NameServer) -> None:
+    addresses = Addresses(server.look_up)
+    with pytest.raises(socket.timeout):
+        addresses.of("robot", 0.01)
+
+
+def test_callers_share_one_thread_and_its_answer(server: NameServer) -> None:
+    addresses = Addresses(server.look_up)
+    for _ in range(20):
+        with pytest.raises(socket.timeout):
+            addresses.of("alone", 0.001)
+    names = [thread.name for thread in threading.enumerate()]
+    assert names.count("address of alone") == 1
+    server.answers.set()
+    assert addresses.of("alone", LONG) == ("192.0.2.1",)
+    assert server.count == 1
+
+
+def test_another_name_is_not_held_up(server: NameServer) -> None:
+    def look_up(host: str) -> Tuple[str, ...]:
+        return server.look_up(host) if host == "silent" else ("192.0.2.2",)
+
+    addresses = Addresses(look_up)
+    with pytest.raises(socket.timeout):
+        addresses.of("silent", 0.001)
+    assert addresses.of("known", LONG) == ("192.0.2.2",)
+
+
+def test_a_name_that_is_none_says_so_and_is_asked_for_again(server: NameServer) -> None:
+    server.addresses = ()
+    server.answers.set()
+    addresses = Addresses(server.look_up)
+    with pytest.raises(socket.gaierror, match="no such host"):
+        addresses.of("robot", LONG)
+    server.addresses = ("192.0.2.3",)
+    assert addresses.of("robot", LONG) == ("192.0.2.3",)
+
+
+def test_an_old_address_serves_while_the_name_server_is_silent(server: NameServer) -> None:
+    clock = Clock()
+    server.answers.set()
+    addresses = Addresses(server.look_up, clock)
+    assert addresses.of("robot", LONG) == ("192.0.2.1",)
+    assert addresses.of("robot", LONG) == ("192.0.2.1",)
+    assert server.count == 1
+    server.answers.clear()
+    server.addresses = ("192.0.2.4",)
+    assert server.asked.acquire(timeout=LONG)
+    clock.now += FRESH
+    assert addresses.of("robot", 0.0) == ("192.0.2.1",)
+    assert server.asked.acquire(timeout=LONG)
+    server.answers.set()
+    while addresses.of("robot", 0.0) == ("192.0.2.1",):
+        pass
+    assert addresses.of("robot", 0.0) == ("192.0.2.4",)
+
+
+def test_what_can_be_no_name_is_an_error_of_the_system(server: NameServer) -> None:
+    with pytest.raises(OSError, match="."):
+        Addresses().of("x" * 300, LONG)
