@@ -6,8 +6,9 @@ It needs no node: scripts and command lines can use it without ``rospy.init_node
 from __future__ import annotations
 
 import os
+import threading
 from dataclasses import dataclass
-from typing import Any, Callable, Dict, Mapping, Optional, Tuple
+from typing import Any, Dict, Mapping, Optional, Tuple
 
 import rosgraph.names
 from dyknow_msgs.msg import PortConfig
@@ -81,6 +82,8 @@ class ManagerClient:
         """
         self.manager: str = rosgraph.names.script_resolve_name("dyknow", manager)
         self._master = Master(caller or f"/dyknow_client_{os.getpid()}")
+        self._lock = threading.Lock()
+        self._kept: Dict[str, ServiceClient] = {}
 
     # Transformations
 
@@ -190,25 +193,22 @@ class ManagerClient:
     def renew_stream(self, claim_id: str, lease: float) -> float:
         """Let a claim live for so many seconds from now, 0 for until it is released.
 
+        The connection is kept, so that a later renewal needs no master.
+
         Returns:
             When it ends, in seconds of ROS time; 0 for until it is released.
         """
-        answer = self._change(
-            "renew_stream", RenewStream, claim_id=claim_id, lease=Duration.from_sec(lease)
+        answer = self._call(
+            names.join(self.manager, "renew_stream"),
+            RenewStream,
+            ASK_TIMEOUT,
+            kept=True,
+            claim_id=claim_id,
+            lease=Duration.from_sec(lease),
         )
+        if not answer.success:
+            raise Refused(answer.message)
         return float(answer.expires.to_sec())
-
-    def renewer(self) -> Callable[[str, float], None]:
-        """Return what renews leases over a connection that it keeps, master or not."""
-        service = names.join(self.manager, "renew_stream")
-        kept = ServiceClient(self._master, service, RenewStream, persistent=True)
-
-        def renew(claim_id: str, lease: float) -> None:
-            answer = kept.call(ASK_TIMEOUT, claim_id, Duration.from_sec(lease))
-            if not answer.success:
-                raise Refused(answer.message)
-
-        return renew
 
     def replan_stream(self, claim_id: str, dry_run: bool = False) -> ReplannedView:
         """Take the way that is the cheapest now."""
@@ -216,8 +216,9 @@ class ManagerClient:
         return replanned_view(answer)
 
     def list_streams(self, timeout: float = ASK_TIMEOUT) -> Tuple[StreamView, ...]:
-        """Ask for all claims, those that ended lately too."""
-        answer = self._call(names.join(self.manager, "list_streams"), ListStreams, timeout)
+        """Ask for all claims, those that ended lately too; the connection is kept."""
+        service = names.join(self.manager, "list_streams")
+        answer = self._call(service, ListStreams, timeout, kept=True)
         return tuple(stream_view(each) for each in answer.streams)
 
     # Inside
@@ -230,8 +231,23 @@ class ManagerClient:
             raise Refused(answer.message)
         return answer
 
-    def _call(self, service: str, service_class: Any, timeout: float, **fields: Any) -> Any:
-        return ServiceClient(self._master, service, service_class).call(timeout, **fields)
+    def _call(
+        self, service: str, service_class: Any, timeout: float, kept: bool = False, **fields: Any
+    ) -> Any:
+        client = self._service(self._master, service, service_class, kept)
+        return client.call(timeout, **fields)
+
+    def _service(
+        self, master: Master, service: str, service_class: Any, kept: bool
+    ) -> ServiceClient:
+        """Return a client for one call, or one whose connection is kept for the next."""
+        if not kept:
+            return ServiceClient(master, service, service_class)
+        with self._lock:
+            if service not in self._kept:
+                made = ServiceClient(master, service, service_class, persistent=True)
+                self._kept[service] = made
+            return self._kept[service]
 
 
 def _pairs(config: Mapping[str, str]) -> list[PortConfig]:

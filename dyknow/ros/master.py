@@ -8,11 +8,19 @@ import xmlrpc.client
 from typing import Any, List, Set, Tuple
 
 from dyknow.errors import PeerTimeout
+from dyknow.ros.addresses import connect
 
 #: Seconds that the master may take to answer.
 TIMEOUT = 3.0
 #: Seconds for a node to say what it subscribes to, while somebody waits for a switch.
 _AT_ONCE = 0.2
+
+
+class _Connection(http.client.HTTPConnection):
+    """One whose time limit holds for the search for the host's address too."""
+
+    def connect(self) -> None:
+        self.sock = connect(self.host, self.port, self.timeout or TIMEOUT)
 
 
 class _Transport(xmlrpc.client.Transport):
@@ -21,9 +29,11 @@ class _Transport(xmlrpc.client.Transport):
         self._seconds = seconds
 
     def make_connection(self, host: Any) -> http.client.HTTPConnection:
-        connection = super().make_connection(host)
-        connection.timeout = self._seconds
-        return connection
+        if self._connection and host == self._connection[0] and self._connection[1]:
+            return self._connection[1]
+        made = _Connection(self.get_host_info(host)[0], timeout=self._seconds)
+        self._connection = host, made
+        return made
 
 
 class _Server:
@@ -135,6 +145,19 @@ class Master:
         server = _Server(uri, f"node {name}", timeout)
         try:
             return int(server.ask("getPid", self.caller))
+        finally:
+            server.close()
+
+    def shut_down(self, name: str, uri: str, reason: str, timeout: float) -> None:
+        """Tell a node to end, as the master does when another one takes its name.
+
+        Raises:
+            PeerTimeout: it does not answer in time.
+            LookupError: it refuses.
+        """
+        server = _Server(uri, f"node {name}", timeout)
+        try:
+            server.ask("shutdown", self.caller, reason)
         finally:
             server.close()
 

@@ -18,6 +18,7 @@ from typing import Any, Optional
 import rosgraph.network
 
 from dyknow.errors import HostError, PeerTimeout
+from dyknow.ros.addresses import connect
 from dyknow.ros.master import Master
 
 #: Seconds in which a connection has to be there.
@@ -44,7 +45,12 @@ class ServiceClient:
     """
 
     def __init__(
-        self, master: Master, name: str, service_class: Any, persistent: bool = False
+        self,
+        master: Master,
+        name: str,
+        service_class: Any,
+        persistent: bool = False,
+        reconnects: bool = True,
     ) -> None:
         """Prepare calls; nothing is sent yet.
 
@@ -53,11 +59,16 @@ class ServiceClient:
             name: global name of the service.
             service_class: generated class.
             persistent: keep the connection from call to call.
+            reconnects: whether a persistent client connects again when the connection is lost,
+                perhaps to another process that offers the service now.
         """
         self.name = name
         self._master = master
         self._class = service_class
         self._persistent = persistent
+        self._reconnects = reconnects
+        #: Where the service was found last; another process has another address.
+        self.address = ""
         self._turn = threading.Lock()
         self._socket: Optional[socket.socket] = None
         self._owed = False
@@ -101,11 +112,6 @@ class ServiceClient:
         if connection is not None:
             connection.close()
 
-    @property
-    def connected(self) -> bool:
-        """Whether a persistent connection was open when it was used last."""
-        return self._socket is not None
-
     # Inside
 
     def _call_once(self, body: bytes, deadline: float, timeout: float) -> Any:
@@ -135,7 +141,7 @@ class ServiceClient:
                 raise PeerTimeout(f"service {self.name}", timeout) from error
             except OSError as error:
                 self.close()
-                if fresh or attempt == 2:
+                if fresh or attempt == 2 or not self._reconnects:
                     raise ServiceLost(f"service {self.name} is gone: {error}") from error
             except BaseException:
                 self.close()
@@ -146,18 +152,26 @@ class ServiceClient:
         with contextlib.suppress(ServiceFailed):
             self._receive(connection, time.monotonic() + 0.001)
 
-    def _connect(self, deadline: float) -> socket.socket:
+    def _find(self) -> str:
+        """Ask the master for the address; while that is away the last one serves."""
+        if self.address and not self._reconnects:
+            raise ServiceLost(f"service {self.name}: the connection was lost")
         try:
-            uri = self._master.ask("lookupService", self.name)
+            return str(self._master.ask("lookupService", self.name))
         except LookupError as error:
             raise ServiceLost(f"service {self.name} is not offered") from error
-        self.address = uri
-        host, port = rosgraph.network.parse_http_host_and_port(uri.replace("rosrpc://", "http://"))
+        except PeerTimeout:
+            if not self.address:
+                raise
+            return self.address
+
+    def _connect(self, deadline: float) -> socket.socket:
+        self.address = self._find()
+        uri = self.address.replace("rosrpc://", "http://")
+        host, port = rosgraph.network.parse_http_host_and_port(uri)
         seconds = max(0.001, min(deadline - time.monotonic(), CONNECT_TIMEOUT))
-        connection = socket.create_connection((host, port), seconds)
+        connection = connect(host, port, seconds)
         try:
-            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
             self._shake_hands(connection, deadline)
         except BaseException:
             connection.close()

@@ -23,7 +23,7 @@ from dyknow.ros import client
 from dyknow.ros.client import ManagerClient
 from dyknow.ros.client_errors import Silent, Unreachable
 from dyknow.ros.master import TIMEOUT, Master
-from dyknow.ros.service_client import ServiceClient, ServiceFailed, ServiceLost
+from dyknow.ros.service_client import ServiceFailed, ServiceLost
 from dyknow.ros.stream_views import StreamEventView, event_view
 from dyknow.ros.topic_reader import TopicReader
 from dyknow.ros.views import ModelView, model_view
@@ -161,12 +161,15 @@ class ShellClient(ManagerClient):
 
     # Inside
 
-    def _call(self, service: str, service_class: Any, timeout: float, **fields: Any) -> Any:
+    def _call(
+        self, service: str, service_class: Any, timeout: float, kept: bool = False, **fields: Any
+    ) -> Any:
         self._find_master()
         seconds = self._timeout or timeout
         owner = names.parent(service)
+        client = self._service(self._asked, service, service_class, kept)
         try:
-            return ServiceClient(self._asked, service, service_class).call(seconds, **fields)
+            return client.call(seconds, **fields)
         except ServiceFailed as error:
             raise Refused(f"'{owner}': {error}") from error
         except ServiceLost as error:

@@ -66,7 +66,6 @@ class StreamSession:
     def __init__(self, client: ManagerClient) -> None:
         """Begin to listen and to beat."""
         self._client = client
-        self._renew_lease = client.renewer()
         self._users = 0
         self._lock = threading.Lock()
         self._streams: Dict[str, Follower] = {}
@@ -145,7 +144,7 @@ class StreamSession:
         self._put_off(stream, time.monotonic() + _RETRY)  # if it fails, whatever fails
         next_due = self._next_due(stream)
         try:
-            self._renew_lease(stream.claim_id, stream.lease)
+            self._client.renew_stream(stream.claim_id, stream.lease)
         except Refused as error:
             self._refresh([stream.claim_id])  # the manager may still know how it ended
             self.remove(stream.claim_id)

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 #: Seconds that a held claim outlives a command that was killed.
 _LEASE = 10.0
 _RENEWAL = 3.0
+#: Seconds until a manager that did not answer is asked again.
+_RETRY = 1.0
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
@@ -103,7 +105,7 @@ class _Holding:
 
     def run(self) -> int:
         """Hold it; returns the exit code once it has ended."""
-        renewal = time.monotonic() + _RENEWAL
+        renewal = time.monotonic()  # at once: the connection that this makes needs the master
         while True:
             event = self._next_event(renewal - time.monotonic())
             if event is not None and event.before is not None:  # that it is new was said
@@ -112,8 +114,10 @@ class _Holding:
                 if event.after.state.ended:
                     return FAILED
             if time.monotonic() >= renewal:
-                renewal = time.monotonic() + _RENEWAL
-                if not self._renew():
+                try:
+                    renewal = time.monotonic() + (_RENEWAL if self._renew() else _RETRY)
+                except Refused as error:
+                    self._shell.error(error)
                     return FAILED
 
     def close(self) -> None:
@@ -135,6 +139,11 @@ class _Holding:
         return event if event is not None and event.after.claim_id == self._claim_id else None
 
     def _renew(self) -> bool:
+        """Renew the lease; returns whether the manager answered.
+
+        Raises:
+            Refused: the claim has ended.
+        """
         client = self._shell.client
         try:
             client.renew_stream(self._claim_id, _LEASE)
@@ -144,11 +153,8 @@ class _Holding:
                 for claim in client.list_streams():
                     if claim.claim_id == self._claim_id:
                         _say(self._shell, stream_shape(claim), _describe(claim))
-        except Refused as error:
-            self._shell.error(error)
-            return False
         except Unreachable:
-            return True  # it was said when the connection broke; the claim waits in its store
+            return False  # it was said when the connection broke; the claim waits in its store
         return True
 
 
