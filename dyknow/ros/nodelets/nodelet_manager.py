@@ -40,6 +40,7 @@ from dyknow.ros.log_text import for_log
 from dyknow.ros.messages import counts_message
 from dyknow.ros.nodelets.announcements import Announcer
 from dyknow.ros.nodelets.guard_parameters import GuardParameters, caller_of
+from dyknow.ros.nodelets.name_watch import end_when_displaced
 from dyknow.ros.nodelets.owner import end_when_orphaned
 from dyknow.ros.nodelets.packages import plugin_files
 from dyknow.ros.nodelets.proxy_services import ProxyServices
@@ -332,6 +333,7 @@ def run_manager(argv: Sequence[str], node: str = "manager") -> int:
         if manager is not None:
             manager.offer()
             _end_without_owner()
+            end_when_displaced(rospy.get_name(), rospy.get_node_uri(), rospy.signal_shutdown)
         return manager
 
     return NodeProcess(node, argv, start).run()

@@ -1,0 +1,44 @@
+"""A node ends when another one has registered under its name.
+
+The master tells it so at that moment, but only once. Whoever is cut off just then never hears of
+it, and its nodelets would go on publishing beside those of its successor.
+"""
+
+from __future__ import annotations
+
+import threading
+from typing import Callable
+
+from dyknow.errors import PeerTimeout
+from dyknow.ros.master import Master
+
+#: Seconds between two questions to the master, and for its answer.
+PERIOD = 1.0
+
+
+def end_when_displaced(name: str, uri: str, end: Callable[[str], None]) -> None:
+    """Ask the master from time to time, in a thread of its own, who bears a name.
+
+    A master that is away, or knows nobody of that name, changes nothing.
+
+    Args:
+        name: of this node.
+        uri: its address.
+        end: called once with the reason when the master has another address.
+    """
+    master = Master(name, timeout=PERIOD)
+
+    def watch() -> None:
+        pause = threading.Event()
+        while not _is_displaced(master, name, uri):
+            pause.wait(PERIOD)
+        end(f"another node bears the name {name} now")
+
+    threading.Thread(target=watch, name="name", daemon=True).start()
+
+
+def _is_displaced(master: Master, name: str, uri: str) -> bool:
+    try:
+        return master.node(name) not in ("", uri)
+    except PeerTimeout:
+        return False

@@ -1,0 +1,148 @@
+"""A ROS graph small enough for a unit test: a master, and nodelet managers that only list."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import socket
+import struct
+import threading
+from typing import Any, Dict, Iterator, List
+from xmlrpc.server import SimpleXMLRPCServer
+
+import rosgraph.network
+from nodelet.srv import NodeletList
+
+_pids = itertools.count(1000)
+
+
+class _XmlRpc:
+    """Answers the functions of an object, in the form of ROS."""
+
+    def __init__(self, functions: Dict[str, Any]) -> None:
+        self._server = SimpleXMLRPCServer(("127.0.0.1", 0), logRequests=False)
+        for name, function in functions.items():
+            self._server.register_function(_in_form(function), name)
+        self.uri = f"http://127.0.0.1:{self._server.server_address[1]}/"
+        threading.Thread(target=self._server.serve_forever, args=(0.01,), daemon=True).start()
+
+    def close(self) -> None:
+        self._server.shutdown()
+        self._server.server_close()
+
+
+def _in_form(function: Any) -> Any:
+    def answer(*arguments: Any) -> Any:
+        value = function(*arguments)
+        return (1, "", value) if value is not None else (-1, "unknown", 0)
+
+    return answer
+
+
+class SmallMaster:
+    """Knows which nodelet manager bears which name."""
+
+    def __init__(self) -> None:
+        self.nodes: Dict[str, SmallManager] = {}
+        self._served = _XmlRpc(
+            {
+                "lookupNode": lambda caller, name: self._of(name, "uri"),
+                "lookupService": lambda caller, name: self._of(name[: -len("/list")], "service"),
+                "getSystemState": lambda caller: [
+                    [[f"{name}/changes", [name]] for name in self.nodes],
+                    [],
+                    [],
+                ],
+            }
+        )
+        self.uri = self._served.uri
+
+    def _of(self, name: str, what: str) -> Any:
+        return getattr(self.nodes[name], what) if name in self.nodes else None
+
+    def close(self) -> None:
+        self._served.close()
+
+
+class SmallManager:
+    """Offers `list`, says its process id, and ends when it is told to.
+
+    Attributes:
+        nodelets: what it runs.
+        goes_on: cleared while the process is stopped.
+        ended: set when it was told to end.
+        connections: how many clients have connected so far.
+    """
+
+    def __init__(self) -> None:
+        self.nodelets: List[str] = []
+        self.pid = next(_pids)
+        self.goes_on = threading.Event()
+        self.goes_on.set()
+        self.ended = threading.Event()
+        self.connections = 0
+        self._node = _XmlRpc(
+            {
+                "getPid": lambda caller: self.goes_on.wait() and self.pid,
+                "shutdown": lambda caller, reason: self.ended.set() or 0,
+            }
+        )
+        self.uri = self._node.uri
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.service = f"rosrpc://127.0.0.1:{self._listener.getsockname()[1]}"
+        self._open: List[socket.socket] = []
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def close(self) -> None:
+        """End, as a process that is killed."""
+        self.goes_on.set()
+        self._node.close()
+        self._listener.shutdown(socket.SHUT_RDWR)
+        self._listener.close()
+        self.lose_connections()
+
+    def lose_connections(self) -> None:
+        while self._open:
+            with contextlib.suppress(OSError):
+                self._open.pop().shutdown(socket.SHUT_RDWR)
+
+    def _accept(self) -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                connection, _ = self._listener.accept()
+                self._open.append(connection)
+                self.connections += 1
+                threading.Thread(target=self._serve, args=(connection,), daemon=True).start()
+
+    def _serve(self, connection: socket.socket) -> None:
+        with contextlib.suppress(OSError, struct.error), connection:
+            self._read(connection)
+            fields = {"callerid": "/small", "md5sum": NodeletList._md5sum, "type": "*"}
+            rosgraph.network.write_ros_handshake_header(connection, fields)
+            while True:
+                self._read(connection)
+                self.goes_on.wait()
+                names = [name.encode() for name in self.nodelets]
+                body = struct.pack("<I", len(names)) + b"".join(
+                    struct.pack("<I", len(name)) + name for name in names
+                )
+                connection.sendall(b"\1" + struct.pack("<I", len(body)) + body)
+
+    @staticmethod
+    def _read(connection: socket.socket) -> None:
+        """Take in what begins with its length."""
+        (length,) = struct.unpack("<I", connection.recv(4, socket.MSG_WAITALL))
+        if length:
+            connection.recv(length, socket.MSG_WAITALL)
+
+
+@contextlib.contextmanager
+def small_graph() -> Iterator[SmallMaster]:
+    """A master, closed with all that registered."""
+    master = SmallMaster()
+    try:
+        yield master
+    finally:
+        for node in master.nodes.values():
+            node.close()
+        master.close()

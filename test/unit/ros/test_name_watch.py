@@ -1,0 +1,47 @@
+"""A node that lost its name to another one ends, however late it hears of it."""
+
+from __future__ import annotations
+
+import queue
+from typing import Iterator
+
+import pytest
+from unit.ros.small_graph import SmallManager, SmallMaster, small_graph
+
+from dyknow.ros.nodelets import name_watch
+from dyknow.ros.nodelets.name_watch import end_when_displaced
+
+LONG = 30.0
+
+
+@pytest.fixture
+def graph(monkeypatch: pytest.MonkeyPatch) -> Iterator[SmallMaster]:
+    monkeypatch.setattr(name_watch, "PERIOD", 0.05)
+    with small_graph() as graph:
+        monkeypatch.setenv("ROS_MASTER_URI", graph.uri)
+        yield graph
+
+
+def test_it_ends_when_another_node_has_its_name_and_not_before(graph: SmallMaster) -> None:
+    graph.nodes["/twin"] = elder = SmallManager()
+    reasons: queue.Queue[str] = queue.Queue()
+    end_when_displaced("/twin", elder.uri, reasons.put)
+    with pytest.raises(queue.Empty):
+        reasons.get(timeout=0.2)
+    del graph.nodes["/twin"]  # a new master knows nobody
+    with pytest.raises(queue.Empty):
+        reasons.get(timeout=0.2)
+    graph.nodes["/twin"] = SmallManager()
+    try:
+        assert "another node bears the name /twin" in reasons.get(timeout=LONG)
+    finally:
+        elder.close()
+
+
+def test_a_master_that_is_away_ends_nobody(graph: SmallMaster) -> None:
+    graph.nodes["/twin"] = elder = SmallManager()
+    reasons: queue.Queue[str] = queue.Queue()
+    graph.close()
+    end_when_displaced("/twin", elder.uri, reasons.put)
+    with pytest.raises(queue.Empty):
+        reasons.get(timeout=0.3)
