@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import time
 from dataclasses import dataclass, field, replace
@@ -100,6 +101,7 @@ class FakeHost(Host):
         self._incarnations = itertools.count(1)
         self._hung: set[str] = set()
         self._crashes: List[Crash] = []
+        self._cut: Dict[str, ManagerState] = {}
 
     # By hand
 
@@ -108,7 +110,7 @@ class FakeHost(Host):
         process = self.processes[manager]
         process.nodelets.clear()
         self._hung.discard(manager)
-        process.state = ManagerState(manager, process.state.kind, "", process.state.isolated_for)
+        process.state = replace(process.state, incarnation="")
 
     def crash(
         self, manager: str, running: Optional[Iterable[str]] = (), unloading: Iterable[str] = ()
@@ -132,6 +134,31 @@ class FakeHost(Host):
     def wake(self, manager: str) -> None:
         """Let it go on."""
         self._hung.discard(manager)
+
+    def add(self, manager: str, kind: Kind = Kind.PYTHON) -> None:
+        """Start a nodelet manager of others, or start it again."""
+        state = ManagerState(manager, kind, str(next(self._incarnations)), own=False)
+        self.processes[manager] = FakeManager(state)
+
+    def cut(self, manager: str, known: bool = True, unseen: bool = False) -> None:
+        """Cut off the host of a nodelet manager of others.
+
+        Args:
+            manager: its name.
+            known: whether it answered since the DyKnow manager was started.
+            unseen: whether it was not even looked for since then.
+        """
+        self._cut[manager] = replace(
+            self.processes[manager].state,
+            incarnation=self.processes[manager].state.incarnation if known else "",
+            responsive=False,
+            away=True,
+            unseen=unseen,
+        )
+
+    def mend(self, manager: str) -> None:
+        """Connect it again."""
+        del self._cut[manager]
 
     def flow(self) -> set[str]:
         """Let one message pass wherever one can: every nodelet that is fed sends one on each port.
@@ -196,7 +223,8 @@ class FakeHost(Host):
     def managers(self) -> List[ManagerState]:
         """List the nodelet managers."""
         return [
-            replace(self.processes[name].state, responsive=name not in self._hung)
+            self._cut.get(name)
+            or replace(self.processes[name].state, responsive=name not in self._hung)
             for name in sorted(self.processes)
         ]
 
@@ -255,6 +283,14 @@ class FakeHost(Host):
     def list(self, manager: str) -> List[str]:
         """List nodelets."""
         return sorted(self._alive(manager).nodelets)
+
+    def lists(self, managers: Iterable[ManagerState]) -> Dict[str, List[str]]:
+        """List the nodelets of several nodelet managers."""
+        found = {}
+        for state in managers:
+            with contextlib.suppress(HostError):
+                found[state.name] = self.list(state.name)
+        return found
 
     def ports(self, name: str) -> Tuple[PortState, ...]:
         """Report the ports."""
@@ -329,7 +365,7 @@ class FakeHost(Host):
 
     def _alive(self, manager: str) -> FakeManager:
         process: Optional[FakeManager] = self.processes.get(manager)
-        if manager in self._hung:
+        if manager in self._hung or manager in self._cut:
             raise HostTimeout(f"nodelet manager '{manager}' does not answer")
         if process is None or not process.state.alive:
             raise HostError(f"nodelet manager '{manager}' does not run")

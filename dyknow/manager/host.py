@@ -43,6 +43,8 @@ class ManagerState:
         isolated_for: the nodelet that it was started for alone, empty for shared ones.
         own: whether the host started it, and starts it again.
         responsive: whether it answered when it was asked last.
+        away: whether its host does not answer, so that nobody knows if it is there.
+        unseen: whether it was not looked for yet; what was known of it before holds till then.
     """
 
     name: str
@@ -51,6 +53,8 @@ class ManagerState:
     isolated_for: str = ""
     own: bool = True
     responsive: bool = True
+    away: bool = False
+    unseen: bool = False
 
     @property
     def alive(self) -> bool:
@@ -178,6 +182,13 @@ class Host(ABC):
     @abstractmethod
     def list(self, manager: str) -> List[str]:
         """Names of the nodelets that a nodelet manager runs."""
+
+    @abstractmethod
+    def lists(self, managers: Iterable[ManagerState]) -> Dict[str, List[str]]:
+        """Names of the nodelets of several nodelet managers, asked side by side.
+
+        One that does not answer, or is another process by now, is left out.
+        """
 
     @abstractmethod
     def ports(self, name: str) -> Tuple[PortState, ...]:

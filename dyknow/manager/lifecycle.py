@@ -5,12 +5,13 @@ from __future__ import annotations
 import contextlib
 import logging
 from dataclasses import dataclass, field, replace
-from typing import Dict, List, Mapping, Tuple
+from typing import Dict, List, Mapping, Optional, Tuple
 
 from dyknow import names
 from dyknow.errors import (
     DyKnowError,
     HostError,
+    HostTimeout,
     InvalidConfiguration,
     NameTaken,
     NotSpawnable,
@@ -22,7 +23,7 @@ from dyknow.errors import (
 from dyknow.guards import Guards
 from dyknow.manager import placement
 from dyknow.manager.graph import Graph
-from dyknow.manager.host import Host, Kind, LoadRequest
+from dyknow.manager.host import Host, Kind, LoadRequest, ManagerState
 from dyknow.manager.model import PortState, Record, State, declared_ports, seen_ports
 from dyknow.manager.specifications.transformation import TOPIC, Transformation
 from dyknow.manager.suspects import Suspects
@@ -161,6 +162,8 @@ class Lifecycle:
         Raises:
             UnknownNodelet: there is none of that name.
             Protected: it is protected.
+            HostTimeout: its nodelet manager does not answer; the nodelet is destroyed when it
+                does again.
             HostError: its nodelet manager did not do it.
         """
         self._graph.get(name)
@@ -171,10 +174,28 @@ class Lifecycle:
             if record.is_protected:
                 raise Protected(name)
             if record.state in (State.RUNNING, State.LOST):
-                self._unload(record)
+                try:
+                    self._unload(record)
+                except HostTimeout as error:
+                    later = f"it is destroyed as soon as {record.manager} answers"
+                    self._graph.put(replace(record, state=State.LOST, detail=later, unwanted=True))
+                    raise HostTimeout(
+                        f"'{name}' is not destroyed yet: {error}; {later}"
+                    ) from error
             self._dispose(record)
             self._graph.remove(name)
             self._suspects.acquit(name)
+
+    def finish_destroying(self, record: Record) -> None:
+        """Destroy what could not be destroyed before, since its nodelet manager did not answer."""
+        try:
+            self._unload(record)
+        except HostError as error:
+            _log.warning("%s: %s", record.name, error)
+            return
+        self._dispose(record)
+        self._graph.remove(record.name)
+        _log.info("%s was to be destroyed, and is now", record.name)
 
     def clear(self, record: Record) -> None:
         """Destroy a nodelet whatever its state, as part of the manager's end."""
@@ -221,10 +242,19 @@ class Lifecycle:
         try:
             self._host.unload(record.manager, record.name)
         except HostError:
-            incarnation = self._incarnation(record.manager)
-            died = not incarnation or record.incarnation not in ("", incarnation)
-            if not record.isolated and not died and record.name in self._host.list(record.manager):
+            if not self._is_gone(record):
                 raise
+
+    def _is_gone(self, record: Record) -> bool:
+        """Whether a nodelet that could not be unloaded is certainly not there any more."""
+        state = self._state(record.manager)
+        if record.isolated or state is None:
+            return True
+        if state.away or not state.alive:
+            return not state.away
+        if record.incarnation not in ("", state.incarnation):
+            return True
+        return record.name not in self._host.list(record.manager)
 
     def _load_as_before(self, record: Record) -> None:
         try:
@@ -318,11 +348,12 @@ class Lifecycle:
         if record.isolated:
             self._host.retire(record.manager)
 
+    def _state(self, manager: str) -> Optional[ManagerState]:
+        return next((each for each in self._host.managers() if each.name == manager), None)
+
     def _incarnation(self, manager: str) -> str:
-        for state in self._host.managers():
-            if state.name == manager:
-                return state.incarnation
-        return ""
+        state = self._state(manager)
+        return state.incarnation if state is not None else ""
 
 
 def _remappings(record: Record, transformation: Transformation) -> Dict[str, str]:

@@ -56,6 +56,8 @@ class Record:
         claimed: made for a claim, and collected when no claim needs it.
         incarnation: of the nodelet manager when it was loaded.
         suspicion: why it was given a process of its own; empty if nobody suspects it.
+        unwanted: whether it was to be destroyed while its nodelet manager could not be asked: it
+            is as soon as that answers.
     """
 
     name: str
@@ -71,6 +73,7 @@ class Record:
     claimed: bool = False
     incarnation: str = ""
     suspicion: str = ""
+    unwanted: bool = False
 
     @property
     def label(self) -> str:

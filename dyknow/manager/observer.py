@@ -63,7 +63,6 @@ class Observer:
         self._dead: Set[str] = set()  # found by this look
         self._crashes: Dict[str, Crash] = {}  # told of since the look before it, by manager
         self._returning: Set[str] = set()  # being brought back
-        self._silent: Set[str] = set()  # nodelet managers that do not answer; it was logged
         #: Called with the record of a nodelet that was made for a claim and died.
         self.on_death: Callable[[Record], None] = lambda record: None
 
@@ -92,15 +91,7 @@ class Observer:
             for crash in self._host.crashes():
                 self._crashes[crash.manager] = crash
                 self._accuse(crash)
-            listed: Dict[str, Set[str]] = {}
-            for state in states:
-                try:
-                    if state.alive:
-                        listed[state.name] = set(self._host.list(state.name))
-                except HostError as error:
-                    self._note_silent(state.name, error)
-                else:
-                    self._silent.discard(state.name)
+            listed = {name: set(names) for name, names in self._host.lists(states).items()}
             by_name = {state.name: state for state in states}
             for record in self._graph.all():
                 host = by_name.get(record.manager)
@@ -114,12 +105,6 @@ class Observer:
             dead, self._dead = sorted(self._dead), set()
         for name in dead:
             self._bring_back_soon(name)
-
-    def _note_silent(self, manager: str, error: HostError) -> None:
-        """Say once that a nodelet manager does not answer: it is asked again at every look."""
-        if manager not in self._silent:
-            self._silent.add(manager)
-            _log.warning("%s; it is said once", error.__cause__ or error)
 
     def _accuse(self, crash: Crash) -> None:
         hosted = [each.name for each in self._graph.all() if each.manager == crash.manager]
@@ -156,10 +141,15 @@ class Observer:
         changed: Set[str],
     ) -> None:
         alive = state is not None and record.manager in listed
-        if alive and record.name in listed[record.manager]:
+        if alive and record.name in listed[record.manager] and not record.unwanted:
             self._follow(record, state, record.name in changed)
+        elif state is not None and state.unseen:
+            return  # it is as it was until somebody has looked
         elif record.transformation is None:
             self._graph.remove(record.name)
+        elif record.unwanted:
+            if alive or state is None or not state.away:
+                self._dead.add(record.name)
         elif alive and state is not None and state.incarnation == record.incarnation:
             if not self._is_unlisted(record):
                 return
@@ -235,7 +225,10 @@ class Observer:
     def _bring_back(self, name: str) -> None:
         try:
             with self._graph.changing(name) as record:
-                if record is not None and record.state is not State.RUNNING:
+                if record is not None and record.unwanted:
+                    self._patience.attempt(name)
+                    self._lifecycle.finish_destroying(record)
+                elif record is not None and record.state is not State.RUNNING:
                     if record.claimed:  # whoever claims a stream decides what takes its place
                         self.on_death(record)
                         self._lifecycle.forget(record)

@@ -41,7 +41,8 @@ def choose(
         if state.isolated_for:
             raise HostError(f"nodelet manager '{asked}' is there for '{state.isolated_for}' alone")
         if not state.alive:
-            raise HostError(f"nodelet manager '{asked}' is not running")
+            what = "does not answer" if state.away else "is not running"
+            raise HostError(f"nodelet manager '{asked}' {what}")
         if state.kind is not kind:
             raise HostError(
                 f"nodelet manager '{asked}' hosts {state.kind.value} nodelets, "

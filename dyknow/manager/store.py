@@ -202,9 +202,11 @@ def _body(record: Record) -> str:
             "rewired_by_reload": record.rewired_by_reload,
             "topics": dict(record.topics),
             "state": int(record.state),
+            "detail": record.detail,
             "claimed": record.claimed,
             "incarnation": record.incarnation,
             "suspicion": record.suspicion,
+            "unwanted": record.unwanted,
         },
         sort_keys=True,
     )

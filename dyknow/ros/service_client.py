@@ -72,8 +72,6 @@ class ServiceClient:
         self._turn = threading.Lock()
         self._socket: Optional[socket.socket] = None
         self._owed = False
-        #: Where the service was found last: another process has another address.
-        self.address = ""
 
     def call(self, timeout: float, *args: Any, **kwds: Any) -> Any:
         """Call the service and return its response.

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from typing import (
     Any,
     Callable,
@@ -38,7 +39,7 @@ from dyknow.ros.hosting.children import Child, Children
 from dyknow.ros.hosting.counting import Counting
 from dyknow.ros.hosting.declared import Declared
 from dyknow.ros.hosting.hearing import Hearing
-from dyknow.ros.hosting.peers import ListClient, Peer
+from dyknow.ros.hosting.peers import ListClient, Peers
 from dyknow.ros.master import Master
 from dyknow.ros.nodelets.guard_parameters import guards_key, to_parameter
 from dyknow.ros.service_client import ServiceClient, ServiceFailed, ServiceLost
@@ -54,6 +55,10 @@ DEATH_TIMEOUT = 2.0
 CONNECT_TIMEOUT = 4.0
 #: Seconds for a proxy to say what its ports are.
 PORTS_TIMEOUT = 2.0
+#: Nodelet managers that are asked at the same time.
+_ASKERS = 16
+
+_log = logging.getLogger("rosout.dyknow")
 
 
 class RosHost(Host):
@@ -78,7 +83,7 @@ class RosHost(Host):
         """
         self._master = master
         self._children = children
-        self._peers = {name: Peer(master, name) for name in peers}
+        self._peers = Peers(master, peers)
         self._guards_key = guards_key(master.caller)
         self._guards = guards
         #: Nodelets that are protected, by nodelet manager.
@@ -91,6 +96,7 @@ class RosHost(Host):
         self._counting = Counting(master)
         self._hearing = Hearing(registrar)
         self._lists: Dict[Tuple[str, str], ListClient] = {}
+        self._askers = ThreadPoolExecutor(_ASKERS, "asking nodelet managers")
         self._lock = threading.Lock()
         self._abandoned: Set[Tuple[str, str]] = set()
         self._refused: Set[Tuple[str, str]] = set()
@@ -103,19 +109,8 @@ class RosHost(Host):
 
     def managers(self) -> List[ManagerState]:
         """List our children and the nodelet managers that were named to us."""
-        for peer in self._peers.values():
-            peer.look()
         states = [self._state_of_child(child) for child in self._children.all()]
-        states += [
-            ManagerState(
-                peer.name,
-                peer.kind,
-                peer.incarnation,
-                own=False,
-                responsive=peer.client.answers,
-            )
-            for peer in self._peers.values()
-        ]
+        states += [peer.state for peer in self._peers.all()]
         for state in states:
             self._guard(state)
         return sorted(states, key=lambda state: state.name)
@@ -146,13 +141,13 @@ class RosHost(Host):
 
     def list(self, manager: str) -> List[str]:
         """Ask over the kept connection."""
-        client = self._client_of(manager)
-        listed = self._asking(manager, client.list)
-        with self._lock:
-            late = [each for each in listed if (manager, each) in self._abandoned]
-        for name in late:
-            self._drop_late(manager, name)
-        return [each for each in listed if each not in late]
+        return self._without_late(manager, self._listed(manager))
+
+    def lists(self, managers: Iterable[ManagerState]) -> Dict[str, List[str]]:
+        """Ask each over its kept connection."""
+        alive = [state for state in managers if state.alive]
+        answers = self._askers.map(self._list_of, alive)
+        return {state.name: names for state, names in zip(alive, answers) if names is not None}
 
     # Nodelets
 
@@ -163,6 +158,8 @@ class RosHost(Host):
         # A manager that hangs would load it when it wakes up: it is asked something else first.
         if request.name in self.list(manager):
             raise NameTaken(request.name)
+        for peer in self._peers.all():
+            peer.forget(request.name)
         self._set_parameters(request.name, request.parameters)
         with self._lock:
             self._abandoned.discard((manager, request.name))
@@ -194,7 +191,7 @@ class RosHost(Host):
             if (manager, name) in self._refused:
                 self._refused.discard((manager, name))
                 raise HostError(f"nodelet '{name}' was not loaded")
-        if not self._client_of(manager).answers:
+        if any(each.name == manager and not each.responsive for each in self.managers()):
             self.list(manager)  # fails at once as long as it hangs
         incarnation = self._incarnation(manager)
         service = f"{manager}/unload_nodelet"
@@ -218,8 +215,7 @@ class RosHost(Host):
 
     def ports(self, name: str) -> Tuple[PortState, ...]:
         """Ask the proxy."""
-        service = names.join(name, "get_config")
-        answer = self._asking(name, lambda: self._call(service, GetConfig, PORTS_TIMEOUT))
+        answer = self._ask_nodelet(name, "get_config", GetConfig, PORTS_TIMEOUT)
         return tuple(
             PortState(
                 port.name,
@@ -232,9 +228,8 @@ class RosHost(Host):
 
     def connect(self, name: str, config: Mapping[str, str]) -> None:
         """Tell the proxy."""
-        service = names.join(name, "set_config")
         pairs = [PortConfig(port, config[port]) for port in sorted(config)]
-        answer = self._asking(name, lambda: self._call(service, SetConfig, CONNECT_TIMEOUT, pairs))
+        answer = self._ask_nodelet(name, "set_config", SetConfig, CONNECT_TIMEOUT, pairs)
         if not answer.success:
             raise HostError(answer.message)
 
@@ -262,13 +257,13 @@ class RosHost(Host):
         self._counting.close()
         for client in list(self._lists.values()):
             client.close()
-        for peer in self._peers.values():
-            peer.client.close()
+        self._peers.close()
+        self._askers.shutdown(wait=False)
 
     def release(self) -> None:
         """Take our guards off the nodelet managers of others, at an end on purpose."""
-        for name in self._peers:
-            self._delete_parameter(names.join(name, self._guards_key))
+        for peer in self._peers.all():
+            self._delete_parameter(names.join(peer.name, self._guards_key))
 
     # Inside
 
@@ -316,9 +311,31 @@ class RosHost(Host):
         if why is not None:
             raise HostError(f"nodelet manager '{manager}' does not have the guards yet: {why}")
 
+    def _list_of(self, state: ManagerState) -> Optional[List[str]]:
+        try:
+            return self._without_late(state.name, self._listed(state.name, state.incarnation))
+        except HostError as error:
+            if state.own and state.responsive:  # of others their peer tells
+                _log.warning("nodelet manager %s: %s", state.name, error)
+            return None
+
+    def _listed(self, manager: str, incarnation: str = "") -> List[str]:
+        peer = self._peers.find(manager)
+        if peer is not None:
+            return peer.list(incarnation)
+        names: List[str] = self._asking(manager, self._client_of(manager).list)
+        return names
+
+    def _without_late(self, manager: str, listed: List[str]) -> List[str]:
+        """Unload what came up after everybody had stopped waiting for it."""
+        with self._lock:
+            late = [each for each in listed if (manager, each) in self._abandoned]
+            self._abandoned.difference_update((manager, name) for name in late)
+        for name in late:
+            self.unload(manager, name)
+        return [each for each in listed if each not in late]
+
     def _client_of(self, manager: str) -> ListClient:
-        if manager in self._peers:
-            return self._peers[manager].client
         incarnation = self._incarnation(manager)
         if not incarnation:
             raise HostError(f"nodelet manager '{manager}' is not running")
@@ -335,11 +352,15 @@ class RosHost(Host):
         children = self._children.all()
         return next((c.incarnation for c in children if c.record.name == manager), "")
 
-    def _drop_late(self, manager: str, name: str) -> None:
-        """Unload what came up after everybody had stopped waiting for it."""
-        with self._lock:
-            self._abandoned.discard((manager, name))
-        self.unload(manager, name)
+    def _ask_nodelet(
+        self, name: str, service: str, service_class: Any, timeout: float, *args: Any
+    ) -> Any:
+        """Call a service of a nodelet, unless its nodelet manager is known not to answer."""
+        peer = self._peers.hosting(name)
+        if peer is not None:
+            peer.check()
+        full = names.join(name, service)
+        return self._asking(name, lambda: self._call(full, service_class, timeout, *args))
 
     def _call(
         self, service: str, service_class: Any, timeout: float, *args: Any, **kwds: Any

@@ -20,6 +20,7 @@ from dyknow.errors import HostError, PeerTimeout
 from dyknow.manager.host import Crash, Kind
 from dyknow.nodelet import crash_record
 from dyknow.ros import os_process
+from dyknow.ros.addresses import is_here
 from dyknow.ros.master import Master
 from dyknow.ros.nodelets.owner import OwnerLock
 from dyknow.ros.os_process import ProcessId
@@ -134,12 +135,12 @@ class Launcher:
         uri = self._master.node(name)
         if not uri:
             return None
+        host, _ = rosgraph.network.parse_http_host_and_port(uri)
         try:
             pid = self._master.pid(name, uri, _ANSWER_TIMEOUT)
-        except (PeerTimeout, LookupError):
+            here = is_here(host, _ANSWER_TIMEOUT)
+        except (PeerTimeout, LookupError, OSError):
             return None
-        host, _ = rosgraph.network.parse_http_host_and_port(uri)
-        here = rosgraph.network.is_local_address(host)
         return ProcessId.of(pid) if here else ProcessId(-1, -1)
 
     def is_ours(self, name: str) -> bool:

@@ -1,0 +1,125 @@
+"""Nodelet managers whose hosts are away: what is not known is not claimed, and made good later."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from unit.manager.world import World
+
+from dyknow.errors import HostError, HostTimeout
+from dyknow.manager.model import State
+
+FAR = "/far"
+
+
+@pytest.fixture
+def world(tmp_path: Path) -> World:
+    world = World(str(tmp_path / "state.db"))
+    world.host.add(FAR)
+    world.spawn("camera", "/a", manager=FAR)
+    return world
+
+
+def unloads(world: World, name: str) -> int:
+    return world.host.calls.count(("unload", name))
+
+
+def test_a_destroy_that_nobody_can_verify_is_refused_and_made_good(world: World) -> None:
+    world.host.cut(FAR)
+    with pytest.raises(HostTimeout, match="'/a' is not destroyed yet: .* as soon as /far answers"):
+        world.manager.destroy("/a")
+    assert world.states() == {"/a": "LOST"}
+    world.manager.look()
+    assert world.host.running == ["/a"]
+    before = unloads(world, "/a")
+    world.host.mend(FAR)
+    world.manager.look()
+    assert (world.states(), world.host.running) == ({}, [])
+    world.manager.look()
+    assert unloads(world, "/a") == before + 1
+
+
+def test_it_is_made_good_after_a_restart_of_the_manager_too(world: World) -> None:
+    world.host.cut(FAR)
+    with pytest.raises(HostTimeout):
+        world.manager.destroy("/a")
+    world.host.cut(FAR, known=False)
+    world.kill_manager()
+    assert world.states() == {"/a": "LOST"}
+    assert "as soon as /far answers" in world.manager.graph.get("/a").detail
+    world.host.mend(FAR)
+    world.manager.look()
+    assert (world.states(), world.host.running) == ({}, [])
+
+
+def test_a_manager_that_was_restarted_meanwhile_verifies_too(world: World) -> None:
+    world.host.cut(FAR, known=False)
+    world.kill_manager()
+    with pytest.raises(HostTimeout):
+        world.manager.destroy("/a")
+    assert world.host.running == ["/a"]
+
+
+def test_what_died_with_its_host_is_not_brought_back_to_be_destroyed(world: World) -> None:
+    world.host.cut(FAR)
+    with pytest.raises(HostTimeout):
+        world.manager.destroy("/a")
+    world.host.kill(FAR)
+    world.host.mend(FAR)
+    world.host.add(FAR)
+    world.manager.look()
+    assert world.states() == {}
+    assert world.host.calls.count(("load", "/a")) == 1
+
+
+def test_what_is_certainly_gone_is_destroyed_at_once(world: World) -> None:
+    world.host.kill(FAR)
+    world.manager.destroy("/a")
+    assert world.states() == {}
+
+
+def test_a_destroy_that_hangs_is_made_good_when_the_process_goes_on(world: World) -> None:
+    world.spawn("camera", "/b")
+    world.host.hang(world.manager.graph.get("/b").manager)
+    with pytest.raises(HostTimeout):
+        world.manager.destroy("/b")
+    world.host.wake(world.manager.graph.get("/b").manager)
+    world.manager.look()
+    assert world.states() == {"/a": "RUNNING"}
+
+
+def test_a_refusal_when_it_is_back_is_tried_again(world: World) -> None:
+    world.host.cut(FAR)
+    with pytest.raises(HostTimeout):
+        world.manager.destroy("/a")
+    world.host.mend(FAR)
+
+    def refuse(operation: str, argument: str) -> None:
+        if operation == "unload":
+            raise HostError("not now")
+
+    world.host.fail = refuse
+    world.manager.look()
+    assert world.states() == {"/a": "LOST"}
+    world.host.fail = lambda operation, argument: None
+    world.manager.look()
+    assert world.states() == {}
+
+
+def test_what_nobody_has_looked_for_yet_is_taken_to_be_as_it_was(world: World) -> None:
+    world.host.cut(FAR, known=False, unseen=True)
+    world.kill_manager()
+    assert world.states() == {"/a": "RUNNING"}
+    world.host.cut(FAR, known=False)
+    world.manager.look()
+    assert world.manager.graph.get("/a").state is State.LOST
+    world.host.mend(FAR)
+    world.manager.look()
+    assert world.states() == {"/a": "RUNNING"}
+
+
+def test_a_nodelet_manager_that_is_away_is_said_to_be(world: World) -> None:
+    world.host.cut(FAR, known=False)
+    with pytest.raises(HostError, match="'/far' does not answer"):
+        world.spawn("camera", "/b", manager=FAR)
