@@ -47,7 +47,7 @@ def run_all(suites: Sequence[Path], results: Path, jobs: int, timeout: float) ->
             word = "FAILED" if outcome.failed else "ok"
             print(
                 f"  {word:7}{outcome.name:24}{outcome.duration:6.1f} s"
-                f"  {outcome.passed} passed, {outcome.failed} failed"
+                f"  {outcome.passed} passed, {outcome.failed} failed{_skipped(outcome.output)}"
             )
     return passed, failed
 
@@ -85,6 +85,12 @@ def _printed_by_tests(home: Path) -> str:
                 text = re.sub(r"<!\[CDATA\[|\]\]>", "", element.text or "").strip()
                 texts.append(f"\n{report.stem}, {element.tag}:\n{text}\n" if text else "")
     return "".join(texts)
+
+
+def _skipped(output: str) -> str:
+    """Why a suite skipped its tests, as it said in a line of its own; empty if it did not."""
+    said = re.search(r"^skipped: .*", output, re.MULTILINE)
+    return f", {said.group()}" if said else ""
 
 
 def _count(text: str, code: int) -> tuple[int, int]:

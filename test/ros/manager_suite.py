@@ -75,6 +75,7 @@ class ManagerProcess:
     def __init__(self, state: str, node: str = MANAGER, **parameters: Any) -> None:
         self.state = state
         self.node = node
+        self.command = [find_node("dyknow", "manager")[0], f"__name:={node.lstrip('/')}"]
         self.parameters = {"state_dir": state, "orphan_timeout": 60.0, **parameters}
         self.client = ManagerClient(node, rospy.get_name())
         self.log = os.path.join(state, "output.log")
@@ -85,16 +86,13 @@ class ManagerProcess:
             rospy.set_param(f"{self.node}/{name}", value)
         with open(self.log, "ab") as log:
             self.process = subprocess.Popen(
-                [find_node("dyknow", "manager")[0], *self._renaming()],
+                self.command,
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,
             )
         if wait:
             eventually(self.is_up, 30.0, f"the manager is up\n{self.output}")
-
-    def _renaming(self) -> list[str]:
-        return [] if self.node == MANAGER else [f"__name:={self.node.lstrip('/')}"]
 
     def is_up(self) -> bool:
         try:

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """A client of a stream as a process of its own: says each state, and whether messages arrive.
 
-It ends when it is told to.
+It ends when it is told to. Arguments: the tag, and seconds of the lease if not the usual ones.
 """
 
 from __future__ import annotations
@@ -13,12 +13,14 @@ import rospy
 from std_msgs.msg import Header
 
 import dyknow
+from dyknow.ros.acquiring import LEASE
 
 #: Seconds without a message after which the stream is said to be still.
 PATIENCE = 1.0
 
 rospy.init_node("stream_client", anonymous=True)
-with dyknow.acquire(sys.argv[1], Header) as stream:
+lease = float(sys.argv[2]) if len(sys.argv) > 2 else LEASE
+with dyknow.acquire(sys.argv[1], Header, lease=lease) as stream:
     arrived = [0.0]
     rospy.Subscriber(
         stream.topic, Header, lambda message: arrived.__setitem__(0, time.monotonic())

@@ -58,8 +58,6 @@ PORTS_TIMEOUT = 2.0
 #: Nodelet managers that are asked at the same time.
 _ASKERS = 16
 
-_log = logging.getLogger("rosout.dyknow")
-
 
 class RosHost(Host):
     """Nodelet managers of the ROS graph: children of ours, and others that were named."""

@@ -1,0 +1,242 @@
+"""What the suites about several hosts share: the network, and nodelet managers on its hosts."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import time
+import unittest
+from typing import Callable, ContextManager, Iterator
+
+import rospy
+import rostest
+from hosts import Host, Network, missing
+from manager_suite import LIBRARY, ManagerProcess, eventually
+from nodelet.srv import NodeletList
+from processes import NODELET, Running
+from stream_suite import GOAL, StreamCase
+
+from dyknow.errors import HostError, PeerTimeout, Refused
+from dyknow.manager.claim import ClaimState, StreamRequest
+from dyknow.manager.model import State
+from dyknow.ros.master import Master
+from dyknow.ros.service_client import ServiceClient
+
+#: Within so many seconds the manager knows that a host is away, or back.
+NOTICED = 5.0
+#: A time limit of a remote call: what waits for none of them is faster by as much.
+CALL_TIMEOUT = 1.0
+
+
+class HostsCase(StreamCase):
+    """Each test makes its own hosts on the network of the suite, whose desk it runs on."""
+
+    network: Network
+
+    def setUp(self) -> None:
+        lacking = missing()
+        if lacking:
+            raise unittest.SkipTest(lacking)
+
+    def host(self) -> Host:
+        host = self.network.host()
+        self.addCleanup(host.__exit__)
+        return host
+
+    def nodelet_manager(self, host: Host, name: str) -> Running:
+        """Start a nodelet manager on a host and wait until it is up."""
+        process = host.run(*NODELET, "manager", f"__name:={name}")
+        self.addCleanup(process.__exit__)
+        process.wait_for("Initializing nodelet")
+        eventually(lambda: self.listed(f"/{name}") is not None, 10.0, f"{name} is up")
+        return process
+
+    def hosting(self, manager: ManagerProcess, name: str) -> None:
+        """Wait until the manager uses a nodelet manager of others: it spawns there."""
+
+        def spawned() -> bool:
+            try:
+                manager.client.spawn("counter", f"/{name}_probe", manager=f"/{name}")
+            except Refused as error:
+                assert f"nodelet manager '/{name}'" in str(error), error
+                return False
+            return True
+
+        eventually(spawned, NOTICED, f"/{name} is used")
+        manager.client.destroy(f"/{name}_probe")
+
+    def listed(self, name: str) -> list[str] | None:
+        """What a nodelet manager itself says that it runs; None if it does not answer."""
+        master = Master(rospy.get_name())
+        try:
+            return sorted(ServiceClient(master, f"{name}/list", NodeletList).call(5.0).nodelets)
+        except (HostError, PeerTimeout):
+            return None
+
+    def state_of(self, manager: ManagerProcess, name: str) -> State | None:
+        found = manager.nodelet(name)
+        return None if found is None else found.state
+
+    def becomes(self, manager: ManagerProcess, name: str, state: State | None) -> None:
+        what = f"{name} is {state.name if state is not None else 'gone'}"
+        eventually(lambda: self.state_of(manager, name) is state, NOTICED, what)
+
+    def spawn_time(self, manager: ManagerProcess) -> float:
+        """Shortest of some spawns, in s: whatever waits for a remote time limit adds that."""
+        times = []
+        for number in range(5):
+            begin = time.monotonic()
+            manager.client.spawn("counter", f"/timed{number}", {"out": f"/timed{number}/out"})
+            times.append(time.monotonic() - begin)
+        for number in range(5):
+            manager.client.destroy(f"/timed{number}")
+        return min(times)
+
+    def restart_time(self, manager: ManagerProcess) -> float:
+        """Kill the manager and start it again; returns how long (s) the start took."""
+        manager.kill()
+        begin = time.monotonic()
+        manager.start()
+        return time.monotonic() - begin
+
+    def stays(self, seconds: float, holds: Callable[[], bool], what: Callable[[], object]) -> None:
+        """See to it that something holds for a while; ``what`` is said if it does not."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            assert holds(), what()
+            time.sleep(0.1)
+
+
+class Split(HostsCase):
+    """Two nodelet managers of one name, on hosts that could not see each other."""
+
+    def newcomer_survives(self, meanwhile: Callable[[ManagerProcess], None]) -> None:
+        """Of two that meet, one goes on with its nodelets and the claims; the other ends."""
+        far = self.host()
+        elder = self.nodelet_manager(far, "twin")
+        manager = self.tracking(nodelet_managers=["/twin"], num_nodelet_managers=0)
+        eventually(lambda: self.placed(manager, "/twin"), NOTICED, "/twin is used")
+        events = self.events()
+        claim = manager.client.acquire_stream(StreamRequest(GOAL))
+        self.assertEqual(len(self.listed("/twin")), 3)
+        flow = self.flow(claim.topic)
+        flow.wait()
+        with self.network.cut(far):
+            events.mended("does not answer")
+            newcomer = self.nodelet_manager(self.host(), "twin")
+            eventually(lambda: self.placed(manager, "/twin"), NOTICED, "the newcomer is used")
+            meanwhile(manager)
+            eventually(lambda: self.placed(manager, "/twin"), NOTICED, "the newcomer is used")
+            flow.wait()
+            told = len(events.all)
+        eventually(lambda: elder.has_ended, NOTICED, "the elder ends")
+        self.stays(2.0, lambda: not newcomer.has_ended, lambda: newcomer.output)
+        self.assertEqual(self.state_of(manager, "/probe"), State.RUNNING)
+        self.assertEqual(self.listed("/twin"), ["/probe"])
+        self.assertEqual(self.claim(manager, claim.claim_id).state, ClaimState.ACTIVE)
+        self.assertEqual(len(events.all), told, [each.reason for each in events.all])
+        publishers = Master(rospy.get_name()).publishers(claim.topic)
+        self.assertEqual(len(publishers), 1, publishers)
+        flow.wait()
+
+    def placed(self, manager: ManagerProcess, name: str) -> bool:
+        """Spawn a nodelet of our own in it; the one of an earlier process is gone by then."""
+        try:
+            if manager.nodelet("/probe") is None:
+                manager.client.spawn("camera", "/probe", manager=name)
+            return self.listed(name) == ["/probe"]
+        except Refused:
+            return False
+
+
+class ClaimOverHosts(HostsCase):
+    """A claim that is met by a nodelet on another host, of which something becomes.
+
+    What it needs can be made on the desk too.
+    """
+
+    def with_claim(self, max_silence: float) -> None:
+        self.far = self.host()
+        self.far_process = self.nodelet_manager(self.far, "far")
+        self.manager = self.tracking(nodelet_managers=["/far"])
+        self.manager.client.add_transformation(LIBRARY)
+        self.hosting(self.manager, "far")
+        self.manager.client.spawn("camera", "/far_camera", manager="/far")
+        self.heard = self.events()
+        request = StreamRequest("Filtered(ball)", max_silence=max_silence)
+        self.claim_id = self.manager.client.acquire_stream(request).claim_id
+        self.assertIn("/far_camera", self.claim(self.manager, self.claim_id).nodelets)
+        self.heard_before = len(self.heard.all)
+        self.fast = self.spawn_time(self.manager)
+
+    def reasons(self) -> list[str]:
+        """Why the claim changed since it was met; an offer of a cheaper way is no change."""
+        told = self.heard.all[self.heard_before :]
+        return [
+            f"{each.after.state.name}: {each.reason}"
+            for each in told
+            if each.before is None or each.before.state is not each.after.state
+        ]
+
+    def mended(self) -> int:
+        return sum(each.startswith("ACTIVE: mended") for each in self.reasons())
+
+    def on_far(self) -> list[str]:
+        """Nodelets of the claim that run on the other host."""
+        claim = self.claim(self.manager, self.claim_id)
+        model = self.manager.client.get_model()
+        places = {each.name: each.manager for each in model.nodelets}
+        return [name for name in claim.nodelets if places.get(name) == "/far"]
+
+    def is_met(self) -> bool:
+        return self.claim(self.manager, self.claim_id).state is ClaimState.ACTIVE
+
+    def loses_it(self, fault: ContextManager[None], seconds: float) -> None:
+        """It is replaced once, others notice nothing, and what comes back is cleared up once."""
+        with fault:
+            eventually(lambda: self.is_met() and not self.on_far(), NOTICED, "it is replaced")
+            eventually(lambda: self.mended() == 1, NOTICED, "it is told that it was mended")
+            changes = len(self.reasons())
+            self.assertLess(self.spawn_time(self.manager), self.fast + CALL_TIMEOUT)
+            self.stays(seconds, lambda: len(self.reasons()) == changes, self.reasons)
+            self.assertTrue(self.is_met(), self.reasons())
+        self.becomes(self.manager, "/far_camera", State.RUNNING)
+        alone = ["/far_camera"]
+        eventually(lambda: self.listed("/far") == alone, 3 * NOTICED, "/far is cleared up")
+        self.stays(seconds, lambda: self.listed("/far") == alone, lambda: self.listed("/far"))
+        self.assertEqual(len(self.reasons()), changes, self.reasons())
+        self.manager.client.destroy("/far_camera")
+        self.assertEqual(self.listed("/far"), [])
+        self.settled(self.manager)
+
+    def keeps_it(self, fault: ContextManager[None], seconds: float) -> None:
+        """Nothing happens to it, neither while the fault lasts nor when it is over."""
+        with fault:
+            self.stays(seconds, lambda: not self.reasons(), self.reasons)
+            self.manager.client.spawn("relay", "/late", {"in": "/x"}, manager="/far")
+            self.manager.client.destroy("/late")
+            self.assertLess(self.spawn_time(self.manager), self.fast + CALL_TIMEOUT)
+        self.stays(seconds, lambda: not self.reasons(), self.reasons)
+        self.assertEqual(self.claim(self.manager, self.claim_id).state, ClaimState.ACTIVE)
+
+    @contextlib.contextmanager
+    def stopped(self) -> Iterator[None]:
+        """Stop the process of the other host."""
+        self.far_process.stop(signal.SIGSTOP)
+        try:
+            yield
+        finally:
+            self.far_process.stop(signal.SIGCONT)
+
+
+def run(suite: str) -> None:
+    """Run the tests of the main module on a network, or say why they are skipped."""
+    lacking = missing()
+    if lacking:
+        print(f"skipped: {lacking}")
+    else:
+        HostsCase.network = Network(os.environ["ROS_MASTER_URI"])
+        os.environ["ROS_IP"] = HostsCase.network.desk.address
+    rospy.init_node(f"{suite}_test")
+    rostest.rosrun("dyknow", suite, "__main__")

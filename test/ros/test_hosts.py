@@ -1,0 +1,137 @@
+#!/usr/bin/env python3
+"""Nodelet managers on hosts that are cut off and come back: nobody else waits, nothing is lost."""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from pathlib import Path
+
+import hosts_suite
+from hosts_suite import CALL_TIMEOUT, ClaimOverHosts, HostsCase, Split
+from manager_suite import LIBRARY
+from stream_suite import LIBRARY as STREAMS
+
+from dyknow.errors import Refused
+from dyknow.manager.claim import ClaimState
+from dyknow.manager.model import State
+from dyknow.ros.master import Master
+
+CLIENT = [sys.executable, str(Path(__file__).resolve().parent / "stream_client.py")]
+
+
+class AbsentHostsTest(HostsCase):
+    def test_hosts_that_are_cut_off_hold_up_nobody(self):
+        far = [self.host(), self.host()]
+        for number, host in enumerate(far):
+            self.nodelet_manager(host, f"far{number}")
+        manager = self.started(nodelet_managers=["/far0", "/far1"])
+        for name in ("far0", "far1"):
+            self.hosting(manager, name)
+        manager.client.spawn("counter", "/kept", {"out": "/kept/out"}, manager="/far0")
+        calm = self.restart_time(manager)
+        self.becomes(manager, "/kept", State.RUNNING)
+        for name in ("far0", "far1"):
+            self.hosting(manager, name)
+        before = self.spawn_time(manager)
+        with self.network.cut(*far):
+            self.becomes(manager, "/kept", State.LOST)
+            self.assertLess(self.spawn_time(manager), before + CALL_TIMEOUT)
+            self.assertLess(self.restart_time(manager), calm + 2 * CALL_TIMEOUT)
+            self.assertLess(self.spawn_time(manager), before + CALL_TIMEOUT)
+            self.becomes(manager, "/kept", State.LOST)
+            self.assertIn("does not answer", manager.nodelet("/kept").detail)
+        self.becomes(manager, "/kept", State.RUNNING)
+        self.assertEqual(self.listed("/far0"), ["/kept"])
+        self.assertEqual(manager.topics("/kept"), {"out": "/kept/out"})
+        self.assertLess(self.spawn_time(manager), before + CALL_TIMEOUT)
+        manager.client.destroy("/kept")
+        self.assertEqual(self.listed("/far0"), [])
+
+    def test_a_host_whose_name_nobody_can_look_up_holds_up_nobody(self):
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        ghost = Master("/ghost")
+        uri, service = "http://absent-robot:7", "rosrpc://absent-robot:9"
+        ghost.ask("registerService", "/ghost/list", service, uri)
+        self.addCleanup(ghost.ask, "unregisterService", "/ghost/list", service)
+        manager = self.make(nodelet_managers=["/ghost"])
+        resolver = self.network.desk.silent_resolver(folder.name)
+        manager.command = self.network.desk.command(*manager.command, resolver=resolver)
+        manager.start()
+        manager.client.add_transformation(LIBRARY)
+        self.assertLess(self.spawn_time(manager), CALL_TIMEOUT)
+        tasks = Path(f"/proc/{manager.process.pid}/task")
+
+        def threads() -> int:
+            return len(list(tasks.iterdir()))
+
+        before = threads()
+        self.stays(3.0, lambda: threads() < before + 5, threads)
+        with self.assertRaisesRegex(Refused, "'/ghost' does not answer"):
+            manager.client.spawn("counter", "/there", manager="/ghost")
+
+    def test_what_cannot_be_destroyed_now_is_refused_and_destroyed_when_its_host_is_back(self):
+        far = self.host()
+        self.nodelet_manager(far, "far")
+        manager = self.started(nodelet_managers=["/far"])
+        self.hosting(manager, "far")
+        for name in ("/one", "/two", "/three"):
+            manager.client.spawn("counter", name, manager="/far")
+        with self.network.cut(far):
+            with self.assertRaisesRegex(Refused, "is not destroyed yet"):
+                manager.client.destroy("/one")
+            manager.kill()
+            manager.start()
+            for name in ("/one", "/two"):
+                with self.assertRaisesRegex(Refused, "is not destroyed yet"):
+                    manager.client.destroy(name)
+                self.assertIn("as soon as", manager.nodelet(name).detail)
+        for name in ("/one", "/two"):
+            self.becomes(manager, name, None)
+        self.becomes(manager, "/three", State.RUNNING)
+        self.assertEqual(self.listed("/far"), ["/three"])
+
+
+class SplitTest(Split):
+    def test_of_two_nodelet_managers_of_one_name_the_newcomer_survives(self):
+        self.newcomer_survives(lambda manager: None)
+
+
+class ClaimTest(ClaimOverHosts):
+    def test_what_a_host_that_is_cut_off_supplied_is_replaced_once(self):
+        self.with_claim(0.0)
+        self.loses_it(self.network.cut(self.far), 2.0)
+
+    def test_a_host_that_is_far_away_is_not_taken_for_one_that_is_away(self):
+        self.with_claim(0.0)
+        self.keeps_it(self.network.far(self.far, 0.2), 3.0)
+
+
+class LeaseTest(HostsCase):
+    def test_leases_outlast_a_master_that_is_away(self):
+        robot, laptop = self.host(), self.host()
+        manager = self.make()
+        manager.command = robot.command(*manager.command)
+        manager.start()
+        manager.client.add_transformation(STREAMS)
+        with laptop.run(*CLIENT, "Filtered(ball)", "4") as program, laptop.run(
+            "rosrun", "dyknow", "dyknow", "acquire", "Position(ball)"
+        ) as shell:
+            program.wait_for("flows")
+            shell.wait_for("held until")
+            desk = self.network.desk
+            ways = [(desk, host) for host in (robot, laptop)]
+            with self.network.without(*ways, *[(host, desk) for desk, host in ways]):
+                self.stays(
+                    14.0,
+                    lambda: not shell.has_ended and not program.has_ended,
+                    lambda: shell.output + program.output,
+                )
+            states = {each.state for each in manager.client.list_streams()}
+            self.assertEqual(states, {ClaimState.ACTIVE}, shell.output + program.output)
+            self.assertNotIn("EXPIRED", manager.output)
+
+
+if __name__ == "__main__":
+    hosts_suite.run("hosts")
