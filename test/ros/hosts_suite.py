@@ -40,9 +40,12 @@ class HostsCase(StreamCase):
             raise unittest.SkipTest(lacking)
 
     def host(self) -> Host:
-        host = self.network.host()
-        self.addCleanup(host.__exit__)
-        return host
+        """Make a host, which stays when the test is over: it refuses what its dead are asked.
+
+        The master has three threads to tell nodes of changes, and each waits for two minutes for
+        a host that does not answer.
+        """
+        return self.network.host()
 
     def nodelet_manager(self, host: Host, name: str) -> Running:
         """Start a nodelet manager on a host and wait until it is up."""
