@@ -7,7 +7,7 @@ import os
 import signal
 import time
 import unittest
-from typing import Callable, ContextManager, Iterator
+from typing import Callable, ContextManager, Iterator, Sequence
 
 import rospy
 import rostest
@@ -22,11 +22,21 @@ from dyknow.manager.claim import ClaimState, StreamRequest
 from dyknow.manager.model import State
 from dyknow.ros.master import Master
 from dyknow.ros.service_client import ServiceClient
+from dyknow.ros.stream_views import StreamEventView
 
 #: Within so many seconds the manager knows that a host is away, or back.
 NOTICED = 5.0
 #: A time limit of a remote call: what waits for none of them is faster by as much.
 CALL_TIMEOUT = 1.0
+
+
+def changes_of_state(events: Sequence[StreamEventView]) -> list[str]:
+    """Why claims changed their states, in words; what is merely said of them is left out."""
+    return [
+        f"{each.after.state.name}: {each.reason}"
+        for each in events
+        if each.before is None or each.before.state is not each.after.state
+    ]
 
 
 class HostsCase(StreamCase):
@@ -132,13 +142,14 @@ class Split(HostsCase):
             meanwhile(manager)
             eventually(lambda: self.placed(manager, "/twin"), NOTICED, "the newcomer is used")
             flow.wait()
-            told = len(events.all)
+            told = len(changes_of_state(events.all))
         eventually(lambda: elder.has_ended, NOTICED, "the elder ends")
         self.stays(2.0, lambda: not newcomer.has_ended, lambda: newcomer.output)
         self.assertEqual(self.state_of(manager, "/probe"), State.RUNNING)
         self.assertEqual(self.listed("/twin"), ["/probe"])
         self.assertEqual(self.claim(manager, claim.claim_id).state, ClaimState.ACTIVE)
-        self.assertEqual(len(events.all), told, [each.reason for each in events.all])
+        changes = changes_of_state(events.all)
+        self.assertEqual(len(changes), told, changes)
         publishers = Master(rospy.get_name()).publishers(claim.topic)
         self.assertEqual(len(publishers), 1, publishers)
         flow.wait()
@@ -175,12 +186,7 @@ class ClaimOverHosts(HostsCase):
 
     def reasons(self) -> list[str]:
         """Why the claim changed since it was met; an offer of a cheaper way is no change."""
-        told = self.heard.all[self.heard_before :]
-        return [
-            f"{each.after.state.name}: {each.reason}"
-            for each in told
-            if each.before is None or each.before.state is not each.after.state
-        ]
+        return changes_of_state(self.heard.all[self.heard_before :])
 
     def mended(self) -> int:
         return sum(each.startswith("ACTIVE: mended") for each in self.reasons())
