@@ -21,6 +21,7 @@ wrong and says what was expected. Only ``dyknow.ros`` turns them into answers of
     ├── NotSpawnable             the transformation is an existing topic
     ├── NoPlanFound              nothing supplies a requested stream; what is missing is named
     ├── StreamTypeMismatch       a stream turned out to have another type than was asked for
+    ├── WrongStream              somebody would receive what it does not demand
     ├── UnknownClaim             no claim of that id, or it ended
     ├── InvalidTag               a tag is not a term
     ├── Busy                     another operation works on the nodelet
@@ -195,6 +196,16 @@ class StreamTypeMismatch(DyKnowError):
     def __init__(self, tag: str, wanted: str, found: str, label: str = "") -> None:
         self.label = label
         super().__init__(f"the stream {tag} carries {found}, but {wanted} was asked for")
+
+
+class WrongStream(DyKnowError):
+    """A connection was not made, since somebody would receive what it does not demand."""
+
+    def __init__(self, topic: str, sender: str, listener: str) -> None:
+        self.topic = topic
+        who = sender or "an ordinary node"
+        whom = listener or "a client"
+        super().__init__(f"on topic '{topic}', {who} sends what {whom} there does not ask for")
 
 
 class UnknownClaim(DyKnowError):

@@ -14,7 +14,7 @@ from dyknow.manager.planning.explanation import as_tree
 from dyknow.manager.planning.planner import Planner
 from dyknow.manager.planning.problem import Answer, Live, NoPlan, Plan, Source
 from dyknow.manager.planning.supply import Demand
-from dyknow.manager.specifications.tags import Term, parse_tag
+from dyknow.manager.specifications.tags import Term, parse_tag, read_tags
 from dyknow.manager.specifications.transformation import IN, OUT, Transformation
 from dyknow.ros.client_errors import Result, StreamRefused
 from dyknow.ros.stream_views import AcquiredView, ReplannedView, StreamEventView, StreamView
@@ -105,9 +105,9 @@ class SimulatedStreams:
         planner = Planner()
         planner.add(self._library.values())
         demand = Demand(frozenset((parse_tag(request.tag),)), request.datatype)
-        return planner.plan(demand, self._live(planner), frozenset(request.exclude))
+        return planner.plan(demand, self._live(), frozenset(request.exclude))
 
-    def _live(self, planner: Planner) -> Iterator[Tuple[Live, Tuple[Term, ...]]]:
+    def _live(self) -> Iterator[Tuple[Live, Tuple[Term, ...]]]:
         for nodelet in self._nodelets.values():
             fed = all(port.topic for port in nodelet.ports if port.direction == IN and port.tags)
             for port in nodelet.ports if fed and nodelet.state is State.RUNNING else ():
@@ -116,7 +116,7 @@ class SimulatedStreams:
                         *(port.topic, port.name, nodelet.name, nodelet.transformation),
                         port.datatype,
                     )
-                    yield stream, planner.terms(port.tags)
+                    yield stream, read_tags(port.tags)
 
     def _make(self, plan: Plan) -> Tuple[Dict[str, str], str]:
         made: Dict[str, str] = {}

@@ -69,7 +69,8 @@ class Claim:
         state: whether it flows.
         detail: why it does not, or what is not known to flow yet, in words.
         goal: nodelet and out-port that publish; empty for a topic of ordinary nodes.
-        wiring: for each nodelet of the stream the topics that its ports need.
+        wiring: for each nodelet of the stream the topics that its ports need; while there is no
+            stream, the nodelets that are kept for it, connected to nothing.
         sources: topics of ordinary nodes that the stream needs.
         deadline: when the lease ends, on the keeper's clock; None for never.
     """
@@ -84,6 +85,11 @@ class Claim:
     wiring: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     sources: Tuple[str, ...] = ()
     deadline: Optional[float] = None
+
+    @property
+    def is_made(self) -> bool:
+        """Whether something was made, or found, that is to publish for it."""
+        return bool(self.goal[0] or self.sources)
 
     @property
     def nodelets(self) -> Tuple[str, ...]:

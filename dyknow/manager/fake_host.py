@@ -76,7 +76,10 @@ class FakeHost(Host):
         cpp: types that are plain C++ nodelets.
         topics: ordinary topics that are published.
         silent: nodelets, by name or type, and ordinary topics that send nothing.
+        slow: nodelets to which a connection takes longer than the manager waits for it: it
+            counts as failed, and is made when it arrives (``arrive``).
         fail: called before each operation with its name and argument; may raise.
+        on_change: called after each change of what runs and how it is connected.
         calls: every operation, in order.
         clock: when messages are counted.
         listeners: those that listen to a topic now.
@@ -94,7 +97,9 @@ class FakeHost(Host):
         self.cpp: set[str] = set()
         self.topics: set[str] = set()
         self.silent: set[str] = set()
+        self.slow: set[str] = set()
         self.fail: Callable[[str, str], None] = lambda operation, argument: None
+        self.on_change: Callable[[], None] = lambda: None
         self.calls: List[Tuple[str, str]] = []
         self.processes: Dict[str, FakeManager] = {}
         self.parameters: Dict[str, object] = {}
@@ -102,6 +107,7 @@ class FakeHost(Host):
         self._hung: set[str] = set()
         self._crashes: List[Crash] = []
         self._cut: Dict[str, ManagerState] = {}
+        self._on_the_way: List[Tuple[FakeNodelet, Dict[str, str]]] = []
 
     # By hand
 
@@ -132,8 +138,33 @@ class FakeHost(Host):
         self._hung.add(manager)
 
     def wake(self, manager: str) -> None:
-        """Let it go on."""
+        """Let it go on; it does what it was told meanwhile."""
         self._hung.discard(manager)
+        self.arrive()
+
+    def is_hung(self, manager: str) -> bool:
+        """Whether a nodelet manager's process is stopped."""
+        return manager in self._hung
+
+    def arrive(self) -> List[str]:
+        """Let connections that took too long be made after all, where nothing hangs.
+
+        Returns:
+            Names of the nodelets that were connected.
+        """
+        waiting, self._on_the_way = self._on_the_way, []
+        arrived = []
+        for nodelet, config in waiting:
+            name = nodelet.request.name
+            process = self._place_of(name)
+            if process is None or process.nodelets[name] is not nodelet:
+                continue
+            if process.state.name in self._hung:
+                self._on_the_way.append((nodelet, config))
+                continue
+            self._apply(nodelet.ports, config)
+            arrived.append(name)
+        return arrived
 
     def add(self, manager: str, kind: Kind = Kind.PYTHON) -> None:
         """Start a nodelet manager of others, or start it again."""
@@ -267,6 +298,7 @@ class FakeHost(Host):
             topic = request.remappings.get(f"/{name}", "")
             nodelet.ports[name] = PortState(name, direction, datatype, topic)
         process.nodelets[request.name] = nodelet
+        self.on_change()
         self._step("loaded", request.name)
 
     def unload(self, manager: str, name: str) -> None:
@@ -274,6 +306,7 @@ class FakeHost(Host):
         self._step("unload", name)
         if self._alive(manager).nodelets.pop(name, None) is None:
             raise HostError(f"no nodelet named '{name}' is loaded")
+        self.on_change()
 
     def forget(self, name: str, parameters: Sequence[Parameter]) -> None:
         """Delete parameters."""
@@ -300,6 +333,10 @@ class FakeHost(Host):
     def connect(self, name: str, config: Mapping[str, str]) -> None:
         """Connect ports."""
         self._step("connect", name)
+        process = self._place_of(name)
+        if process is not None and (name in self.slow or process.state.name in self._hung):
+            self._on_the_way.append((process.nodelets[name], dict(config)))
+            raise HostTimeout(f"nodelet '{name}' did not answer in time")
         ports = self._process_of(name).nodelets[name].ports
         unknown = [port for port in config if port not in ports]
         if unknown:
@@ -310,9 +347,7 @@ class FakeHost(Host):
             found, mine = self._type_of(topic, name), ports[port].datatype
             if topic and "*" not in (found, mine) and found not in ("", mine):
                 raise HostError(f"topic '{topic}' carries {found}")
-        for port, topic in config.items():
-            old = ports[port]
-            ports[port] = PortState(old.name, old.direction, old.datatype, topic)
+        self._apply(ports, config)
 
     def published(self, topics: Iterable[str]) -> FrozenSet[str]:
         """Tell which topics are published."""
@@ -371,6 +406,11 @@ class FakeHost(Host):
             raise HostError(f"nodelet manager '{manager}' does not run")
         return process
 
+    def _apply(self, ports: Dict[str, PortState], config: Mapping[str, str]) -> None:
+        for port, topic in config.items():
+            ports[port] = replace(ports[port], topic=topic)
+        self.on_change()
+
     def _type_of(self, topic: str, but: str) -> str:
         for name in self.running:
             for port in self._find(name).ports.values():
@@ -379,13 +419,17 @@ class FakeHost(Host):
         return ""
 
     def _find(self, name: str) -> FakeNodelet:
-        for process in self.processes.values():
-            if name in process.nodelets:
-                return process.nodelets[name]
-        raise HostError(f"nodelet '{name}' does not run")
+        process = self._place_of(name)
+        if process is None:
+            raise HostError(f"nodelet '{name}' does not run")
+        return process.nodelets[name]
 
     def _process_of(self, name: str) -> FakeManager:
-        for manager, process in self.processes.items():
-            if name in process.nodelets:
-                return self._alive(manager)
-        raise HostError(f"nodelet '{name}' does not answer")
+        process = self._place_of(name)
+        if process is None:
+            raise HostError(f"nodelet '{name}' does not answer")
+        return self._alive(process.state.name)
+
+    def _place_of(self, name: str) -> Optional[FakeManager]:
+        hosting = (each for each in self.processes.values() if name in each.nodelets)
+        return next(hosting, None)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import logging
 from dataclasses import dataclass, field, replace
-from typing import Dict, List, Mapping, Optional, Tuple
+from typing import Callable, Dict, List, Mapping, Optional, Tuple
 
 from dyknow import names
 from dyknow.errors import (
@@ -71,6 +71,8 @@ class Lifecycle:
         self._guards = guards
         self._timeout = spawn_timeout
         self._suspects = suspects
+        #: Which of a nodelet's connections can be made when it is brought back.
+        self.fitting: Callable[[Record], Mapping[str, str]] = lambda record: record.topics
 
     def spawn(self, transformation: Transformation, request: SpawnRequest) -> Record:
         """Make a nodelet of a transformation; its name is global.
@@ -141,7 +143,8 @@ class Lifecycle:
             record = replace(record, isolated=True, manager="")
         record = replace(record, suspicion=suspicion or record.suspicion)
         starting = replace(record, state=State.STARTING, detail=record.suspicion)
-        self._graph.put(starting)
+        self._graph.put(starting)  # from here on others see where it will be
+        starting = replace(starting, topics=self.fitting(starting))
         try:
             if record.isolated:
                 kind = Kind.CPP if record.rewired_by_reload else Kind.PYTHON

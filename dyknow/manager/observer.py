@@ -192,7 +192,7 @@ class Observer:
 
     def _complete(self, record: Record) -> bool:
         """Finish what an earlier life began: it was killed while it brought the nodelet back."""
-        wiring = {port: topic for port, topic in record.topics.items() if topic}
+        wiring = {port: topic for port, topic in self._lifecycle.fitting(record).items() if topic}
         try:
             if record.rewired_by_reload:  # with which wiring it runs nobody knows
                 self._host.unload(record.manager, record.name)

@@ -18,6 +18,7 @@ import rospy
 
 from dyknow.errors import BadParameter, DyKnowError, HostError, PeerTimeout, Refused
 from dyknow.manager.claim import ClaimState, StreamRequest
+from dyknow.manager.claims.telling import Telling
 from dyknow.ros.client import CHANGE_TIMEOUT, ManagerClient
 from dyknow.ros.client_errors import StreamRefused
 from dyknow.ros.stream_session import StreamSession
@@ -57,10 +58,11 @@ class AcquiredStream:
         self.reused: Tuple[str, ...] = ()
         self._client = client
         self._session = session
-        self._on_event = on_event
+        self._telling: Telling[StreamEventView] = Telling(on_event or (lambda event: None))
         self._condition = threading.Condition()
         self._view = view
         self._released = False
+        self._events = 0
 
     @property
     def topic(self) -> str:
@@ -122,7 +124,7 @@ class AcquiredStream:
             rospy.logwarn("stream %s was not released: %s", self.claim_id, error)
         finally:
             self._session.close()
-        self._take(replace(self._view, state=ClaimState.RELEASED, detail=""), "released")
+        self._change("released", state=ClaimState.RELEASED, detail="")
 
     def __enter__(self) -> AcquiredStream:
         return self
@@ -135,31 +137,48 @@ class AcquiredStream:
 
     # What the session tells
 
-    def note(self, event: StreamEventView) -> None:
-        """Take in a change."""
-        with self._condition:
-            self._view = event.after
-            self._condition.notify_all()
-        if self._on_event is not None:
-            self._on_event(event)
+    @property
+    def events(self) -> int:
+        """How many changes were taken in: what was asked before one of them is out of date."""
+        return self._events
 
-    def note_view(self, view: StreamView) -> None:
-        """Take in what the claim is like; news if an event was missed."""
-        self._take(view, view.detail or "an earlier event was missed")
+    def note(self, event: StreamEventView) -> None:
+        """Take in a change; nothing changes a claim that ended."""
+        with self._condition:
+            if not self._view.state.ended:
+                self._events += 1
+                self._put(event)
+        self._telling.tell()
+
+    def note_view(self, view: StreamView, events: int) -> None:
+        """Take in what the claim was like after so many changes; news if one was missed."""
+        with self._condition:
+            if events == self._events:
+                self._take(view, view.detail or "an earlier event was missed")
+        self._telling.tell()
 
     def note_end(self, why: str) -> None:
         """Take in that the manager knows the claim no more."""
-        if not self.state.ended:
-            self._take(replace(self._view, state=ClaimState.EXPIRED, detail=why), why)
+        self._change(why, state=ClaimState.EXPIRED, detail=why)
+
+    def _change(self, reason: str, **changes: Any) -> None:
+        with self._condition:
+            self._take(replace(self._view, **changes), reason)
+        self._telling.tell()
 
     def _take(self, view: StreamView, reason: str) -> None:
         before = self._view
         if before.state.ended:
             return
         if (view.state, view.topic, view.detail) != (before.state, before.topic, before.detail):
-            self.note(StreamEventView(rospy.get_time(), before, view, reason))
+            self._put(StreamEventView(rospy.get_time(), before, view, reason))
         else:
             self._view = view
+
+    def _put(self, event: StreamEventView) -> None:
+        self._view = event.after
+        self._condition.notify_all()
+        self._telling.add(event)
 
 
 def acquire(

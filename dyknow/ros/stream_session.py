@@ -37,11 +37,15 @@ class Follower(Protocol):
     claim_id: str
     lease: float
 
+    @property
+    def events(self) -> int:
+        """How many changes were taken in."""
+
     def note(self, event: StreamEventView) -> None:
         """Take in a change."""
 
-    def note_view(self, view: StreamView) -> None:
-        """Take in what the claim is like."""
+    def note_view(self, view: StreamView, events: int) -> None:
+        """Take in what the claim was like after so many changes."""
 
     def note_end(self, why: str) -> None:
         """Take in that the manager knows the claim no more."""
@@ -162,6 +166,8 @@ class StreamSession:
 
     def _refresh(self, claim_ids: List[str]) -> None:
         """See to it that nothing was missed: events are not kept for those who come late."""
+        with self._condition:
+            events = {key: self._streams[key].events for key in claim_ids if key in self._streams}
         try:
             claims = {each.claim_id: each for each in self._client.list_streams()}
         except (HostError, PeerTimeout):
@@ -170,4 +176,4 @@ class StreamSession:
             with self._lock:
                 stream: Optional[Follower] = self._streams.get(claim_id)
             if stream is not None and claim_id in claims:
-                stream.note_view(claims[claim_id])
+                stream.note_view(claims[claim_id], events.get(claim_id, -1))

@@ -20,11 +20,13 @@ from dyknow.manager.claims.relay import relay
 from dyknow.manager.claims.transaction import Transaction
 from dyknow.manager.claims.turn import Turn
 from dyknow.manager.claims.upstream import upstream
+from dyknow.manager.claims.wires import Wires
 from dyknow.manager.host import Kind
 from dyknow.manager.lifecycle import SpawnRequest
 from dyknow.manager.manager import Manager
 from dyknow.manager.model import State
-from dyknow.manager.planning.problem import Live, Source, Step
+from dyknow.manager.planning.problem import Live, New, Source, Step
+from dyknow.manager.specifications.tags import read_tags
 from dyknow.manager.specifications.transformation import OUT, Transformation
 
 
@@ -36,6 +38,7 @@ class Assembly:
         manager: Manager,
         table: ClaimTable,
         turn: Turn,
+        wires: Wires,
         delivery: Delivery,
         on_failure: Callable[[str], None],
     ) -> None:
@@ -45,12 +48,14 @@ class Assembly:
             manager: makes them.
             table: knows what other claims have.
             turn: is passed on while a nodelet comes up, if it may be.
+            wires: connects what they are made of.
             delivery: waits for first messages.
             on_failure: called with the label of which no nodelet could be made.
         """
         self._manager = manager
         self._table = table
         self._turn = turn
+        self._wires = wires
         self._delivery = delivery
         self._on_failure = on_failure
 
@@ -63,7 +68,7 @@ class Assembly:
 
         Whatever it raises, what was made is undone.
         """
-        parts = (self._manager, self._table, self._turn, self._delivery.begin())
+        parts = (self._manager, self._table, self._turn, self._wires, self._delivery.begin())
         work = _Work(*parts, self._on_failure, order)
         try:
             return work.do()
@@ -80,6 +85,7 @@ class _Work:
         manager: Manager,
         table: ClaimTable,
         turn: Turn,
+        wires: Wires,
         handover: Handover,
         on_failure: Callable[[str], None],
         order: Order,
@@ -87,17 +93,21 @@ class _Work:
         self._manager = manager
         self._graph = manager.graph
         self._turn = turn
+        self._wires = wires
         self._handover = handover
         self._on_failure = on_failure
         self._order = order
         self._done = Assembled()
-        self.transaction = Transaction(manager)
+        self.transaction = Transaction(manager, wires, order.mute)
         self._parts = Parts(manager, table, order, self.transaction.spawned)
 
     def do(self) -> Assembled:
         done = self._done
         self._turn.reserve(self._order.own.values())
-        self._turn.reserve(live.nodelet for live in self._order.plan.live)
+        used = {live.nodelet for live in self._order.plan.live if live.nodelet}
+        fed_by: Dict[str, Dict[str, str]] = {name: {} for name in used}
+        upstream(self._graph.all(), fed_by, set(), used)
+        self._turn.reserve(fed_by)
         for step in self._order.plan.steps:
             self._take(step)
         self._publish(self._order.plan.goal)
@@ -140,7 +150,11 @@ class _Work:
             raise StreamTypeMismatch(self._order.tag, wanted, datatype, goal.label)
         done.topic, done.datatype = place or present, datatype or wanted
         name, port = self._parts.name_of(goal), goal.port
-        if present != done.topic:
+        if not place and present in self._parts.taken() and datatype not in ANY:
+            # Clients listen there who want something else: what they get may change.
+            name, port = self._relay(goal, present), "out"
+            done.topic = self._graph.get(name).topics[port]
+        elif present != done.topic:
             if not name or not self._parts.may_move(name, present):
                 name, port = self._relay(goal, present, done.topic), "out"
             else:
@@ -149,11 +163,15 @@ class _Work:
             self._clear(done.topic, name)
         done.goal = (name, port) if name else ("", "")
 
-    def _relay(self, goal: Source, present: str, topic: str) -> str:
-        """Bring a stream that must stay where it is to where the client listens."""
+    def _relay(self, goal: Source, present: str, topic: str = "") -> str:
+        """Bring a stream that must stay where it is to where the client listens.
+
+        Without a topic it is brought to a new one, the relay's own.
+        """
         made = relay(present, self._parts.type_of(goal), self._parts.tags_of(goal))
-        name = self._spawn(made, {"in": present}, ())
-        self._connect(name, {"in": self._topic_of(goal), "out": topic})
+        name = self._spawn(made, {"in": present}, () if topic else ("out",))
+        out = {"out": topic} if topic else {}
+        self._connect(name, {"in": self._topic_of(goal), **out})
         return name
 
     def _clear(self, topic: str, publisher: str) -> None:
@@ -189,10 +207,15 @@ class _Work:
         if isinstance(source, Live):
             self._done.reused.add(name)
         topic = self._graph.get(name).topics.get(source.port, "")
-        if not topic:
+        if not topic or (isinstance(source, New) and self._is_mixed(source, topic)):
             topic = self._parts.free_topic(name, source.port)
         self._connect(name, {source.port: topic})
         return topic
+
+    def _is_mixed(self, source: New, topic: str) -> bool:
+        """Whether something else is sent there as well, such as by somebody who was re-wired."""
+        tags = tuple(tag for tag in read_tags(self._parts.tags_of(source)) if tag.is_ground)
+        return self._wires.audience().common_tags(topic, tags) != tags
 
     def _connect(self, name: str, config: Mapping[str, str]) -> None:
         self.transaction.connect(name, config)
@@ -211,6 +234,7 @@ class _Work:
             ):
                 continue
             wiring = {**inputs, **{port: default_topic(name, port) for port in outputs}}
+            self._turn.reserve([name])  # nobody takes it for one that is not needed
             try:
                 is_plain = self._manager.host.kind_of(transformation.source) is Kind.CPP
                 request = SpawnRequest(
@@ -227,7 +251,6 @@ class _Work:
             except DyKnowError:
                 self._on_failure(transformation.label)
                 raise
-            self._turn.reserve([name])
             self._connect(name, {port: wiring[port] for port in outputs})
             return name
         raise SpawnFailed(transformation.label, "there are too many of its name")

@@ -1,7 +1,7 @@
 """The claims that are kept: in memory for everybody to see, on disk first.
 
 A claim that ended stays ended, whatever somebody who still works for it writes afterwards; a lease
-that is renewed meanwhile stays renewed.
+that is renewed meanwhile stays renewed. Changes are told in their order.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from typing import Any, Callable, Dict, List, Optional, Set
 
 from dyknow.errors import UnknownClaim
 from dyknow.manager.claim import Claim, ClaimEvent, ClaimState, StreamRequest
+from dyknow.manager.claims.telling import Telling
 from dyknow.manager.moment import Moment
 from dyknow.manager.store import MEANINGLESS, Store
 
@@ -33,8 +34,16 @@ class ClaimTable:
         self._writing = threading.Lock()  # the disk has them in the order of the memory
         self._lock = threading.Lock()
         self._claims: Dict[str, Claim] = self._stored()
-        #: Called with every change, outside the locks.
-        self.on_event: Callable[[ClaimEvent], None] = lambda event: None
+        self._telling: Telling[ClaimEvent] = Telling(lambda event: None)
+
+    @property
+    def on_event(self) -> Callable[[ClaimEvent], None]:
+        """Called with every change, in their order, one at a time and outside the locks."""
+        return self._telling.listener
+
+    @on_event.setter
+    def on_event(self, listener: Callable[[ClaimEvent], None]) -> None:
+        self._telling.listener = listener
 
     def all(self) -> List[Claim]:
         """Return every claim, those that ended lately too, by id."""
@@ -91,7 +100,8 @@ class ClaimTable:
         claim = replace(claim, deadline=self._clock() + lease if lease > 0 else None)
         with self._writing:
             self._write(claim)
-        self.on_event(ClaimEvent(replace(claim, state=ClaimState.PENDING), claim, reason))
+            self._telling.add(ClaimEvent(replace(claim, state=ClaimState.PENDING), claim, reason))
+        self._telling.tell()
         return claim
 
     def change(self, claim_id: str, reason: str, **changes: Any) -> Optional[Claim]:
@@ -103,15 +113,17 @@ class ClaimTable:
             after = replace(before, **changes)
             if after != before:
                 self._write(after)
-        if after != before:
-            self.on_event(ClaimEvent(before, after, reason))
+                self._telling.add(ClaimEvent(before, after, reason))
+        self._telling.tell()
         return after
 
     def report(self, claim_id: str, news: str) -> None:
         """Tell something about a claim that does not change it."""
-        claim = self.find(claim_id)
-        if claim is not None:
-            self.on_event(ClaimEvent(claim, claim, news))
+        with self._writing:
+            claim = self.find(claim_id)
+            if claim is not None:
+                self._telling.add(ClaimEvent(claim, claim, news))
+        self._telling.tell()
 
     def renew(self, claim_id: str, lease: float) -> Claim:
         """Let a claim live for so many seconds from now (0: until it is released).
@@ -139,7 +151,8 @@ class ClaimTable:
                 ended = [key for key, claim in self._claims.items() if claim.state.ended]
                 for key in ended[: max(0, len(ended) - self._ended_kept)]:
                     del self._claims[key]
-        self.on_event(ClaimEvent(before, after, reason))
+            self._telling.add(ClaimEvent(before, after, reason))
+        self._telling.tell()
 
     def end_late(self) -> None:
         """End the claims whose lease is over."""

@@ -4,22 +4,27 @@ from __future__ import annotations
 
 import logging
 from functools import partial
-from typing import Callable, Dict, Set, Tuple
+from typing import AbstractSet, Callable, Dict, Iterable, Set, Tuple
 
 from dyknow.errors import DyKnowError
 from dyknow.manager.claim import Claim, ClaimState
+from dyknow.manager.claims.audience import Listener, Sender
 from dyknow.manager.claims.claim_table import ClaimTable
 from dyknow.manager.claims.silence import SilenceWatch
-from dyknow.manager.claims.transaction import connect
 from dyknow.manager.claims.turn import Turn
+from dyknow.manager.claims.wires import Wires
 from dyknow.manager.manager import Manager
 from dyknow.manager.model import Record, State
-from dyknow.manager.specifications.transformation import OUT
+from dyknow.manager.specifications.transformation import IN, OUT
 
 _log = logging.getLogger("rosout.dyknow")
 
-#: Seconds until something that failed is tried again.
+#: Seconds until something that failed is tried again; the pauses grow.
 _PAUSE = 1.0
+_LONGEST_PAUSE = 30.0
+
+Wire = Tuple[str, str, str]
+"""A nodelet, its port, and the topic that it is connected to."""
 
 
 class Housekeeping:
@@ -31,6 +36,7 @@ class Housekeeping:
         table: ClaimTable,
         turn: Turn,
         silence: SilenceWatch,
+        wires: Wires,
         linger: float,
         clock: Callable[[], float],
     ) -> None:
@@ -41,6 +47,7 @@ class Housekeeping:
             table: the claims.
             turn: knows what a request that waits counts on.
             silence: knows which nodelets do not answer.
+            wires: knows who hears whom.
             linger: seconds that a nodelet that no claim needs any more is kept.
             clock: seconds, steady.
         """
@@ -48,11 +55,13 @@ class Housekeeping:
         self._table = table
         self._turn = turn
         self._silence = silence
+        self._wires = wires
         self._linger = linger
         self._clock = clock
         self._idle_since: Dict[str, float] = {}
         self._not_before: Dict[str, float] = {}
-        self._replaced: Set[Tuple[str, str, str]] = set()
+        self._pauses: Dict[str, float] = {}
+        self._replaced: Set[Wire] = set()
 
     def replaced(self, claim: Claim) -> None:
         """Remember who published for a claim and could not be told that it was replaced.
@@ -65,26 +74,79 @@ class Housekeeping:
                     if topic == claim.topic:
                         self._replaced.add((record.name, port, topic))
 
+    def disconnect(self) -> None:
+        """Disconnect what was made for claims that need it no more, and whoever does not fit."""
+        claims = self._table.living()
+        needed, wires = self._table.needed(), _wires(claims)
+        for record in self._manager.graph.all():
+            if not record.claimed or record.name in self._turn.reserved:
+                continue
+            in_use = record.name in needed
+            self._cut(
+                record,
+                [
+                    port.name
+                    for port in record.ports
+                    if (record.name, port.name, port.topic) not in wires
+                    and (not in_use or (port.direction == IN and port.tags))
+                ],
+            )
+        for topic, sender, listener in self._wires.audience().misfits():
+            self._separate(topic, sender, listener, wires)
+
+    def _separate(
+        self, topic: str, sender: Sender, listener: Listener, wires: AbstractSet[Wire]
+    ) -> None:
+        """Part two that do not fit: a claim's listener stays where the claim has it."""
+        hearer = self._manager.graph.find(listener.nodelet)
+        speaker = self._manager.graph.find(sender.nodelet)
+        if hearer is not None and not hearer.claimed:
+            return  # people connected it so
+        stays = hearer is None or (hearer.name, listener.port, topic) in wires
+        if speaker is not None:
+            here = [port.name for port in speaker.ports if port.topic == topic]
+            if sender.port not in here:
+                return  # it may come here, and has not yet
+            if stays and self._cut(speaker, [sender.port]):
+                return
+        if hearer is not None:
+            self._cut(hearer, [listener.port])
+
+    def take_apart(self, claim: Claim) -> bool:
+        """Disconnect what only a claim needs, and those whose clients listen where its does.
+
+        Returns:
+            Whether nothing of it can send any more; what hangs sends nothing.
+        """
+        done = True
+        others = [each for each in self._table.living() if each.topic != claim.topic]
+        wires = _wires(others)
+        for name, topics in sorted(claim.wiring.items()):
+            record = self._manager.graph.find(name)
+            if record is not None and record.claimed and name not in self._turn.reserved:
+                ports = [port for port in topics if (name, port, topics[port]) not in wires]
+                done = (self._cut(record, ports) or not self._is_reachable(record)) and done
+        return done
+
     def clear_topics(self) -> None:
-        """Leave one publisher on each claimed topic."""
-        goals = {
-            claim.topic: claim.goal[0]
-            for claim in self._table.living()
+        """Leave one publisher on each claimed topic, and none where nothing can be published."""
+        claims = self._table.living()
+        goals = {claim.topic: "" for claim in claims if claim.topic and not claim.is_made}
+        goals.update(
+            (claim.topic, claim.goal[0])
+            for claim in claims
             if claim.state is ClaimState.ACTIVE and claim.goal[0]
-        }
+        )
         self._replaced = {each for each in self._replaced if each[2] in goals}
         for record in self._manager.graph.all():
-            if record.state is not State.RUNNING or record.name in self._silence.mute:
-                continue
-            ports = {
-                port.name: ""
+            ports = [
+                port.name
                 for port in record.ports
                 if port.direction == OUT
                 and goals.get(port.topic, record.name) != record.name
                 and (record.claimed or (record.name, port.name, port.topic) in self._replaced)
-            }
-            if ports and self._may_try(record.name):
-                self._try(record, partial(connect, self._manager, record.name, ports))
+            ]
+            self._cut(record, ports)
 
     def collect(self) -> None:
         """Destroy what was made for claims and no claim needs, after a while."""
@@ -100,16 +162,46 @@ class Housekeeping:
             if now - since >= linger and reachable and self._may_try(record.name):
                 self._try(record, partial(self._manager.lifecycle.destroy, record.name))
         present = {record.name for record in self._manager.graph.all()}
-        for table in (self._idle_since, self._not_before):
+        for table in (self._idle_since, self._not_before, self._pauses):
             for name in [name for name in table if name not in present]:
                 del table[name]
 
     def _may_try(self, name: str) -> bool:
         return self._clock() >= self._not_before.get(name, float("-inf"))
 
-    def _try(self, record: Record, action: Callable[[], None]) -> None:
+    def _cut(self, record: Record, ports: Iterable[str]) -> bool:
+        """Disconnect those of a nodelet's ports that are connected; whether that is done."""
+        connected = {port.name for port in record.ports if port.topic}
+        config = {port: "" for port in ports if port in connected}
+        if not config:
+            return True
+        return (
+            self._is_reachable(record)
+            and self._may_try(record.name)
+            and self._try(record, partial(self._wires.connect, record.name, config))
+        )
+
+    def _is_reachable(self, record: Record) -> bool:
+        return record.state is State.RUNNING and record.name not in self._silence.mute
+
+    def _try(self, record: Record, action: Callable[[], None]) -> bool:
         try:
             action()
         except DyKnowError as error:
-            self._not_before[record.name] = self._clock() + _PAUSE
+            pause = self._pauses.get(record.name, _PAUSE)
+            self._pauses[record.name] = min(2 * pause, _LONGEST_PAUSE)
+            self._not_before[record.name] = self._clock() + pause
             _log.warning("%s: %s", record.name, error)
+            return False
+        self._pauses.pop(record.name, None)
+        return True
+
+
+def _wires(claims: Iterable[Claim]) -> Set[Wire]:
+    """List what claims need connected."""
+    return {
+        (name, port, topic)
+        for claim in claims
+        for name, topics in claim.wiring.items()
+        for port, topic in topics.items()
+    }

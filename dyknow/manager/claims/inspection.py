@@ -7,6 +7,7 @@ from typing import AbstractSet, Mapping, Optional
 
 from dyknow.errors import UnknownTransformation
 from dyknow.manager.claim import Claim
+from dyknow.manager.claims.audience import Audience
 from dyknow.manager.claims.relay import is_relay
 from dyknow.manager.library import Library
 from dyknow.manager.manager import Manager
@@ -32,6 +33,7 @@ def inspect(
     silent: Mapping[str, str],
     mute: AbstractSet[str],
     published: AbstractSet[str],
+    audience: Audience,
 ) -> Optional[Damage]:
     """Look at every part of a claim's stream.
 
@@ -41,9 +43,12 @@ def inspect(
         silent: nodelets and topics that are silent, and what to say about it.
         mute: nodelets that do not answer.
         published: topics of ordinary nodes that have a publisher.
+        audience: who hears whom.
     """
     if not claim.topic:
         return Damage("it has no stream yet")
+    if not claim.is_made:
+        return Damage("it has no stream")
     doubts = []
     for name in claim.nodelets:
         record = manager.graph.find(name)
@@ -63,9 +68,25 @@ def inspect(
     for topic in claim.sources:
         if topic not in published:
             return Damage(f"topic {topic} is not published any more")
+        if not _is_what_it_was(topic, claim, audience):
+            return Damage(f"topic {topic} is not described any more as what is needed")
         if topic in silent:
             doubts.append(silent[topic])
     return Damage(doubts[0], severed=False) if doubts else None
+
+
+def _is_what_it_was(topic: str, claim: Claim, audience: Audience) -> bool:
+    """Whether the library still says of a topic what the claim's parts, or its client, need."""
+    concerned = [
+        listener.demand
+        for listener in audience.listeners(topic)
+        if claim.wiring.get(listener.nodelet, {}).get(listener.port) == topic
+        or listener.port == claim.claim_id
+    ]
+    senders = audience.senders(topic)
+    return bool(senders) and all(
+        audience.serves(sender, demand) for sender in senders for demand in concerned
+    )
 
 
 def is_current(library: Library, record: Record) -> bool:

@@ -21,15 +21,17 @@ from dyknow.manager.claim import Claim, ClaimEvent, ClaimState, StreamRequest
 from dyknow.manager.claims.advice import refusal
 from dyknow.manager.claims.claim_table import ClaimTable
 from dyknow.manager.claims.delivery import Delivery
+from dyknow.manager.claims.demands import demand_of
 from dyknow.manager.claims.first_message import FirstMessages
 from dyknow.manager.claims.housekeeping import Housekeeping
 from dyknow.manager.claims.message_counts import MessageCounts
 from dyknow.manager.claims.offers import Offers
-from dyknow.manager.claims.prospects import Prospects, demand_of
+from dyknow.manager.claims.prospects import Prospects
 from dyknow.manager.claims.quarantine import Quarantine
 from dyknow.manager.claims.repair import Repair, outcome, with_remarks
 from dyknow.manager.claims.silence import SilenceWatch
 from dyknow.manager.claims.turn import Turn
+from dyknow.manager.claims.wires import Wires
 from dyknow.manager.manager import Manager
 from dyknow.manager.planning.problem import NoPlan, Plan
 from dyknow.manager.specifications.tags import NO_ONTOLOGY, Subsumption
@@ -106,12 +108,20 @@ class Keeper:
         self._silence = SilenceWatch(self._counts, manager.graph)
         self._first_messages = FirstMessages(self._table, self._counts, manager.graph, clock)
         quarantine = Quarantine(clock)
+        self._wires = Wires(manager, self._table, ontology, clock)
         self._prospects = Prospects(
-            manager, ontology, self._table, quarantine, self._silence, clock
+            manager,
+            ontology,
+            self._table,
+            quarantine,
+            self._silence,
+            self._turn,
+            self._wires,
+            clock,
         )
         self._offers = Offers(self._table, self._prospects)
         self._housekeeping = Housekeeping(
-            manager, self._table, self._turn, self._silence, settings.linger, clock
+            manager, self._table, self._turn, self._silence, self._wires, settings.linger, clock
         )
 
         def wait(seconds: float) -> None:
@@ -130,6 +140,7 @@ class Keeper:
             self._silence,
             self._counts,
             self._first_messages,
+            self._wires,
             clock,
         )
 
@@ -167,14 +178,15 @@ class Keeper:
             if known is not None:
                 return Acquired(known, None, (), known.nodelets)
             self._prospects.look(at_once=True)
+            claim = replace(claim, topic=self._prospects.common_topic(claim))
             answer = self._prospects.plan(claim, lenient=True)
             if isinstance(answer, NoPlan):
                 if not dry_run:
-                    self._table.add(replace(claim, detail=str(answer)), "requested")
+                    self._table.add(replace(claim, topic="", detail=str(answer)), "requested")
                 reason = refusal(self._manager, answer, request.exclude)
                 raise NoPlanFound(reason, claim.claim_id)
             if dry_run:
-                return Acquired(claim, answer, *_intended(answer, {}))
+                return Acquired(claim, answer, *_intended(answer, self._prospects.own(claim)))
             plan, done = self._repair.carry_out(claim, answer, lenient=True)
             claim = self._table.add(replace(claim, **outcome(done)), "requested")
         return Acquired(claim, plan, tuple(done.spawned), tuple(sorted(done.reused)))
@@ -244,7 +256,9 @@ class Keeper:
                 return
             self._table.end_late()
             self._prospects.look()
-            self._repair.note_births()
+            self._wires.ask()
+            self._housekeeping.disconnect()
+            self._repair.keep_books()
             claims = self._table.living()
             came = self._counts.read(
                 self._first_messages.periods(claims), self._silence.periods(claims)

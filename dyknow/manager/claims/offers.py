@@ -7,7 +7,8 @@ from typing import Dict, Hashable, Optional, Tuple
 from dyknow.manager.claim import Claim, ClaimState
 from dyknow.manager.claims.claim_table import ClaimTable
 from dyknow.manager.claims.prospects import Prospects
-from dyknow.manager.planning.problem import NoPlan, Plan
+from dyknow.manager.claims.relay import RELAY_COST
+from dyknow.manager.planning.problem import Live, NoPlan, Plan
 
 
 class Offers:
@@ -20,9 +21,13 @@ class Offers:
         self._compared: Dict[str, Tuple[Hashable, str]] = {}
 
     def cheaper(self, claim: Claim) -> Optional[Plan]:
-        """Plan a way that costs less than the present one, if there is any."""
+        """Plan a way by which all claims together cost less than now, if there is any."""
         answer = self._prospects.plan_anew(claim)
-        if isinstance(answer, NoPlan) or answer.cost >= self._prospects.price(claim):
+        if isinstance(answer, NoPlan):
+            return None
+        elsewhere = isinstance(answer.goal, Live) and answer.goal.topic not in ("", claim.topic)
+        cost = answer.cost + (RELAY_COST if elsewhere else 0)
+        if cost >= self._prospects.price(claim):
             return None
         return self._prospects.with_own(answer, self._prospects.own(claim))
 

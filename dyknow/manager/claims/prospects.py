@@ -11,20 +11,26 @@ from typing import AbstractSet, Callable, Dict, FrozenSet, Hashable, Iterable, L
 from dyknow.errors import HostError
 from dyknow.manager.claim import Claim
 from dyknow.manager.claims.claim_table import ClaimTable
+from dyknow.manager.claims.demands import demand_of, may_share
 from dyknow.manager.claims.inspection import is_current
 from dyknow.manager.claims.quarantine import Quarantine
+from dyknow.manager.claims.relay import is_relay
 from dyknow.manager.claims.silence import SilenceWatch
 from dyknow.manager.claims.streams import Stream, live_streams
+from dyknow.manager.claims.turn import Turn
+from dyknow.manager.claims.wires import Wires
 from dyknow.manager.manager import Manager
 from dyknow.manager.model import State
 from dyknow.manager.planning.planner import Planner
 from dyknow.manager.planning.problem import NO_LABELS, Answer, Live, NoPlan, Plan
 from dyknow.manager.planning.supply import Demand, Supply
-from dyknow.manager.specifications.tags import Subsumption, parse_tag
+from dyknow.manager.specifications.tags import Subsumption
 from dyknow.manager.specifications.transformation import Transformation
 
 #: Seconds for which the answer to "which topics are published?" is good enough.
 _FRESH = 0.5
+#: How much the planner may remember in vain, if that is more than the library has.
+_WASTE = 1_000
 
 
 class Prospects:
@@ -37,6 +43,8 @@ class Prospects:
         table: ClaimTable,
         quarantine: Quarantine,
         silence: SilenceWatch,
+        turn: Turn,
+        wires: Wires,
         clock: Callable[[], float],
     ) -> None:
         """Know nothing yet."""
@@ -45,6 +53,8 @@ class Prospects:
         self._table = table
         self._quarantine = quarantine
         self._silence = silence
+        self._turn = turn
+        self._wires = wires
         self._clock = clock
         self._planner = Planner(ontology)
         self._known: Dict[str, Transformation] = {}
@@ -92,14 +102,16 @@ class Prospects:
         return self._manager.library.revision, self.published, others
 
     def own(self, claim: Claim) -> Dict[str, str]:
-        """Healthy nodelets of a claim, by label: they can be re-wired.
+        """Healthy nodelets of a claim, and such as no claim needs, by label: they can be re-wired.
 
         Parts that other claims share are among them, unless these exclude what this one does not:
         whatever suits their in-ports, their out-ports supply the same.
         """
         sharing = [each for each in self._table.living() if each.claim_id != claim.claim_id]
+        needed = self._table.needed() | self._turn.reserved
+        idle = [record.name for record in self._manager.graph.all() if record.name not in needed]
         found: Dict[str, str] = {}
-        for name in claim.nodelets:
+        for name in (*idle, *claim.nodelets):
             record = self._manager.graph.find(name)
             if (
                 record is not None
@@ -117,10 +129,15 @@ class Prospects:
         return found
 
     def price(self, claim: Claim) -> int:
-        """What the nodelets cost that were made for a claim."""
-        return sum(self._known[label].cost for label in self.own(claim))
+        """What would be saved if a claim's stream were not there."""
+        return sum(self._known[label].cost for label in self._saved(claim))
 
     # Plans
+
+    def common_topic(self, claim: Claim) -> str:
+        """Where another client listens that wants the same; empty if there is none."""
+        sharing = [each for each in self._table.living() if each.topic and may_share(claim, each)]
+        return sharing[0].topic if sharing else ""
 
     def plan(
         self, claim: Claim, lenient: bool = False, avoid: FrozenSet[str] = NO_LABELS
@@ -133,15 +150,10 @@ class Prospects:
             avoid: labels that will not do, as has turned out.
         """
         self._update()
-        together = [claim]
-        if claim.topic:
-            sharing = [each for each in self._table.living() if each.topic == claim.topic]
-            together += [each for each in sharing if each.claim_id != claim.claim_id]
+        together = self._together(claim)
         answer = self._plan(together, claim.topic, self._quarantine.names(), avoid)
-        if isinstance(answer, NoPlan) and len(together) > 1:
-            answer = self._plan([claim], claim.topic, self._quarantine.names(), avoid)
         if isinstance(answer, NoPlan) and lenient and self._quarantine.names():
-            answer = self._plan([claim], claim.topic, NO_LABELS, avoid)
+            answer = self._plan(together, claim.topic, NO_LABELS, avoid)
         return answer
 
     def is_waiting(self, claim: Claim) -> bool:
@@ -150,13 +162,14 @@ class Prospects:
         return bool(paused) and isinstance(self._plan([claim], claim.topic, NO_LABELS), Plan)
 
     def plan_anew(self, claim: Claim) -> Answer:
-        """Plan a claim's stream as if its own nodelets were not there."""
+        """Plan a claim's stream as if the nodelets were not there that only it needs."""
         self._update()
-        own = self.own(claim)
+        own = self._saved(claim)
         exclude = frozenset(claim.request.exclude)
-        streams = self._streams(exclude, frozenset(own.values()))
+        streams = self._origins(self._streams(exclude, frozenset(own.values())))
         paused = self._quarantine.names() - frozenset(own)
-        return self._planner.plan(demand_of([claim]), streams, exclude, paused=paused)
+        demand = demand_of(self._together(claim))
+        return self._planner.plan(demand, streams, exclude, paused=paused)
 
     def with_own(self, plan: Plan, own: Dict[str, str]) -> Plan:
         """Take the nodelets that are there out of a plan's price."""
@@ -169,6 +182,24 @@ class Prospects:
         return plan._replace(steps=steps, cost=sum(step.action.cost for step in steps))
 
     # Inside
+
+    def _together(self, claim: Claim) -> List[Claim]:
+        """List the claims whose clients listen where this one's does; this one first."""
+        others = [each for each in self._table.living() if each.claim_id != claim.claim_id]
+        return [claim, *(each for each in others if each.topic and each.topic == claim.topic)]
+
+    def _saved(self, claim: Claim) -> Dict[str, str]:
+        """Nodelets, by label, that would go if the stream of these clients were not needed."""
+        together = {each.claim_id for each in self._together(claim)}
+        kept = {
+            name
+            for each in self._table.living()
+            if each.claim_id not in together
+            for name in each.nodelets
+        }
+        kept.update(each.name for each in self._manager.graph.all() if each.is_protected)
+        own = self.own(claim).items()
+        return {label: name for label, name in own if name in claim.wiring and name not in kept}
 
     def _plan(
         self,
@@ -184,7 +215,18 @@ class Prospects:
         present = self._present(demand, streams, topic)
         if present is not None:
             return Plan(demand, present, (), 0)
-        return self._planner.plan(demand, streams, exclude, own, paused=paused - own)
+        return self._planner.plan(
+            demand, self._origins(streams), exclude, own, paused=paused - own
+        )
+
+    def _origins(self, streams: Iterable[Stream]) -> List[Stream]:
+        """Leave relays out: who needs what they bring takes it where they have it from."""
+        relays = {
+            record.name
+            for record in self._manager.graph.all()
+            if record.transformation is not None and is_relay(record.transformation)
+        }
+        return [each for each in streams if each[0].nodelet not in relays]
 
     def _present(self, demand: Demand, streams: Iterable[Stream], topic: str) -> Optional[Live]:
         """Find a stream that will do and is where the client listens already."""
@@ -219,7 +261,7 @@ class Prospects:
             or (record.claimed and not is_current(manager.library, record))
         }
         unfit = without | excluded | self._silence.unhealthy
-        return live_streams(records, published, self._planner.terms, self._ontology, unfit)
+        return live_streams(records, published, self._wires.audience(), self._ontology, unfit)
 
     def _current(self, label: str) -> Optional[Transformation]:
         self._update()
@@ -228,6 +270,9 @@ class Prospects:
     def _update(self) -> None:
         """Bring the planner up to date with the library."""
         library = self._manager.library
+        if self._planner.waste > max(_WASTE, len(self._planner)):
+            self._planner = Planner(self._ontology)
+            self._known, self._known_revision = {}, -1
         if self._known_revision == library.revision:
             return
         self._known_revision = library.revision
@@ -235,18 +280,5 @@ class Prospects:
         for label in [label for label in self._known if label not in present]:
             self._planner.remove(label)
         known = self._known
-        self._planner.add(each for each in present.values() if known.get(each.label) is not each)
+        self._planner.add(each for each in present.values() if known.get(each.label) != each)
         self._known = present
-
-
-def demand_of(claims: Iterable[Claim]) -> Demand:
-    """What one stream has to be to satisfy all these claims."""
-    claims = list(claims)
-    types = [wanted_type(claim) for claim in claims]
-    tags = frozenset(parse_tag(claim.request.tag) for claim in claims)
-    return Demand(tags, types[0] or max(types))
-
-
-def wanted_type(claim: Claim) -> str:
-    """Type of messages that a claim's client expects: what it asked for, or got first."""
-    return claim.request.datatype or claim.datatype.replace("*", "")

@@ -7,6 +7,8 @@ from typing import Callable, Dict, FrozenSet, Tuple
 #: Seconds of the first pause; the first failure of all has none.
 FIRST_PAUSE = 1.0
 LONGEST_PAUSE = 60.0
+#: Seconds after which a failure is forgotten whatever came of it.
+LONG_AGO = 3600.0
 #: Seconds of good service after which earlier failures are forgiven.
 GOOD_SERVICE = 10.0
 
@@ -21,8 +23,13 @@ class Quarantine:
 
     def blame(self, name: str, served: float = 0.0) -> None:
         """Count a failure, after so many seconds of good service."""
+        now = self._clock()
+        for each in [
+            each for each, (_, last) in list(self._failures.items()) if now - last > LONG_AGO
+        ]:
+            self._failures.pop(each, None)
         count, _ = self._failures.get(name, (0, 0.0))
-        self._failures[name] = (1 if served >= GOOD_SERVICE else count + 1, self._clock())
+        self._failures[name] = (1 if served >= GOOD_SERVICE else count + 1, now)
 
     def forgive(self, name: str) -> None:
         """Forget all failures of a name."""

@@ -9,8 +9,11 @@ from __future__ import annotations
 from typing import Tuple
 
 from dyknow.errors import SpawnFailed
+from dyknow.manager.specifications.tags import read_tags
 from dyknow.manager.specifications.transformation import IN, OUT, Parameter, Port, Transformation
 
+#: What a relay costs, as transformations do that say nothing else.
+RELAY_COST = 1
 #: Labels of relays begin with this.
 _PREFIX = "relay of "
 
@@ -23,9 +26,11 @@ def relay(topic: str, datatype: str, tags: Tuple[str, ...]) -> Transformation:
     """
     if datatype in ("", "*"):
         raise SpawnFailed(_PREFIX + topic, "the type of its messages is not known")
+    tags = tuple(tag for tag in tags if all(term.is_ground for term in read_tags((tag,))))
     return Transformation(
         _PREFIX + topic,
         "dyknow/Relay",
+        cost=RELAY_COST,
         parameters=(Parameter("datatype", "string", datatype),),
         ports=(Port("in", IN, datatype, tags), Port("out", OUT, datatype, tags)),
     )

@@ -11,15 +11,17 @@ from dyknow.manager.claim import Claim, ClaimState
 from dyknow.manager.claims.assembly import Assembly
 from dyknow.manager.claims.claim_table import ClaimTable
 from dyknow.manager.claims.delivery import Delivery
+from dyknow.manager.claims.demands import wanted_type
 from dyknow.manager.claims.first_message import FirstMessages
 from dyknow.manager.claims.housekeeping import Housekeeping
 from dyknow.manager.claims.inspection import Damage, inspect
 from dyknow.manager.claims.message_counts import MessageCounts
 from dyknow.manager.claims.order import Assembled, Order
-from dyknow.manager.claims.prospects import Prospects, wanted_type
+from dyknow.manager.claims.prospects import Prospects
 from dyknow.manager.claims.quarantine import Quarantine
 from dyknow.manager.claims.silence import SilenceWatch
 from dyknow.manager.claims.turn import Turn
+from dyknow.manager.claims.wires import Wires
 from dyknow.manager.manager import Manager
 from dyknow.manager.model import Record, State
 from dyknow.manager.planning.problem import NoPlan, Plan
@@ -45,28 +47,32 @@ class Repair:
         silence: SilenceWatch,
         counts: MessageCounts,
         first_messages: FirstMessages,
+        wires: Wires,
         clock: Callable[[], float],
     ) -> None:
         """Mend nothing yet; hear of nodelets that die from now on."""
         self._manager = manager
         self._table = table
         self._prospects = prospects
-        self._assembly = Assembly(manager, table, turn, delivery, self._note_failure)
+        self._assembly = Assembly(manager, table, turn, wires, delivery, self._note_failure)
         self._housekeeping = housekeeping
         self._quarantine = quarantine
         self._silence = silence
         self._counts = counts
         self._first_messages = first_messages
+        self._wires = wires
         self._clock = clock
         self._born: Dict[str, float] = {}
         self._culprit = ""
+        #: Claims of which nothing came when they were planned last, and what there was then.
         self._hopeless: Dict[str, Tuple[Hashable, str]] = {}
         manager.observer.on_death = self._note_death
 
     def inspect(self, claim: Claim) -> Optional[Damage]:
         """Say what is wrong with a claim's stream; None if it is whole."""
         silence, published = self._silence, self._prospects.published
-        return inspect(self._manager, claim, silence.silent, silence.mute, published)
+        audience = self._wires.audience()
+        return inspect(self._manager, claim, silence.silent, silence.mute, published, audience)
 
     def carry_out(self, claim: Claim, plan: Plan, lenient: bool = False) -> Tuple[Plan, Assembled]:
         """Make a claim's stream as a plan says.
@@ -168,7 +174,7 @@ class Repair:
             self._table.change(claim_id, damage.what, **failed)
             return
         self._quarantine.forgive(claim_id)
-        reason = f"mended: {damage.what}" if claim.topic else "it can be made now"
+        reason = f"mended: {damage.what}" if claim.is_made else "it can be made now"
         reason = with_remarks(reason, done)
         self._table.change(claim_id, reason, **outcome(done))
 
@@ -186,12 +192,22 @@ class Repair:
             state = ClaimState.PENDING
         elif not damage.severed:
             state = ClaimState.DEGRADED
-        self._table.change(claim.claim_id, damage.what, state=state, detail=detail)
+        changes: Dict[str, Any] = {"state": state, "detail": detail}
+        if state is ClaimState.PENDING and claim.is_made:
+            if self._housekeeping.take_apart(claim):
+                kept = set(self._prospects.own(claim).values()) & set(claim.wiring)
+                wiring: Dict[str, Dict[str, str]] = {name: {} for name in kept}
+                changes.update(wiring=wiring, goal=("", ""), sources=())
+            else:
+                still = "but a part of it cannot be disconnected yet"
+                changes.update(state=ClaimState.FAILED, detail=f"{detail}; {still}")
+                self._hopeless.pop(claim.claim_id, None)  # it is tried again
+        self._table.change(claim.claim_id, damage.what, **changes)
 
     # Failures
 
-    def note_births(self) -> None:
-        """Remember since when nodelets serve."""
+    def keep_books(self) -> None:
+        """Remember since when nodelets serve, and forget claims that ended."""
         now = self._clock()
         present = set()
         for record in self._manager.graph.all():
@@ -200,6 +216,8 @@ class Repair:
                 self._born.setdefault(record.name, now)
         for name in [name for name in self._born if name not in present]:
             del self._born[name]
+        for claim_id in [each for each in self._hopeless if self._table.find(each) is None]:
+            del self._hopeless[claim_id]
 
     def _note_failure(self, label: str) -> None:
         """Count against a transformation that no nodelet could be made of it."""

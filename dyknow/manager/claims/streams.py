@@ -6,22 +6,22 @@ is connected to a stream that satisfies it: a detector that nobody feeds supplie
 
 from __future__ import annotations
 
-from typing import AbstractSet, Callable, Iterable, List, Tuple
+from typing import AbstractSet, Iterable, List, Tuple
 
+from dyknow.manager.claims.audience import Audience
 from dyknow.manager.model import Record, State
 from dyknow.manager.planning.problem import Live
 from dyknow.manager.planning.supply import Demand, Supply
-from dyknow.manager.specifications.tags import Subsumption, Term
+from dyknow.manager.specifications.tags import Subsumption, Term, read_tags
 from dyknow.manager.specifications.transformation import IN, OUT, Transformation
 
-Terms = Callable[[Iterable[str]], Tuple[Term, ...]]
 Stream = Tuple[Live, Tuple[Term, ...]]
 
 
 def live_streams(
     records: Iterable[Record],
     published: Iterable[Transformation],
-    terms: Terms,
+    audience: Audience,
     ontology: Subsumption,
     unhealthy: AbstractSet[str] = frozenset(),
 ) -> List[Stream]:
@@ -30,7 +30,7 @@ def live_streams(
     Args:
         records: the nodelets of the graph.
         published: transformations of type topic whose topic has a publisher.
-        terms: reads tags.
+        audience: knows who else sends on a topic: a stream is only what holds for all of them.
         ontology: what is a kind of what.
         unhealthy: nodelets that are not to be relied on.
     """
@@ -38,13 +38,15 @@ def live_streams(
     on_topic: Supply[str] = Supply(ontology)
 
     def supply(stream: Live, tags: Tuple[Term, ...]) -> None:
+        if stream.topic:
+            tags = audience.common_tags(stream.topic, tags)
         streams.append((stream, tags))
         if stream.topic:
             on_topic.add(stream.topic, tags, stream.datatype)
 
     for each in published:
         port = each.ports[0]
-        supply(Live(each.source, "", "", each.label, port.datatype), terms(port.tags))
+        supply(Live(each.source, "", "", each.label, port.datatype), read_tags(port.tags))
     waiting = [
         record
         for record in records
@@ -56,18 +58,18 @@ def live_streams(
     while fed:
         fed = False
         for record in list(waiting):
-            if _is_fed(record, terms, on_topic):
+            if _is_fed(record, on_topic):
                 waiting.remove(record)
                 fed = True
-                for stream, tags in _outputs(record, terms):
+                for stream, tags in _outputs(record):
                     supply(stream, tags)
     return streams
 
 
-def _is_fed(record: Record, terms: Terms, on_topic: Supply[str]) -> bool:
+def _is_fed(record: Record, on_topic: Supply[str]) -> bool:
     assert record.transformation is not None
     for port in record.transformation.ports:
-        tags = terms(port.tags)
+        tags = read_tags(port.tags)
         if port.direction == IN and tags:
             topic = record.topics.get(port.name, "")
             demand = Demand(frozenset(tags), port.datatype)
@@ -76,12 +78,12 @@ def _is_fed(record: Record, terms: Terms, on_topic: Supply[str]) -> bool:
     return True
 
 
-def _outputs(record: Record, terms: Terms) -> List[Stream]:
+def _outputs(record: Record) -> List[Stream]:
     assert record.transformation is not None
     real = {port.name: port.datatype for port in record.ports}
     found = []
     for port in record.transformation.ports:
-        tags = terms(port.tags)
+        tags = read_tags(port.tags)
         if port.direction == OUT and tags:
             stream = Live(
                 record.topics.get(port.name, ""),

@@ -5,28 +5,35 @@ from __future__ import annotations
 import logging
 from dataclasses import replace
 from functools import partial
-from typing import AbstractSet, Callable, Dict, List, Mapping, Tuple
+from typing import AbstractSet, Callable, Dict, List, Mapping, Optional, Tuple
 
-from dyknow.errors import DyKnowError
+from dyknow.errors import DyKnowError, HostError
+from dyknow.manager.claims.wires import Wires
 from dyknow.manager.lifecycle import SpawnRequest
 from dyknow.manager.manager import Manager
-from dyknow.manager.model import Record, seen_ports
+from dyknow.manager.model import Record, State
 from dyknow.manager.specifications.transformation import Transformation
 
 _log = logging.getLogger("rosout.dyknow")
-
-#: Seconds to wait for a look to be done with a nodelet.
-_PATIENCE = 1.0
 
 
 class Transaction:
     """Spawns and connects; what it did can be taken back."""
 
-    def __init__(self, manager: Manager) -> None:
-        """Begin."""
+    def __init__(self, manager: Manager, wires: Wires, mute: AbstractSet[str]) -> None:
+        """Begin.
+
+        Args:
+            manager: makes nodelets.
+            wires: connects them.
+            mute: nodelets that do not answer.
+        """
         self._manager = manager
+        self._wires = wires
+        self._mute = mute
         self.spawned: List[str] = []
-        self._before: List[Tuple[str, Dict[str, str]]] = []
+        #: Nodelets and how they were connected before; None: they were not there.
+        self._before: List[Tuple[str, Optional[Dict[str, str]]]] = []
 
     def spawn(self, transformation: Transformation, request: SpawnRequest) -> Record:
         """Make a nodelet.
@@ -34,51 +41,51 @@ class Transaction:
         Raises:
             DyKnowError: it did not work.
         """
+        planned = Record(request.name, transformation, "", topics=request.config)
+        self._make_way(planned, request.config)
         record = self._manager.lifecycle.spawn(transformation, request)
         self.spawned.append(record.name)
+        self._before.append((record.name, None))
         return record
 
     def connect(self, name: str, config: Mapping[str, str]) -> None:
         """Connect ports; nothing is done for those that are connected so already.
+
+        Whoever would hear what it does not ask for is cut off before.
 
         Raises:
             DyKnowError: the nodelet refused.
         """
         record = self._manager.graph.get(name)
         before = {port: record.topics.get(port, "") for port in config}
-        if before == dict(config):
+        if before == dict(config) and self._wires.is_known(name):
             return
-        connect(self._manager, name, config)
-        self._before.append((name, before))
+        self._make_way(record, config)
+        self._before.append((name, before))  # also what was not answered may have been done
+        self._wires.connect(name, config)
 
     def undo(self, needed: AbstractSet[str]) -> None:
         """Take everything back, the latest first, but nodelets that others need by now."""
         for name, before in reversed(self._before):
-            if name not in self.spawned:
-                _quietly(partial(connect, self._manager, name, before))
-        for name in [name for name in reversed(self.spawned) if name not in needed]:
-            _quietly(partial(self._manager.lifecycle.destroy, name))
+            if before is None:
+                if name not in needed:
+                    _quietly(partial(self._manager.lifecycle.destroy, name))
+            elif name not in self.spawned or name not in needed:
+                _quietly(partial(self._reconnect, name, before))
 
+    def _make_way(self, record: Record, config: Mapping[str, str]) -> None:
+        for name, ports in sorted(self._wires.in_the_way(record, config).items()):
+            other = self._manager.graph.get(name)
+            if other.state is not State.RUNNING or name in self._mute:
+                raise HostError(f"{name} has to be disconnected first, and does not answer")
+            self.connect(name, ports)
 
-def connect(manager: Manager, name: str, config: Mapping[str, str]) -> None:
-    """Connect ports of a nodelet, and let the graph know at once.
-
-    Raises:
-        DyKnowError: the nodelet refused.
-    """
-    for topic in config.values():
-        manager.guards.check_topic(topic)
-    if manager.graph.get(name).rewired_by_reload:
-        manager.lifecycle.reload(name, config)
-        return
-    manager.host.connect(name, config)
-    with manager.graph.changing(name, patience=_PATIENCE) as record:
-        if record is not None:
-            topics = {**record.topics, **config}
-            ports = tuple(
-                replace(port, topic=config.get(port.name, port.topic)) for port in record.ports
-            )
-            manager.graph.put(replace(record, topics=topics, ports=seen_ports(record, ports)))
+    def _reconnect(self, name: str, before: Dict[str, str]) -> None:
+        record = self._manager.graph.find(name)
+        if record is None or not self._wires.is_known(name):
+            return  # it is asked how it is connected, and mended then
+        fits = self._wires.fitting(replace(record, topics=before))
+        self._wires.connect(name, fits)
 
 
 def _quietly(step: Callable[[], None]) -> None:

@@ -10,10 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import AbstractSet, Dict, Iterable, List, Optional, Set, Tuple
 
-from dyknow.errors import InvalidTag
 from dyknow.manager.planning.problem import Action, Live, Need, New, Source
 from dyknow.manager.planning.supply import Demand, Supply
-from dyknow.manager.specifications.tags import NO_ONTOLOGY, Subsumption, Term, parse_tag
+from dyknow.manager.specifications.tags import NO_ONTOLOGY, Subsumption, Term, read_tags
 from dyknow.manager.specifications.transformation import IN, OUT, TOPIC, Port, Transformation
 
 Chosen = Dict[int, int]
@@ -58,13 +57,18 @@ class Network:
         self._suppliers: List[Optional[Dict[int, New]]] = []
         self._touched: Set[str] = set()
         self._supply: Supply[New] = Supply(ontology)
+        self._asked = 0  # demands that only goals had
         self._given: Dict[str, List[Tuple[New, _Terms]]] = {}
         self._shared: Dict[Tuple[str, ...], Tuple[str, ...]] = {}
-        self._read: Dict[Tuple[str, ...], _Terms] = {}
 
     def __len__(self) -> int:
         """Count the transformations."""
         return len(self._by_label)
+
+    @property
+    def waste(self) -> int:
+        """How many numbers stand for what is gone, or was asked for once."""
+        return len(self.labels) - len(self._by_label) + self._asked
 
     def numbers(self, labels: AbstractSet[str]) -> Set[int]:
         """Return the actions of those labels that are known."""
@@ -85,20 +89,6 @@ class Network:
         for source, terms in self._given.pop(label):
             self._supply.remove(source, terms)
             self._touched.update([term.functor for term in terms])
-
-    def terms(self, tags: Iterable[str]) -> _Terms:
-        """Read tags; what is no term says nothing to the planner."""
-        texts = tuple(tags)
-        known = self._read.get(texts)
-        if known is None:
-            found = []
-            for text in texts:
-                try:
-                    found.append(parse_tag(text))
-                except InvalidTag:
-                    continue
-            known = self._read[texts] = tuple(found)
-        return known
 
     def number(self, demand: Demand) -> int:
         """Return the number of a demand."""
@@ -124,6 +114,7 @@ class Network:
     def reach(self, goal: Demand, streams: Supply[Live], exclude: AbstractSet[str]) -> Reach:
         """Collect what the goal can reach; where a live stream is, nothing more is needed."""
         self._forget_suppliers()
+        self._asked += goal not in self._by_demand
         reach = Reach(self.number(goal))
         consumers, served, needs = reach.consumers, reach.served, self.needs
         known = self._suppliers
@@ -173,7 +164,7 @@ class Network:
                     inputs.append(demand)
                     needs.append(Need(name, self.demands[demand]))
             elif direction == OUT:
-                terms = self.terms(tags)
+                terms = read_tags(tags)
                 if terms:
                     source = New(label, name)
                     given.append((source, terms))
@@ -194,7 +185,7 @@ class Network:
         key = tags, datatype
         found = self._by_text.get(key)
         if found is None:
-            terms = self.terms(tags)
+            terms = read_tags(tags)
             if not terms:
                 return None
             found = self._by_text[key] = self.number(Demand(frozenset(terms), datatype))

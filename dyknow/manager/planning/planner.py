@@ -36,6 +36,11 @@ class Planner:
         """Count the transformations that can be planned with."""
         return len(self._network)
 
+    @property
+    def waste(self) -> int:
+        """How much it remembers in vain; a new planner remembers nothing of that."""
+        return self._network.waste
+
     def add(self, transformations: Iterable[Transformation]) -> None:
         """Add transformations; those of known labels are replaced. Topics are no actions."""
         with _no_collection():
@@ -44,10 +49,6 @@ class Planner:
     def remove(self, label: str) -> None:
         """Forget a transformation, if it is known."""
         self._network.remove(label)
-
-    def terms(self, tags: Iterable[str]) -> Tuple[Term, ...]:
-        """Read tags; what is no term says nothing to the planner."""
-        return self._network.terms(tags)
 
     def plan(
         self,

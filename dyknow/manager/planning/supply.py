@@ -23,6 +23,8 @@ from dyknow.manager.specifications.tags import NO_ONTOLOGY, Subsumption, Term, m
 _Functor = Tuple[str, int]  # with the number of arguments
 Supplier = TypeVar("Supplier", bound=Hashable)
 
+#: Types that go with every other.
+_ANY = ("", "*")
 #: Combinations of superordinate names that are spelled out in the index for one tag.
 _SPELLED_OUT = 64
 
@@ -37,6 +39,18 @@ class Demand(NamedTuple):
         """Write the demand for people."""
         text = " & ".join(sorted(map(str, self.tags)))
         return f"{text} [{self.datatype}]" if self.datatype else text
+
+
+def meets(
+    tags: Iterable[Term], datatype: str, demand: Demand, ontology: Subsumption = NO_ONTOLOGY
+) -> bool:
+    """Tell whether one stream of these tags and type is what is demanded."""
+    supplied = [tag for tag in tags if tag.is_ground]
+    if demand.datatype not in _ANY and datatype not in (*_ANY, demand.datatype):
+        return False
+    return all(
+        any(matches(tag, demanded, ontology) for tag in supplied) for demanded in demand.tags
+    )
 
 
 class Supply(Generic[Supplier]):
@@ -108,10 +122,10 @@ class Supply(Generic[Supplier]):
             if not found:
                 return []
         wanted = demand.datatype
-        if wanted in ("", "*"):
+        if wanted in _ANY:
             return list(found or ())
         types = self._datatypes
-        return [each for each in found or () if types[each] in ("", "*", wanted)]
+        return [each for each in found or () if types[each] in (*_ANY, wanted)]
 
     def _of_term(self, demanded: Term) -> AbstractSet[Supplier]:
         if demanded.is_ground:

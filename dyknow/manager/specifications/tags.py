@@ -8,12 +8,16 @@ arguments is equal to, an instance or a subclass of the demanded argument, or me
 from __future__ import annotations
 
 import re
+from functools import lru_cache
 from typing import Dict, NamedTuple, Protocol, Tuple
 
 from dyknow.errors import InvalidTag
 
 _TERM = re.compile(r"\s*([^(),?]*[^(),?\s])\s*(?:\(([^()]*)\)\s*)?\Z")
 _ARGUMENT = re.compile(r"\??[^(),?]*[^(),?\s]\Z")
+
+#: Lists of tags whose terms are remembered.
+_REMEMBERED = 20_000
 
 #: Longest tag that is read, in characters, and most arguments.
 MAX_LENGTH = 4096
@@ -76,6 +80,18 @@ def parse_tag(text: str) -> Term:
         if not _ARGUMENT.match(arg):
             raise InvalidTag(text, f"expected a name or a ?variable as argument, not '{arg}'")
     return Term(functor.strip(), args)
+
+
+@lru_cache(maxsize=_REMEMBERED)
+def read_tags(texts: Tuple[str, ...]) -> Tuple[Term, ...]:
+    """Read the tags of a port; what is no term says nothing to anybody."""
+    found = []
+    for text in texts:
+        try:
+            found.append(parse_tag(text))
+        except InvalidTag:
+            continue
+    return tuple(found)
 
 
 def matches(supplied: Term, demanded: Term, ontology: Subsumption) -> bool:

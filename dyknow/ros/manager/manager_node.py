@@ -16,6 +16,7 @@ import rospy
 
 from dyknow import names
 from dyknow.errors import DyKnowError, PeerTimeout
+from dyknow.manager.claims.keeper import Keeper
 from dyknow.manager.host import Kind
 from dyknow.manager.library import Library
 from dyknow.manager.manager import Manager, Settings
@@ -106,11 +107,12 @@ class ManagerNode(Closable):
             "~model", self.manager.graph_model, self._messages, self._cpp.follow
         )
         self.manager.on_change = self._publisher.note_change
+        ontology = NO_ONTOLOGY if self._ontology is None else self._ontology
+        keeper = Keeper(self.manager, ontology)  # sees to it how what comes back is connected
         self.manager.start()
         self._retire_empty()
         self._after_change()
-        ontology = NO_ONTOLOGY if self._ontology is None else self._ontology
-        self._streams = StreamNode(self.manager, ontology, self._after_change)
+        self._streams = StreamNode(self.manager, keeper, self._after_change)
         self.manager.on_change = self._on_change
         self._services = ManagerServices(self.manager, self._messages, self._after_change)
         self._publisher.note_change()

@@ -17,7 +17,6 @@ from dyknow.manager.claim import ClaimEvent
 from dyknow.manager.claims.advice import unknown_labels
 from dyknow.manager.claims.keeper import Keeper
 from dyknow.manager.manager import Manager
-from dyknow.manager.specifications.tags import Subsumption
 from dyknow.ros.bonding.claim_bonds import ClaimBonds
 from dyknow.ros.manager.reconciling import Reconciling
 from dyknow.ros.manager.stream_messages import StreamMessages
@@ -33,20 +32,18 @@ _END_PATIENCE = 3.0
 class StreamNode:
     """Claims and their surroundings; the manager must have been started."""
 
-    def __init__(
-        self, manager: Manager, ontology: Subsumption, after_change: Callable[[], None]
-    ) -> None:
+    def __init__(self, manager: Manager, keeper: Keeper, after_change: Callable[[], None]) -> None:
         """Take up the claims of an earlier life, and offer the services.
 
         Args:
             manager: makes and destroys nodelets.
-            ontology: what is a kind of what.
+            keeper: keeps the claims; it was there before the manager was started.
             after_change: called after each attempt to change something, before it is answered.
         """
         self._manager = manager
         self._messages = StreamMessages()
         self._publisher = rospy.Publisher("~stream_events", StreamEvent, queue_size=_QUEUE_SIZE)
-        self._keeper = Keeper(manager, ontology)
+        self._keeper = keeper
         self._known: Set[str] = {claim.claim_id for claim in self._keeper.claims()}
         self._bonds = ClaimBonds(self._keeper.expire)
         self._reconciling = Reconciling(self._keeper, self._has_work)

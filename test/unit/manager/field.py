@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Dict, List
+from typing import Any, Dict, List, Mapping, Sequence, Tuple
 
 from dyknow.manager.claim import Claim, ClaimEvent, ClaimState, StreamRequest
 from dyknow.manager.claims.keeper import Acquired, Keeper
@@ -11,6 +11,7 @@ from dyknow.manager.library import Library
 from dyknow.manager.lifecycle import SpawnRequest
 from dyknow.manager.manager import Manager
 from dyknow.manager.model import State
+from dyknow.manager.specifications.tags import NO_ONTOLOGY, Subsumption
 from dyknow.manager.store import Store
 
 IMAGE, POINT = "sensor_msgs/Image", "geometry_msgs/PointStamped"
@@ -76,26 +77,54 @@ def transformation(label: str, source: str, ports: str, tags: str, cost: int = 1
     return "".join([*lines, "</tags></transformation>"])
 
 
+def specification(
+    label: str,
+    source: str,
+    ports: Mapping[str, Tuple[str, Sequence[str]]],
+    cost: int,
+    datatype: str,
+) -> str:
+    """Write a specification: for each port its direction and its tags."""
+    lines = [f'<transformation cost="{cost}"><label>{label}</label><source>{source}</source>']
+    lines.append("<ports>")
+    lines += [
+        f'<port type="{way}" datatype="{datatype}">{name}</port>'
+        for name, (way, _) in ports.items()
+    ]
+    lines.append("</ports><tags>")
+    for name, (_, tags) in ports.items():
+        lines += [f'<tag port="{name}">{tag}</tag>' for tag in tags]
+    return "".join([*lines, "</tags></transformation>"])
+
+
 class Field:
     """A manager, a keeper, and time that is moved by hand."""
 
-    def __init__(self, path: str = ":memory:") -> None:
-        self.host = FakeHost(SOURCES, clock=lambda: self.now)
+    def __init__(
+        self,
+        path: str = ":memory:",
+        sources: Mapping[str, Sequence[Tuple[str, str, str]]] = SOURCES,
+        library: str = LIBRARY,
+        ontology: Subsumption = NO_ONTOLOGY,
+    ) -> None:
+        self.host = FakeHost(sources, clock=lambda: self.now)
+        self.ontology = ontology
         self.host.topics.add("/joint_states")
         self.path = path
         self.now = 0.0
         self.by_hand: Dict[str, bool] = {}
         self.moving: set[str] = set()
         self.open()
-        self.manager.add_transformation(LIBRARY)
+        if library:
+            self.manager.add_transformation(library)
 
     def open(self) -> None:
         """Start a manager on what the store has."""
         self.store = Store(self.path)
         library = Library(self.store)
         self.manager = Manager(self.host, self.store, library, clock=lambda: self.now)
+        self.keeper = Keeper(self.manager, self.ontology, clock=lambda: self.now, sleep=self.sleep)
         self.manager.start()
-        self.keeper = Keeper(self.manager, clock=lambda: self.now, sleep=self.sleep)
         self.events: List[ClaimEvent] = []
         self.keeper.on_event = self.events.append
 

@@ -83,7 +83,7 @@ def test_a_replanned_stream_says_so(field: Field) -> None:
     assert details(field) == [""]
 
 
-def test_what_is_whole_again_says_so(field: Field) -> None:
+def test_what_can_be_used_again_says_so(field: Field) -> None:
     field.spawn("localization", "/mine", isolated=True, config={"position": "/mine/position"})
     field.manager.remove_transformation("localization")
     planes = field.acquire("RelativePosition(ball)").claim
@@ -98,7 +98,7 @@ def test_what_is_whole_again_says_so(field: Field) -> None:
     field.host.silent.add("/mine")
     field.host.wake(manager)
     field.settle(5.0)
-    assert field.reasons()[-1] == "it is whole again"
+    assert field.reasons()[-1] == "it can be made now"
     assert sorted(details(field)) == ["", NO_MESSAGE]
 
 

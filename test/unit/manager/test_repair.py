@@ -233,7 +233,7 @@ def test_claims_that_share_all_of_a_chain_are_mended_together(field: Field) -> N
         assert field.state(claim.claim_id) is ClaimState.ACTIVE
         assert field.claim(claim.claim_id).topic == claim.topic
         assert claim.topic in field.moving
-    assert len(field.host.running) == 4
+    assert len(field.host.running) == 5, "one of them brings one position to two topics"
 
 
 @pytest.mark.parametrize("ids", ["01", "10"])
@@ -260,7 +260,7 @@ def test_a_variable_is_not_bound_anew_at_the_cost_of_another_claim(field: Field)
     field.manager.remove_transformation("goal finder")
     first = field.acquire("FieldPosition(?what)").claim
     second = field.acquire("FieldPosition(ball)").claim
-    assert first.topic == second.topic
+    assert first.topic != second.topic, "what one gets may change without the other"
     field.manager.add_transformation(
         transformation(
             "goal finder",
@@ -272,12 +272,12 @@ def test_a_variable_is_not_bound_anew_at_the_cost_of_another_claim(field: Field)
     )
     field.settle()
     field.manager.destroy("/localization_1")
-    field.settle()
+    field.tidy()
     for claim in (first, second):
         assert field.state(claim.claim_id) is ClaimState.ACTIVE
         assert field.claim(claim.claim_id).topic == claim.topic
-    field.tidy()
-    assert field.labels() == CHAIN
+    assert field.host.publishers(first.topic) == ["/goal_finder_1"]
+    assert field.claim(second.claim_id).goal[0].startswith("/localization")
 
 
 def test_what_a_claim_excludes_does_not_come_to_it_through_others(field: Field) -> None:

@@ -1,0 +1,71 @@
+"""A cheaper way is one by which all claims together cost less."""
+
+from __future__ import annotations
+
+from typing import List
+
+import pytest
+from unit.manager.field import LIBRARY, POINT, Field, transformation
+
+
+@pytest.fixture
+def field() -> Field:
+    field = Field()
+    field.host.sources["soccer/Alone"] = [("ball", "out", POINT)]
+    return field
+
+
+def total(field: Field) -> int:
+    return sum(
+        record.transformation.cost
+        for record in field.manager.graph.all()
+        if record.claimed and record.transformation is not None
+    )
+
+
+def news(field: Field) -> List[str]:
+    return [reason for reason in field.reasons() if "cheaper" in reason]
+
+
+ALONE = transformation("alone", "soccer/Alone", "out ball", "ball RelativePosition(ball)", 2)
+
+
+def test_what_others_need_anyway_is_not_saved(field: Field) -> None:
+    """A detector of cost 2 is cheaper than three parts, but two of them stay for the other."""
+    whole = field.acquire("RelativePosition(ball)").claim
+    planes = field.acquire("Planes(field)").claim
+    field.manager.add_transformation(ALONE)
+    field.settle(10.0)
+    assert news(field) == []
+    before = total(field)
+    field.keeper.replan(whole.claim_id)
+    field.tidy()
+    assert total(field) == before
+    field.keeper.release(planes.claim_id)
+    field.manager.add_transformation(LIBRARY)  # something new: they are compared again
+    field.settle(10.0)
+    assert len(news(field)) == 1
+    assert field.keeper.replan(whole.claim_id).cost == 2
+    field.tidy()
+    assert total(field) == 2 < before
+
+
+def test_what_all_clients_of_a_stream_share_is_saved(field: Field) -> None:
+    claims = [field.acquire("RelativePosition(ball)").claim for _ in range(2)]
+    field.manager.add_transformation(ALONE)
+    field.settle(10.0)
+    assert len(news(field)) == 2, "each of them is told"
+    field.keeper.replan(claims[0].claim_id)
+    field.tidy()
+    assert total(field) == 2
+    assert {field.claim(each.claim_id).topic for each in claims} == {claims[0].topic}
+    assert claims[0].topic in field.moving
+
+
+def test_what_is_protected_is_not_saved(field: Field) -> None:
+    field.acquire("RelativePosition(ball)")
+    for name in ("/bottom_camera_1", "/subsampler_1"):
+        field.manager.set_protection(name, True)
+    field.manager.add_transformation(ALONE)
+    field.settle(10.0)
+    assert news(field) == []

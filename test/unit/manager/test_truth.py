@@ -1,0 +1,276 @@
+"""Nobody receives what was not asked for: the paths on which it could happen, one by one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Dict, List, Sequence, Tuple
+
+import pytest
+from unit.manager.field import CHAIN, GOAL, IMAGE, LIBRARY, Field, specification, transformation
+
+from dyknow.errors import HostError, NoPlanFound
+from dyknow.manager.claim import ClaimEvent, ClaimState
+
+JOINTS = "sensor_msgs/JointState"
+
+
+def described(label: str, topic: str, tag: str, datatype: str = JOINTS) -> str:
+    return (
+        f'<transformation type="topic"><label>{label}</label><source>{topic}</source>'
+        f'<ports><port type="out" datatype="{datatype}">out</port></ports>'
+        f'<tags><tag port="out">{tag}</tag></tags></transformation>'
+    )
+
+
+@pytest.fixture
+def field() -> Field:
+    return Field()
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Field:
+    """Two cameras and a converter that wants one of them."""
+    parts: Dict[str, Tuple[int, Dict[str, Tuple[str, Sequence[str]]]]] = {
+        "ceiling": (1, {"image": ("out", ["RawYUV(ceiling)"])}),
+        "bottom": (5, {"image": ("out", ["RawYUV(bottom)"])}),
+        "convert": (1, {"raw": ("in", ["RawYUV(ceiling)"]), "bgr": ("out", ["BGR(ceiling)"])}),
+    }
+    sources: Dict[str, List[Tuple[str, str, str]]] = {
+        "dyknow/Relay": [("in", "in", "*"), ("out", "out", "*")]
+    }
+    text = []
+    for label, (cost, ports) in parts.items():
+        sources[f"lab/{label}"] = [(name, way, IMAGE) for name, (way, _) in ports.items()]
+        text.append(specification(label, f"lab/{label}", ports, cost, IMAGE))
+    library = "<transformations>" + "".join(text) + "</transformations>"
+    return Field(str(tmp_path / "state.db"), sources, library)
+
+
+def connected(field: Field, name: str) -> Dict[str, str]:
+    ports = field.host.nodelet(name).ports.values()
+    return {port.name: port.topic for port in ports if port.topic}
+
+
+# One claim is mended, another listens there
+
+
+def test_what_a_claim_is_mended_with_does_not_reach_another_claim(lab: Field) -> None:
+    any_camera = lab.acquire("RawYUV(?camera)").claim
+    ceiling = lab.acquire("BGR(ceiling)").claim
+    assert connected(lab, "/convert_1")["raw"] == any_camera.topic
+    heard: List[List[str]] = []
+
+    def look() -> None:
+        topic = connected(lab, "/convert_1").get("raw", "nowhere")
+        heard.append([name for name in lab.host.publishers(topic) if name != "/ceiling_1"])
+
+    lab.host.on_change = look
+    lab.manager.remove_transformation("ceiling")
+    for _ in range(5):
+        lab.tick()
+    lab.host.on_change = lambda: None
+    assert not any(heard), "not even for a moment"
+    assert lab.state(any_camera.claim_id) is ClaimState.ACTIVE
+    assert lab.claim(any_camera.claim_id).topic == any_camera.topic in lab.moving
+    assert lab.host.publishers(any_camera.topic) == ["/bottom_1"]
+    assert lab.state(ceiling.claim_id) is ClaimState.PENDING
+    assert lab.host.publishers(ceiling.topic) == []
+    lab.manager.add_transformation(specification("ceiling", "lab/ceiling", CEILING, 1, IMAGE))
+    lab.settle(3.0)
+    assert lab.state(ceiling.claim_id) is ClaimState.ACTIVE
+    assert lab.claim(ceiling.claim_id).topic == ceiling.topic in lab.moving
+
+
+CEILING = {"image": ("out", ["RawYUV(ceiling)"])}
+
+
+def test_clients_share_a_topic_only_if_they_ask_for_the_same(lab: Field) -> None:
+    first = lab.acquire("RawYUV(?camera)").claim
+    same = lab.acquire("RawYUV( ?camera )")
+    other = lab.acquire("RawYUV(ceiling)")
+    assert same.claim.topic == first.topic != other.claim.topic
+    assert (same.spawned, other.spawned) == ((), ("/relay_of_ceiling_1_image_1",))
+    lab.settle(1.0)
+    assert {first.topic, other.claim.topic} <= lab.moving
+    lab.keeper.release(other.claim.claim_id)
+    lab.tidy()
+    assert lab.host.running == ["/ceiling_1"]
+
+
+def test_a_failed_mend_connects_nobody_to_what_does_not_fit(lab: Field) -> None:
+    any_camera = lab.acquire("RawYUV(?camera)").claim
+    ceiling = lab.acquire("BGR(ceiling)").claim
+    lab.settle(3.0)
+    before = connected(lab, "/convert_1")
+    lab.host.slow.add("/ceiling_1")  # it is not taken off the topic
+    lab.manager.remove_transformation("ceiling")
+    for _ in range(5):
+        lab.tick()
+        topic = connected(lab, "/convert_1").get("raw", "nowhere")
+        assert "/bottom_1" not in lab.host.publishers(topic)
+    lab.host.slow.clear()
+    lab.host.arrive()
+    lab.settle(5.0)
+    assert lab.state(any_camera.claim_id) is ClaimState.ACTIVE
+    assert lab.state(ceiling.claim_id) in (ClaimState.PENDING, ClaimState.DEGRADED)
+    if lab.state(ceiling.claim_id) is ClaimState.PENDING:
+        assert connected(lab, "/convert_1") == {} != before
+
+
+# Claims that wait, claims that ended
+
+
+def test_a_claim_that_waits_delivers_nothing_and_says_so_after_that(field: Field) -> None:
+    claim = field.acquire().claim
+    field.settle()
+    told: List[Tuple[ClaimState, List[str]]] = []
+
+    def listen(event: ClaimEvent) -> None:
+        told.append((event.after.state, field.host.publishers(claim.topic)))
+
+    field.keeper.on_event = listen
+    field.host.topics.clear()
+    field.settle()
+    assert told == [(ClaimState.PENDING, [])]
+    assert {name: connected(field, name) for name in field.host.running} == {
+        name: {} for name in claim.nodelets
+    }
+    field.host.topics.add("/joint_states")
+    field.settle()
+    assert field.state(claim.claim_id) is ClaimState.ACTIVE
+    assert field.labels() == CHAIN, "what was kept for it is used again"
+    assert claim.topic in field.moving
+
+
+def test_what_lingers_keeps_no_wires_and_is_used_again(field: Field) -> None:
+    claim = field.acquire().claim
+    field.keeper.release(claim.claim_id)
+    field.tick()
+    running = field.host.running
+    assert [connected(field, name) for name in running] == [{}] * 4
+    again = field.acquire()
+    assert (again.spawned, list(again.reused)) == ((), ["/joint_states", *running][1:])
+    field.settle()
+    assert again.claim.topic in field.moving
+    assert field.host.running == running
+
+
+def test_what_a_waiting_claim_shares_goes_on_for_the_other(field: Field) -> None:
+    whole = field.acquire().claim
+    planes = field.acquire("Planes(field)").claim
+    field.host.topics.clear()
+    field.settle()
+    assert field.state(whole.claim_id) is ClaimState.PENDING
+    assert field.state(planes.claim_id) is ClaimState.ACTIVE
+    assert planes.topic in field.moving and whole.topic not in field.moving
+
+
+# Topics of ordinary nodes
+
+
+def test_a_topic_whose_description_was_removed_is_used_no_more(field: Field) -> None:
+    claim = field.acquire().claim
+    field.manager.remove_transformation("joints")
+    field.settle()
+    assert field.state(claim.claim_id) is ClaimState.PENDING
+    assert "nothing supplies Joints(?robot)" in field.claim(claim.claim_id).detail
+    assert field.host.publishers(claim.topic) == []
+    assert "joints" not in connected(field, "/detector_1")
+    field.host.topics.add("/other/joints")
+    field.manager.add_transformation(described("others", "/other/joints", "Joints(other)"))
+    field.settle()
+    assert field.state(claim.claim_id) is ClaimState.ACTIVE
+    assert connected(field, "/detector_1")["joints"] == "/other/joints"
+
+
+def test_a_topic_that_is_described_as_something_else_is_used_no_more(field: Field) -> None:
+    claim = field.acquire().claim
+    field.host.topics.add("/other/joints")
+    field.manager.add_transformation(described("others", "/other/joints", "Joints(other)"))
+    field.manager.add_transformation(described("joints", "/joint_states", "Weather(here)"))
+    field.settle()
+    assert field.state(claim.claim_id) is ClaimState.ACTIVE
+    assert connected(field, "/detector_1")["joints"] == "/other/joints"
+
+
+def test_a_client_of_a_topic_is_told_when_its_description_goes(field: Field) -> None:
+    claim = field.acquire("Joints(nao)").claim
+    assert claim.topic == "/joint_states"
+    field.manager.remove_transformation("joints")
+    field.settle()
+    assert field.state(claim.claim_id) is ClaimState.PENDING
+    field.manager.add_transformation(LIBRARY)
+    field.settle()
+    assert field.state(claim.claim_id) is ClaimState.ACTIVE
+
+
+# What people do
+
+
+def test_who_sends_something_else_on_a_claim_s_topic_is_taken_off(field: Field) -> None:
+    field.manager.add_transformation(
+        transformation("noise", "soccer/Localization", "in ball, out position", "position Noise")
+    )
+    claim = field.acquire().claim
+    field.spawn("noise", "/noise", config={"position": "/noise/position"})
+    field.host.connect("/noise", {"position": claim.topic})
+    field.manager.look({"/noise"})
+    field.settle()
+    assert field.host.publishers(claim.topic) == [claim.goal[0]]
+    assert field.state(claim.claim_id) is ClaimState.ACTIVE
+
+
+def test_what_people_connected_is_cut_off_before_something_else_comes_there(lab: Field) -> None:
+    any_camera = lab.acquire("RawYUV(?camera)").claim
+    lab.spawn("convert", "/mine", config={"raw": any_camera.topic, "bgr": "/mine/bgr"})
+    lab.settle()
+    assert connected(lab, "/mine")["raw"] == any_camera.topic
+    lab.manager.remove_transformation("ceiling")
+    lab.settle()
+    assert lab.host.publishers(any_camera.topic) == ["/bottom_1"]
+    assert connected(lab, "/mine") == {"bgr": "/mine/bgr"}
+
+
+def test_what_died_comes_back_without_what_does_not_fit_any_more(lab: Field) -> None:
+    any_camera = lab.acquire("RawYUV(?camera)").claim
+    lab.spawn("convert", "/mine", config={"raw": any_camera.topic}, isolated=True)
+    manager = lab.manager.graph.get("/mine").manager
+    lab.settle()
+
+    def fail(what: str, name: str) -> None:
+        if (what, name) == ("load", "/mine"):
+            raise HostError("not yet")
+
+    lab.host.fail = fail
+    lab.host.kill(manager)
+    lab.tick()
+    lab.manager.remove_transformation("ceiling")
+    lab.settle()
+    assert lab.host.publishers(any_camera.topic) == ["/bottom_1"]
+    lab.host.fail = lambda what, name: None
+    lab.settle(60.0)
+    assert "/mine" in lab.host.running
+    assert connected(lab, "/mine") == {}
+
+
+def test_a_topic_with_two_streams_is_neither(lab: Field) -> None:
+    lab.spawn("ceiling", "/one", config={"image": "/image"})
+    lab.spawn("bottom", "/two", config={"image": "/image"})
+    claim = lab.acquire("BGR(ceiling)").claim
+    assert connected(lab, "/convert_1")["raw"] != "/image"
+    either = lab.acquire("RawYUV(?camera)").claim
+    assert either.topic != "/image"
+    lab.settle()
+    assert {claim.topic, either.topic} <= lab.moving
+
+
+def test_a_claim_that_cannot_be_met_any_more_waits_whatever_others_get(lab: Field) -> None:
+    with pytest.raises(NoPlanFound):
+        lab.acquire("BGR(bottom)")
+    assert [claim.topic for claim in lab.living()] == [""]
+
+
+def test_the_goal_of_the_case_study_is_one_stream_for_all_who_ask_for_it(field: Field) -> None:
+    claims = [field.acquire(GOAL).claim for _ in range(3)]
+    assert len({claim.topic for claim in claims}) == 1
+    assert field.labels() == CHAIN

@@ -1,0 +1,352 @@
+"""At no moment does an in-port receive what it did not ask for, whatever happens in any order.
+
+Libraries, clients, users and accidents are random; a witness looks after every single change of
+the fake host, and again when the manager had its round.
+"""
+
+from __future__ import annotations
+
+import itertools
+import tempfile
+from pathlib import Path
+from typing import List, Sequence
+from unittest import mock
+
+import pytest
+from hypothesis import HealthCheck, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import (
+    RuleBasedStateMachine,
+    invariant,
+    precondition,
+    rule,
+    run_state_machine_as_test,
+)
+from unit.manager.field import Field, specification
+from unit.manager.witness import Concepts, Witness
+
+from dyknow.errors import DyKnowError, HostError
+from dyknow.manager.claim import ClaimState
+from dyknow.manager.lifecycle import SpawnRequest
+
+CONCEPTS = Concepts({"Frame": "Image", "left": "camera", "right": "camera"})
+TYPE = "test/Signed"
+GROUND = ["Image(left)", "Image(right)", "Frame(left)", "Ball(red)", "Ball(blue)", "Goal(red)"]
+OPEN = ["Image(?c)", "Image(camera)", "Frame(?c)", "Ball(?b)"]
+SUPPLIED = st.lists(st.sampled_from(GROUND), min_size=1, max_size=2, unique=True)
+DEMANDED = st.sampled_from(GROUND + OPEN)
+LABELS = st.sampled_from([f"part {letter}" for letter in "abcdef"])
+ORDINARY = st.sampled_from(["/sensor", "/other_sensor"])
+NUMBERS = st.integers(0, 30)
+PLAN = st.tuples(
+    st.lists(DEMANDED, max_size=2),
+    st.lists(SUPPLIED, min_size=1, max_size=2),
+    st.integers(0, 3),
+    st.sampled_from([False, False, False, True]),
+)
+
+
+class Truth(RuleBasedStateMachine):
+    """A library, claims, and everything that can go wrong."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        numbers = itertools.count(1)  # claims are looked at in the order of their ids
+        self.ids = mock.patch(
+            "dyknow.manager.claims.keeper.uuid.uuid4",
+            lambda: mock.Mock(hex=f"{next(numbers):012x}"),
+        )
+        self.ids.start()
+        self.folder = tempfile.TemporaryDirectory()
+        relay = {"dyknow/Relay": [("in", "in", "*"), ("out", "out", "*")]}
+        path = str(Path(self.folder.name) / "state.db")
+        self.field = Field(path, relay, "", CONCEPTS)
+        self.field.host.topics.clear()
+        self.witness = Witness(self.field.host, CONCEPTS)
+        self.witness.claims = lambda: self.field.keeper.claims()
+        self.types = itertools.count(1)
+        self.hands = itertools.count(1)
+        self.add("part a", [], [["Image(left)"]])
+        self.add("part b", [], [["Image(right)"]], cost=2)
+        self.add("part c", ["Image(left)"], [["Frame(left)"]])
+        self.add("part d", ["Image(?c)"], [["Ball(red)"], ["Ball(blue)"]])
+        self.add("part e", ["Ball(?b)", "Image(right)"], [["Goal(red)"]])
+
+    def teardown(self) -> None:
+        self.ids.stop()
+        field = self.field
+        field.host.fail = lambda operation, argument: None
+        field.host.silent.clear()
+        field.host.slow.clear()
+        for manager in list(field.host.processes):
+            field.host.wake(manager)
+        self.arrive_late()
+        self.witness.excuse()
+        for _ in range(3):
+            self.pass_time(60.0)
+        for claim in field.living():
+            states = (ClaimState.ACTIVE, ClaimState.PENDING, ClaimState.DEGRADED)
+            assert claim.state in states, (claim.state, claim.detail)
+            if claim.state is ClaimState.ACTIVE and not self.witness.by_hand:
+                assert claim.topic in field.moving, claim
+        field.store.close()
+        self.folder.cleanup()
+
+    # Clients
+
+    @rule(tag=DEMANDED, silence=st.sampled_from([0.0, 0.0, 1.0]), exclude=st.booleans())
+    def acquire(self, tag: str, silence: float, exclude: bool) -> None:
+        labels = ("part a",) if exclude else ()
+        self.asked(lambda: self.field.acquire(tag, max_silence=silence, exclude=labels))
+
+    @precondition(lambda self: self.field.living())
+    @rule(number=NUMBERS)
+    def release(self, number: int) -> None:
+        living = self.field.living()
+        self.field.keeper.release(living[number % len(living)].claim_id)
+
+    @precondition(lambda self: self.field.living())
+    @rule(number=NUMBERS)
+    def replan(self, number: int) -> None:
+        living = self.field.living()
+        claim_id = living[number % len(living)].claim_id
+        self.asked(lambda: self.field.keeper.replan(claim_id))
+
+    # The library
+
+    @rule(label=LABELS, plan=PLAN)
+    def describe(self, label: str, plan) -> None:
+        self.add(label, *plan)
+
+    def add(
+        self,
+        label: str,
+        demanded: Sequence[str],
+        supplied: Sequence[Sequence[str]],
+        cost: int = 1,
+        is_plain: bool = False,
+    ) -> None:
+        source = f"test/T{next(self.types)}"
+        named = {f"in{number}": ("in", (tag,)) for number, tag in enumerate(demanded)}
+        for number, tags in enumerate(supplied):
+            named[f"out{number}"] = ("out", tuple(tags))
+        self.field.host.sources[source] = [(name, way, TYPE) for name, (way, _) in named.items()]
+        if is_plain:
+            self.field.host.cpp.add(source)
+        self.witness.signed[source] = {name: tags for name, (_, tags) in named.items()}
+        self.field.manager.add_transformation(specification(label, source, named, cost, TYPE))
+        self.witness.described.pop(label, None)
+        self.witness.excuse()
+
+    @rule(label=LABELS, topic=ORDINARY, tags=SUPPLIED)
+    def describe_topic(self, label: str, topic: str, tags: List[str]) -> None:
+        lines = "".join(f'<tag port="out">{tag}</tag>' for tag in tags)
+        self.field.manager.add_transformation(
+            f'<transformation type="topic"><label>{label}</label><source>{topic}</source>'
+            f'<ports><port type="out" datatype="{TYPE}">out</port></ports>'
+            f"<tags>{lines}</tags></transformation>"
+        )
+        self.witness.described[label] = (topic, tuple(tags))
+        self.witness.excuse()
+
+    @rule(label=LABELS)
+    def remove(self, label: str) -> None:
+        self.asked(lambda: self.field.manager.remove_transformation(label))
+        self.witness.described.pop(label, None)
+        self.witness.excuse()
+
+    # Users
+
+    @rule(label=LABELS, numbers=st.lists(NUMBERS, min_size=4, max_size=4))
+    def spawn(self, label: str, numbers: List[int]) -> None:
+        name = f"/by_hand_{next(self.hands)}"
+        topics = ["", *self.topics(), f"{name}/own"]
+        try:
+            ports = self.field.manager.library.get(label).ports
+        except DyKnowError:
+            return
+        config = {port.name: topics[number % len(topics)] for port, number in zip(ports, numbers)}
+        self.witness.by_hand.add(name)
+        self.asked(lambda: self.field.manager.spawn(SpawnRequest(label, name, config=config)))
+        self.witness.excuse()
+        self.witness.guilt.clear()
+
+    @precondition(lambda self: self.field.host.running)
+    @rule(number=NUMBERS)
+    def destroy(self, number: int) -> None:
+        name = self.any_nodelet(number)
+        self.asked(lambda: self.field.manager.destroy(name))
+        self.witness.guilt.clear()
+        self.witness.excuse()
+
+    @precondition(lambda self: self.field.host.running)
+    @rule(number=NUMBERS, port=NUMBERS, topic=NUMBERS)
+    def connect(self, number: int, port: int, topic: int) -> None:
+        host = self.field.host
+        name = self.any_nodelet(number)
+        is_plain = host.nodelet(name).request.source in host.cpp
+        if is_plain or host.is_hung(self.field.manager.graph.get(name).manager):
+            return
+        ports = sorted(host.nodelet(name).ports)
+        topics = ["", *self.topics(), "/by/hand"]
+        fail, host.fail = host.fail, lambda operation, argument: None
+        slow, host.slow = host.slow, set()
+        config = {ports[port % len(ports)]: topics[topic % len(topics)]}
+        self.asked(lambda: host.connect(name, config))
+        host.fail, host.slow = fail, slow
+        self.witness.guilt.clear()
+        self.witness.excuse()
+        self.field.manager.look({name})
+
+    # Accidents
+
+    @rule(number=NUMBERS)
+    def kill(self, number: int) -> None:
+        processes = sorted(self.field.host.processes)
+        if processes:
+            self.field.host.kill(processes[number % len(processes)])
+            self.witness.excuse()
+
+    @precondition(lambda self: self.field.host.running)
+    @rule(number=NUMBERS)
+    def vanish(self, number: int) -> None:
+        self.field.host.vanish(self.any_nodelet(number))
+        self.witness.excuse()
+
+    @rule(number=NUMBERS, hang=st.booleans())
+    def hang(self, number: int, hang: bool) -> None:
+        host = self.field.host
+        processes = [name for name in sorted(host.processes) if host.processes[name].state.alive]
+        if processes:
+            (host.hang if hang else host.wake)(processes[number % len(processes)])
+            self.look_at_everything()
+            self.witness.guilt.clear()
+            self.witness.excuse()
+
+    @precondition(lambda self: self.field.host.running)
+    @rule(number=NUMBERS)
+    def silence(self, number: int) -> None:
+        self.field.host.silent.add(self.any_nodelet(number))
+
+    @precondition(lambda self: self.field.host.silent)
+    @rule()
+    def speak(self) -> None:
+        self.field.host.silent.clear()
+
+    @precondition(lambda self: self.field.host.running)
+    @rule(number=NUMBERS)
+    def slow(self, number: int) -> None:
+        self.field.host.slow.add(self.any_nodelet(number))
+
+    @precondition(lambda self: self.field.host.slow)
+    @rule()
+    def arrive(self) -> None:
+        self.field.host.slow.clear()
+        self.arrive_late()
+
+    @rule(operation=st.sampled_from(["load", "connect", "unload", "ports"]), number=NUMBERS)
+    def fail(self, operation: str, number: int) -> None:
+        left = [number % 6]
+
+        def fail(what: str, argument: str) -> None:
+            if what == operation:
+                left[0] -= 1
+                if left[0] == 0:
+                    raise HostError("it is broken")
+
+        self.field.host.fail = fail
+
+    @rule(topic=ORDINARY, there=st.booleans())
+    def sensor(self, topic: str, there: bool) -> None:
+        topics = self.field.host.topics
+        (topics.add if there else topics.discard)(topic)
+        self.witness.excuse()
+
+    @rule()
+    def kill_dyknow(self) -> None:
+        self.field.kill_manager()
+
+    @rule(seconds=st.sampled_from([1.0, 10.0]))
+    def wait(self, seconds: float) -> None:
+        self.pass_time(seconds)
+
+    # What must hold
+
+    @invariant()
+    def holds(self) -> None:
+        assert self.witness.guilt == [], "the manager connected what does not fit"
+        self.pass_time(0.4)
+
+    def pass_time(self, seconds: float) -> None:
+        for _ in range(2):
+            self.field.tick(seconds / 2)
+            assert self.witness.guilt == [], "the manager connected what does not fit"
+        for _ in range(5):  # what failed is tried again, after pauses that grow
+            if self.witness.lasting() or self.witness.fed_while_pending():
+                self.field.tick(10.0)
+        assert not self.witness.lasting(), "and what others connected does not last"
+        assert self.witness.fed_while_pending() == []
+
+    # How it is done
+
+    @staticmethod
+    def asked(action) -> None:
+        try:
+            action()
+        except DyKnowError:
+            return
+
+    def any_nodelet(self, number: int) -> str:
+        running = self.field.host.running
+        return running[number % len(running)]
+
+    def topics(self) -> List[str]:
+        """Every topic that anything is connected to."""
+        host = self.field.host
+        return sorted(
+            {
+                port.topic
+                for name in host.running
+                for port in host.nodelet(name).ports.values()
+                if port.topic
+            }
+            | {"/sensor", "/other_sensor"}
+        )
+
+    def arrive_late(self) -> None:
+        """Whoever people connected meanwhile where something is on its way, they connected."""
+        self.field.host.arrive()
+        by_hand = self.witness.by_hand
+        self.witness.guilt = [
+            (wrong, call)
+            for wrong, call in self.witness.guilt
+            if not by_hand & {wrong[0], wrong[3].partition(".")[0]}
+        ]
+        self.look_at_everything()
+
+    def look_at_everything(self) -> None:
+        """What the announcements of the proxies would bring about."""
+        self.field.manager.look(set(self.field.host.running))
+
+
+def check(examples: int, steps: int, **kwds: bool) -> None:
+    run_state_machine_as_test(
+        Truth,
+        settings=settings(
+            max_examples=examples,
+            stateful_step_count=steps,
+            database=None,
+            **kwds,
+            deadline=None,
+            suppress_health_check=list(HealthCheck),
+        ),
+    )
+
+
+def test_nobody_receives_what_was_not_asked_for() -> None:
+    check(40, 25, derandomize=True)
+
+
+@pytest.mark.long
+def test_nobody_receives_what_was_not_asked_for_in_long_lives() -> None:
+    check(400, 200)

@@ -1,0 +1,166 @@
+"""Watches from outside what each in-port receives, and judges it by the tags alone.
+
+Knows nothing of how the manager keeps its promises: it reads terms and compares them in its own
+way, looks at the fake host's ports as they really are, and looks after every single change.
+"""
+
+from __future__ import annotations
+
+import itertools
+import re
+from typing import Callable, Dict, FrozenSet, List, Mapping, Set, Tuple
+
+from dyknow.manager.claim import Claim, ClaimState
+from dyknow.manager.fake_host import FakeHost
+
+Wrong = Tuple[str, str, str, str]
+"""Who receives, at which port, on which topic, from whom."""
+Tags = Tuple[str, ...]
+ORDINARY = "ordinary nodes"
+
+
+class Concepts:
+    """A small ontology: for each name what it is a kind of."""
+
+    def __init__(self, above: Mapping[str, str]) -> None:
+        self._above = above
+
+    def names_above(self, name: str) -> FrozenSet[str]:
+        found = {name}
+        while name in self._above:
+            name = self._above[name]
+            found.add(name)
+        return frozenset(found)
+
+
+def satisfies(supplied: str, demanded: str, concepts: Concepts) -> bool:
+    """Whether a stream of one tag is one of another tag."""
+    have, want = (re.findall(r"\??\w+", text) for text in (supplied, demanded))
+    if "?" in supplied or len(have) != len(want):
+        return False
+    stands_for: Dict[str, str] = {}
+    for one, other in zip(have, want):
+        if other[0] == "?":
+            if stands_for.setdefault(other, one) != one:
+                return False
+        elif other not in concepts.names_above(one):
+            return False
+    return True
+
+
+class Witness:
+    """Finds receivers of what they did not ask for.
+
+    Attributes:
+        signed: for each nodelet type its ports' tags: what its messages are signed with.
+        described: tags of topics of ordinary nodes, by the label that says so.
+        by_hand: nodelets made by hand.
+        wrong: what is wrong now.
+        guilt: what went wrong by a change that the manager made, with its last call.
+    """
+
+    def __init__(self, host: FakeHost, concepts: Concepts) -> None:
+        self.host = host
+        self.concepts = concepts
+        self.signed: Dict[str, Dict[str, Tags]] = {}
+        self.described: Dict[str, Tuple[str, Tags]] = {}
+        self.by_hand: Set[str] = set()
+        self.claims: Callable[[], List[Claim]] = list
+        self.wrong: Set[Wrong] = set()
+        self.guilt: List[Tuple[Wrong, Tuple[str, str]]] = []
+        host.on_change = self._watch
+
+    def excuse(self) -> None:
+        """What is wrong now was brought about by somebody else."""
+        self.wrong = self.look()
+
+    def _watch(self) -> None:
+        now = self.look()
+        for each in sorted(now - self.wrong):
+            if not self._is_will(each):
+                self.guilt.append((each, self.host.calls[-1]))
+        self.wrong = now
+
+    def _is_will(self, wrong: Wrong) -> bool:
+        """Whether people connected two with each other; what died comes back so."""
+        receiver, _, _, sender = wrong
+        return receiver in self.by_hand and sender.partition(".")[0] in (*self.by_hand, ORDINARY)
+
+    def look(self) -> Set[Wrong]:
+        """Compare what everybody receives with what everybody asked for."""
+        sources = self._sources()
+        wrong = set()
+        for name, port, direction, topic in self._ports():
+            asked = self._signature(name).get(port, ())
+            if direction == "in" and asked:
+                for source, tags in sources.get(topic, ()):
+                    if not self._serves(tags, asked):
+                        wrong.add((name, port, topic, source))
+        for claim in self.claims():
+            if claim.topic and not claim.state.ended:
+                for source, tags in sources.get(claim.topic, ()):
+                    if source != ORDINARY and not self._serves(tags, (claim.request.tag,)):
+                        wrong.add(("client", claim.request.tag, claim.topic, source))
+        return wrong
+
+    def lasting(self) -> Set[Wrong]:
+        """What is wrong, but for what people wired by hand at nodelets that they made by hand."""
+        out_of_reach = {"client"} | self.host.slow
+        return {
+            (receiver, port, topic, sender)
+            for receiver, port, topic, sender in self.look()
+            if receiver not in self.by_hand
+            if receiver not in out_of_reach or sender.rpartition(".")[0] not in self.host.slow
+        }
+
+    def fed_while_pending(self) -> List[str]:
+        """Topics of claims that wait, on which something that was made for claims publishes."""
+        sources = self._sources()
+        return [
+            f"{source} publishes for {claim.request.tag}, which is pending"
+            for claim in self.claims()
+            if claim.state is ClaimState.PENDING and claim.topic
+            for source, _ in sources.get(claim.topic, ())
+            if source != ORDINARY and source.rpartition(".")[0] not in self.by_hand
+        ]
+
+    def _serves(self, tags: Tags, asked: Tags) -> bool:
+        return all(any(satisfies(each, tag, self.concepts) for each in tags) for tag in asked)
+
+    def _sources(self) -> Dict[str, List[Tuple[str, Tags]]]:
+        """Who signs what arrives on each topic; relays pass on what others signed."""
+        found: Dict[str, List[Tuple[str, Tags]]] = {}
+        relays: Dict[str, Dict[str, str]] = {}
+        for name, port, direction, topic in self._ports():
+            if self.host.nodelet(name).request.source == "dyknow/Relay":
+                relays.setdefault(name, {})[direction] = topic
+            elif direction == "out" and topic:
+                tags = self._signature(name).get(port, ())
+                found.setdefault(topic, []).append((f"{name}.{port}", tags))
+        for topic in self.host.topics:
+            texts = [tags for where, tags in self.described.values() if where == topic]
+            if texts or topic not in found:  # nobody can tell of them beside nodelets
+                tags = tuple(itertools.chain.from_iterable(texts))
+                found.setdefault(topic, []).append((ORDINARY, tags))
+        for _ in relays:  # one may feed another
+            for name, topics in relays.items():
+                if topics["in"] and topics["out"]:
+                    there = found.setdefault(topics["out"], [])
+                    for source, tags in found.get(topics["in"], ()):
+                        passed = (f"{source} through {name}", tags)
+                        if name not in source and passed not in there:
+                            there.append(passed)
+        return found
+
+    def _ports(self) -> List[Tuple[str, str, str, str]]:
+        """Every port that can send or receive now: name of the nodelet, port, direction, topic."""
+        return [
+            (name, port.name, port.direction, port.topic)
+            for manager, process in self.host.processes.items()
+            if not self.host.is_hung(manager)
+            for name, nodelet in process.nodelets.items()
+            for port in nodelet.ports.values()
+        ]
+
+    def _signature(self, name: str) -> Mapping[str, Tags]:
+        return self.signed.get(self.host.nodelet(name).request.source, {})
