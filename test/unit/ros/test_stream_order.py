@@ -1,0 +1,64 @@
+"""What a client's stream is told out of order does not win over what is newer."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import List
+from unittest import mock
+
+import pytest
+
+from dyknow.manager.claim import ClaimState
+from dyknow.ros.acquiring import AcquiredStream
+from dyknow.ros.stream_views import StreamEventView, StreamView
+
+ACTIVE = StreamView("c", "me", "A", "/a", "std_msgs/Header", ClaimState.ACTIVE, "", (), 0.0)
+DEGRADED = replace(ACTIVE, state=ClaimState.DEGRADED, detail="a part is in doubt")
+RELEASED = replace(ACTIVE, state=ClaimState.RELEASED)
+
+
+@pytest.fixture
+def told() -> List[StreamEventView]:
+    return []
+
+
+@pytest.fixture
+def stream(told: List[StreamEventView], monkeypatch: pytest.MonkeyPatch) -> AcquiredStream:
+    monkeypatch.setattr("rospy.get_time", lambda: 0.0)
+    return AcquiredStream(mock.Mock(), mock.Mock(), ACTIVE, 30.0, told.append)
+
+
+def event(view: StreamView) -> StreamEventView:
+    return StreamEventView(0.0, ACTIVE, view, "because")
+
+
+def test_a_snapshot_from_before_an_event_does_not_win(stream: AcquiredStream) -> None:
+    asked_at = stream.events
+    stream.note(event(DEGRADED))
+    stream.note_view(ACTIVE, asked_at)
+    assert stream.state is ClaimState.DEGRADED
+    stream.note_view(ACTIVE, stream.events)
+    assert stream.state is ClaimState.ACTIVE
+
+
+def test_a_late_event_does_not_revive_what_was_released(
+    stream: AcquiredStream, told: List[StreamEventView]
+) -> None:
+    stream.release()
+    stream.note(event(DEGRADED))
+    stream.note_view(DEGRADED, stream.events)
+    stream.note_end("unknown")
+    assert stream.state is ClaimState.RELEASED
+    assert [each.after.state for each in told] == [ClaimState.RELEASED]
+
+
+def test_a_callback_that_releases_is_told_so_afterwards(
+    stream: AcquiredStream, told: List[StreamEventView]
+) -> None:
+    def release(news: StreamEventView) -> None:
+        told.append(news)
+        stream.release()
+
+    stream._telling.listener = release
+    stream.note(event(DEGRADED))
+    assert [each.after.state for each in told] == [ClaimState.DEGRADED, ClaimState.RELEASED]
