@@ -79,22 +79,27 @@ class Audience:
         self._ontology = ontology
         self._senders: Dict[str, List[Sender]] = {}
         self._listeners: Dict[str, List[Listener]] = {}
-        said: Dict[str, Sender] = {}
-        for each in described:
-            port = each.ports[0]
-            known = said.get(each.source, Sender("", ""))
-            tags = known.tags + read_tags(port.tags)
-            said[each.source] = Sender("", "", tags, known.datatype or port.datatype)
-        for topic, sender in said.items():
-            self._senders[topic] = [sender]
         for claim in claims:
             client = Listener("", claim.claim_id, demand_of([claim]))
             self._listeners.setdefault(claim.topic, []).append(client)
-        for record in records:
-            for port in _ports(record):
-                topics = {*_topics(record, port.name), *perhaps(record.name, port.name)} - {""}
-                for topic in sorted(topics):
-                    self._enter(record.name, port, topic, topic in said)
+        places = [
+            (topic, record.name, port)
+            for record in records
+            for port in _ports(record)
+            for topic in sorted({*_topics(record, port.name), *perhaps(record.name, port.name)})
+            if topic
+        ]
+        used = self._listeners.keys() | {topic for topic, _, _ in places}
+        for each in described:
+            if each.source in used:
+                port = each.ports[0]
+                known = self._senders.get(each.source, [Sender("", "")])[0]
+                tags = known.tags + read_tags(port.tags)
+                sender = Sender("", "", tags, known.datatype or port.datatype)
+                self._senders[each.source] = [sender]
+        said = set(self._senders)
+        for topic, name, port in places:
+            self._enter(name, port, topic, topic in said)
 
     def _enter(self, name: str, port: Port, topic: str, is_described: bool) -> None:
         tags = read_tags(port.tags)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import AbstractSet, Mapping, Optional
+from typing import AbstractSet, Callable, Mapping, Optional
 
 from dyknow.errors import UnknownTransformation
 from dyknow.manager.claim import Claim
@@ -33,7 +33,7 @@ def inspect(
     silent: Mapping[str, str],
     mute: AbstractSet[str],
     published: AbstractSet[str],
-    audience: Audience,
+    audience: Callable[[], Audience],
 ) -> Optional[Damage]:
     """Look at every part of a claim's stream.
 
@@ -43,7 +43,7 @@ def inspect(
         silent: nodelets and topics that are silent, and what to say about it.
         mute: nodelets that do not answer.
         published: topics of ordinary nodes that have a publisher.
-        audience: who hears whom.
+        audience: tells who hears whom.
     """
     if not claim.topic:
         return Damage("it has no stream yet")
@@ -68,7 +68,7 @@ def inspect(
     for topic in claim.sources:
         if topic not in published:
             return Damage(f"topic {topic} is not published any more")
-        if not _is_what_it_was(topic, claim, audience):
+        if not _is_what_it_was(topic, claim, audience()):
             return Damage(f"topic {topic} is not described any more as what is needed")
         if topic in silent:
             doubts.append(silent[topic])

@@ -71,8 +71,8 @@ class Repair:
     def inspect(self, claim: Claim) -> Optional[Damage]:
         """Say what is wrong with a claim's stream; None if it is whole."""
         silence, published = self._silence, self._prospects.published
-        audience = self._wires.audience()
-        return inspect(self._manager, claim, silence.silent, silence.mute, published, audience)
+        look = self._wires.audience
+        return inspect(self._manager, claim, silence.silent, silence.mute, published, look)
 
     def carry_out(self, claim: Claim, plan: Plan, lenient: bool = False) -> Tuple[Plan, Assembled]:
         """Make a claim's stream as a plan says.
