@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any, Dict, List, Mapping, Sequence, Tuple
+from unittest import mock
 
 from dyknow.manager.claim import Claim, ClaimEvent, ClaimState, StreamRequest
 from dyknow.manager.claims.keeper import Acquired, Keeper
@@ -95,6 +97,15 @@ def specification(
     for name, (_, tags) in ports.items():
         lines += [f'<tag port="{name}">{tag}</tag>' for tag in tags]
     return "".join([*lines, "</tags></transformation>"])
+
+
+def counted_ids() -> Any:
+    """Name claims by their number, in whose order they are looked at; a patch to be started."""
+    numbers = itertools.count(1)
+    return mock.patch(
+        "dyknow.manager.claims.keeper.uuid.uuid4",
+        lambda: mock.Mock(hex=f"{next(numbers):012x}"),
+    )
 
 
 class Field:

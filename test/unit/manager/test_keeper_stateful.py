@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import itertools
 import tempfile
 from pathlib import Path
 from typing import Set, Tuple
-from unittest import mock
 
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
-from unit.manager.field import LIBRARY, Field, transformation
+from unit.manager.field import LIBRARY, Field, counted_ids, transformation
 
 from dyknow.errors import DyKnowError, NoPlanFound
 from dyknow.manager.claim import ClaimState
@@ -45,11 +43,7 @@ class Claims(RuleBasedStateMachine):
 
     def __init__(self) -> None:
         super().__init__()
-        numbers = itertools.count(1)  # claims are looked at in the order of their ids
-        self.ids = mock.patch(
-            "dyknow.manager.claims.keeper.uuid.uuid4",
-            lambda: mock.Mock(hex=f"{next(numbers):012x}"),
-        )
+        self.ids = counted_ids()
         self.ids.start()
         self.folder = tempfile.TemporaryDirectory()
         self.field = Field(str(Path(self.folder.name) / "state.db"))

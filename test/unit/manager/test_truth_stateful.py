@@ -10,7 +10,6 @@ import itertools
 import tempfile
 from pathlib import Path
 from typing import List, Sequence
-from unittest import mock
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -22,7 +21,7 @@ from hypothesis.stateful import (
     rule,
     run_state_machine_as_test,
 )
-from unit.manager.field import Field, specification
+from unit.manager.field import Field, counted_ids, specification
 from unit.manager.witness import Concepts, Witness
 
 from dyknow.errors import DyKnowError, HostError
@@ -51,11 +50,7 @@ class Truth(RuleBasedStateMachine):
 
     def __init__(self) -> None:
         super().__init__()
-        numbers = itertools.count(1)  # claims are looked at in the order of their ids
-        self.ids = mock.patch(
-            "dyknow.manager.claims.keeper.uuid.uuid4",
-            lambda: mock.Mock(hex=f"{next(numbers):012x}"),
-        )
+        self.ids = counted_ids()
         self.ids.start()
         self.folder = tempfile.TemporaryDirectory()
         relay = {"dyknow/Relay": [("in", "in", "*"), ("out", "out", "*")]}

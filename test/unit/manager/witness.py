@@ -67,12 +67,14 @@ class Witness:
         self.by_hand: Set[str] = set()
         self.claims: Callable[[], List[Claim]] = list
         self.wrong: Set[Wrong] = set()
+        self._willed: Set[Wrong] = set()
         self.guilt: List[Tuple[Wrong, Tuple[str, str]]] = []
         host.on_change = self._watch
 
     def excuse(self) -> None:
         """What is wrong now was brought about by somebody else."""
         self.wrong = self.look()
+        self._willed |= {each for each in self.wrong if each[0] in self.by_hand}
 
     def _watch(self) -> None:
         now = self.look()
@@ -84,7 +86,8 @@ class Witness:
     def _is_will(self, wrong: Wrong) -> bool:
         """Whether people connected two with each other; what died comes back so."""
         receiver, _, _, sender = wrong
-        return receiver in self.by_hand and sender.partition(".")[0] in (*self.by_hand, ORDINARY)
+        by_people = sender.partition(".")[0] in (*self.by_hand, ORDINARY) or wrong in self._willed
+        return receiver in self.by_hand and by_people
 
     def look(self) -> Set[Wrong]:
         """Compare what everybody receives with what everybody asked for."""
