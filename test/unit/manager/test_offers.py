@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
+import random
 from typing import List
 
 import pytest
-from unit.manager.field import LIBRARY, POINT, Field, transformation
+from unit.manager.field import LIBRARY, POINT, Field, specification, transformation
+
+from dyknow.errors import NoPlanFound
 
 
 @pytest.fixture
@@ -69,3 +73,37 @@ def test_what_is_protected_is_not_saved(field: Field) -> None:
     field.manager.add_transformation(ALONE)
     field.settle(10.0)
     assert news(field) == []
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_an_offer_that_is_taken_never_raises_the_total(seed: int) -> None:
+    choice = random.Random(seed)
+    tags = [f"Tag{number}(x)" for number in range(6)]
+    field = Field(":memory:", {"dyknow/Relay": [("in", "in", "*"), ("out", "out", "*")]}, "")
+
+    def add(number: int) -> None:
+        ports = {
+            f"in{each}": ("in", [choice.choice(tags[:3])])
+            for each in range(choice.choice([0, 0, 1, 2]))
+        }
+        ports["out"] = ("out", [choice.choice(tags)])
+        source, cost = f"test/T{number}", choice.randrange(6)
+        field.host.sources[source] = [(name, way, POINT) for name, (way, _) in ports.items()]
+        text = specification(f"part {number}", source, ports, cost, POINT)
+        field.manager.add_transformation(text)
+
+    for number in range(6):
+        add(number)
+    for _ in range(5):
+        with contextlib.suppress(NoPlanFound):
+            field.acquire(choice.choice(tags))
+    for number in range(6, 12):
+        add(number)
+        field.tidy()
+        offered = [event.after.claim_id for event in field.events if "cheaper" in event.reason]
+        field.events.clear()
+        for claim_id in offered[:1]:
+            before = total(field)
+            field.keeper.replan(claim_id)
+            field.tidy()
+            assert total(field) <= before

@@ -344,4 +344,4 @@ def test_nobody_receives_what_was_not_asked_for() -> None:
 
 @pytest.mark.long
 def test_nobody_receives_what_was_not_asked_for_in_long_lives() -> None:
-    check(400, 200)
+    check(100, 300)
