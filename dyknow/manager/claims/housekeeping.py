@@ -91,8 +91,15 @@ class Housekeeping:
                     and (not in_use or (port.direction == IN and port.tags))
                 ],
             )
-        for topic, sender, listener in self._wires.audience().misfits():
+        audience = self._wires.audience()
+        for topic, sender, listener in audience.misfits():
             self._separate(topic, sender, listener, wires)
+        for topic in sorted({topic for claim in claims for topic in claim.sources}):
+            if not audience.senders(topic):  # nobody says any more what is sent there
+                for listener in audience.listeners(topic):
+                    hearer = self._manager.graph.find(listener.nodelet)
+                    if hearer is not None and hearer.claimed:
+                        self._cut(hearer, [listener.port])
 
     def _separate(
         self, topic: str, sender: Sender, listener: Listener, wires: AbstractSet[Wire]
@@ -124,7 +131,11 @@ class Housekeeping:
         for name, topics in sorted(claim.wiring.items()):
             record = self._manager.graph.find(name)
             if record is not None and record.claimed and name not in self._turn.reserved:
-                ports = [port for port in topics if (name, port, topics[port]) not in wires]
+                ports = [
+                    port
+                    for port in topics
+                    if (name, port) == claim.goal or (name, port, topics[port]) not in wires
+                ]
                 done = (self._cut(record, ports) or not self._is_reachable(record)) and done
         return done
 

@@ -49,6 +49,11 @@ def inspect(
         return Damage("it has no stream yet")
     if not claim.is_made:
         return Damage("it has no stream")
+    for topic in claim.sources:
+        if topic not in published:
+            return Damage(f"topic {topic} is not published any more")
+        if not _is_what_it_was(topic, claim, audience()):
+            return Damage(f"topic {topic} is not described any more as what is needed")
     doubts = []
     for name in claim.nodelets:
         record = manager.graph.find(name)
@@ -66,10 +71,6 @@ def inspect(
         elif record.claimed and not is_current(manager.library, record):
             doubts.append(f"transformation {record.label} was removed")
     for topic in claim.sources:
-        if topic not in published:
-            return Damage(f"topic {topic} is not published any more")
-        if not _is_what_it_was(topic, claim, audience()):
-            return Damage(f"topic {topic} is not described any more as what is needed")
         if topic in silent:
             doubts.append(silent[topic])
     return Damage(doubts[0], severed=False) if doubts else None

@@ -124,7 +124,8 @@ class Witness:
             for claim in self.claims()
             if claim.state is ClaimState.PENDING and claim.topic
             for source, _ in sources.get(claim.topic, ())
-            if source != ORDINARY and source.rpartition(".")[0] not in self.by_hand
+            if source != ORDINARY
+            and source.partition(".")[0] not in {*self.by_hand, *self.host.slow}
         ]
 
     def _serves(self, tags: Tags, asked: Tags) -> bool:
