@@ -67,14 +67,14 @@ class Witness:
         self.by_hand: Set[str] = set()
         self.claims: Callable[[], List[Claim]] = list
         self.wrong: Set[Wrong] = set()
-        self._willed: Set[Wrong] = set()
+        self._willed: Set[Tuple[str, str, str]] = set()  # where people want what does not fit
         self.guilt: List[Tuple[Wrong, Tuple[str, str]]] = []
         host.on_change = self._watch
 
     def excuse(self) -> None:
         """What is wrong now was brought about by somebody else."""
         self.wrong = self.look()
-        self._willed |= {each for each in self.wrong if each[0] in self.by_hand}
+        self._willed |= {each[:3] for each in self.wrong if each[0] in self.by_hand}
 
     def _watch(self) -> None:
         now = self.look()
@@ -85,9 +85,12 @@ class Witness:
 
     def _is_will(self, wrong: Wrong) -> bool:
         """Whether people connected two with each other; what died comes back so."""
-        receiver, _, _, sender = wrong
-        by_people = sender.partition(".")[0] in (*self.by_hand, ORDINARY) or wrong in self._willed
-        return receiver in self.by_hand and by_people
+        receiver, port, topic, sender = wrong
+        if receiver not in self.by_hand:
+            return False
+        if sender.partition(".")[0] in (*self.by_hand, ORDINARY):
+            return True
+        return (receiver, port, topic) in self._willed
 
     def look(self) -> Set[Wrong]:
         """Compare what everybody receives with what everybody asked for."""
