@@ -166,7 +166,7 @@ class StreamSession:
 
     def _refresh(self, claim_ids: List[str]) -> None:
         """See to it that nothing was missed: events are not kept for those who come late."""
-        with self._condition:
+        with self._lock:
             events = {key: self._streams[key].events for key in claim_ids if key in self._streams}
         try:
             claims = {each.claim_id: each for each in self._client.list_streams()}
