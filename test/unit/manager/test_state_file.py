@@ -169,7 +169,7 @@ def leave_log(path: str) -> None:
     os.remove(path)
     code = (
         "import os, sys; from unit.manager.test_state_file import *;"
-        f"StateFile({path!r}).write(ROWS); os._exit(9)"
+        f"file = StateFile({path!r}); file.write(ROWS); os._exit(9)"
     )
     done = subprocess.run([sys.executable, "-c", code], check=False, env=_environment())
     assert done.returncode == 9
