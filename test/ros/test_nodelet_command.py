@@ -153,7 +153,7 @@ class WithManager:
         self.manager.exit_code(20.0)
         process.stop()
         self.assert_ends(process)
-        self.assertIn("perhaps the manager is already shut down\n", process.output)
+        self.assertNotIn("Couldn't find", process.output)  # both may be ending together
 
     def test_what_the_manager_refuses(self):
         code, output = finished([*NODELET, "load", "image_proc/nothing", MANAGER])
