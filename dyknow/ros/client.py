@@ -5,6 +5,7 @@ It needs no node: scripts and command lines can use it without ``rospy.init_node
 
 from __future__ import annotations
 
+import logging
 import os
 import threading
 from dataclasses import dataclass
@@ -50,6 +51,11 @@ from dyknow.ros.views import ModelView, Statistics, model_view, port_view, stati
 ASK_TIMEOUT = 5.0
 #: Seconds for calls that change something; a spawn may start a nodelet manager first.
 CHANGE_TIMEOUT = 60.0
+
+#: Services whose answers say more than that it is done; their callers are given it.
+_SPOKEN_OF = ("add_transformation", "replan_stream")
+
+_log = logging.getLogger("rosout.dyknow")
 
 
 @dataclass(frozen=True)
@@ -229,6 +235,8 @@ class ManagerClient:
         )
         if not answer.success:
             raise Refused(answer.message)
+        if answer.message and service not in _SPOKEN_OF:
+            _log.warning("%s", answer.message)
         return answer
 
     def _call(

@@ -68,7 +68,9 @@ class ManagerDiskTest(ManagerCase):
             self.assertIn("the disk is full; free some space", message)
             self.assertIn("the disk is full; free some space", manager.output)
             self.assertNotIn("rollback", manager.output)
-            manager.client.spawn("numbers", "/alone", isolated=True)
+            with self.assertLogs("rosout.dyknow", "WARNING") as told:
+                manager.client.spawn("numbers", "/alone", isolated=True)
+            self.assertIn("not on disk yet", told.output[0])
             for number in range(count):
                 manager.client.destroy(f"/n{number}")
             self.all_run(manager, "/a", "/alone")
