@@ -88,7 +88,11 @@ class Lifecycle:
         config = self._resolved(transformation, request.name, request.config)
         with self._graph.changing(request.name, new=True, patience=PATIENCE):
             kind = self._host.kind_of(transformation.source)
+            planned = Record(request.name, transformation, "", claimed=request.claimed)
+            self._suspects.know(planned)
             suspicion = "" if request.manager else self._suspects.verdict(request.name)
+            if suspicion and not request.isolated:
+                _log.warning("%s is given a process of its own; %s", request.name, suspicion)
             isolated = request.isolated or bool(suspicion)
             manager = placement.choose(
                 self._host,
@@ -98,16 +102,13 @@ class Lifecycle:
                 request.manager,
                 request.name if isolated else "",
             )
-            record = Record(
-                name=request.name,
-                transformation=transformation,
+            record = replace(
+                planned,
                 manager=manager,
                 is_protected=request.is_protected,
                 isolated=isolated,
                 rewired_by_reload=kind is Kind.CPP,
                 topics=config,
-                claimed=request.claimed,
-                ports=(),
                 suspicion=suspicion,
             )
             try:
@@ -187,7 +188,6 @@ class Lifecycle:
                     ) from error
             self._dispose(record)
             self._graph.remove(name)
-            self._suspects.acquit(name)
 
     def finish_destroying(self, record: Record) -> None:
         """Destroy what could not be destroyed before, since its nodelet manager did not answer."""

@@ -73,9 +73,11 @@ class Manager:
         self.store = store
         self._settings = settings
         self.graph = Graph(store)
-        suspects = Suspects(clock)
-        self.lifecycle = Lifecycle(host, self.graph, guards, settings.spawn_timeout, suspects)
-        self.observer = Observer(host, self.graph, self.lifecycle, suspects, clock, run)
+        self._suspects = Suspects(clock)
+        self.lifecycle = Lifecycle(
+            host, self.graph, guards, settings.spawn_timeout, self._suspects
+        )
+        self.observer = Observer(host, self.graph, self.lifecycle, self._suspects, clock, run)
 
     @property
     def on_change(self) -> Callable[[], None]:
@@ -113,6 +115,8 @@ class Manager:
         """
         self.guards.check_writable("adding transformations")
         specifications = self.library.add(text)
+        for each in specifications.transformations:
+            self._suspects.acquit_transformation(each.label)
         self.graph.on_change()
         return specifications
 
@@ -174,6 +178,7 @@ class Manager:
         name = self.resolve(name)
         self.guards.check_writable(f"destroying '{name}'")
         self.lifecycle.destroy(name)
+        self._suspects.acquit(name)
 
     def set_protection(self, name: str, is_protected: bool) -> None:
         """Protect a nodelet from being destroyed, or release it.

@@ -65,6 +65,9 @@ class Observer:
         self._returning: Set[str] = set()  # being brought back
         #: Called with the record of a nodelet that was made for a claim and died.
         self.on_death: Callable[[Record], None] = lambda record: None
+        #: Called with the transformation of one that was at work when its process crashed, and
+        #: that whoever made it has cleared away since.
+        self.on_crash: Callable[[str], None] = lambda label: None
 
     def adopt(self, records: Iterable[Record]) -> None:
         """Take over the records of an earlier life.
@@ -73,6 +76,7 @@ class Observer:
         not is brought back by the first look.
         """
         for record in records:
+            self._suspects.know(record)
             if record.state is State.STARTING and not record.incarnation:
                 self._lifecycle.clear(record)
             else:
@@ -109,7 +113,10 @@ class Observer:
     def _accuse(self, crash: Crash) -> None:
         hosted = [each.name for each in self._graph.all() if each.manager == crash.manager]
         self._suspects.accuse(crash, hosted)
-        running = crash.running or ()
+        running = crash.running or frozenset()
+        gone = running.difference(map(names.mark, hosted))
+        for label in {self._suspects.label(mark) for mark in gone} - {""}:
+            self.on_crash(label)
         at_work = ", ".join(name for name in hosted if names.mark(name) in running)
         _log.error(
             "nodelet manager %s crashed (%s)%s",

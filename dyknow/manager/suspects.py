@@ -3,6 +3,9 @@
 A nodelet that crashes its process takes its neighbours along each time that it comes back. Who was
 at work when a process crashed is accused; after two accusations it is restored in a process of its
 own, where it harms nobody else.
+
+A nodelet that was made for a claim does not come back: another one is made of its transformation,
+which may have another name. So there it is the transformation that is accused and kept apart.
 """
 
 from __future__ import annotations
@@ -13,6 +16,7 @@ from typing import Callable, Dict, Iterable
 
 from dyknow import names
 from dyknow.manager.host import Crash
+from dyknow.manager.model import Record
 
 #: Accusations after which a nodelet is kept apart: once may be chance.
 ENOUGH = 2
@@ -28,13 +32,30 @@ class _Account:
 
 
 class Suspects:
-    """Accusations by nodelet; every method is safe from any thread."""
+    """Accusations by nodelet or transformation; every method is safe from any thread."""
 
     def __init__(self, clock: Callable[[], float]) -> None:
         """Suspect nobody; ``clock`` gives seconds, steady."""
         self._clock = clock
         self._lock = threading.Lock()
         self._accounts: Dict[int, _Account] = {}
+        #: Transformations of the nodelets that were made for claims, also of those that are gone
+        #: when their crash is told; names are used again, so there are not many.
+        self._labels: Dict[int, str] = {}
+
+    def know(self, record: Record) -> None:
+        """Hear of a nodelet before it is first asked about, and before its code runs."""
+        mark = names.mark(record.name)
+        with self._lock:
+            if record.claimed:
+                self._labels[mark] = record.label
+            else:
+                self._labels.pop(mark, None)
+
+    def label(self, mark: int) -> str:
+        """Return the transformation of what was made for a claim; empty for other nodelets."""
+        with self._lock:
+            return self._labels.get(mark, "")
 
     def accuse(self, crash: Crash, hosted: Iterable[str]) -> None:
         """Accuse those who were at work, or, where nobody can tell, all that the process hosted.
@@ -48,16 +69,15 @@ class Suspects:
             marks = frozenset(names.mark(name) for name in hosted)
         now = self._clock()
         with self._lock:
-            for mark in marks:
+            for mark in {self._accused(mark) for mark in marks}:
                 past = self._recent(mark, now)
                 count = past.accusations if past is not None else 0
                 self._accounts[mark] = _Account(count + 1, now, crash.cause)
 
     def verdict(self, name: str) -> str:
         """Return why a nodelet is to have a process of its own; empty if it need not."""
-        mark = names.mark(name)
         with self._lock:
-            account = self._recent(mark, self._clock())
+            account = self._recent(self._accused(names.mark(name)), self._clock())
         if account is None or account.accusations < ENOUGH:
             return ""
         return (
@@ -68,7 +88,17 @@ class Suspects:
     def acquit(self, name: str) -> None:
         """Forget what a nodelet is accused of: somebody destroyed it, and may have mended it."""
         with self._lock:
-            self._accounts.pop(names.mark(name), None)
+            self._accounts.pop(self._accused(names.mark(name)), None)
+
+    def acquit_transformation(self, label: str) -> None:
+        """Forget what a transformation is accused of: somebody replaced it."""
+        with self._lock:
+            self._accounts.pop(_mark_of_label(label), None)
+
+    def _accused(self, mark: int) -> int:
+        """Whose account it is that the crashes of a nodelet are written to."""
+        label = self._labels.get(mark, "")
+        return _mark_of_label(label) if label else mark
 
     def _recent(self, mark: int, now: float) -> _Account | None:
         account = self._accounts.get(mark)
@@ -76,3 +106,7 @@ class Suspects:
             del self._accounts[mark]
             return None
         return account
+
+
+def _mark_of_label(label: str) -> int:
+    return names.mark(f"transformation {label}")  # which is no nodelet's name

@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import re
 import signal
 import threading
 
@@ -23,9 +25,12 @@ from manager_suite import (
 )
 from nodelet.srv import NodeletUnload
 from std_msgs.msg import String
+from stream_suite import CAMERA, GOAL, TRACKER, StreamCase, transformation
 
 from dyknow.errors import DyKnowError
+from dyknow.manager.claim import StreamRequest
 from dyknow.manager.model import State
+from dyknow.ros.client_errors import StreamRefused
 from dyknow.ros.os_process import ProcessId
 
 NEIGHBOURS = ("/counter", "/relay")
@@ -122,6 +127,45 @@ class CrashesTest(ManagerCase):
             eventually(lambda: self.manager.child() != killed, 10.0, "it is started again")  # noqa: B023
             eventually(lambda: self.states()["/fatal"] is State.RUNNING, 10.0, "it is back")
         self.assertFalse(self.manager.nodelet("/fatal").isolated)
+
+
+class ClaimsTest(StreamCase):
+    """Claims one of whose parts crashes its process on its first message."""
+
+    def fatal(self, way: str) -> str:
+        parameter = f'<params><param name="on_message" type="string">{way}</param></params>'
+        found = transformation("fatal", "Fatal", "Filtered(ball)", "Raw(?camera)")
+        return found.replace("<ports>", parameter + "<ports>")
+
+    def begin(self, library: str) -> None:
+        self.manager = self.make(linger=1.0)
+        self.manager.start()
+        self.client = self.manager.client
+        self.client.add_transformation(f"<transformations>{CAMERA}{library}</transformations>")
+
+    def crashes(self, which: str) -> int:
+        return len(re.findall(rf"nodelet manager {which} crashed", self.manager.output))
+
+    def claim_tracks(self) -> None:
+        with contextlib.suppress(StreamRefused):  # it may crash while it is made
+            self.client.acquire_stream(StreamRequest(GOAL))
+
+    def test_the_only_way_is_tried_apart_from_its_neighbours(self):
+        for way in ("segfault", "exit"):
+            with self.subTest(way):
+                self.begin(self.fatal(way) + TRACKER)
+                sure = self.client.acquire_stream(StreamRequest("Raw(own)"))
+                self.receiver = Receiver(sure.topic)
+                self.addCleanup(self.receiver.close)
+                self.claim_tracks()
+                apart = r"/fatal_\d+_nodelet_manager"
+                eventually(lambda: self.crashes(apart), 20.0, "it is tried apart")
+                child, crashes = self.manager.child(), self.crashes(CHILD)
+                eventually(lambda: self.crashes(apart) > 1, 20.0, "it is tried again")
+                self.receiver.flows(10.0)
+                self.assertEqual((self.manager.child(), self.crashes(CHILD)), (child, crashes))
+                self.assertRegex(self.manager.output, "/fatal_.* alone in its process: 2 crashes")
+                self.manager.destroy()
 
 
 def everything() -> set[str]:

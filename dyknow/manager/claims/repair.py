@@ -67,6 +67,7 @@ class Repair:
         #: Claims of which nothing came when they were planned last, and what there was then.
         self._hopeless: Dict[str, Tuple[Hashable, str]] = {}
         manager.observer.on_death = self._note_death
+        manager.observer.on_crash = quarantine.blame
 
     def inspect(self, claim: Claim) -> Optional[Damage]:
         """Say what is wrong with a claim's stream; None if it is whole."""
