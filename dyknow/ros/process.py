@@ -51,9 +51,13 @@ class NodeProcess:
         self._shut_down = threading.Event()
         self._shut_down.set()
 
+    def end(self) -> None:
+        """Let it end as on SIGTERM; from any thread, and at any time, even before it runs."""
+        self._told.put(True)
+
     def run(self) -> int:
         """Run, and return the exit code."""
-        on_signals((signal.SIGINT, signal.SIGTERM), lambda: self._told.put(True))
+        on_signals((signal.SIGINT, signal.SIGTERM), self.end)
         starting = threading.Thread(target=self._begin, name="start", daemon=True)
         starting.start()
         to_end = self._told.get()
@@ -90,7 +94,7 @@ class NodeProcess:
 
     def _on_shutdown(self) -> None:
         """Hold up a shutdown by rosnode kill until everything is closed in order."""
-        self._told.put(True)
+        self.end()
         self._closed.wait(_CLOSE_PATIENCE)
 
 

@@ -25,10 +25,10 @@ from manager_suite import (
 )
 from nodelet.srv import NodeletUnload
 from std_msgs.msg import String
-from stream_suite import CAMERA, GOAL, TRACKER, StreamCase, transformation
+from stream_suite import CAMERA, GOAL, SPARE_FILTER, TRACKER, StreamCase, transformation
 
 from dyknow.errors import DyKnowError
-from dyknow.manager.claim import StreamRequest
+from dyknow.manager.claim import ClaimState, StreamRequest
 from dyknow.manager.model import State
 from dyknow.ros.client_errors import StreamRefused
 from dyknow.ros.os_process import ProcessId
@@ -146,9 +146,12 @@ class ClaimsTest(StreamCase):
     def crashes(self, which: str) -> int:
         return len(re.findall(rf"nodelet manager {which} crashed", self.manager.output))
 
-    def claim_tracks(self) -> None:
-        with contextlib.suppress(StreamRefused):  # it may crash while it is made
-            self.client.acquire_stream(StreamRequest(GOAL))
+    def tries_apart(self, times: int) -> bool:
+        """Whether it was; a stream that crashed before it was made is asked for again."""
+        if all(each.tag != GOAL or each.state.ended for each in self.client.list_streams()):
+            with contextlib.suppress(StreamRefused):
+                self.client.acquire_stream(StreamRequest(GOAL))
+        return self.crashes(r"/fatal_\d+_nodelet_manager") >= times
 
     def test_the_only_way_is_tried_apart_from_its_neighbours(self):
         for way in ("segfault", "exit"):
@@ -157,15 +160,26 @@ class ClaimsTest(StreamCase):
                 sure = self.client.acquire_stream(StreamRequest("Raw(own)"))
                 self.receiver = Receiver(sure.topic)
                 self.addCleanup(self.receiver.close)
-                self.claim_tracks()
-                apart = r"/fatal_\d+_nodelet_manager"
-                eventually(lambda: self.crashes(apart), 20.0, "it is tried apart")
+                eventually(lambda: self.tries_apart(1), 20.0, "it is tried apart")
                 child, crashes = self.manager.child(), self.crashes(CHILD)
-                eventually(lambda: self.crashes(apart) > 1, 20.0, "it is tried again")
+                eventually(lambda: self.tries_apart(2), 20.0, "it is tried again")
                 self.receiver.flows(10.0)
                 self.assertEqual((self.manager.child(), self.crashes(CHILD)), (child, crashes))
                 self.assertRegex(self.manager.output, "/fatal_.* alone in its process: 2 crashes")
                 self.manager.destroy()
+
+    def test_another_way_is_taken(self):
+        self.begin(self.fatal("segfault") + SPARE_FILTER + TRACKER)
+
+        def active() -> bool:
+            self.tries_apart(0)
+            found = {each.transformation for each in self.client.get_model().nodelets}
+            states = {each.tag: each.state for each in self.client.list_streams()}
+            return "spare filter" in found and states.get(GOAL) is ClaimState.ACTIVE
+
+        eventually(active, 20.0, "the spare filter is used")
+        topic = next(each.topic for each in self.client.list_streams() if each.tag == GOAL)
+        self.flow(topic).wait(10.0)
 
 
 def everything() -> set[str]:

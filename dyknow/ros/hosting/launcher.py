@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import logging
 import os
 import re
@@ -56,10 +57,11 @@ class Launcher:
         self._master = master
         self._owner = owner
         self._orphan_timeout = orphan_timeout
+        #: Private parameters that Python ones have on their command line: they need them while
+        #: they wait for a master, too.
+        self._care = {"owner_lock": owner.path, "orphan_timeout": orphan_timeout}
         self._parameters = {
             "owner": master.caller,
-            "owner_lock": owner.path,
-            "orphan_timeout": orphan_timeout,
             **parameters,
         }
         host, port = rosgraph.network.parse_http_host_and_port(master.uri)
@@ -78,7 +80,7 @@ class Launcher:
         for key, value in self._parameters_of(name).items():
             self._master.ask("setParam", names.join(name, key), value)
         output = self._output(name)
-        found = os_process.start(_command(kind, name), output, rospkg.get_ros_home())
+        found = os_process.start(self._command(kind, name), output, rospkg.get_ros_home())
         if kind is Kind.CPP and self._orphan_timeout > 0:
             self._watch(found, output + ".owner")
         return found, Follower(output)
@@ -124,7 +126,7 @@ class Launcher:
                 os.remove(self._crash_record(name))
             if uri:
                 self._master.purge(name, uri)
-            for key in self._parameters_of(name):
+            for key in (*self._parameters_of(name), *self._care):
                 with contextlib.suppress(LookupError):
                     self._master.ask("deleteParam", names.join(name, key))
         except (LookupError, PeerTimeout) as error:
@@ -187,6 +189,17 @@ class Launcher:
     def _parameters_of(self, name: str) -> Mapping[str, Any]:
         return {**self._parameters, _CRASH_RECORD: self._crash_record(name)}
 
+    def _command(self, kind: Kind, name: str) -> Tuple[str, ...]:
+        node = (f"__name:={name.rpartition('/')[2]}", f"__ns:={names.parent(name)}")
+        if kind is Kind.PYTHON:
+            program = (sys.executable, "-m", "dyknow.cli.nodelet", "manager")
+            care = (f"_{key}:={json.dumps(value)}" for key, value in self._care.items())
+            return (*program, *node, *care)
+        found = find_node("nodelet", "nodelet")
+        if not found:
+            raise HostError("C++ nodelets need the package 'nodelet', which is not installed")
+        return (found[0], "manager", *node)
+
     def _crash_record(self, name: str) -> str:
         return self._file(name, "running")
 
@@ -195,13 +208,3 @@ class Launcher:
 
     def _file(self, name: str, what: str) -> str:
         return os.path.join(self._log_folder, re.sub(r"\W+", "-", name).strip("-") + "-" + what)
-
-
-def _command(kind: Kind, name: str) -> Tuple[str, ...]:
-    node = (f"__name:={name.rpartition('/')[2]}", f"__ns:={names.parent(name)}")
-    if kind is Kind.PYTHON:
-        return (sys.executable, "-m", "dyknow.cli.nodelet", "manager", *node)
-    found = find_node("nodelet", "nodelet")
-    if not found:
-        raise HostError("C++ nodelets need the package 'nodelet', which is not installed")
-    return (found[0], "manager", *node)

@@ -13,7 +13,7 @@ import sys
 import threading
 import traceback
 from dataclasses import dataclass
-from typing import Any, Dict, List, Optional, Sequence
+from typing import Any, Callable, Dict, List, Optional, Sequence
 
 import rospy
 from dyknow_msgs.srv import GetCounts, GetCountsResponse
@@ -295,15 +295,20 @@ def _for(caller: str) -> str:
     return f" for {for_log(caller)}" if caller else ""
 
 
-def _end_without_owner() -> None:
-    """A child of a DyKnow manager ends when that is gone for too long."""
-    lock, timeout = rospy.get_param("~owner_lock", ""), rospy.get_param("~orphan_timeout", 0.0)
+def _end_without_owner(argv: Sequence[str], end: Callable[[], None]) -> None:
+    """A child of a DyKnow manager ends when that is gone for too long.
+
+    Its command line says how, since it may have to wait for a master that is gone as well.
+    """
+    given = rospy.client.load_command_line_node_params(argv)
+    lock, timeout = given.get("owner_lock", ""), float(given.get("orphan_timeout", 0.0))
+
+    def end_alone() -> None:
+        print(f"its DyKnow manager is gone for {timeout:g} s", flush=True)
+        end()
+
     if lock and timeout > 0:
-        end_when_orphaned(
-            str(lock),
-            float(timeout),
-            lambda: rospy.signal_shutdown(f"its DyKnow manager is gone for {timeout:g} s"),
-        )
+        end_when_orphaned(str(lock), timeout, end_alone)
 
 
 def _crash_record() -> CrashRecord:
@@ -332,11 +337,12 @@ def run_manager(argv: Sequence[str], node: str = "manager") -> int:
         manager = _make()
         if manager is not None:
             manager.offer()
-            _end_without_owner()
             end_when_displaced(rospy.get_name(), rospy.get_node_uri(), rospy.signal_shutdown)
         return manager
 
-    return NodeProcess(node, argv, start).run()
+    process = NodeProcess(node, argv, start)
+    _end_without_owner(argv, process.end)
+    return process.run()
 
 
 def run_standalone(type_name: str, my_argv: Sequence[str], argv: Sequence[str]) -> int:

@@ -5,10 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from unit.manager.field import LIBRARY as FIELD_LIBRARY
+from unit.manager.field import Field, transformation
 from unit.manager.world import World
 
 from dyknow import names
 from dyknow.errors import HostError, SpawnFailed
+from dyknow.manager.claim import ClaimState
 from dyknow.manager.host import Crash
 from dyknow.manager.model import State
 from dyknow.manager.suspects import ENOUGH, MEMORY, Suspects
@@ -126,6 +129,88 @@ def test_a_destroyed_nodelet_begins_anew(world: World) -> None:
         crash(world, "/bad")
     world.manager.destroy("/bad")
     assert not world.spawn("camera", "bad").isolated
+
+
+# Nodelets that are made for claims
+
+
+def crash_on_first_message(field: Field) -> None:
+    """Let each subsampler crash its process when it is connected to what it demands."""
+
+    def die(operation: str, argument: str) -> None:
+        record = field.manager.graph.find(argument)
+        if operation == "connect" and record is not None and record.label == "subsampler":
+            field.host.crash(record.manager, [record.name])
+            raise HostError("its process ended")
+
+    field.host.fail = die
+
+
+def test_the_transformation_is_suspected_whatever_its_nodelets_are_called() -> None:
+    field = Field()
+    claim = field.acquire().claim
+    for _ in range(ENOUGH):
+        field.settle()
+        (name,) = (each.name for each in field.manager.graph.all() if each.label == "subsampler")
+        field.host.crash(field.manager.graph.get(name).manager, [name])
+    field.settle()
+    field.tidy()
+    (alone,) = (each for each in field.manager.graph.all() if each.isolated)
+    assert alone.label == "subsampler"
+    assert "2 crashes" in alone.detail and "SIGSEGV" in alone.detail
+    assert field.state(claim.claim_id) is ClaimState.ACTIVE
+    assert claim.topic in field.moving
+    crashed = field.manager.graph.get(alone.name)
+    field.host.crash(crashed.manager, [crashed.name])
+    field.settle()
+    field.tidy()
+    assert [each.label for each in field.manager.graph.all() if each.isolated] == ["subsampler"]
+
+
+def test_one_that_crashes_before_its_stream_is_made_leaves_the_others_in_peace() -> None:
+    field = Field()
+    field.acquire()
+    crash_on_first_message(field)
+    field.host.kill(SHARED)
+    field.settle(60.0)
+    before, calls = field.host.processes[SHARED].state.incarnation, len(field.host.calls)
+    for _ in range(3):
+        field.settle(120.0)
+    attempts = [name for step, name in field.host.calls[calls:] if step == "load"]
+    assert any("subsampler" in name for name in attempts)
+    assert field.host.processes[SHARED].state.incarnation == before
+
+
+def test_another_way_is_taken_than_one_that_crashes_before_its_stream_is_made() -> None:
+    field = Field()
+    ports = "in yuv,out planes"
+    spare = transformation(
+        "spare", "soccer/Spare", ports, "yuv YUV(?where);planes Planes(field)", 9
+    )
+    field.host.sources["soccer/Spare"] = field.host.sources["soccer/Subsampler"]
+    field.manager.add_transformation(f"<transformations>{spare}</transformations>")
+    claim = field.acquire().claim
+    crash_on_first_message(field)
+    field.host.kill(SHARED)
+    field.settle(60.0)
+    field.tidy()
+    assert field.state(claim.claim_id) is ClaimState.ACTIVE
+    assert "spare" in field.labels()
+    assert claim.topic in field.moving
+
+
+def test_what_replaces_a_suspected_transformation_begins_anew() -> None:
+    field = Field()
+    field.acquire()
+    for _ in range(ENOUGH):
+        field.settle()
+        (name,) = (each.name for each in field.manager.graph.all() if each.label == "subsampler")
+        field.host.crash(field.manager.graph.get(name).manager, [name])
+    field.manager.look()
+    field.manager.add_transformation(FIELD_LIBRARY)
+    field.tidy()
+    assert "subsampler" in field.labels()
+    assert not [each for each in field.manager.graph.all() if each.isolated]
 
 
 def test_accusations_are_forgotten_in_time() -> None:
