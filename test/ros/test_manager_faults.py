@@ -3,26 +3,34 @@
 
 from __future__ import annotations
 
+import os
 import random
 import signal
+import socket
+import tempfile
 import threading
 import time
+from unittest import mock
 
+import rosgraph
 import rospy
 import rostest
 from manager_suite import (
     CHILD,
     ManagerCase,
+    ManagerProcess,
     Receiver,
     eventually,
     gaps,
     parameters,
     registrations,
 )
+from processes import BUSY, Running
 from std_msgs.msg import Header
 
 from dyknow.errors import DyKnowError, Refused
 from dyknow.manager.model import State
+from dyknow.ros.os_process import ProcessId
 
 
 class NodeletManagerFaultsTest(ManagerCase):
@@ -216,6 +224,35 @@ class ManagerFaultsTest(ManagerCase):
         self.assertTrue(child.wait(10.0))
         self.assertEqual(registrations("/relay") + registrations(CHILD + "/load"), [])
 
+    def test_children_end_when_the_master_is_gone_as_well(self):
+        for moment in ("it is started", "it is up"):
+            with self.subTest(moment):
+                child, log = self.child_of_the_killed(moment == "it is up")
+                self.addCleanup(child.signal, signal.SIGKILL)
+                self.assertTrue(child.wait(1.0 + 10.0 * BUSY), log)
+
+    def child_of_the_killed(self, is_up: bool) -> tuple[ProcessId, str]:
+        """Kill a manager and its master while its nodelet manager is started, or later."""
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        with socket.socket() as free:
+            free.bind(("", 0))
+            port = free.getsockname()[1]
+        uri = f"http://localhost:{port}"
+        master = rosgraph.Master(rospy.get_name(), uri)
+        environment = mock.patch.dict(os.environ, {"ROS_MASTER_URI": uri})
+        with environment, Running("rosmaster", "--core", "-p", str(port)) as core:
+            eventually(master.is_online, 10.0, "a master")
+            manager = ManagerProcess(folder.name)
+            settings = (f"_state_dir:={folder.name}", "_orphan_timeout:=1.0")
+            with Running(*manager.command, *settings) as running:
+                child = manager.child()
+                if is_up:
+                    eventually(lambda: offers(master, f"{CHILD}/list"), 20.0, "it is up")
+                running.stop(signal.SIGKILL)
+                core.stop(signal.SIGKILL)
+                return child, running.output
+
     def test_random_work_with_random_kills_keeps_every_promise(self):
         seed = random.randrange(1000)
         print(f"seed {seed}")
@@ -271,6 +308,11 @@ class ManagerFaultsTest(ManagerCase):
         killer.join()
         manager.process.wait()
         return doubtful
+
+
+def offers(master: rosgraph.Master, service: str) -> bool:
+    """Whether a master knows a service."""
+    return any(name == service for name, _ in master.getSystemState()[2])
 
 
 if __name__ == "__main__":
