@@ -12,6 +12,7 @@ import threading
 import time
 import unittest
 from pathlib import Path
+from unittest import mock
 
 import rosgraph
 import rospy
@@ -193,6 +194,27 @@ class BondsTest(unittest.TestCase):
         self.assertTrue(self.broken.empty())
         with self.assertRaises(BondsClosed):
             self.add("three")
+
+    def test_the_topic_is_not_given_back_while_somebody_speaks(self):
+        self.add("one")
+        self.sisters("one")
+        given_back, overlaps = threading.Event(), []
+        publish, unregister = rospy.Publisher.publish, rospy.Publisher.unregister
+        caller = threading.current_thread()
+
+        def slow(publisher, status):
+            if threading.current_thread() is caller:
+                overlaps.append(given_back.wait(1.0))
+            publish(publisher, status)
+
+        def noted(publisher):
+            given_back.set()
+            unregister(publisher)
+
+        with mock.patch.multiple(rospy.Publisher, publish=slow, unregister=noted):
+            self.bonds.close(0.0)
+            self.assertTrue(given_back.wait(10.0))
+        self.assertEqual(overlaps, [False])
 
 
 class StockClientTest(unittest.TestCase):

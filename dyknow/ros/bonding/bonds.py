@@ -8,7 +8,8 @@ one publisher, one subscriber and one thread, and has none of the three while th
 
 The rules are in `bond_states` and `bond_table`, which know neither rospy nor threads; here are the
 lock, the thread and the topic. Who owns what: the lock guards the table, nothing is called under
-it. The thread owns publisher and subscriber, which come and go with it.
+it. The thread owns publisher and subscriber, which come and go with it. A second lock is held
+while something is published, since a rospy publisher must not be unregistered meanwhile.
 """
 
 from __future__ import annotations
@@ -84,6 +85,7 @@ class Bonds:
         self._table = BondTable(timings)
         self._thread: threading.Thread | None = None
         self._publisher: Any = None
+        self._speaking = threading.Lock()
         self._closed_until: float | None = None
 
     def add(self, bond_id: str, on_broken: OnBroken) -> None:
@@ -149,6 +151,9 @@ class Bonds:
             return True
         finally:
             subscriber.unregister()
+            with self._speaking:  # whoever speaks has finished, and nobody begins
+                if self._publisher is publisher:
+                    self._publisher = None
             publisher.unregister()
 
     def _serve_once(self) -> bool:
@@ -207,22 +212,23 @@ class Bonds:
             self._perform(verdict)
 
     def _publish(self, words: Sequence[Word]) -> None:
-        publisher = self._publisher
-        if publisher is None:
-            return  # The thread is about to make it, and what matters is said more than once.
-        for word in words:
-            status = Status(
-                id=word.bond_id,
-                instance_id=word.instance_id,
-                active=word.active,
-                heartbeat_timeout=self._timings.heartbeat_timeout,
-                heartbeat_period=self._timings.heartbeat_period,
-            )
-            status.header.stamp = rospy.Time.now()
-            try:
-                publisher.publish(status)
-            except rospy.ROSException:
-                return  # The node shuts down and has closed the topic; our silence says the rest.
+        with self._speaking:
+            publisher = self._publisher
+            if publisher is None:
+                return  # The thread is about to make it, and what matters is said more than once.
+            for word in words:
+                status = Status(
+                    id=word.bond_id,
+                    instance_id=word.instance_id,
+                    active=word.active,
+                    heartbeat_timeout=self._timings.heartbeat_timeout,
+                    heartbeat_period=self._timings.heartbeat_period,
+                )
+                status.header.stamp = rospy.Time.now()
+                try:
+                    publisher.publish(status)
+                except rospy.ROSException:
+                    return  # The node shuts down, the topic is closed; our silence says the rest.
 
     def _is_heartbeat_timeout_disabled(self) -> bool:
         """Whether somebody who debugs has switched off that silence breaks bonds."""
