@@ -94,15 +94,17 @@ class Graph:
                 self._busy.discard(name)
                 self._lock.notify_all()
 
-    def put(self, record: Record, durable: bool = True) -> None:
-        """Show a record, after it was written if it is to be durable."""
+    def put(self, *records: Record, durable: bool = True) -> None:
+        """Show records, all in one step, after they were written if they are to be durable."""
         with self._lock:
-            if self._records.get(record.name) == record:
-                return
+            new = [each for each in records if self._records.get(each.name) != each]
+        if not new:
+            return
         if durable:
-            self._store.put_nodelet(record)
+            for record in new:
+                self._store.put_nodelet(record)
         with self._lock:
-            self._records[record.name] = record
+            self._records.update((record.name, record) for record in new)
             self._count()
         self.on_change()
 

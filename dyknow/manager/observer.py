@@ -7,11 +7,12 @@ about to end gives no list. Everything else is death, and repaired.
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import threading
 import time
 from dataclasses import replace
-from typing import Callable, Dict, Iterable, Set
+from typing import Callable, Dict, Iterable, Mapping, Set, Tuple
 
 from dyknow import names
 from dyknow.errors import Busy, DyKnowError, HostError, NameTaken
@@ -97,10 +98,15 @@ class Observer:
                 self._accuse(crash)
             listed = {name: set(names) for name, names in self._host.lists(states).items()}
             by_name = {state.name: state for state in states}
-            for record in self._graph.all():
-                host = by_name.get(record.manager)
-                if record.name in changed or not _as_it_was(record, host, listed):
-                    self._check(record, host, listed, changed)
+            doubtful = [
+                (record, by_name.get(record.manager))
+                for record in self._graph.all()
+                if record.name in changed
+                or not _as_it_was(record, by_name.get(record.manager), listed)
+            ]
+            self._lose(doubtful, listed)
+            for record, state in doubtful:
+                self._check(record, state, listed, changed)
             known = {record.name for record in self._graph.all()}
             for manager in sorted(listed):
                 for name in sorted(listed[manager] - known):
@@ -124,6 +130,50 @@ class Observer:
             crash.cause,
             f" while it ran code of {at_work}" if at_work else "",
         )
+
+    def _lose(
+        self,
+        doubtful: Iterable[Tuple[Record, ManagerState | None]],
+        listed: Mapping[str, Set[str]],
+    ) -> None:
+        """Mark what is lost with its nodelet manager.
+
+        It is one step: who uses several of them, such as a claim, is to see one loss.
+        """
+        lost = []
+        with contextlib.ExitStack() as held:
+            for record, state in doubtful:
+                try:
+                    current = held.enter_context(self._graph.changing(record.name))
+                except Busy:
+                    continue  # somebody works on it; the next look sees the outcome
+                if current is None or current.manager != record.manager:
+                    continue
+                trouble = self._trouble(current, state, listed)
+                if not trouble or current.state not in (State.RUNNING, State.LOST):
+                    continue
+                why = "; ".join(filter(None, (trouble, current.suspicion)))
+                if current.state is State.RUNNING:
+                    _log.warning("%s is lost: %s", current.name, why)
+                lost.append(replace(current, state=State.LOST, detail=why))
+            self._graph.put(*lost)
+
+    def _trouble(
+        self, record: Record, state: ManagerState | None, listed: Mapping[str, Set[str]]
+    ) -> str:
+        """Say how a nodelet is lost with its nodelet manager; empty if it is not."""
+        if record.transformation is None or record.unwanted or (state and state.unseen):
+            return ""  # where nobody has looked yet, it is as it was
+        if _has_died(record, state, listed):
+            crash = self._crashes.get(record.manager)
+            if crash is None:
+                return "its nodelet manager has died"
+            if names.mark(record.name) in crash.unloading:
+                return ""
+            return f"its nodelet manager has died ({crash.cause})"
+        if record.manager in listed:
+            return ""
+        return f"nodelet manager {record.manager} does not answer"
 
     def _check(
         self,
@@ -165,17 +215,13 @@ class Observer:
                 self._lifecycle.forget(record)
             else:  # it failed, or the manager was killed while it brought it back
                 self._find_dead(record)
-        elif alive or state is None or (state.own and not state.alive):
+        elif _has_died(record, state, listed):
             crash = self._crashes.get(record.manager)
             if crash is not None and names.mark(record.name) in crash.unloading:
                 _log.info("%s was being unloaded when its process died", record.name)
                 self._lifecycle.forget(record)
-                return
-            cause = f" ({crash.cause})" if crash is not None else ""
-            self._lose(record, f"its nodelet manager has died{cause}")
-            self._find_dead(record)
-        else:
-            self._lose(record, f"nodelet manager {record.manager} does not answer")
+            elif record.state is not State.RUNNING:  # else somebody worked on it a moment ago
+                self._find_dead(record)
 
     def _follow(self, record: Record, state: ManagerState | None, closely: bool) -> None:
         incarnation = state.incarnation if state is not None else record.incarnation
@@ -210,13 +256,6 @@ class Observer:
             _log.warning("%s: %s", record.name, error)
             return False
         return True
-
-    def _lose(self, record: Record, trouble: str) -> None:
-        why = "; ".join(filter(None, (trouble, record.suspicion)))
-        if record.state is State.RUNNING:
-            _log.warning("%s is lost: %s", record.name, why)
-        if record.state is State.RUNNING or (record.state is State.LOST and record.detail != why):
-            self._graph.put(replace(record, state=State.LOST, detail=why))
 
     def _find_dead(self, record: Record) -> None:
         self._patience.died(record.name)
@@ -296,6 +335,17 @@ class Observer:
             state.name == record.manager and state.incarnation == record.incarnation
             for state in self._host.managers()
         )
+
+
+def _has_died(record: Record, state: ManagerState | None, listed: Mapping[str, Set[str]]) -> bool:
+    """Whether the process that ran a nodelet is no more, as far as anybody can tell."""
+    if state is None or (state.own and not state.alive):
+        return True
+    return (
+        record.manager in listed
+        and record.name not in listed[record.manager]
+        and state.incarnation != record.incarnation
+    )
 
 
 def _as_it_was(record: Record, state: ManagerState | None, listed: Dict[str, Set[str]]) -> bool:

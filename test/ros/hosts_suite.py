@@ -206,7 +206,9 @@ class ClaimOverHosts(HostsCase):
         with fault:
             eventually(lambda: self.is_met() and not self.on_far(), NOTICED, "it is replaced")
             eventually(lambda: self.mended() == 1, NOTICED, "it is told that it was mended")
-            changes = len(self.reasons())
+            states = [each.partition(":")[0] for each in self.reasons()]
+            self.assertEqual(states, ["RECOVERING", "ACTIVE"], self.reasons())
+            changes = len(states)
             self.assertLess(self.spawn_time(self.manager), self.fast + CALL_TIMEOUT)
             self.stays(seconds, lambda: len(self.reasons()) == changes, self.reasons)
             self.assertTrue(self.is_met(), self.reasons())

@@ -28,6 +28,20 @@ def test_a_dead_nodelet_manager_comes_back_with_everything_it_had(world: World) 
     assert world.host.nodelet("/b").ports["out"].topic == "/o"
 
 
+@pytest.mark.parametrize("fault", ["hang", "kill"])
+def test_what_a_nodelet_manager_hosts_is_lost_in_one_step(world: World, fault: str) -> None:
+    for name in ("a", "b", "c"):
+        world.spawn("camera", name)
+    seen: list[set[str]] = []
+    world.manager.on_change = lambda: seen.append(set(world.states().values()))
+    before = world.manager.graph.revision
+    getattr(world.host, fault)("/fake_0")
+    world.manager.look()
+    assert seen[0] == {"LOST"}
+    if fault == "hang":
+        assert (len(seen), world.manager.graph.revision) == (1, before + 1)
+
+
 def test_connections_that_others_made_come_back_too(world: World) -> None:
     world.spawn("relay", "b", config={"in": "/i"})
     world.host.connect("/b", {"in": "/elsewhere"})

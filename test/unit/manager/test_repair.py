@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import itertools
 import uuid
+from typing import Any, Iterator
+from unittest import mock
 
 import pytest
 from unit.manager.field import CHAIN, FIRST_MESSAGE, GOAL, LIBRARY, Field, transformation
@@ -40,6 +44,46 @@ def test_a_nodelet_manager_that_hangs_is_left_and_told_when_it_wakes(field: Fiel
     assert field.host.publishers(claim.topic) == [field.living()[0].goal[0]]
     field.tidy()
     assert field.labels() == CHAIN
+
+
+@pytest.mark.parametrize("fault", ["hang", "kill"])
+def test_one_loss_is_one_repair_however_soon_somebody_looks(field: Field, fault: str) -> None:
+    field.acquire()
+    field.settle()
+    del field.events[:]
+    getattr(field.host, fault)("/fake_0")
+    with reconciling_at_once(field):
+        field.manager.look()
+    field.settle()
+    states = [each.after.state for each in field.events]
+    changes = [state for state, _ in itertools.groupby(states)]
+    assert changes == [ClaimState.RECOVERING, ClaimState.ACTIVE], field.reasons()
+
+
+@contextlib.contextmanager
+def reconciling_at_once(field: Field) -> Iterator[None]:
+    """Reconcile after each change, as soon as nobody works on a nodelet."""
+    graph, asked, at_work = field.manager.graph, [], []
+    real = graph.changing
+
+    @contextlib.contextmanager
+    def changing(name: str, *args: Any, **kwds: Any) -> Iterator[Any]:
+        at_work.append(name)
+        try:
+            with real(name, *args, **kwds) as record:
+                yield record
+        finally:
+            at_work.remove(name)
+        if asked and not at_work:
+            at_work.append("the keeper")
+            asked.clear()
+            field.keeper.reconcile()
+            at_work.remove("the keeper")
+
+    field.manager.on_change = lambda: asked.append(True)
+    with mock.patch.object(graph, "changing", changing):
+        yield
+    field.manager.on_change = lambda: None
 
 
 def test_a_hanging_manager_is_noticed_by_its_silence_first(field: Field) -> None:
