@@ -165,15 +165,19 @@ class Observer:
         if record.transformation is None or record.unwanted or (state and state.unseen):
             return ""  # where nobody has looked yet, it is as it was
         if _has_died(record, state, listed):
-            crash = self._crashes.get(record.manager)
-            if crash is None:
-                return "its nodelet manager has died"
-            if names.mark(record.name) in crash.unloading:
+            if self._was_being_unloaded(record):
                 return ""
-            return f"its nodelet manager has died ({crash.cause})"
+            crash = self._crashes.get(record.manager)
+            cause = f" ({crash.cause})" if crash is not None else ""
+            return f"its nodelet manager has died{cause}"
         if record.manager in listed:
             return ""
         return f"nodelet manager {record.manager} does not answer"
+
+    def _was_being_unloaded(self, record: Record) -> bool:
+        """Whether its process crashed as somebody had it unloaded."""
+        crash = self._crashes.get(record.manager)
+        return crash is not None and names.mark(record.name) in crash.unloading
 
     def _check(
         self,
@@ -216,8 +220,7 @@ class Observer:
             else:  # it failed, or the manager was killed while it brought it back
                 self._find_dead(record)
         elif _has_died(record, state, listed):
-            crash = self._crashes.get(record.manager)
-            if crash is not None and names.mark(record.name) in crash.unloading:
+            if self._was_being_unloaded(record):
                 _log.info("%s was being unloaded when its process died", record.name)
                 self._lifecycle.forget(record)
             elif record.state is not State.RUNNING:  # else somebody worked on it a moment ago
