@@ -12,7 +12,7 @@ from typing import Callable, ContextManager, Iterator, Sequence
 import rospy
 import rostest
 from hosts import Host, Network, missing
-from manager_suite import LIBRARY, ManagerProcess, eventually
+from manager_suite import CHILD, LIBRARY, ManagerProcess, eventually
 from nodelet.srv import NodeletList
 from processes import NODELET, Running
 from stream_suite import GOAL, StreamCase
@@ -96,12 +96,18 @@ class HostsCase(StreamCase):
         what = f"{name} is {state.name if state is not None else 'gone'}"
         eventually(lambda: self.state_of(manager, name) is state, NOTICED, what)
 
-    def spawn_time(self, manager: ManagerProcess) -> float:
-        """Shortest of some spawns, in s: whatever waits for a remote time limit adds that."""
+    def spawn_time(self, manager: ManagerProcess, where: str = "") -> float:
+        """Shortest of some spawns, in s: whatever waits for a remote time limit adds that.
+
+        Args:
+            manager: who spawns.
+            where: nodelet manager to use; empty for the manager's choice.
+        """
         times = []
         for number in range(5):
             begin = time.monotonic()
-            manager.client.spawn("counter", f"/timed{number}", {"out": f"/timed{number}/out"})
+            name, wiring = f"/timed{number}", {"out": f"/timed{number}/out"}
+            manager.client.spawn("counter", name, wiring, manager=where)
             times.append(time.monotonic() - begin)
         for number in range(5):
             manager.client.destroy(f"/timed{number}")
@@ -228,7 +234,8 @@ class ClaimOverHosts(HostsCase):
             self.stays(seconds, lambda: not self.reasons(), self.reasons)
             self.manager.client.spawn("relay", "/late", {"in": "/x"}, manager="/far")
             self.manager.client.destroy("/late")
-            self.assertLess(self.spawn_time(self.manager), self.fast + CALL_TIMEOUT)
+            # On the desk: over there a spawn takes eight seconds at 200 ms each way.
+            self.assertLess(self.spawn_time(self.manager, CHILD), self.fast + CALL_TIMEOUT)
         self.stays(seconds, lambda: not self.reasons(), self.reasons)
         self.assertEqual(self.claim(self.manager, self.claim_id).state, ClaimState.ACTIVE)
 

@@ -105,7 +105,7 @@ class ClaimTest(ClaimOverHosts):
 
     def test_a_host_that_is_far_away_is_not_taken_for_one_that_is_away(self):
         self.with_claim(0.0)
-        self.keeps_it(self.network.far(self.far, 0.2), 3.0)
+        self.keeps_it(self.network.far(self.far, 0.2), 2.0)
 
 
 class LeaseTest(HostsCase):
@@ -124,7 +124,7 @@ class LeaseTest(HostsCase):
             ways = [(desk, host) for host in (robot, laptop)]
             with self.network.without(*ways, *[(host, desk) for desk, host in ways]):
                 self.stays(
-                    14.0,
+                    12.0,  # the shell's lease is 10 s
                     lambda: not shell.has_ended and not program.has_ended,
                     lambda: shell.output + program.output,
                 )
