@@ -8,8 +8,8 @@ import tempfile
 from pathlib import Path
 
 import hosts_suite
-from hosts_suite import CALL_TIMEOUT, ClaimOverHosts, HostsCase, Split
-from manager_suite import LIBRARY
+from hosts_suite import CALL_TIMEOUT, NOTICED, ClaimOverHosts, HostsCase, Split
+from manager_suite import LIBRARY, eventually
 from stream_suite import LIBRARY as STREAMS
 
 from dyknow.errors import Refused
@@ -128,6 +128,8 @@ class LeaseTest(HostsCase):
                     lambda: not shell.has_ended and not program.has_ended,
                     lambda: shell.output + program.output,
                 )
+            heard = "the master has heard all that was sent meanwhile"
+            eventually(lambda: robot.is_heard() and laptop.is_heard(), 2 * NOTICED, heard)
             states = {each.state for each in manager.client.list_streams()}
             self.assertEqual(states, {ClaimState.ACTIVE}, shell.output + program.output)
             self.assertNotIn("EXPIRED", manager.output)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import itertools
 import signal
 import threading
 import time
@@ -42,6 +43,12 @@ class PartsTest(StreamCase):
         self.settled(manager)
         eventually(lambda: stream.state is ClaimState.ACTIVE, 2.0, "the client knows")
 
+    def is_one_loss(self, events):
+        """All three parts went at once: the claim was planned anew once."""
+        states = [state for state, _ in itertools.groupby(each.after.state for each in events.all)]
+        reasons = [each.reason for each in events.all]
+        self.assertEqual(states.count(ClaimState.RECOVERING), 1, reasons)
+
     def test_each_part_destroyed(self):
         manager, stream, flow, events = self.begin()
         for label in ("tracker", "filter", "camera"):
@@ -78,6 +85,7 @@ class PartsTest(StreamCase):
         since = time.monotonic()
         manager.kill_child()
         self.is_whole(manager, stream, flow)
+        self.is_one_loss(events)
         pause = flow.longest_pause(since)
         print(f"kill -9 of the nodelet manager: {pause:.2f} s without a message")
 
@@ -92,6 +100,7 @@ class PartsTest(StreamCase):
         eventually(lambda: stream.state is ClaimState.ACTIVE, 5.0, "the client knows")
         child.signal(signal.SIGCONT)
         self.is_whole(manager, stream, flow)
+        self.is_one_loss(events)
 
     def test_its_transformation_removed(self):
         manager, stream, flow, events = self.begin()
