@@ -264,6 +264,9 @@ class FakeHost(Host):
         crashes, self._crashes = self._crashes, []
         return crashes
 
+    def look_for(self, manager: str) -> None:
+        """Do nothing: who is there is known at once."""
+
     def ensure(self, kind: Kind, isolated_for: str = "") -> str:
         """Start a nodelet manager if there is none."""
         self._step("ensure", isolated_for or kind.value)

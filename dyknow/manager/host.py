@@ -152,6 +152,13 @@ class Host(ABC):
         return []
 
     @abstractmethod
+    def look_for(self, manager: str) -> None:
+        """Look at once whether a nodelet manager of others is there by now.
+
+        Those that do not answer are not waited for.
+        """
+
+    @abstractmethod
     def ensure(self, kind: Kind, isolated_for: str = "") -> str:
         """Return the name of a nodelet manager of that kind that is up, starting it if need be.
 

@@ -32,6 +32,8 @@ def choose(
             f"'{isolated_for}' cannot be isolated in nodelet manager '{asked}': "
             "expected a process of its own or a named one, not both"
         )
+    if asked:
+        host.look_for(asked)
     states = {state.name: state for state in host.managers()}
     if asked:
         state = states.get(asked)

@@ -113,6 +113,12 @@ class RosHost(Host):
             self._guard(state)
         return sorted(states, key=lambda state: state.name)
 
+    def look_for(self, manager: str) -> None:
+        """Let its thread look."""
+        peer = self._peers.find(manager)
+        if peer is not None:
+            peer.look_now()
+
     def crashes(self) -> List[Crash]:
         """Those of our children; how the processes of others end is not seen here."""
         return self._children.crashes()

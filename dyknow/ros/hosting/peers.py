@@ -131,6 +131,8 @@ class Peer:
         #: Processes that bore the name before, and are to be told that they lost it.
         self.displaced: List[Process] = []
         self._closed = False
+        #: Looks that were begun, and ended; the one that is asked for is the last of `_wanted`.
+        self._begun = self._ended = self._wanted = 0
         self._thread = threading.Thread(target=self._run, name=f"peer {name}", daemon=True)
         self._thread.start()
 
@@ -189,6 +191,18 @@ class Peer:
                     self._presence = replace(self._presence, nodelets=frozenset(names))
             return names
 
+    def look_now(self, timeout: float = FIND_TIMEOUT) -> None:
+        """Let one look be made that begins now, if it was not there at the last.
+
+        One that does not answer is not waited for: it is looked for with pauses.
+        """
+        with self._lock:
+            known = self._presence
+            if known.unseen or (known.trouble and not known.away):
+                wanted = self._wanted = self._begun + 1
+                self._lock.notify_all()
+                self._lock.wait_for(lambda: self._closed or self._ended >= wanted, timeout)
+
     def forget(self, nodelet: str) -> None:
         """Note that a nodelet which it ran is made elsewhere now."""
         with self._lock:
@@ -226,17 +240,21 @@ class Peer:
     def _run(self) -> None:
         pause = FIRST_PAUSE
         while True:
+            with self._lock:
+                self._begun += 1
             try:
                 self.look()
             except Exception:  # the boundary of the thread: the next look may do better
                 _log.exception("looking for nodelet manager %s failed", self.name)
             with self._lock:
+                self._ended = self._begun
+                self._lock.notify_all()
                 answers = not self._presence.trouble
                 if answers and not self.displaced:
                     pause = FIRST_PAUSE
                     self._lock.wait_for(lambda: self._closed or self._presence.trouble, PERIOD)
                 else:
-                    self._lock.wait_for(lambda: self._closed, pause)
+                    self._lock.wait_for(lambda: self._closed or self._wanted > self._begun, pause)
                     pause = min(2 * pause, LONGEST_PAUSE)
                 if self._closed:
                     return

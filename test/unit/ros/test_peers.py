@@ -177,3 +177,18 @@ def test_a_nodelet_is_where_it_was_seen_last(graph: SmallMaster, peer: Peer) -> 
     found.forget("/a")
     assert peers.hosting("/a") is None
     peers.close()
+
+
+def test_one_that_has_just_come_is_found_by_who_names_it(graph: SmallMaster) -> None:
+    peer = Peer(Master("/test", graph.uri), FAR)
+    try:
+        eventually(lambda: not peer.state.unseen)
+        assert not peer.state.alive
+        for number in range(1, 6):  # whenever in the pause between two looks it is asked for
+            graph.nodes[FAR] = SmallManager()
+            peer.look_now()
+            assert peer.state.responsive and peer.state.alive, number
+            graph.nodes.pop(FAR).close()
+            eventually(lambda: not peer.state.alive)
+    finally:
+        peer.close()
