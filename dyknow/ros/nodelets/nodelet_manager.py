@@ -117,8 +117,8 @@ class NodeletManager(Closable):
         for name, service_class, handler in (
             ("~load_nodelet", NodeletLoad, self._load),
             ("~unload_nodelet", NodeletUnload, self._unload),
-            ("~list", NodeletList, self._list),
             ("~get_counts", GetCounts, self._get_counts),
+            ("~list", NodeletList, self._list),  # the last: who finds it finds all of them
         ):
             self._services.append(rospy.Service(name, service_class, handler))
 
