@@ -116,7 +116,7 @@ class Witness:
             (receiver, port, topic, sender)
             for receiver, port, topic, sender in self.look()
             if receiver not in self.by_hand
-            if receiver not in out_of_reach or sender.rpartition(".")[0] not in self.host.slow
+            if receiver not in out_of_reach or _publisher(sender) not in self.host.slow
         }
 
     def fed_while_pending(self) -> List[str]:
@@ -128,7 +128,7 @@ class Witness:
             if claim.state is ClaimState.PENDING and claim.topic
             for source, _ in sources.get(claim.topic, ())
             if source != ORDINARY
-            and source.partition(".")[0] not in {*self.by_hand, *self.host.slow}
+            and _publisher(source) not in {*self.by_hand, *self.host.slow}
         ]
 
     def _serves(self, tags: Tags, asked: Tags) -> bool:
@@ -171,3 +171,8 @@ class Witness:
 
     def _signature(self, name: str) -> Mapping[str, Tags]:
         return self.signed.get(self.host.nodelet(name).request.source, {})
+
+
+def _publisher(sender: str) -> str:
+    """Name who publishes on the topic itself: whoever signed it, or the last relay on its way."""
+    return sender.rpartition(" through ")[2].partition(".")[0]
