@@ -110,13 +110,13 @@ class Witness:
         return wrong
 
     def lasting(self) -> Set[Wrong]:
-        """What is wrong, but for what people wired by hand at nodelets that they made by hand."""
-        out_of_reach = {"client"} | self.host.slow
+        """What is wrong though the manager could part the two, but for nodelets made by hand."""
+        out_of_reach = {"client", ORDINARY} | self.host.slow
         return {
             (receiver, port, topic, sender)
             for receiver, port, topic, sender in self.look()
             if receiver not in self.by_hand
-            if receiver not in out_of_reach or _publisher(sender) not in self.host.slow
+            if not {receiver, _publisher(sender)} <= out_of_reach
         }
 
     def fed_while_pending(self) -> List[str]:
