@@ -224,6 +224,8 @@ class Lifecycle:
             changed = replace(record, topics={**record.topics, **changes})
             if changed.topics == record.topics:
                 return
+            # It comes up anew: what people connected meanwhile does not come back with it.
+            changed = replace(changed, topics={**self.fitting(changed), **changes})
             # Whoever finds it unloaded after the manager was killed here has to bring it back.
             self._graph.put(replace(record, state=State.STARTING))
             try:
@@ -261,7 +263,7 @@ class Lifecycle:
 
     def _load_as_before(self, record: Record) -> None:
         try:
-            self._graph.put(self._bring_up(record))
+            self._graph.put(self._bring_up(replace(record, topics=self.fitting(record))))
         except DyKnowError as error:  # a look will try again
             self._graph.put(replace(record, state=State.FAILED, detail=str(error)))
 

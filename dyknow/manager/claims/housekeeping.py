@@ -78,28 +78,27 @@ class Housekeeping:
         """Disconnect what was made for claims that need it no more, and whoever does not fit."""
         claims = self._table.living()
         needed, wires = self._table.needed(), _wires(claims)
-        for record in self._manager.graph.all():
-            if not record.claimed or record.name in self._turn.reserved:
-                continue
-            in_use = record.name in needed
-            self._cut(
-                record,
-                [
-                    port.name
-                    for port in record.ports
-                    if (record.name, port.name, port.topic) not in wires
-                    and (not in_use or (port.direction == IN and port.tags))
-                ],
-            )
         audience = self._wires.audience()
-        for topic, sender, listener in audience.misfits():
+        # Nobody says any more what is sent there.
+        unknown = {
+            topic for claim in claims for topic in claim.sources if not audience.senders(topic)
+        }
+        for record in self._manager.graph.all():
+            if not record.claimed:
+                continue
+            reserved, in_use = record.name in self._turn.reserved, record.name in needed
+            listening = [port for port in record.ports if port.direction == IN and port.tags]
+            ports = {port.name for port in listening if port.topic in unknown}
+            if not reserved:
+                ports.update(
+                    port.name
+                    for port in (listening if in_use else record.ports)
+                    if (record.name, port.name, port.topic) not in wires
+                )
+            # All at once: a plain nodelet comes up again with those that stay.
+            self._cut(record, ports)
+        for topic, sender, listener in self._wires.audience().misfits():
             self._separate(topic, sender, listener, wires)
-        for topic in sorted({topic for claim in claims for topic in claim.sources}):
-            if not audience.senders(topic):  # nobody says any more what is sent there
-                for listener in audience.listeners(topic):
-                    hearer = self._manager.graph.find(listener.nodelet)
-                    if hearer is not None and hearer.claimed:
-                        self._cut(hearer, [listener.port])
 
     def _separate(
         self, topic: str, sender: Sender, listener: Listener, wires: AbstractSet[Wire]

@@ -111,12 +111,26 @@ class Witness:
 
     def lasting(self) -> Set[Wrong]:
         """What is wrong though the manager could part the two, but for nodelets made by hand."""
-        out_of_reach = {"client", ORDINARY} | self.host.slow
+        needed = {
+            (name, port, topic)
+            for claim in self.claims()
+            for name, topics in claim.wiring.items()
+            for port, topic in topics.items()
+        }
         return {
             (receiver, port, topic, sender)
             for receiver, port, topic, sender in self.look()
             if receiver not in self.by_hand
-            if not {receiver, _publisher(sender)} <= out_of_reach
+            if not (
+                receiver in {"client", *self.host.slow}
+                and _publisher(sender) in {ORDINARY, *self.host.slow}
+            )
+            # Nor is anybody cut off for one that is not to be there anyway, but cannot be moved.
+            if not (
+                receiver in self.host.slow
+                and _publisher(sender) in self.by_hand
+                and (receiver, port, topic) not in needed
+            )
         }
 
     def fed_while_pending(self) -> List[str]:
