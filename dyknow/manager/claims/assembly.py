@@ -106,12 +106,13 @@ class _Work:
         self._turn.reserve(self._order.own.values())
         used = {live.nodelet for live in self._order.plan.live if live.nodelet}
         fed_by: Dict[str, Dict[str, str]] = {name: {} for name in used}
-        upstream(self._graph.all(), fed_by, set(), used)
+        upstream(self._graph.all(), self._order.ordinary, fed_by, set(), used)
         self._turn.reserve(fed_by)
         for step in self._order.plan.steps:
             self._take(step)
         self._publish(self._order.plan.goal)
-        upstream(self._graph.all(), done.wiring, done.sources, done.reused)
+        ordinary = self._order.ordinary
+        upstream(self._graph.all(), ordinary, done.wiring, done.sources, done.reused)
         done.spawned = list(self.transaction.spawned)
         done.reused -= set(done.spawned)
         done.remarks = self._handover.remarks

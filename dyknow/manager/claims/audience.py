@@ -114,6 +114,10 @@ class Audience:
         """Who may send on a topic; what is said of it stands for senders without tags."""
         return self._senders.get(topic, [])
 
+    def is_described(self, topic: str) -> bool:
+        """Whether anybody says what ordinary nodes send on a topic."""
+        return any(not sender.nodelet for sender in self.senders(topic))
+
     def listeners(self, topic: str) -> List[Listener]:
         """Who may listen on a topic."""
         return self._listeners.get(topic, [])

@@ -81,7 +81,7 @@ class Housekeeping:
         audience = self._wires.audience()
         # Nobody says any more what is sent there.
         unknown = {
-            topic for claim in claims for topic in claim.sources if not audience.senders(topic)
+            topic for claim in claims for topic in claim.sources if not audience.is_described(topic)
         }
         for record in self._manager.graph.all():
             if not record.claimed:

@@ -85,7 +85,7 @@ def _is_what_it_was(topic: str, claim: Claim, audience: Audience) -> bool:
         or listener.port == claim.claim_id
     ]
     senders = audience.senders(topic)
-    return bool(senders) and all(
+    return audience.is_described(topic) and all(
         audience.serves(sender, demand) for sender in senders for demand in concerned
     )
 

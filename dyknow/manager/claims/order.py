@@ -21,6 +21,7 @@ class Order:
         unhealthy: nodelets that nothing is expected of any more.
         mute: nodelets that do not answer.
         claim_id: whose stream it is; what other claims have is theirs.
+        ordinary: topics on which ordinary nodes send what the library says.
     """
 
     plan: Plan
@@ -31,6 +32,7 @@ class Order:
     unhealthy: AbstractSet[str] = frozenset()
     mute: AbstractSet[str] = frozenset()
     claim_id: str = ""
+    ordinary: AbstractSet[str] = frozenset()
 
 
 @dataclass

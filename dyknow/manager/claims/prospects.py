@@ -81,6 +81,10 @@ class Prospects:
         except HostError:
             return  # the master is away; what flows flows on
 
+    def ordinary(self) -> FrozenSet[str]:
+        """Topics on which ordinary nodes send what the library says."""
+        return self.published & {each.source for each in self._manager.existing_topics()}
+
     def signature(self) -> Hashable:
         """Differs when a plan that could not be made may be possible now."""
         manager = self._manager

@@ -129,6 +129,7 @@ class Repair:
             self._silence.unhealthy,
             self._silence.mute,
             claim.claim_id,
+            self._prospects.ordinary(),
         )
         done = self._assembly.carry_out(order)
         self._counts.excuse(done.wiring)

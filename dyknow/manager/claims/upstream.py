@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Dict, List, Sequence, Set
+from typing import AbstractSet, Dict, List, Sequence, Set
 
 from dyknow.manager.model import Record, State
 from dyknow.manager.specifications.transformation import IN, OUT
@@ -10,6 +10,7 @@ from dyknow.manager.specifications.transformation import IN, OUT
 
 def upstream(
     records: Sequence[Record],
+    ordinary: AbstractSet[str],
     wiring: Dict[str, Dict[str, str]],
     sources: Set[str],
     reused: Set[str],
@@ -18,6 +19,7 @@ def upstream(
 
     Args:
         records: the nodelets of the graph.
+        ordinary: topics on which ordinary nodes send, perhaps beside nodelets.
         wiring: for each nodelet of the stream the topics that its ports need; added to.
         sources: topics of ordinary nodes; added to.
         reused: names of nodelets that were there; added to.
@@ -35,7 +37,7 @@ def upstream(
                 continue
             wiring[name][port.name] = topic
             publishers = _publishers(records, topic)
-            if not publishers:
+            if not publishers or topic in ordinary:
                 sources.add(topic)
             for publisher, out_port in publishers:
                 if publisher not in wiring:
