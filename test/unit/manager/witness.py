@@ -73,15 +73,14 @@ class Witness:
 
     def excuse(self) -> None:
         """What is wrong now was brought about by somebody else."""
-        self.wrong = self.look()
-        self._willed |= {each[:3] for each in self.wrong if each[0] in self.by_hand}
+        self.wrong = self.look(hidden=True)
+        self._willed |= {each[:3] for each in self.look() if each[0] in self.by_hand}
 
     def _watch(self) -> None:
-        now = self.look()
-        for each in sorted(now - self.wrong):
+        for each in sorted(self.look() - self.wrong):
             if not self._is_will(each):
                 self.guilt.append((each, self.host.calls[-1]))
-        self.wrong = now
+        self.wrong = self.look(hidden=True)
 
     def _is_will(self, wrong: Wrong) -> bool:
         """Whether people connected two with each other; what died comes back so."""
@@ -92,9 +91,14 @@ class Witness:
             return True
         return (receiver, port, topic) in self._willed
 
-    def look(self) -> Set[Wrong]:
-        """Compare what everybody receives with what everybody asked for."""
-        sources = self._sources()
+    def look(self, hidden: bool = False) -> Set[Wrong]:
+        """Compare what everybody receives with what everybody asked for.
+
+        Args:
+            hidden: also count ordinary nodes that nobody can tell of, beside nodelets: they were
+                heard before, when the nodelets leave.
+        """
+        sources = self._sources(hidden)
         wrong = set()
         for name, port, direction, topic in self._ports():
             asked = self._signature(name).get(port, ())
@@ -148,7 +152,7 @@ class Witness:
     def _serves(self, tags: Tags, asked: Tags) -> bool:
         return all(any(satisfies(each, tag, self.concepts) for each in tags) for tag in asked)
 
-    def _sources(self) -> Dict[str, List[Tuple[str, Tags]]]:
+    def _sources(self, hidden: bool = False) -> Dict[str, List[Tuple[str, Tags]]]:
         """Who signs what arrives on each topic; relays pass on what others signed."""
         found: Dict[str, List[Tuple[str, Tags]]] = {}
         relays: Dict[str, Dict[str, str]] = {}
@@ -160,7 +164,7 @@ class Witness:
                 found.setdefault(topic, []).append((f"{name}.{port}", tags))
         for topic in self.host.topics:
             texts = [tags for where, tags in self.described.values() if where == topic]
-            if texts or topic not in found:  # nobody can tell of them beside nodelets
+            if hidden or texts or topic not in found:  # nobody can tell of them beside nodelets
                 tags = tuple(itertools.chain.from_iterable(texts))
                 found.setdefault(topic, []).append((ORDINARY, tags))
         for _ in relays:  # one may feed another
