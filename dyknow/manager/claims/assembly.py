@@ -169,7 +169,13 @@ class _Work:
 
         Without a topic it is brought to a new one, the relay's own.
         """
-        made = relay(present, self._parts.type_of(goal), self._parts.tags_of(goal))
+        audience = self._wires.audience()
+        tags = tuple(
+            tag
+            for tag in self._parts.tags_of(goal)
+            if audience.common_tags(present, read_tags((tag,)))  # and not only of this sender
+        )
+        made = relay(present, self._parts.type_of(goal), tags)
         name = self._spawn(made, {"in": present}, () if topic else ("out",))
         out = {"out": topic} if topic else {}
         self._connect(name, {"in": self._topic_of(goal), **out})

@@ -264,6 +264,69 @@ def test_a_topic_with_two_streams_is_neither(lab: Field) -> None:
     assert {claim.topic, either.topic} <= lab.moving
 
 
+def test_a_relay_asks_for_what_all_senders_on_a_topic_have_in_common(lab: Field) -> None:
+    claim = lab.acquire("RawYUV(bottom)").claim
+    lab.spawn("bottom", "/mine", config={"image": "/image"})
+    tags = '<tag port="out">RawYUV(front)</tag><tag port="out">'
+    text = described("front", "/image", "RawYUV(bottom)", IMAGE)
+    lab.manager.add_transformation(text.replace('<tag port="out">', tags))
+    lab.host.topics.add("/image")
+    lab.manager.remove_transformation("bottom")
+    lab.settle(3.0)
+    assert lab.state(claim.claim_id) is ClaimState.ACTIVE
+    assert lab.host.publishers(claim.topic) == ["/relay_of_image_1"]
+    assert claim.topic in lab.moving
+
+
+# Plain nodelets, which come up again when they are connected elsewhere
+
+
+def loaded(lab: Field, name: str) -> List[Dict[str, str]]:
+    """Listen to where a nodelet's ports are each time that it comes up."""
+    seen: List[Dict[str, str]] = []
+
+    def note(operation: str, argument: str) -> None:
+        if (operation, argument) == ("loaded", name):
+            topics = connected(lab, name).items()
+            seen.append({port: topic for port, topic in topics if "/disconnected/" not in topic})
+
+    lab.host.fail = note
+    return seen
+
+
+def add_plain(lab: Field, ports: Dict[str, Tuple[str, Sequence[str]]]) -> None:
+    lab.host.sources["lab/plain"] = [(name, way, IMAGE) for name, (way, _) in ports.items()]
+    lab.host.cpp.add("lab/plain")
+    lab.manager.add_transformation(specification("plain", "lab/plain", ports, 1, IMAGE))
+
+
+def test_a_plain_nodelet_does_not_come_up_again_where_it_does_not_fit(lab: Field) -> None:
+    add_plain(lab, {"one": ("out", ["Other(one)"]), "two": ("out", ["Other(two)"])})
+    claim = lab.acquire("BGR(ceiling)").claim
+    topic = connected(lab, "/convert_1")["raw"]
+    lab.spawn("plain", "/mine", config={"one": topic, "two": topic})
+    seen = loaded(lab, "/mine")
+    lab.settle()
+    assert seen == [{}]
+    assert lab.host.publishers(topic) == ["/ceiling_1"]
+    assert lab.state(claim.claim_id) is ClaimState.ACTIVE
+
+
+def test_a_plain_nodelet_leaves_a_topic_that_nobody_describes_with_all_ports(lab: Field) -> None:
+    plain = {"one": ("in", ["Sum(?a)"]), "two": ("in", ["Sum(?b)"]), "sum": ("out", ["Sum(all)"])}
+    add_plain(lab, plain)
+    lab.host.topics.add("/parts")
+    lab.manager.add_transformation(described("parts", "/parts", "Sum(part)", IMAGE))
+    claim = lab.acquire("Sum(all)").claim
+    assert connected(lab, "/plain_1")["two"] == "/parts"
+    seen = loaded(lab, "/plain_1")
+    lab.manager.remove_transformation("parts")
+    lab.settle()
+    assert [set(topics) - {"sum"} for topics in seen[:1]] == [set()]
+    assert lab.state(claim.claim_id) is ClaimState.PENDING
+    assert not any("/parts" in topics.values() for topics in seen)
+
+
 def test_a_claim_that_cannot_be_met_any_more_waits_whatever_others_get(lab: Field) -> None:
     with pytest.raises(NoPlanFound):
         lab.acquire("BGR(bottom)")
