@@ -214,6 +214,8 @@ class _Work:
         if isinstance(source, Live):
             self._done.reused.add(name)
         topic = self._graph.get(name).topics.get(source.port, "")
+        if topic in self._order.ordinary:
+            self._done.sources.add(topic)
         if not topic or (isinstance(source, New) and self._is_mixed(source, topic)):
             topic = self._parts.free_topic(name, source.port)
         self._connect(name, {source.port: topic})

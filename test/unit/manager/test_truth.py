@@ -265,17 +265,41 @@ def test_a_topic_with_two_streams_is_neither(lab: Field) -> None:
 
 
 def test_a_relay_asks_for_what_all_senders_on_a_topic_have_in_common(lab: Field) -> None:
-    claim = lab.acquire("RawYUV(bottom)").claim
+    other = {"image": ("out", ["RawYUV(bottom)"])}
+    lab.manager.add_transformation(specification("other", "lab/ceiling", other, 1, IMAGE))
+    claim = lab.acquire("RawYUV(bottom)", exclude=("bottom",)).claim
     lab.spawn("bottom", "/mine", config={"image": "/image"})
     tags = '<tag port="out">RawYUV(front)</tag><tag port="out">'
     text = described("front", "/image", "RawYUV(bottom)", IMAGE)
     lab.manager.add_transformation(text.replace('<tag port="out">', tags))
     lab.host.topics.add("/image")
-    lab.manager.remove_transformation("bottom")
+    lab.manager.remove_transformation("other")
     lab.settle(3.0)
     assert lab.state(claim.claim_id) is ClaimState.ACTIVE
     assert lab.host.publishers(claim.topic) == ["/relay_of_image_1"]
     assert claim.topic in lab.moving
+
+
+def test_ordinary_nodes_are_heard_beside_a_relay_only_while_somebody_describes_them(
+    lab: Field,
+) -> None:
+    lab.manager.remove_transformation("ceiling")
+    lab.host.topics.add("/image")
+    lab.manager.add_transformation(described("one", "/image", "Whole(ceiling)", IMAGE))
+    lab.manager.add_transformation(described("two", "/image", "RawYUV(ceiling)", IMAGE))
+    first = lab.acquire("Whole(ceiling)").claim
+    ports = {"image": ("out", ["Whole(ceiling)", "RawYUV(ceiling)"])}
+    lab.manager.add_transformation(specification("whole", "lab/ceiling", ports, 1, IMAGE))
+    lab.acquire("Whole(ceiling)", exclude=("one",))
+    claim = lab.acquire("BGR(ceiling)", exclude=("whole",)).claim
+    lab.manager.remove_transformation("one")
+    lab.settle(3.0)
+    assert lab.host.publishers("/image") == ["/relay_of_whole_1_image_1"]
+    assert lab.claim(first.claim_id).topic == connected(lab, "/convert_1")["raw"] == "/image"
+    lab.manager.remove_transformation("two")
+    lab.settle(3.0)
+    assert connected(lab, "/convert_1") == {}
+    assert lab.state(claim.claim_id) is ClaimState.PENDING
 
 
 # Plain nodelets, which come up again when they are connected elsewhere
