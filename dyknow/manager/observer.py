@@ -64,6 +64,7 @@ class Observer:
         self._dead: Set[str] = set()  # found by this look
         self._crashes: Dict[str, Crash] = {}  # told of since the look before it, by manager
         self._returning: Set[str] = set()  # being brought back
+        self._to_ask: Set[str] = set()  # their ports changed, and could not be asked for
         #: Called with the record of a nodelet that was made for a claim and died.
         self.on_death: Callable[[Record], None] = lambda record: None
         #: Called with the transformation of one that was at work when its process crashed, and
@@ -91,6 +92,7 @@ class Observer:
             changed: nodelets whose ports are to be asked for; new ones always are.
         """
         with self._turn:
+            changed, self._to_ask = changed | self._to_ask, set()
             states = self._host.managers()
             self._crashes = {}
             for crash in self._host.crashes():
@@ -192,6 +194,7 @@ class Observer:
                     return
                 self._compare(current, state, listed, changed)
         except Busy:
+            self._to_ask.update({record.name} & changed)
             return  # somebody works on it; the next look sees the outcome
 
     def _compare(
@@ -241,6 +244,8 @@ class Observer:
                 ports = seen_ports(record, self._host.ports(record.name))
             except HostError as error:
                 _log.debug("%s: %s", record.name, error)
+                if closely:
+                    self._to_ask.add(record.name)
             else:
                 record = replace(record, ports=ports)
                 record = replace(record, topics=topics_of(record))

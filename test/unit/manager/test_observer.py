@@ -52,6 +52,21 @@ def test_connections_that_others_made_come_back_too(world: World) -> None:
     assert world.host.nodelet("/b").ports["in"].topic == "/elsewhere"
 
 
+def test_ports_that_could_not_be_asked_for_are_asked_for_again(world: World) -> None:
+    world.spawn("relay", "b", config={"in": "/i"})
+    world.host.connect("/b", {"in": "/elsewhere"})
+
+    def fail(operation: str, argument: str) -> None:
+        raise HostError("not now")
+
+    world.host.fail = fail
+    world.manager.look({"/b"})
+    world.host.fail = lambda operation, argument: None
+    assert dict(world.manager.graph.get("/b").topics) == {"in": "/i"}
+    world.manager.look()
+    assert dict(world.manager.graph.get("/b").topics) == {"in": "/elsewhere"}
+
+
 def test_a_deliberate_unload_by_others_is_followed(world: World) -> None:
     world.spawn("camera", "a")
     world.spawn("camera", "b")
