@@ -79,10 +79,8 @@ class Housekeeping:
         claims = self._table.living()
         needed, wires = self._table.needed(), _wires(claims)
         audience = self._wires.audience()
-        # Nobody says any more what is sent there.
-        unknown = {
-            topic for claim in claims for topic in claim.sources if not audience.is_described(topic)
-        }
+        sources = {topic for claim in claims for topic in claim.sources}
+        unknown = {topic for topic in sources if not audience.is_described(topic)}
         for record in self._manager.graph.all():
             if not record.claimed:
                 continue

@@ -145,8 +145,7 @@ class Witness:
             for claim in self.claims()
             if claim.state is ClaimState.PENDING and claim.topic
             for source, _ in sources.get(claim.topic, ())
-            if source != ORDINARY
-            and _publisher(source) not in {*self.by_hand, *self.host.slow}
+            if source != ORDINARY and _publisher(source) not in {*self.by_hand, *self.host.slow}
         ]
 
     def _serves(self, tags: Tags, asked: Tags) -> bool:
