@@ -244,7 +244,7 @@ class Observer:
                 ports = seen_ports(record, self._host.ports(record.name))
             except HostError as error:
                 _log.debug("%s: %s", record.name, error)
-                if closely:
+                if closely or record.transformation is not None:  # it has a proxy
                     self._to_ask.add(record.name)
             else:
                 record = replace(record, ports=ports)
