@@ -7,6 +7,7 @@ where a connection would put it of which nobody knows yet whether it was made.
 from __future__ import annotations
 
 from typing import (
+    AbstractSet,
     Callable,
     Collection,
     Dict,
@@ -20,6 +21,7 @@ from typing import (
 
 from dyknow.manager.claim import Claim
 from dyknow.manager.claims.demands import demand_of
+from dyknow.manager.claims.relay import is_relay
 from dyknow.manager.model import Record
 from dyknow.manager.planning.supply import Demand, meets
 from dyknow.manager.specifications.tags import Subsumption, Term, read_tags
@@ -76,6 +78,7 @@ class Audience:
             perhaps: further topics on which a nodelet's port may be.
             ontology: what is a kind of what.
         """
+        records = list(records)
         self._ontology = ontology
         self._senders: Dict[str, List[Sender]] = {}
         self._listeners: Dict[str, List[Listener]] = {}
@@ -100,6 +103,7 @@ class Audience:
         said = set(self._senders)
         for topic, name, port in places:
             self._enter(name, port, topic, topic in said)
+        self._distrust({each.name for each in records if is_relay(each.transformation)})
 
     def _enter(self, name: str, port: Port, topic: str, is_described: bool) -> None:
         tags = read_tags(port.tags)
@@ -109,6 +113,17 @@ class Audience:
         elif port.direction == OUT and (tags or not is_described):
             sender = Sender(name, port.name, tags, port.datatype)
             self._senders.setdefault(topic, []).append(sender)
+
+    def _distrust(self, relays: AbstractSet[str]) -> None:
+        """What a relay says of its stream holds only as long as it hears nothing else."""
+        misled: AbstractSet[str] = relays
+        while relays and misled:
+            hearing = {listener.nodelet for _, _, listener in self.misfits()}
+            misled, relays = relays & hearing, relays - hearing
+            for senders in self._senders.values():
+                senders[:] = [
+                    each._replace(tags=()) if each.nodelet in misled else each for each in senders
+                ]
 
     def senders(self, topic: str) -> List[Sender]:
         """Who may send on a topic; what is said of it stands for senders without tags."""

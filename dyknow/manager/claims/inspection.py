@@ -92,7 +92,7 @@ def _is_what_it_was(topic: str, claim: Claim, audience: Audience) -> bool:
 
 def is_current(library: Library, record: Record) -> bool:
     """Whether the library still has what a nodelet was made from, perhaps in a newer version."""
-    if record.transformation is not None and is_relay(record.transformation):
+    if is_relay(record.transformation):
         return True
     try:
         library.get(record.label)

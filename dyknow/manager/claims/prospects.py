@@ -226,9 +226,7 @@ class Prospects:
     def _origins(self, streams: Iterable[Stream]) -> List[Stream]:
         """Leave relays out: who needs what they bring takes it where they have it from."""
         relays = {
-            record.name
-            for record in self._manager.graph.all()
-            if record.transformation is not None and is_relay(record.transformation)
+            record.name for record in self._manager.graph.all() if is_relay(record.transformation)
         }
         return [each for each in streams if each[0].nodelet not in relays]
 

@@ -6,7 +6,7 @@ others listen there.
 
 from __future__ import annotations
 
-from typing import Tuple
+from typing import Optional, Tuple
 
 from dyknow.errors import SpawnFailed
 from dyknow.manager.specifications.tags import read_tags
@@ -36,8 +36,10 @@ def relay(topic: str, datatype: str, tags: Tuple[str, ...]) -> Transformation:
     )
 
 
-def is_relay(transformation: Transformation) -> bool:
+def is_relay(transformation: Optional[Transformation]) -> bool:
     """Whether a transformation is one of ours, not of the library."""
-    return transformation.label.startswith(_PREFIX + "/") and (
-        transformation.source == "dyknow/Relay"
+    return (
+        transformation is not None
+        and transformation.label.startswith(_PREFIX + "/")
+        and transformation.source == "dyknow/Relay"
     )

@@ -1,0 +1,52 @@
+"""Who hears whom, at one moment."""
+
+from __future__ import annotations
+
+from typing import Dict, List
+
+from dyknow.manager.claims.audience import Audience
+from dyknow.manager.claims.relay import relay
+from dyknow.manager.model import Record
+from dyknow.manager.specifications.tags import NO_ONTOLOGY
+from dyknow.manager.specifications.transformation import IN, OUT, Port, Transformation
+
+IMAGE = "sensor_msgs/Image"
+
+
+def camera(name: str, tag: str, topic: str) -> Record:
+    ports = (Port("out", OUT, IMAGE, (tag,)),)
+    return Record(
+        name, Transformation(name, "pkg/Camera", ports=ports), "/m", topics={"out": topic}
+    )
+
+
+def viewer(name: str, tag: str, topic: str) -> Record:
+    ports = (Port("in", IN, IMAGE, (tag,)),)
+    return Record(
+        name, Transformation(name, "pkg/Viewer", ports=ports), "/m", topics={"in": topic}
+    )
+
+
+def relay_between(name: str, topics: Dict[str, str]) -> Record:
+    return Record(name, relay("/left", IMAGE, ("Raw(left)",)), "/m", topics=topics)
+
+
+def misfits(*records: Record) -> List[str]:
+    found = Audience(records, (), (), lambda name, port: (), NO_ONTOLOGY).misfits()
+    return sorted(f"{sender.nodelet} {listener.nodelet}" for _, sender, listener in found)
+
+
+def test_a_relay_is_believed_while_it_hears_what_it_says() -> None:
+    first = relay_between("/first", {"in": "/left", "out": "/a"})
+    second = relay_between("/second", {"in": "/a", "out": "/b"})
+    left, eye = camera("/left_camera", "Raw(left)", "/left"), viewer("/eye", "Raw(left)", "/b")
+    assert misfits(left, first, second, eye) == []
+
+
+def test_what_a_relay_hears_wrongly_goes_through_all_relays_behind_it() -> None:
+    first = relay_between("/first", {"in": "/right", "out": "/a"})
+    second = relay_between("/second", {"in": "/a", "out": "/b"})
+    right, eye = camera("/right_camera", "Raw(right)", "/right"), viewer("/eye", "Raw(left)", "/b")
+    wrong = ["/first /second", "/right_camera /first", "/second /eye"]
+    for records in ([right, first, second, eye], [eye, second, first, right]):
+        assert misfits(*records) == wrong
