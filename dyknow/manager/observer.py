@@ -19,7 +19,7 @@ from dyknow.errors import Busy, DyKnowError, HostError, NameTaken
 from dyknow.manager.graph import Graph
 from dyknow.manager.host import Crash, Host, ManagerState
 from dyknow.manager.lifecycle import Lifecycle
-from dyknow.manager.model import Record, State, seen_ports, topics_of
+from dyknow.manager.model import Record, State, declared_ports, seen_ports, topics_of
 from dyknow.manager.patience import Patience
 from dyknow.manager.suspects import Suspects
 
@@ -246,6 +246,8 @@ class Observer:
                 _log.debug("%s: %s", record.name, error)
                 if closely or record.transformation is not None:  # it has a proxy
                     self._to_ask.add(record.name)
+                if not record.ports:  # it is as it should be until it can be asked
+                    record = replace(record, ports=declared_ports(record))
             else:
                 record = replace(record, ports=ports)
                 record = replace(record, topics=topics_of(record))
