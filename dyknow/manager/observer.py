@@ -246,11 +246,11 @@ class Observer:
                 _log.debug("%s: %s", record.name, error)
                 if closely or record.transformation is not None:  # it has a proxy
                     self._to_ask.add(record.name)
-                if not record.ports:  # it is as it should be until it can be asked
-                    record = replace(record, ports=declared_ports(record))
             else:
                 record = replace(record, ports=ports)
                 record = replace(record, topics=topics_of(record))
+        if not record.ports:  # as it should be, where it cannot be asked
+            record = replace(record, ports=declared_ports(record))
         self._graph.put(record, durable=record.transformation is not None)
 
     def _complete(self, record: Record) -> bool:

@@ -253,3 +253,11 @@ def test_a_nodelet_that_is_lost_is_logged_once(
         world.host.wake("/fake_0")
         world.manager.look()
     assert all(each.getMessage().count("/fake_0") <= 1 for each in caplog.records)
+
+
+def test_a_plain_nodelet_has_its_ports_after_a_restart_of_the_manager(world: World) -> None:
+    world.spawn("native", "n", config={"image": "/raw"})
+    ports = world.manager.graph.get("/n").ports
+    assert {port.name: port.topic for port in ports}["image"] == "/raw"
+    world.kill_manager()
+    assert world.manager.graph.get("/n").ports == ports
