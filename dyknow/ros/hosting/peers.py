@@ -23,6 +23,7 @@ from nodelet.srv import NodeletList
 from dyknow.errors import HostError, HostTimeout, PeerTimeout
 from dyknow.manager.host import Kind, ManagerState
 from dyknow.ros.master import Master
+from dyknow.ros.rounds import attempt
 from dyknow.ros.service_client import ServiceClient
 
 #: Seconds for an answer over a connection that is there.
@@ -242,10 +243,7 @@ class Peer:
         while True:
             with self._lock:
                 self._begun += 1
-            try:
-                self.look()
-            except Exception:  # the boundary of the thread: the next look may do better
-                _log.exception("looking for nodelet manager %s failed", self.name)
+            attempt(f"looking for nodelet manager {self.name}", self.look)
             with self._lock:
                 self._ended = self._begun
                 self._lock.notify_all()

@@ -94,8 +94,9 @@ class GuardParameters:
         Raises:
             ProtectedFromUnloading: one does.
         """
+        own = _key_of(caller)
         for key, guards in self._ask().items():
-            if name in guards.get(_PROTECTED, ()) and guards_key(caller) != f"{_GUARDS}/{key}":
+            if key != own and name in guards.get(_PROTECTED, ()):
                 raise ProtectedFromUnloading(name)
 
     def _read(self) -> Dict[str, Any]:
