@@ -10,7 +10,7 @@ from python_qt_binding.QtWidgets import QCompleter, QLineEdit, QWidget
 
 from dyknow_rqt.canvas.colours import colours_of
 from dyknow_rqt.graph.filters import BadFilter, Filter, completions, parse
-from dyknow_rqt.guard import guarded
+from dyknow_rqt.qt_slot import qt_slot
 
 
 class FilterEdit(QLineEdit):
@@ -47,11 +47,11 @@ class FilterEdit(QLineEdit):
         """Say what exists."""
         self._names = sorted(names)
 
-    @guarded
+    @qt_slot
     def _offer(self, text: str) -> None:
         self._model.setStringList(completions(text, self._names))
 
-    @guarded
+    @qt_slot
     def _read(self, text: str) -> None:
         palette = QPalette(self.parentWidget().palette()) if self.parentWidget() else QPalette()
         try:

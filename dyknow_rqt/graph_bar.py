@@ -22,7 +22,7 @@ from python_qt_binding.QtWidgets import (
 from dyknow_rqt.filter_edit import FilterEdit
 from dyknow_rqt.flow_layout import FlowLayout
 from dyknow_rqt.graph.figure import Options
-from dyknow_rqt.guard import guarded
+from dyknow_rqt.qt_slot import qt_slot
 
 _TYPING = 250  # ms
 
@@ -180,11 +180,11 @@ class GraphBar(QWidget):
         for edit in (self.nodelets, self.topics):
             edit.filter_changed.connect(self._typing.start)
 
-    @guarded
+    @qt_slot
     def _tell(self) -> None:
         self.options_changed.emit()
 
-    @guarded
+    @qt_slot
     def _tell_structure(self) -> None:
         self.structure_changed.emit()
 

@@ -8,21 +8,21 @@ from python_qt_binding.QtCore import QEvent, QPoint, Qt, Signal
 from python_qt_binding.QtGui import QKeySequence
 from python_qt_binding.QtWidgets import QAction, QFileDialog, QLabel, QVBoxLayout, QWidget
 
+from dyknow_rqt.canvas.appearance import edge_refs, gap_of, sizes_of
 from dyknow_rqt.canvas.items import Item
-from dyknow_rqt.canvas.looks import edge_refs, gap_of, sizes_of
 from dyknow_rqt.canvas.view import GraphView
 from dyknow_rqt.graph.changes import Protect
 from dyknow_rqt.graph.dot import to_dot
-from dyknow_rqt.graph.figure import Figure, Kind, figure_of, key_of
+from dyknow_rqt.graph.figure import Figure, VertexKind, figure_of, key_of
 from dyknow_rqt.graph.geometry import Layout, Size
-from dyknow_rqt.graph.settle import settle
 from dyknow_rqt.graph.snapshot import PortRef, Snapshot
+from dyknow_rqt.graph.stabilise import stabilise
 from dyknow_rqt.graph.wiring import connect, connect_topic, disconnect, partners
 from dyknow_rqt.graph_bar import GraphBar
-from dyknow_rqt.graph_menus import Deeds, menu_for
-from dyknow_rqt.guard import guarded
+from dyknow_rqt.graph_menus import GraphActions, menu_for
 from dyknow_rqt.layouter import Layouter
 from dyknow_rqt.monitor import Monitor
+from dyknow_rqt.qt_slot import qt_slot
 from dyknow_rqt.wiring_files import WiringFiles
 
 _KINDS = ("DOT (*.dot)", "SVG (*.svg)", "PNG (*.png)")
@@ -36,10 +36,12 @@ class GraphPanel(QWidget):
     #: It is no longer so.
     mended = Signal(str)
 
-    def __init__(self, monitor: Monitor, deeds: Deeds, parent: Optional[QWidget] = None) -> None:
+    def __init__(
+        self, monitor: Monitor, actions: GraphActions, parent: Optional[QWidget] = None
+    ) -> None:
         super().__init__(parent)
         self._monitor = monitor
-        self._deeds = deeds
+        self._actions = actions
         self._figure = Figure()
         self._has_fitted = self._wants_tidy = False
         self.bar = GraphBar()
@@ -76,7 +78,7 @@ class GraphPanel(QWidget):
 
     # Drawing
 
-    @guarded
+    @qt_slot
     def redraw(self) -> None:
         """Draw what has changed; the layout is made anew only if things came or went."""
         snapshot = self._monitor.snapshot
@@ -90,13 +92,13 @@ class GraphPanel(QWidget):
             self.layouter.lay_out(figure, sizes_of(figure, font), gap_of(font))
         self._show_sign()
 
-    @guarded
+    @qt_slot
     def tidy(self) -> None:
         """Lay everything out anew, wherever that puts things."""
         self._wants_tidy = True
         self.redraw()
 
-    @guarded
+    @qt_slot
     def find(self) -> None:
         """Go to the field that finds things."""
         self.bar.search.setFocus()
@@ -104,7 +106,7 @@ class GraphPanel(QWidget):
 
     def select_nodelets(self, names: Iterable[str]) -> None:
         """Select nodelets and nothing else."""
-        wanted = {key_of(Kind.NODELET, name) for name in names}
+        wanted = {key_of(VertexKind.NODELET, name) for name in names}
         for key, item in self.view.scene().vertices.items():
             item.setSelected(key in wanted)
 
@@ -122,11 +124,11 @@ class GraphPanel(QWidget):
             with open(path, "w", encoding="utf-8") as file:
                 file.write(to_dot(self.drawn, sizes_of(self.drawn, self.view.font())))
 
-    @guarded
+    @qt_slot
     def _draw(self, figure: Figure, sizes: Mapping[str, Size], layout: Layout) -> None:
         scene = self.view.scene()
         if not self._wants_tidy:
-            layout = settle(scene.layout, scene.figure, layout, figure, sizes)
+            layout = stabilise(scene.layout, scene.figure, layout, figure, sizes)
         scene.show_figure(figure, layout, sizes)
         if figure.vertices and (not self._has_fitted or self._wants_tidy):
             self._has_fitted = True
@@ -135,7 +137,7 @@ class GraphPanel(QWidget):
         self._wants_tidy = False
         self._search()
 
-    @guarded
+    @qt_slot
     def _show_sign(self) -> None:
         monitor, text = self._monitor, ""
         if monitor.is_linked is None:
@@ -152,26 +154,26 @@ class GraphPanel(QWidget):
         self.sign.setVisible(bool(text))
         self.sign.setGeometry(0, 0, self.view.width(), 60 if monitor.snapshot.nodelets else 160)
 
-    @guarded
+    @qt_slot
     def _follow_link(self) -> None:
         self._show_sign()
         self.view.setEnabled(bool(self._monitor.is_linked))
 
     # Gestures
 
-    @guarded
+    @qt_slot
     def _drag_began(self, ref: PortRef) -> None:
         self.view.scene().offer(set(partners(self._monitor.snapshot, ref)) | {ref})
 
-    @guarded
+    @qt_slot
     def _port_dropped(self, start: PortRef, end: PortRef) -> None:
         self._monitor.do(connect(self._monitor.snapshot, start, end))
 
-    @guarded
+    @qt_slot
     def _topic_dropped(self, start: PortRef, topic: str) -> None:
         self._monitor.do(connect_topic(self._monitor.snapshot, start, topic))
 
-    @guarded
+    @qt_slot
     def _delete(self) -> None:
         """Disconnect the arrows that are selected; destroy nodelets that are, after asking."""
         scene = self.view.scene()
@@ -179,24 +181,24 @@ class GraphPanel(QWidget):
         if refs:
             self._disconnect(refs)
         elif scene.selected_nodelets():
-            self._deeds.destroy(tuple(scene.selected_nodelets()))
+            self._actions.destroy(tuple(scene.selected_nodelets()))
 
     def _disconnect(self, refs: Tuple[PortRef, ...]) -> None:
         self._monitor.do(disconnect(self._monitor.snapshot, refs))
 
-    @guarded
+    @qt_slot
     def _show_menu(self, item: Optional[Item], place: QPoint) -> None:
-        menu = menu_for(item, self._monitor.snapshot, self._deeds, self)
+        menu = menu_for(item, self._monitor.snapshot, self._actions, self)
         menu.setAttribute(Qt.WA_DeleteOnClose)
         menu.popup(place)
 
-    @guarded
+    @qt_slot
     def _search(self) -> None:
         text = self.bar.search.text()
         hits = self.view.scene().find(text)
         self.bar.hits.setText(f"{len(hits)} found" if text else "")
 
-    @guarded
+    @qt_slot
     def _next_hit(self) -> None:
         """Select the next thing that was found, and show it."""
         hits = self.view.scene().find(self.bar.search.text())
@@ -204,7 +206,7 @@ class GraphPanel(QWidget):
             chosen = [number for number, item in enumerate(hits) if item.isSelected()]
             self.view.select(hits[(chosen[0] + 1) % len(hits) if chosen else 0])
 
-    @guarded
+    @qt_slot
     def _ask_where(self, kind: str) -> None:
         suffix = kind.rpartition(".")[2].rstrip(")")
         dialog = QFileDialog(self, "Save the graph", "", kind)
@@ -215,7 +217,7 @@ class GraphPanel(QWidget):
         if dialog.exec_():
             self.save(dialog.selectedFiles()[0])
 
-    @guarded
+    @qt_slot
     def _set_highlights(self, on: bool) -> None:
         self.view.scene().highlights = on
 
@@ -258,19 +260,19 @@ class GraphPanel(QWidget):
         for edit in (bar.nodelets, bar.topics):
             edit.refused.connect(self.failed)
             edit.mended.connect(self.mended)
-        self._deeds.disconnect = self._disconnect
-        self._deeds.protect = self._protect
-        self._deeds.refresh, self._deeds.fit = self._refresh, view.fit
-        self._deeds.tidy, self._deeds.find = self.tidy, self.find
+        self._actions.disconnect = self._disconnect
+        self._actions.protect = self._protect
+        self._actions.refresh, self._actions.fit = self._refresh, view.fit
+        self._actions.tidy, self._actions.find = self.tidy, self.find
 
     def _protect(self, name: str, on: bool) -> None:
         self._monitor.do(Protect(name, on))
 
-    @guarded
+    @qt_slot
     def _take_snapshot(self, snapshot: Snapshot) -> None:
         self.redraw()
 
-    @guarded
+    @qt_slot
     def _refresh(self) -> None:
         self._monitor.read_library()
         self._monitor.look()

@@ -10,7 +10,7 @@ from dyknow_rqt.graph.dot import BadLayout, read_layout, to_dot
 from dyknow_rqt.graph.figure import Figure
 from dyknow_rqt.graph.geometry import Layout, Size
 from dyknow_rqt.graph.layered import layered
-from dyknow_rqt.guard import guarded
+from dyknow_rqt.qt_slot import qt_slot
 
 #: Seconds that graphviz may take.
 LIMIT = 4.0
@@ -78,7 +78,7 @@ class Layouter(QObject):
         self._process.write(to_dot(figure, sizes, self._gap).encode())
         self._process.closeWriteChannel()
 
-    @guarded
+    @qt_slot
     def _finished(self) -> None:
         if self._current is None:
             return
@@ -91,13 +91,13 @@ class Layouter(QObject):
         else:
             self._end(layout)
 
-    @guarded
+    @qt_slot
     def _could_not(self, error: int) -> None:
         # After a crash or a kill `finished` follows; only what did not start ends here.
         if error == QProcess.FailedToStart and self._current is not None:
             self._fall_back(f"'{self._program}' cannot be run; is graphviz installed?")
 
-    @guarded
+    @qt_slot
     def _too_slow(self) -> None:
         self._complaint = (
             f"graphviz took longer than {self._limit.interval() / 1000:g} s: a plainer layout is "

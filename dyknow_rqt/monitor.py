@@ -28,10 +28,10 @@ from dyknow.errors import DyKnowError, HostError, PeerTimeout, Refused
 from dyknow.manager.model import State
 from dyknow.manager.specifications.transformation import Transformation
 from dyknow_rqt.graph.changes import CannotUndo, Change
-from dyknow_rqt.graph.history import History
+from dyknow_rqt.graph.history import UndoHistory
 from dyknow_rqt.graph.rates import Meter, in_turns
 from dyknow_rqt.graph.snapshot import PlainNode, Snapshot, plain_nodes, taken_topics
-from dyknow_rqt.guard import guarded
+from dyknow_rqt.qt_slot import qt_slot
 from dyknow_rqt.remote import Remote
 from dyknow_rqt.workers import Workers
 
@@ -62,7 +62,7 @@ class Monitor(QObject):
     changed = Signal(object)
     #: The library is another one: transformations by label.
     library_changed = Signal(object)
-    #: Rates have been measured: ``Traffic`` by ``PortRef``.
+    #: Rates have been measured: ``PortRate`` by ``PortRef``.
     measured = Signal(object)
     #: Something has become of a stream: a ``StreamEventView``.
     stream_event = Signal(object)
@@ -89,7 +89,7 @@ class Monitor(QObject):
         self.snapshot = Snapshot()
         self.library: Dict[str, Transformation] = {}
         self.is_linked: Optional[bool] = None
-        self.history = History()
+        self.history = UndoHistory()
         self._workers = Workers()
         self._meter = Meter()
         self._revision = -1
@@ -134,7 +134,7 @@ class Monitor(QObject):
         """Say that something went wrong."""
         self.failed.emit(text)
 
-    @guarded
+    @qt_slot
     def look(self) -> None:
         """Look at everything now, unless a look is under way."""
         if not self._looking:
@@ -147,7 +147,7 @@ class Monitor(QObject):
             )
             self._workers.run(lambda: self._looked(names), self._take_look, self._take_failure)
 
-    @guarded
+    @qt_slot
     def read_library(self) -> None:
         """Ask for all that can run."""
         if not self._reading:
@@ -185,7 +185,7 @@ class Monitor(QObject):
 
         self._apply(change, note)
 
-    @guarded
+    @qt_slot
     def undo(self) -> None:
         """Take back what was done last."""
         step = self.history.last
@@ -202,7 +202,7 @@ class Monitor(QObject):
             no_way=self.history.drop,
         )
 
-    @guarded
+    @qt_slot
     def redo(self) -> None:
         """Do again what was taken back last."""
         change = self.history.next
@@ -304,7 +304,7 @@ class Monitor(QObject):
         if not self._drawing.isActive():
             self._drawing.start()
 
-    @guarded
+    @qt_slot
     def _take_heard(self) -> None:
         model, self._heard = self._heard, None
         if model is None:

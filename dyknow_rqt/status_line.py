@@ -9,7 +9,7 @@ from python_qt_binding.QtGui import QPalette
 from python_qt_binding.QtWidgets import QHBoxLayout, QLabel, QPushButton, QSizePolicy, QWidget
 
 from dyknow_rqt.canvas.colours import colours_of
-from dyknow_rqt.guard import guarded
+from dyknow_rqt.qt_slot import qt_slot
 
 _NOTE_TIME = 6000  # ms
 _KEPT = 50
@@ -73,7 +73,7 @@ class StatusLine(QWidget):
         self.no.show()
         self.yes.setFocus()
 
-    @guarded
+    @qt_slot
     def keyPressEvent(self, event: Any) -> None:  # noqa: N802
         """Escape says no."""
         if event.key() == Qt.Key_Escape:
@@ -81,7 +81,7 @@ class StatusLine(QWidget):
         else:
             super().keyPressEvent(event)
 
-    @guarded
+    @qt_slot
     def clear(self) -> None:
         """Say nothing."""
         self._answer = None
@@ -91,7 +91,7 @@ class StatusLine(QWidget):
         for button in (self.yes, self.no, self.dismiss):
             button.hide()
 
-    @guarded
+    @qt_slot
     def _confirm(self) -> None:
         answer = self._answer
         self.clear()

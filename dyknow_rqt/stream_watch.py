@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Optional, Sequence, Tuple
 
 from python_qt_binding.QtCore import QObject, Signal
 
-from dyknow_rqt.guard import guarded
 from dyknow_rqt.monitor import Monitor
+from dyknow_rqt.qt_slot import qt_slot
 
 if TYPE_CHECKING:
     from dyknow.ros.stream_views import StreamView
@@ -31,7 +31,7 @@ class StreamWatch(QObject):
         """The claim with that id, or None."""
         return next((each for each in self.streams if each.claim_id == claim_id), None)
 
-    @guarded
+    @qt_slot
     def ask(self) -> None:
         """Ask for all claims; one question at a time, and one more if something came between."""
         if self._asking:

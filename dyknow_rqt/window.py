@@ -7,15 +7,15 @@ from typing import Any, Dict, List, Optional
 from python_qt_binding.QtCore import Qt
 from python_qt_binding.QtWidgets import QSplitter, QTabWidget, QVBoxLayout, QWidget
 
-from dyknow_rqt.graph_menus import Deeds
+from dyknow_rqt.graph_menus import GraphActions
 from dyknow_rqt.graph_panel import GraphPanel
-from dyknow_rqt.guard import guarded
 from dyknow_rqt.monitor import Monitor
 from dyknow_rqt.panels.active import ActivePanel
 from dyknow_rqt.panels.connect import ConnectPanel
 from dyknow_rqt.panels.create import CreatePanel
 from dyknow_rqt.panels.library import LibraryPanel
 from dyknow_rqt.panels.streams import StreamsPanel
+from dyknow_rqt.qt_slot import qt_slot
 from dyknow_rqt.remote import Remote
 from dyknow_rqt.status_line import StatusLine
 
@@ -33,8 +33,8 @@ class DyKnowWidget(QWidget):
         self.monitor = Monitor(remote)
         self.line = StatusLine()
         self.report = self.line.report
-        self._deeds = Deeds()
-        self.graph = GraphPanel(self.monitor, self._deeds)
+        self._actions = GraphActions()
+        self.graph = GraphPanel(self.monitor, self._actions)
         self.active = ActivePanel(self.monitor, self.line)
         self.library = LibraryPanel(self.monitor, self.line)
         self.create_ = CreatePanel(self.monitor, self.line)
@@ -95,11 +95,11 @@ class DyKnowWidget(QWidget):
         self.streams.chosen.connect(self._show_chosen)
         self.library.create_wanted.connect(self._begin_create)
         self.addActions(list(self.graph.actions_of()))
-        self._deeds.destroy = self.active.ask_to_destroy
-        self._deeds.create = lambda: self._begin_create("")
-        self._deeds.begin_connection = self._begin_connection
+        self._actions.destroy = self.active.ask_to_destroy
+        self._actions.create = lambda: self._begin_create("")
+        self._actions.begin_connection = self._begin_connection
 
-    @guarded
+    @qt_slot
     def _begin_create(self, label: str) -> None:
         self.tabs.setCurrentWidget(self.create_)
         self.create_.begin(label)
@@ -108,7 +108,7 @@ class DyKnowWidget(QWidget):
         self.tabs.setCurrentWidget(self.connect_)
         self.connect_.begin(nodelet, port)
 
-    @guarded
+    @qt_slot
     def _show_chosen(self, names: List[str]) -> None:
         """Select in the graph what is selected in a table."""
         self.graph.select_nodelets(names)

@@ -9,8 +9,8 @@ from python_qt_binding.QtWidgets import QFileDialog, QWidget
 from dyknow.wiring.reader import read_wiring
 from dyknow.wiring.wiring import wiring_of
 from dyknow_rqt.graph.wiring_changes import LoadWiring
-from dyknow_rqt.guard import guarded
 from dyknow_rqt.monitor import Monitor
+from dyknow_rqt.qt_slot import qt_slot
 from dyknow_rqt.remote import Remote
 
 _FILES = "Wirings (*.xml);;All files (*)"
@@ -52,7 +52,7 @@ class WiringFiles:
             wiring = read_wiring(file.read(), path.rpartition("/")[2])
         self._monitor.do(LoadWiring(wiring, path.rpartition("/")[2]))
 
-    @guarded
+    @qt_slot
     def ask_where_to_save(self) -> None:
         """Let the user choose a file, then save."""
         path, _ = QFileDialog.getSaveFileName(
@@ -61,7 +61,7 @@ class WiringFiles:
         if path:
             self.save(path)
 
-    @guarded
+    @qt_slot
     def ask_what_to_load(self) -> None:
         """Let the user choose a file, then load."""
         path, _ = QFileDialog.getOpenFileName(self._window, "Load a wiring", "", _FILES)

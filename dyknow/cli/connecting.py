@@ -23,7 +23,7 @@ class CannotConnect(DyKnowError):
 
 
 @dataclass(frozen=True)
-class Change:
+class PortMove:
     """A port and the topics that it leaves and goes to; empty for none."""
 
     port: PortReference
@@ -92,7 +92,7 @@ def check_ends(
 
 def connect(
     client: ShellClient, source: PortReference, target: PortReference, topic: str = ""
-) -> Tuple[str, List[Change]]:
+) -> Tuple[str, List[PortMove]]:
     """Connect an out-port to an in-port.
 
     Returns:
@@ -111,7 +111,7 @@ def connect(
         topic = choose_topic(source.nodelet, out, into, nodelets, published)
     # The reader first: whatever is published on the topic from then on finds it.
     changes = [
-        Change(reference, port.topic, topic)
+        PortMove(reference, port.topic, topic)
         for reference, port in ((target, into), (source, out))
         if port.topic != topic
     ]
@@ -121,7 +121,7 @@ def connect(
 
 def connect_to_topic(
     client: ShellClient, reference: PortReference, topic: str, direction: str
-) -> List[Change]:
+) -> List[PortMove]:
     """Connect a port to a topic.
 
     Args:
@@ -149,7 +149,7 @@ def connect_to_topic(
             f"cannot connect: '{reference}' is an {port.direction}-port; swap the two, the stream "
             "leads from the first to the second"
         )
-    changes = [] if port.topic == topic else [Change(reference, port.topic, topic)]
+    changes = [] if port.topic == topic else [PortMove(reference, port.topic, topic)]
     apply(client, changes)
     return changes
 
@@ -158,13 +158,13 @@ def _other(direction: str) -> str:
     return OUT if direction == IN else IN
 
 
-def apply(client: ShellClient, changes: Sequence[Change]) -> None:
+def apply(client: ShellClient, changes: Sequence[PortMove]) -> None:
     """Make changes one nodelet after the other; when one fails, those before are undone.
 
     Raises:
         CannotConnect: one was refused; the text says so too if an undoing was.
     """
-    done: Dict[str, List[Change]] = {}
+    done: Dict[str, List[PortMove]] = {}
     try:
         for nodelet, own in _by_nodelet(changes).items():
             # Noted before the call: one that is not answered in time may have been done.
@@ -177,14 +177,14 @@ def apply(client: ShellClient, changes: Sequence[Change]) -> None:
         raise CannotConnect("; ".join([f"cannot connect: {error}", *troubles])) from error
 
 
-def _by_nodelet(changes: Sequence[Change]) -> Dict[str, List[Change]]:
-    grouped: Dict[str, List[Change]] = {}
+def _by_nodelet(changes: Sequence[PortMove]) -> Dict[str, List[PortMove]]:
+    grouped: Dict[str, List[PortMove]] = {}
     for change in changes:
         grouped.setdefault(change.port.nodelet, []).append(change)
     return grouped
 
 
-def _undo(client: ShellClient, done: Dict[str, List[Change]]) -> List[str]:
+def _undo(client: ShellClient, done: Dict[str, List[PortMove]]) -> List[str]:
     troubles = []
     for nodelet, changes in reversed(list(done.items())):
         try:

@@ -14,7 +14,7 @@ from dyknow.cli.nodelet_arguments import (
     USAGE,
     Command,
     Help,
-    Load,
+    LoadNodelet,
     RunManager,
     RunStandalone,
     UsageError,
@@ -67,7 +67,7 @@ def _run(command: Command, argv: Sequence[str]) -> int:
 
         print(f"type is {command.type}", flush=True)
         return run_standalone(command.type, command.my_argv, argv)
-    if isinstance(command, Load):
+    if isinstance(command, LoadNodelet):
         from dyknow.ros.nodelets.nodelet_client import run_load
 
         return run_load(

@@ -63,7 +63,7 @@ class RunStandalone:
 
 
 @dataclass(frozen=True)
-class Load:
+class LoadNodelet:
     """Load a nodelet of class `type` into the manager, with a bond or without."""
 
     type: str
@@ -73,14 +73,14 @@ class Load:
 
 
 @dataclass(frozen=True)
-class Unload:
+class UnloadNodelet:
     """Unload the nodelet from the manager."""
 
     name: str
     manager: str
 
 
-Command = Union[Help, RunManager, RunStandalone, Load, Unload]
+Command = Union[Help, RunManager, RunStandalone, LoadNodelet, UnloadNodelet]
 
 
 def parse(arguments: Sequence[str]) -> Command:
@@ -107,10 +107,10 @@ def parse(arguments: Sequence[str]) -> Command:
     if command == "load":
         _demand(command, rest, "PKG/CLASS", "MANAGER")
         no_bond = rest[2:3] == ("--no-bond",)
-        return Load(rest[0], rest[1], not no_bond, rest[3:] if no_bond else rest[2:])
+        return LoadNodelet(rest[0], rest[1], not no_bond, rest[3:] if no_bond else rest[2:])
     if command == "unload":
         _demand(command, rest, "NAME", "MANAGER")
-        return Unload(rest[0], rest[1])
+        return UnloadNodelet(rest[0], rest[1])
     raise UsageError(f"there is no command '{command}'")
 
 

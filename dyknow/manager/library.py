@@ -6,7 +6,7 @@ import threading
 from typing import TYPE_CHECKING, Dict, List, Optional, Sequence
 
 from dyknow.errors import TooMuch, UnknownTransformation
-from dyknow.manager.specifications.limits import DEFAULT_LIMITS, Limits
+from dyknow.manager.specifications.limits import DEFAULT_LIMITS, SpecificationLimits
 from dyknow.manager.specifications.specification import Specifications, parse
 from dyknow.manager.specifications.transformation import TOPIC, Transformation
 from dyknow.manager.store import Store
@@ -25,7 +25,7 @@ class Library:
         self,
         store: Store,
         ontology: Optional[Ontology] = None,
-        limits: Limits = DEFAULT_LIMITS,
+        limits: SpecificationLimits = DEFAULT_LIMITS,
     ) -> None:
         """Read what the store has.
 

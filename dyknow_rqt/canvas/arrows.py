@@ -18,13 +18,13 @@ from python_qt_binding.QtGui import (
 )
 from python_qt_binding.QtWidgets import QGraphicsItem
 
+from dyknow_rqt.canvas.appearance import RATE_SCALE
 from dyknow_rqt.canvas.colours import Colours, Tone
 from dyknow_rqt.canvas.items import PORT_RADIUS, Item
-from dyknow_rqt.canvas.looks import RATE_SCALE
 from dyknow_rqt.graph.figure import Edge
 from dyknow_rqt.graph.geometry import Point
-from dyknow_rqt.graph.rates import Traffic
-from dyknow_rqt.guard import guarded
+from dyknow_rqt.graph.rates import PortRate
+from dyknow_rqt.qt_slot import qt_slot
 
 _ARROW = 8.0
 
@@ -35,7 +35,7 @@ class EdgeItem(Item):
     def __init__(self, edge: Edge, colours: Colours, font: QFont) -> None:
         super().__init__(colours)
         self.edge = edge
-        self.traffic: Optional[Traffic] = None
+        self.traffic: Optional[PortRate] = None
         self.shows_name = False
         self._font = QFont(font)
         self._font.setPointSizeF(font.pointSizeF() * RATE_SCALE)
@@ -61,7 +61,7 @@ class EdgeItem(Item):
             path.cubicTo(first, second, third)
         self._path = path
 
-    def set_traffic(self, traffic: Optional[Traffic]) -> None:
+    def set_traffic(self, traffic: Optional[PortRate]) -> None:
         """Show another rate."""
         if traffic != self.traffic:
             self.prepareGeometryChange()
@@ -87,7 +87,7 @@ class EdgeItem(Item):
         stroker.setWidth(10)
         return stroker.createStroke(self._path)
 
-    @guarded
+    @qt_slot
     def paint(self, painter: QPainter, option: Any, widget: Any = None) -> None:
         """Draw it."""
         drops = self.traffic is not None and self.traffic.drop_rate > 0
@@ -109,12 +109,12 @@ class EdgeItem(Item):
             painter.setPen(self.colours.alarm if drops else self.colours.muted)
             painter.drawText(self._label_area(), Qt.AlignCenter, self.label)
 
-    @guarded
+    @qt_slot
     def hoverEnterEvent(self, event: Any) -> None:  # noqa: N802
         """Light up its ends."""
         self.scene().highlight_edge(self.edge)
 
-    @guarded
+    @qt_slot
     def hoverLeaveEvent(self, event: Any) -> None:  # noqa: N802
         """Put the lights out."""
         self.scene().highlight(None)

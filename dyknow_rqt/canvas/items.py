@@ -12,7 +12,7 @@ from dyknow.manager.specifications.transformation import IN
 from dyknow_rqt.canvas.colours import Colours, Tone
 from dyknow_rqt.graph.geometry import Rectangle
 from dyknow_rqt.graph.snapshot import PortRef
-from dyknow_rqt.guard import guarded
+from dyknow_rqt.qt_slot import qt_slot
 
 PORT_RADIUS = 4.0
 
@@ -61,7 +61,7 @@ class BoxItem(Item):
         """Its area and the line around it."""
         return self._area.adjusted(-2, -2, 2, 2)
 
-    @guarded
+    @qt_slot
     def paint(self, painter: QPainter, option: Any, widget: Any = None) -> None:
         """Draw it with its name at the top."""
         painter.setPen(QPen(self.colours.box_line, 1))
@@ -106,7 +106,7 @@ class PortItem(Item):
         path.addEllipse(QPointF(0, 0), PORT_RADIUS + 4, PORT_RADIUS + 4)
         return path
 
-    @guarded
+    @qt_slot
     def paint(self, painter: QPainter, option: Any, widget: Any = None) -> None:
         """Draw a dot, filled when connected."""
         large = self._hovered or bool(self.offered)
@@ -128,13 +128,13 @@ class PortItem(Item):
         left = -width - 8 if self.direction == IN else 8.0
         return QRectF(left, -metrics.height() - 3, width, metrics.height())
 
-    @guarded
+    @qt_slot
     def hoverEnterEvent(self, event: Any) -> None:  # noqa: N802
         """Grow."""
         self._hovered = True
         self.update()
 
-    @guarded
+    @qt_slot
     def hoverLeaveEvent(self, event: Any) -> None:  # noqa: N802
         """Shrink."""
         self._hovered = False

@@ -9,15 +9,15 @@ from python_qt_binding.QtGui import QFont, QImage, QPainter, QPalette
 from python_qt_binding.QtSvg import QSvgGenerator
 from python_qt_binding.QtWidgets import QGraphicsScene
 
+from dyknow_rqt.canvas.appearance import appearances_of, edge_refs, edge_traffic, port_tip
 from dyknow_rqt.canvas.arrows import EdgeItem
 from dyknow_rqt.canvas.colours import Tone, colours_of
 from dyknow_rqt.canvas.items import BoxItem, Item, PortItem
-from dyknow_rqt.canvas.looks import edge_refs, edge_traffic, looks_of, port_tip
 from dyknow_rqt.canvas.vertices import VertexItem
-from dyknow_rqt.graph.figure import Edge, Figure, Kind, Vertex
+from dyknow_rqt.graph.figure import Edge, Figure, Vertex, VertexKind
 from dyknow_rqt.graph.geometry import Layout, Size
 from dyknow_rqt.graph.port_order import without_crossings
-from dyknow_rqt.graph.rates import Traffic
+from dyknow_rqt.graph.rates import PortRate
 from dyknow_rqt.graph.snapshot import PortRef, Snapshot
 
 #: Pixels that can be dragged beyond the drawing.
@@ -41,7 +41,7 @@ class GraphScene(QGraphicsScene):
         self._colours = colours_of(palette)
         self._font = font
         self._snapshot = Snapshot()
-        self._traffic: Mapping[PortRef, Traffic] = {}
+        self._traffic: Mapping[PortRef, PortRate] = {}
         self.highlights = True
         self.setBackgroundBrush(self._colours.paper)
 
@@ -68,9 +68,9 @@ class GraphScene(QGraphicsScene):
     def set_snapshot(self, snapshot: Snapshot) -> None:
         """Show the states of what is drawn."""
         self._snapshot = snapshot
-        for key, look in looks_of(snapshot, self.figure).items():
+        for key, appearance in appearances_of(snapshot, self.figure).items():
             if key in self.vertices:
-                self.vertices[key].set_look(look)
+                self.vertices[key].set_appearance(appearance)
         for item in self.vertices.values():
             for port in item.ports.values():
                 state = snapshot.port(port.ref)
@@ -78,7 +78,7 @@ class GraphScene(QGraphicsScene):
                 port.update()
         self.set_traffic(self._traffic)
 
-    def set_traffic(self, traffic: Mapping[PortRef, Traffic]) -> None:
+    def set_traffic(self, traffic: Mapping[PortRef, PortRate]) -> None:
         """Show other rates."""
         self._traffic = traffic
         for edge, item in self.edges.items():
@@ -137,7 +137,7 @@ class GraphScene(QGraphicsScene):
         return sorted(
             item.vertex.name
             for item in self.vertices.values()
-            if item.isSelected() and item.vertex.kind is Kind.NODELET
+            if item.isSelected() and item.vertex.kind is VertexKind.NODELET
         )
 
     def selected_edges(self) -> List[Edge]:
@@ -152,7 +152,7 @@ class GraphScene(QGraphicsScene):
 
     def port_item(self, ref: PortRef) -> Optional[PortItem]:
         """Return the item of a port, if it is drawn."""
-        vertex = self.vertices.get(f"{Kind.NODELET.value}_{ref.nodelet}")
+        vertex = self.vertices.get(f"{VertexKind.NODELET.value}_{ref.nodelet}")
         return vertex.ports.get(ref.port) if vertex is not None else None
 
     # Pictures

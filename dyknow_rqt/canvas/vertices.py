@@ -11,13 +11,13 @@ from python_qt_binding.QtWidgets import QGraphicsItem
 
 from dyknow.manager.model import State
 from dyknow.manager.specifications.transformation import IN, OUT
+from dyknow_rqt.canvas.appearance import Appearance
 from dyknow_rqt.canvas.colours import Colours, Tone
 from dyknow_rqt.canvas.items import Item, PortItem
-from dyknow_rqt.canvas.looks import Look
-from dyknow_rqt.graph.figure import Kind, Vertex
+from dyknow_rqt.graph.figure import Vertex, VertexKind
 from dyknow_rqt.graph.geometry import Size
 from dyknow_rqt.graph.snapshot import PortRef
-from dyknow_rqt.guard import guarded
+from dyknow_rqt.qt_slot import qt_slot
 
 
 class VertexItem(Item):
@@ -26,7 +26,7 @@ class VertexItem(Item):
     def __init__(self, vertex: Vertex, colours: Colours, font: QFont) -> None:
         super().__init__(colours)
         self.vertex = vertex
-        self.look = Look()
+        self.appearance = Appearance()
         self.ports: Dict[str, PortItem] = {}
         self._font = font
         self._size = Size(0, 0)
@@ -51,10 +51,10 @@ class VertexItem(Item):
                     self.ports[name] = PortItem(PortRef(vertex.name, name), side, self._font, self)
                 self.ports[name].setPos(self._port_place(number, len(names), side))
 
-    def set_look(self, look: Look) -> None:
+    def set_appearance(self, appearance: Appearance) -> None:
         """Show another state."""
-        self.look = look
-        self.setToolTip(look.tip)
+        self.appearance = appearance
+        self.setToolTip(appearance.tip)
         self.update()
 
     def set_found(self, found: bool) -> None:
@@ -87,23 +87,23 @@ class VertexItem(Item):
     def shape(self) -> QPainterPath:
         """Where the pointer is on it."""
         path = QPainterPath()
-        if self.vertex.kind is Kind.TOPIC:
+        if self.vertex.kind is VertexKind.TOPIC:
             path.addRect(self.area)
         else:
             path.addEllipse(self.area)
         return path
 
-    @guarded
+    @qt_slot
     def paint(self, painter: QPainter, option: Any, widget: Any = None) -> None:
         """Draw it."""
         pen = self._pen()
         painter.setPen(pen)
         painter.setBrush(QBrush(self._fill()))
-        if self.vertex.kind is Kind.TOPIC:
+        if self.vertex.kind is VertexKind.TOPIC:
             painter.drawRect(self.area)
         else:
             painter.drawEllipse(self.area)
-            if self.look.is_protected:
+            if self.appearance.is_protected:
                 painter.setBrush(Qt.NoBrush)
                 painter.drawEllipse(self.area.adjusted(3, 3, -3, -3))
         painter.setFont(self._font)
@@ -114,12 +114,12 @@ class VertexItem(Item):
         if badge:
             self._paint_badge(painter, badge)
 
-    @guarded
+    @qt_slot
     def hoverEnterEvent(self, event: Any) -> None:  # noqa: N802
         """Light up what it hangs together with."""
         self.scene().highlight(self.vertex.key)
 
-    @guarded
+    @qt_slot
     def hoverLeaveEvent(self, event: Any) -> None:  # noqa: N802
         """Put the lights out."""
         self.scene().highlight(None)
@@ -132,13 +132,13 @@ class VertexItem(Item):
 
     def _pen(self) -> QPen:
         colour, width, style = self.colours.line, 1.2, Qt.SolidLine
-        if self.vertex.kind is Kind.NODE:
+        if self.vertex.kind is VertexKind.NODE:
             colour = self.colours.box_line
-        if self.look.state is State.FAILED:
+        if self.appearance.state is State.FAILED:
             colour, width = self.colours.alarm, 2.2
-        elif self.look.state is State.LOST:
+        elif self.appearance.state is State.LOST:
             colour, style = self.colours.muted, Qt.DashLine
-        elif self.look.state is State.STARTING:
+        elif self.appearance.state is State.STARTING:
             style = Qt.DotLine
         if self.tone is not Tone.NONE:
             colour, width = self.colours.of(self.tone), 2.2
@@ -147,30 +147,30 @@ class VertexItem(Item):
         return QPen(colour, width, style)
 
     def _fill(self) -> Any:
-        if self.vertex.kind is Kind.TOPIC:
+        if self.vertex.kind is VertexKind.TOPIC:
             return self.colours.topic
-        running = self.look.state in (State.RUNNING, State.STARTING)
+        running = self.appearance.state in (State.RUNNING, State.STARTING)
         return (
             self.colours.nodelet
-            if running and self.vertex.kind is Kind.NODELET
+            if running and self.vertex.kind is VertexKind.NODELET
             else self.colours.paper
         )
 
     def _text_colour(self) -> Any:
         if self.tone is not Tone.NONE:
             return self.colours.of(self.tone)
-        if self.look.state is State.FAILED:
+        if self.appearance.state is State.FAILED:
             return self.colours.alarm
-        quiet = self.vertex.kind is Kind.NODE or self.look.state is State.LOST
+        quiet = self.vertex.kind is VertexKind.NODE or self.appearance.state is State.LOST
         return self.colours.muted if quiet else self.colours.text
 
     def _badge(self) -> str:
         words = [
             word
             for word, holds in (
-                ("C++", self.look.is_cpp),
-                ("protected", self.look.is_protected),
-                (self.look.state.name.lower(), self.look.state is not State.RUNNING),
+                ("C++", self.appearance.is_cpp),
+                ("protected", self.appearance.is_protected),
+                (self.appearance.state.name.lower(), self.appearance.state is not State.RUNNING),
             )
             if holds
         ]
@@ -180,7 +180,7 @@ class VertexItem(Item):
         font = QFont(self._font)
         font.setPointSizeF(self._font.pointSizeF() * 0.72)
         painter.setFont(font)
-        alarm = self.look.state is State.FAILED
+        alarm = self.appearance.state is State.FAILED
         painter.setPen(self.colours.alarm if alarm else self.colours.muted)
         lines = self.vertex.label.count("\n") + 1
         top = QFontMetricsF(self._font).height() * lines / 2 - 5

@@ -12,9 +12,9 @@ from dyknow_rqt.canvas.arrows import EdgeItem
 from dyknow_rqt.canvas.items import Item, PortItem
 from dyknow_rqt.canvas.scene import GraphScene
 from dyknow_rqt.canvas.vertices import VertexItem
-from dyknow_rqt.graph.figure import Kind
+from dyknow_rqt.graph.figure import VertexKind
 from dyknow_rqt.graph.snapshot import PortRef
-from dyknow_rqt.guard import guarded
+from dyknow_rqt.qt_slot import qt_slot
 
 _STEP = 1.2
 #: How much larger a drawing has to be possible before it is fitted anew.
@@ -96,14 +96,14 @@ class GraphView(QGraphicsView):
         factor = max(_SMALLEST, min(_LARGEST, self.zoom * factor)) / self.zoom
         self.scale(factor, factor)
 
-    @guarded
+    @qt_slot
     def resizeEvent(self, event: Any) -> None:  # noqa: N802
         """Go on showing everything, unless hands have chosen what is to be seen."""
         super().resizeEvent(event)
         if not self.is_chosen:
             self.fit()
 
-    @guarded
+    @qt_slot
     def wheelEvent(self, event: Any) -> None:  # noqa: N802
         """Zoom at the pointer."""
         self.zoom_by(_STEP ** (event.angleDelta().y() / 120))
@@ -111,7 +111,7 @@ class GraphView(QGraphicsView):
 
     # Pointer
 
-    @guarded
+    @qt_slot
     def mousePressEvent(self, event: Any) -> None:  # noqa: N802
         """Begin a connection on a port; anything else as usual."""
         port = self._port_at(event.pos()) if event.button() == Qt.LeftButton else None
@@ -127,7 +127,7 @@ class GraphView(QGraphicsView):
         self.scene().addItem(self._band)
         self.drag_began.emit(port.ref)
 
-    @guarded
+    @qt_slot
     def mouseMoveEvent(self, event: Any) -> None:  # noqa: N802
         """Draw the connection."""
         if self._from is None or self._band is None:
@@ -139,7 +139,7 @@ class GraphView(QGraphicsView):
         path.cubicTo(start + QPointF(reach, 0), end - QPointF(reach, 0), end)
         self._band.setPath(path)
 
-    @guarded
+    @qt_slot
     def mouseReleaseEvent(self, event: Any) -> None:  # noqa: N802
         """End the connection where the pointer is."""
         start = self._from
@@ -151,10 +151,10 @@ class GraphView(QGraphicsView):
         port, item = self._port_at(event.pos()), self._item_at(event.pos())
         if port is not None and port is not start:
             self.port_dropped.emit(start.ref, port.ref)
-        elif isinstance(item, VertexItem) and item.vertex.kind is Kind.TOPIC:
+        elif isinstance(item, VertexItem) and item.vertex.kind is VertexKind.TOPIC:
             self.topic_dropped.emit(start.ref, item.vertex.name)
 
-    @guarded
+    @qt_slot
     def contextMenuEvent(self, event: Any) -> None:  # noqa: N802
         """Ask for a menu on what is under the pointer, or on what is selected."""
         if event.reason() == event.Keyboard:
@@ -169,7 +169,7 @@ class GraphView(QGraphicsView):
 
     # Keys
 
-    @guarded
+    @qt_slot
     def keyPressEvent(self, event: Any) -> None:  # noqa: N802
         """Arrows select the next thing in their direction; with Ctrl they move the view."""
         key = event.key()

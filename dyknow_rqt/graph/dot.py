@@ -10,14 +10,14 @@ import json
 import re
 from typing import Any, Dict, List, Mapping, Tuple
 
-from dyknow_rqt.graph.figure import Edge, Figure, Kind, Vertex
+from dyknow_rqt.graph.figure import Edge, Figure, Vertex, VertexKind
 from dyknow_rqt.graph.geometry import Layout, Point, Rectangle, Size
 
 #: Points of graphviz in an inch; a point is taken for a pixel.
 _DPI = 72.0
 #: Vertices beyond which graphviz is told to take less trouble.
 _MANY = 150
-_SHAPES = {Kind.NODELET: "ellipse", Kind.TOPIC: "box", Kind.NODE: "ellipse"}
+_SHAPES = {VertexKind.NODELET: "ellipse", VertexKind.TOPIC: "box", VertexKind.NODE: "ellipse"}
 
 
 class BadLayout(ValueError):
@@ -113,7 +113,7 @@ def _cluster(group: Tuple[str, ...]) -> str:
 
 
 def _touches_topic(edge: Edge) -> bool:
-    return any(key.startswith(Kind.TOPIC.value + "_") for key in (edge.tail, edge.head))
+    return any(key.startswith(VertexKind.TOPIC.value + "_") for key in (edge.tail, edge.head))
 
 
 def _ports(edge: Edge) -> str:

@@ -26,7 +26,7 @@ _QUIET = Filter(
 _LONG = 15
 
 
-class Kind(enum.Enum):
+class VertexKind(enum.Enum):
     """What a vertex stands for; the values begin the keys of vertices."""
 
     NODELET = "n"
@@ -48,7 +48,7 @@ class Vertex:
     """
 
     key: str
-    kind: Kind
+    kind: VertexKind
     name: str
     group: Tuple[str, ...] = ()
     inputs: Tuple[str, ...] = ()
@@ -126,7 +126,7 @@ class Figure:
         return found
 
 
-def key_of(kind: Kind, name: str) -> str:
+def key_of(kind: VertexKind, name: str) -> str:
     """Key of the vertex for a thing of that name."""
     return f"{kind.value}_{name}"
 
@@ -149,8 +149,8 @@ def figure_of(snapshot: Snapshot, options: Options) -> Figure:
     }
     vertices = [
         Vertex(
-            key_of(Kind.NODELET, name),
-            Kind.NODELET,
+            key_of(VertexKind.NODELET, name),
+            VertexKind.NODELET,
             name,
             (),
             tuple(port.name for port in nodelet.ports if port.direction == IN),
@@ -158,14 +158,16 @@ def figure_of(snapshot: Snapshot, options: Options) -> Figure:
         )
         for name, nodelet in nodelets.items()
     ]
-    vertices += [Vertex(key_of(Kind.NODE, name), Kind.NODE, name) for name in nodes]
+    vertices += [Vertex(key_of(VertexKind.NODE, name), VertexKind.NODE, name) for name in nodes]
     if options.topics:
-        vertices += [Vertex(key_of(Kind.TOPIC, name), Kind.TOPIC, name) for name in topics]
+        vertices += [
+            Vertex(key_of(VertexKind.TOPIC, name), VertexKind.TOPIC, name) for name in topics
+        ]
         edges = [edge for topic in topics.values() for edge in ends.through(topic)]
     else:
         edges = [edge for topic in topics.values() for edge in ends.past(topic)]
     used = {key for edge in edges for key in (edge.tail, edge.head)}
-    vertices = [v for v in vertices if v.kind is not Kind.NODE or v.key in used]
+    vertices = [v for v in vertices if v.kind is not VertexKind.NODE or v.key in used]
     return Figure(
         tuple(_boxed(sorted(vertices, key=lambda v: v.key), options.depth)), tuple(sorted(edges))
     )
@@ -195,7 +197,7 @@ class _Ends:
 
     def through(self, topic: Topic) -> Iterator[Edge]:
         """Arrows to and from the rectangle of a topic."""
-        middle = key_of(Kind.TOPIC, topic.name)
+        middle = key_of(VertexKind.TOPIC, topic.name)
         for key, port in self._sources(topic):
             yield Edge(key, port, middle, "", topic.name)
         for key, port in self._sinks(topic):
@@ -216,21 +218,21 @@ class _Ends:
 
     def _sources(self, topic: Topic) -> List[Tuple[str, str]]:
         return self._ports(topic.sources) + [
-            (key_of(Kind.NODE, node.name), "")
+            (key_of(VertexKind.NODE, node.name), "")
             for node in self._snapshot.nodes
             if node.name in self._nodes and topic.name in node.publishes
         ]
 
     def _sinks(self, topic: Topic) -> List[Tuple[str, str]]:
         return self._ports(topic.sinks) + [
-            (key_of(Kind.NODE, node.name), "")
+            (key_of(VertexKind.NODE, node.name), "")
             for node in self._snapshot.nodes
             if node.name in self._nodes and topic.name in node.subscribes
         ]
 
     def _ports(self, refs: Tuple[PortRef, ...]) -> List[Tuple[str, str]]:
         return [
-            (key_of(Kind.NODELET, ref.nodelet), ref.port)
+            (key_of(VertexKind.NODELET, ref.nodelet), ref.port)
             for ref in refs
             if ref.nodelet in self._nodelets
         ]
@@ -242,7 +244,7 @@ def _boxed(vertices: List[Vertex], depth: int) -> Iterator[Vertex]:
     homes: Dict[Tuple[str, ...], int] = {}
     for vertex in vertices:
         space = spaces[vertex.key]
-        if vertex.kind is not Kind.TOPIC:
+        if vertex.kind is not VertexKind.TOPIC:
             for size in range(1, len(space) + 1):
                 homes[space[:size]] = homes.get(space[:size], 0) + 1
     for vertex in vertices:

@@ -12,23 +12,23 @@ DEPTH = 100
 
 
 @dataclass(frozen=True)
-class Step:
+class DoneChange:
     """A change that was made, and the way back or why there is none."""
 
     change: Change
     back: Union[Change, CannotUndo]
 
 
-class History:
+class UndoHistory:
     """Two stacks: what can be taken back, and what can be done again."""
 
     def __init__(self) -> None:
-        self._done: List[Step] = []
+        self._done: List[DoneChange] = []
         self._undone: List[Change] = []
 
     def note(self, change: Change, back: Union[Change, CannotUndo]) -> None:
         """A change was made by hand: nothing can be done again after it."""
-        self._done.append(Step(change, back))
+        self._done.append(DoneChange(change, back))
         del self._done[:-DEPTH]
         self._undone.clear()
 
@@ -39,14 +39,14 @@ class History:
     def note_redone(self, change: Change, back: Union[Change, CannotUndo]) -> None:
         """The last undone change was made again."""
         self._undone.pop()
-        self._done.append(Step(change, back))
+        self._done.append(DoneChange(change, back))
 
     def drop(self) -> None:
         """Forget the last step: there is no way back, and those before it are to be reached."""
         self._done.pop()
 
     @property
-    def last(self) -> Optional[Step]:
+    def last(self) -> Optional[DoneChange]:
         """What undo takes back."""
         return self._done[-1] if self._done else None
 

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Traffic:
+class PortRate:
     """What goes through a port now, in messages a second, and since its nodelet was loaded."""
 
     rate: float
@@ -41,7 +41,7 @@ class Meter:
 
     def __init__(self) -> None:
         self._last: Dict[PortRef, _Count] = {}
-        self._traffic: Dict[PortRef, Traffic] = {}
+        self._traffic: Dict[PortRef, PortRate] = {}
 
     def note(self, nodelet: str, statistics: Statistics, now: float) -> None:
         """Take in what a proxy counted.
@@ -65,7 +65,7 @@ class Meter:
                 rate = (count.messages - last.messages) / (now - last.time)
                 drops = (count.dropped - last.dropped) / (now - last.time)
             self._last[ref] = count
-            self._traffic[ref] = Traffic(
+            self._traffic[ref] = PortRate(
                 max(rate, 0.0), max(drops, 0.0), port.messages, port.dropped
             )
 
@@ -76,7 +76,7 @@ class Meter:
             del self._last[ref], self._traffic[ref]
 
     @property
-    def traffic(self) -> Dict[PortRef, Traffic]:
+    def traffic(self) -> Dict[PortRef, PortRate]:
         """What goes through each port that was asked for."""
         return dict(self._traffic)
 

@@ -11,9 +11,9 @@ from dyknow.manager.model import State
 from dyknow.manager.specifications.transformation import IN
 from dyknow_rqt.graph.changes import DestroyNodelet, Protect
 from dyknow_rqt.graph.snapshot import Snapshot
-from dyknow_rqt.guard import guarded
 from dyknow_rqt.monitor import Monitor
-from dyknow_rqt.panels.tables import Table
+from dyknow_rqt.panels.tables import KeyedTable
+from dyknow_rqt.qt_slot import qt_slot
 from dyknow_rqt.status_line import StatusLine
 
 _TITLES = ("Nodelet", "Transformation", "In", "Out", "State", "Manager")
@@ -31,7 +31,7 @@ class ActivePanel(QWidget):
         super().__init__(parent)
         self._monitor, self._line = monitor, line
         self.report = line.report
-        self.table = Table(_TITLES, "Active nodelets")
+        self.table = KeyedTable(_TITLES, "Active nodelets")
         self.destroy = QPushButton("Des&troy …")
         self.protect = QPushButton("&Protect")
         row = QHBoxLayout()
@@ -54,7 +54,7 @@ class ActivePanel(QWidget):
         what = names[0] if len(names) == 1 else f"{len(names)} nodelets ({', '.join(names)})"
         self._line.ask(f"Destroy {what}?", "Destroy", lambda: self._destroy(list(names)))
 
-    @guarded
+    @qt_slot
     def _destroy_chosen(self) -> None:
         names = self.table.chosen()
         if names:
@@ -65,14 +65,14 @@ class ActivePanel(QWidget):
         if names:
             self._monitor.do(DestroyNodelet(names[0]), lambda: self._destroy(names[1:]))
 
-    @guarded
+    @qt_slot
     def _protect_chosen(self) -> None:
         for name in self.table.chosen()[:1]:
             nodelet = self._monitor.snapshot.nodelet(name)
             if nodelet is not None:
                 self._monitor.do(Protect(name, not nodelet.is_protected))
 
-    @guarded
+    @qt_slot
     def _show(self, snapshot: Snapshot) -> None:
         rows = []
         for nodelet in snapshot.nodelets:
@@ -92,7 +92,7 @@ class ActivePanel(QWidget):
         self.table.show_rows(rows)
         self._follow_selection()
 
-    @guarded
+    @qt_slot
     def _follow_selection(self) -> None:
         names = self.table.chosen()
         nodelets = [self._monitor.snapshot.nodelet(name) for name in names]

@@ -30,8 +30,8 @@ from dyknow_rqt.graph.wiring import (
     partners,
     topics_for,
 )
-from dyknow_rqt.guard import guarded
 from dyknow_rqt.monitor import Monitor
+from dyknow_rqt.qt_slot import qt_slot
 from dyknow_rqt.status_line import StatusLine
 
 
@@ -124,25 +124,25 @@ class ConnectPanel(QWidget):
         self.single.choose(ref)
         self.source.nodelet.setFocus()
 
-    @guarded
+    @qt_slot
     def _connect(self) -> None:
         source, sink = self.source.ref, self.sink.ref
         if source is not None and sink is not None:
             self._monitor.do(connect(self._monitor.snapshot, source, sink))
 
-    @guarded
+    @qt_slot
     def _connect_topic(self) -> None:
         ref = self.single.ref
         if ref is not None and self.topic.text().strip():
             self._monitor.do(connect_topic(self._monitor.snapshot, ref, self.topic.text().strip()))
 
-    @guarded
+    @qt_slot
     def _disconnect(self) -> None:
         ref = self.single.ref
         if ref is not None:
             self._monitor.do(disconnect(self._monitor.snapshot, (ref,)))
 
-    @guarded
+    @qt_slot
     def _follow(self) -> None:
         """Offer what fits to what is chosen; choices stay where they can."""
         snapshot = self._monitor.snapshot

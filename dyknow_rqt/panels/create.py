@@ -22,8 +22,8 @@ from dyknow import names
 from dyknow.manager.specifications.transformation import NODELET, Transformation
 from dyknow_rqt.graph.changes import SpawnNodelet
 from dyknow_rqt.graph.snapshot import Snapshot
-from dyknow_rqt.guard import guarded
 from dyknow_rqt.monitor import Monitor
+from dyknow_rqt.qt_slot import qt_slot
 from dyknow_rqt.status_line import StatusLine
 
 _ANY = "(the manager's choice)"
@@ -91,7 +91,7 @@ class CreatePanel(QWidget):
         else:
             self.label.setFocus()
 
-    @guarded
+    @qt_slot
     def _create(self) -> None:
         if not self.create.isEnabled():
             return
@@ -107,7 +107,7 @@ class CreatePanel(QWidget):
         self.create.setText("Creating …")
         self._monitor.do(change, self.name.clear)
 
-    @guarded
+    @qt_slot
     def _follow(self) -> None:
         library = self._monitor.library
         transformation = library.get(self.label.currentText().strip())
@@ -120,7 +120,7 @@ class CreatePanel(QWidget):
         ]
         self.ports.setText("\n".join(lines) or "–")
 
-    @guarded
+    @qt_slot
     def _show_library(self, library: Mapping[str, Transformation]) -> None:
         text = self.label.currentText()
         self.label.blockSignals(True)
@@ -130,7 +130,7 @@ class CreatePanel(QWidget):
         self.label.blockSignals(False)
         self._follow()
 
-    @guarded
+    @qt_slot
     def _show_managers(self, snapshot: Snapshot) -> None:
         found = sorted({each.manager for each in snapshot.nodelets if not each.isolated})
         if found != [self.manager.itemText(i) for i in range(1, self.manager.count())]:

@@ -23,9 +23,9 @@ from dyknow_rqt.graph.library_changes import (
     as_specification,
     remove_transformations,
 )
-from dyknow_rqt.guard import guarded
 from dyknow_rqt.monitor import Monitor
-from dyknow_rqt.panels.tables import Table
+from dyknow_rqt.panels.tables import KeyedTable
+from dyknow_rqt.qt_slot import qt_slot
 from dyknow_rqt.status_line import StatusLine
 
 _FILES = "Specifications (*.xml);;All files (*)"
@@ -47,7 +47,7 @@ class LibraryPanel(QWidget):
         self.search.setPlaceholderText("label")
         self.search.setClearButtonEnabled(True)
         self.search.setAccessibleName("Find a transformation")
-        self.table = Table(("Label", "Source", "In", "Out", "Cost"), "Transformations")
+        self.table = KeyedTable(("Label", "Source", "In", "Out", "Cost"), "Transformations")
         self.specification = QPlainTextEdit()
         self.specification.setReadOnly(True)
         self.specification.setTabChangesFocus(True)
@@ -104,20 +104,20 @@ class LibraryPanel(QWidget):
             file.write(as_specification(chosen))
         self._line.note(f"{len(chosen)} transformations written to {path}")
 
-    @guarded
+    @qt_slot
     def _ask_what_to_import(self) -> None:
         path, _ = QFileDialog.getOpenFileName(self, "Import transformations", "", _FILES)
         if path:
             self.import_file(path)
 
-    @guarded
+    @qt_slot
     def _ask_where_to_export(self) -> None:
         name = "transformations.xml"
         path, _ = QFileDialog.getSaveFileName(self, "Export transformations", name, _FILES)
         if path:
             self.export_file(path)
 
-    @guarded
+    @qt_slot
     def _ask_to_delete(self) -> None:
         labels = self.table.chosen()
         if labels:
@@ -125,12 +125,12 @@ class LibraryPanel(QWidget):
             question = f"{change.text[0].upper()}{change.text[1:]} from the library?"
             self._line.ask(question, "Delete", lambda: self._monitor.do(change))
 
-    @guarded
+    @qt_slot
     def _want_create(self) -> None:
         for label in self.table.chosen()[:1]:
             self.create_wanted.emit(label)
 
-    @guarded
+    @qt_slot
     def _show(self, library: Mapping[str, Transformation]) -> None:
         rows = []
         for label in sorted(library):
@@ -142,7 +142,7 @@ class LibraryPanel(QWidget):
         self.table.show_rows(rows)
         self._follow_selection()
 
-    @guarded
+    @qt_slot
     def _follow_selection(self) -> None:
         labels = self.table.chosen()
         library = self._monitor.library

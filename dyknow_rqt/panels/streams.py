@@ -27,9 +27,9 @@ from python_qt_binding.QtWidgets import (
 from dyknow.manager.claim import ClaimState, StreamRequest
 from dyknow.manager.specifications.transformation import OUT, Transformation
 from dyknow_rqt.graph.stream_changes import AcquireStream, ReleaseStream, ReplanStream
-from dyknow_rqt.guard import guarded
 from dyknow_rqt.monitor import Monitor
-from dyknow_rqt.panels.tables import Table
+from dyknow_rqt.panels.tables import KeyedTable
+from dyknow_rqt.qt_slot import qt_slot
 from dyknow_rqt.status_line import StatusLine
 from dyknow_rqt.stream_watch import StreamWatch
 
@@ -73,7 +73,7 @@ class StreamsPanel(QWidget):
         self.preview, self.acquire = QPushButton("&Preview"), QPushButton("Ac&quire")
         self.plan = _text("Plan")
         self.plan.setPlaceholderText("How the stream would be made is shown here")
-        self.table = Table(_TITLES, "Streams")
+        self.table = KeyedTable(_TITLES, "Streams")
         self.table.hideColumn(0)
         self.table.sortByColumn(1, Qt.AscendingOrder)
         self.table.horizontalHeader().setSectionResizeMode(1, QHeaderView.ResizeToContents)
@@ -100,11 +100,11 @@ class StreamsPanel(QWidget):
             exclude=tuple(label for label in labels if label),
         )
 
-    @guarded
+    @qt_slot
     def _preview(self) -> None:
         self._explain(self.request(), lambda: None)
 
-    @guarded
+    @qt_slot
     def _acquire(self) -> None:
         """The plan is asked for first: then the stream is there already."""
         request = self.request()
@@ -127,7 +127,7 @@ class StreamsPanel(QWidget):
 
     # What there is
 
-    @guarded
+    @qt_slot
     def _release(self) -> None:
         """One after the other; one that is refused ends it."""
         self._release_all(self.table.chosen())
@@ -139,7 +139,7 @@ class StreamsPanel(QWidget):
             change = ReleaseStream(streams[0].claim_id, streams[0].tag)
             self._monitor.do(change, lambda: self._release_all(rest))
 
-    @guarded
+    @qt_slot
     def _replan(self) -> None:
         """Show the way that is the cheapest now, and ask whether to take it."""
         for claim_id in self.table.chosen()[:1]:
@@ -159,7 +159,7 @@ class StreamsPanel(QWidget):
 
         self._monitor.ask(lambda remote: remote.replan_stream(stream.claim_id, dry_run=True), ask)
 
-    @guarded
+    @qt_slot
     def _show_streams(self) -> None:
         rows = []
         for each in self.watch.streams:
@@ -174,7 +174,7 @@ class StreamsPanel(QWidget):
         self.table.show_rows(rows)
         self._follow()
 
-    @guarded
+    @qt_slot
     def _show_event(self, event: StreamEventView) -> None:
         before = event.before.state.name.lower() + " → " if event.before is not None else ""
         moment = time.strftime("%H:%M:%S", time.localtime(event.stamp))
@@ -183,13 +183,13 @@ class StreamsPanel(QWidget):
             + (f" ({event.reason})" if event.reason else "")
         )
 
-    @guarded
+    @qt_slot
     def _show_library(self, library: Mapping[str, Transformation]) -> None:
         outputs = [p for each in library.values() for p in each.ports if p.direction == OUT]
         self._tags.setStringList(sorted({tag for port in outputs for tag in port.tags}))
         self._types.setStringList(sorted({p.datatype for p in outputs} - {"", "*"}))
 
-    @guarded
+    @qt_slot
     def _follow(self) -> None:
         for button in (self.preview, self.acquire):
             button.setEnabled(bool(self.tag.text().strip()))
@@ -198,7 +198,7 @@ class StreamsPanel(QWidget):
         self.release.setEnabled(bool(streams))
         self.replan.setEnabled(len(streams) == 1)
 
-    @guarded
+    @qt_slot
     def _choose(self) -> None:
         self._follow()
         found = map(self.watch.stream, self.table.chosen())

@@ -14,7 +14,7 @@ from python_qt_binding.QtWidgets import (
     QWidget,
 )
 
-from dyknow_rqt.guard import guarded
+from dyknow_rqt.qt_slot import qt_slot
 
 #: Rows that decide how wide columns are.
 _SAMPLED = 200
@@ -86,7 +86,7 @@ class _Rows(QAbstractTableModel):
         self.endResetModel()
 
 
-class Table(QTableView):
+class KeyedTable(QTableView):
     """Rows are known by their first cell."""
 
     #: Other rows are selected, and not because the contents changed: their first cells.
@@ -169,7 +169,7 @@ class Table(QTableView):
         for place in places:
             selection.select(self._rows.index(place, 0), selection.Select | selection.Rows)
 
-    @guarded
+    @qt_slot
     def selectionChanged(self, now: QItemSelection, before: QItemSelection) -> None:  # noqa: N802
         """Tell which rows are selected."""
         super().selectionChanged(now, before)

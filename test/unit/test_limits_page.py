@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 
 from dyknow.guards import Guards
-from dyknow.manager.specifications.limits import Limits
+from dyknow.manager.specifications.limits import SpecificationLimits
 
 PAGE = Path(__file__).parents[2] / "doc" / "security.md"
 
@@ -16,7 +16,7 @@ def test_the_page_on_security_lists_all_limits():
     rows = re.findall(r"^\| `(\w+)`[^|]*\| (\d+) \|", PAGE.read_text(encoding="utf-8"), re.M)
     numbers = [
         (field.name, str(field.default))
-        for kind in (Guards, Limits)
+        for kind in (Guards, SpecificationLimits)
         for field in dataclasses.fields(kind)
         if type(field.default) is int
     ]

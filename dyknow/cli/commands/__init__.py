@@ -6,15 +6,15 @@ from typing import Tuple
 
 from dyknow.cli.command import Command
 from dyknow.cli.commands import (
-    checking,
+    acquire,
+    check,
     completion,
     graph,
-    holding,
+    inspect,
     library,
-    looking,
     nodelets,
+    save_load,
     statistics,
-    storage,
     streams,
     tags,
     wiring,
@@ -22,11 +22,11 @@ from dyknow.cli.commands import (
 
 #: Titles and commands, in the order of the help; it leaves those without a title out.
 GROUPS: Tuple[Tuple[str, Tuple[Command, ...]], ...] = (
-    ("What runs", (*looking.COMMANDS, *statistics.COMMANDS, *graph.COMMANDS)),
+    ("What runs", (*inspect.COMMANDS, *statistics.COMMANDS, *graph.COMMANDS)),
     ("Nodelets", nodelets.COMMANDS),
     ("Connections", wiring.COMMANDS),
-    ("Streams on request", (*tags.COMMANDS, *holding.COMMANDS, *streams.COMMANDS)),
-    ("Transformations", (*library.COMMANDS, *checking.COMMANDS)),
-    ("Whole wirings", storage.COMMANDS),
+    ("Streams on request", (*tags.COMMANDS, *acquire.COMMANDS, *streams.COMMANDS)),
+    ("Transformations", (*library.COMMANDS, *check.COMMANDS)),
+    ("Whole wirings", save_load.COMMANDS),
     ("", completion.COMMANDS),
 )

@@ -10,7 +10,7 @@ from dyknow.cli.arguments import Kind, namespace, takes
 from dyknow.cli.command import Command
 from dyknow.cli.drawing import render, to_dot
 from dyknow.cli.files import write_file
-from dyknow.cli.shapes import nodelet_shape
+from dyknow.cli.json_output import nodelet_json
 from dyknow.cli.shell import Shell
 from dyknow.cli.topics import Topic, list_topics, topics_of
 
@@ -57,8 +57,8 @@ def _graph(arguments: argparse.Namespace, shell: Shell) -> None:
         shell.show(
             {
                 "revision": snapshot.revision,
-                "nodelets": [nodelet_shape(each) for each in snapshot.nodelets],
-                "topics": [_topic_shape(topic) for topic in topics],
+                "nodelets": [nodelet_json(each) for each in snapshot.nodelets],
+                "topics": [_topic_json(topic) for topic in topics],
             },
             list_topics(snapshot, topics),
         )
@@ -70,7 +70,7 @@ def _inside(snapshot: ModelView, wanted: str) -> ModelView:
     return replace(snapshot, nodelets=nodelets)
 
 
-def _topic_shape(topic: Topic) -> dict[str, object]:
+def _topic_json(topic: Topic) -> dict[str, object]:
     return {
         "topic": topic.name,
         "datatype": topic.datatype,

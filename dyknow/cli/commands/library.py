@@ -10,7 +10,7 @@ from typing import Any, Dict, Iterable, List, Optional, Sequence
 from dyknow.cli.arguments import Kind, takes
 from dyknow.cli.command import Command
 from dyknow.cli.files import write_file
-from dyknow.cli.shapes import transformation_shape
+from dyknow.cli.json_output import transformation_json
 from dyknow.cli.shell import FAILED, Shell
 from dyknow.cli.tables import columns, count
 from dyknow.errors import DyKnowError, Refused, UnknownTransformation
@@ -47,7 +47,7 @@ def _library(arguments: argparse.Namespace, shell: Shell) -> None:
         lines = (each.to_xml().rstrip("\n") for each in chosen)
     else:
         lines = (each.label for each in chosen)
-    shell.show({"transformations": [transformation_shape(each) for each in chosen]}, lines)
+    shell.show({"transformations": [transformation_json(each) for each in chosen]}, lines)
 
 
 def _long_list(transformations: Sequence[Transformation]) -> List[str]:

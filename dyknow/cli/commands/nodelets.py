@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Callable, Dict, List, Optional, Sequence
 
 from dyknow.cli.arguments import Kind, graph_name, port_topic, takes
 from dyknow.cli.command import Command
-from dyknow.cli.shapes import nodelet_shape
+from dyknow.cli.json_output import nodelet_json
 from dyknow.cli.shell import FAILED, Shell
 from dyknow.cli.views import state_of
 from dyknow.errors import DuplicatePort, DyKnowError
@@ -74,7 +74,7 @@ def _spawn(arguments: argparse.Namespace, shell: Shell) -> None:
         return
     connections = [f"  {port} - {topic}" for port, topic in connections_of(nodelet).items()]
     shell.show(
-        nodelet_shape(nodelet),
+        nodelet_json(nodelet),
         [f"spawned {name} from {nodelet.transformation} in {nodelet.manager}", *connections],
     )
 

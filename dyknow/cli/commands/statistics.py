@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Dict, List, Optional, Sequence, Tuple, Union
 
 from dyknow.cli.arguments import Kind, graph_name, positive, seconds, takes
 from dyknow.cli.command import Command
-from dyknow.cli.shapes import statistics_shape
+from dyknow.cli.json_output import statistics_json
 from dyknow.cli.shell import FAILED, Shell
 from dyknow.cli.tables import columns
 from dyknow.cli.views import unknown_nodelet
@@ -63,7 +63,7 @@ def _stats(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
     while True:
         begin = time.monotonic()
         answers = _ask(shell, _present(shell, names))
-        screen.show(_shape(answers), table(answers))
+        screen.show(_json(answers), table(answers))
         shown += 1
         if arguments.count is not None and shown >= arguments.count:
             return None
@@ -82,7 +82,7 @@ def _show_once(shell: Shell, names: Sequence[str]) -> Optional[int]:
     for answer in answers.values():
         if isinstance(answer, DyKnowError):
             shell.error(answer)
-    shell.show(_shape(answers), table(answers))
+    shell.show(_json(answers), table(answers))
     silent = any(isinstance(answer, DyKnowError) for answer in answers.values())
     return FAILED if silent or len(present) < len(names) else None
 
@@ -105,10 +105,10 @@ def _ask(shell: Shell, names: Sequence[str]) -> Dict[str, Answer]:
         return dict(pool.map(ask, unique))
 
 
-def _shape(answers: Dict[str, Answer]) -> dict[str, object]:
+def _json(answers: Dict[str, Answer]) -> dict[str, object]:
     return {
         "nodelets": [
-            statistics_shape(name, answer)
+            statistics_json(name, answer)
             for name, answer in answers.items()
             if not isinstance(answer, DyKnowError)
         ],

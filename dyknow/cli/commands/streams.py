@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Dict, List, Optional, Sequence
 
 from dyknow.cli.arguments import Kind, takes
 from dyknow.cli.command import Command
-from dyknow.cli.shapes import stream_shape
+from dyknow.cli.json_output import stream_json
 from dyknow.cli.shell import FAILED, Shell
 from dyknow.cli.streams import demand_arguments, request_of
 from dyknow.cli.tables import columns
@@ -57,7 +57,7 @@ def _streams(arguments: argparse.Namespace, shell: Shell) -> None:
         each for each in shell.client.list_streams() if arguments.all or not each.state.ended
     ]
     lines = _long_list(streams) if arguments.long else _list(streams)
-    shell.show({"streams": [stream_shape(each) for each in streams]}, lines)
+    shell.show({"streams": [stream_json(each) for each in streams]}, lines)
 
 
 def _list(streams: Sequence[StreamView]) -> List[str]:

@@ -15,14 +15,14 @@ from dyknow.cli.arguments import (
 )
 from dyknow.cli.command import Command
 from dyknow.cli.connecting import (
-    Change,
+    PortMove,
     apply,
     connect,
     connect_to_topic,
     find_port,
     ports_of,
 )
-from dyknow.cli.shapes import Shape
+from dyknow.cli.json_output import Json
 from dyknow.cli.shell import Shell
 from dyknow.cli.views import shows
 from dyknow.manager.specifications.transformation import IN, OUT
@@ -85,10 +85,10 @@ def _connect(arguments: argparse.Namespace, shell: Shell) -> None:
     way = " -> ".join(dict.fromkeys((str(source), topic, str(target))))
     shell.show(
         {
-            "out": _end_shape(source),
-            "in": _end_shape(target),
+            "out": _end_json(source),
+            "in": _end_json(target),
             "topic": topic,
-            "changed": [_change_shape(change) for change in changes],
+            "changed": [_change_json(change) for change in changes],
         },
         [way + ("" if changes else " (as it was)")],
     )
@@ -104,15 +104,15 @@ def _disconnect_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _disconnect(arguments: argparse.Namespace, shell: Shell) -> None:
-    changes: List[Change] = []
+    changes: List[PortMove] = []
     for reference in dict.fromkeys(_resolved(shell, each) for each in arguments.ports):
         port = find_port(reference, ports_of(shell.client, reference.nodelet))
-        changes.append(Change(reference, port.topic, ""))
+        changes.append(PortMove(reference, port.topic, ""))
     made = [change for change in changes if change.before]
     apply(shell.client, made)
     _wait(shell, made)
     shell.show(
-        {"changed": [_change_shape(change) for change in made]},
+        {"changed": [_change_json(change) for change in made]},
         [
             f"{change.port} has left {change.before}"
             if change.before
@@ -126,15 +126,15 @@ def _end(shell: Shell, end: Union[PortReference, str]) -> Union[PortReference, s
     return shell.resolve(end) if isinstance(end, str) else _resolved(shell, end)
 
 
-def _end_shape(end: Union[PortReference, str]) -> Optional[Shape]:
-    return None if isinstance(end, str) else _reference_shape(end)
+def _end_json(end: Union[PortReference, str]) -> Optional[Json]:
+    return None if isinstance(end, str) else _reference_json(end)
 
 
 def _resolved(shell: Shell, reference: PortReference) -> PortReference:
     return PortReference(shell.resolve(reference.nodelet), reference.port)
 
 
-def _wait(shell: Shell, changes: Sequence[Change]) -> None:
+def _wait(shell: Shell, changes: Sequence[PortMove]) -> None:
     """Let the manager see the change, so that the next command does too."""
     wanted: Dict[str, Dict[str, str]] = {}
     for change in changes:
@@ -143,12 +143,12 @@ def _wait(shell: Shell, changes: Sequence[Change]) -> None:
         shell.warn("done, but the manager's model does not show it yet")
 
 
-def _reference_shape(reference: PortReference) -> Shape:
+def _reference_json(reference: PortReference) -> Json:
     return {"nodelet": reference.nodelet, "port": reference.port}
 
 
-def _change_shape(change: Change) -> Shape:
-    return {**_reference_shape(change.port), "before": change.before, "after": change.after}
+def _change_json(change: PortMove) -> Json:
+    return {**_reference_json(change.port), "before": change.before, "after": change.after}
 
 
 COMMANDS = (

@@ -7,9 +7,9 @@ from functools import lru_cache
 from typing import Dict, List, Optional, Set, Tuple
 
 from dyknow.errors import InvalidTag
-from dyknow.manager.specifications.draft import Draft
+from dyknow.manager.specifications.draft import TransformationDraft
 from dyknow.manager.specifications.findings import EnoughProblems, Findings
-from dyknow.manager.specifications.limits import Limits
+from dyknow.manager.specifications.limits import SpecificationLimits
 from dyknow.manager.specifications.tags import parse_tag
 from dyknow.manager.specifications.transformation import (
     NODELET,
@@ -32,14 +32,14 @@ _COST = re.compile(r"\+?[0-9]+\Z")
 class Builder:
     """Builds the transformations of one text; their labels have to differ."""
 
-    def __init__(self, findings: Findings, limits: Limits) -> None:
+    def __init__(self, findings: Findings, limits: SpecificationLimits) -> None:
         self._findings = findings
         self._limits = limits
         self._labels: Dict[str, int] = {}
         self._good_yaml: Set[str] = set()
         self._yaml_size = 0
 
-    def build(self, draft: Draft) -> Optional[Transformation]:
+    def build(self, draft: TransformationDraft) -> Optional[Transformation]:
         """Check a draft and make the transformation.
 
         Returns:
@@ -57,7 +57,7 @@ class Builder:
             draft.label, draft.source, draft.type or NODELET, cost, parameters, ports
         )
 
-    def _check_label(self, draft: Draft) -> None:
+    def _check_label(self, draft: TransformationDraft) -> None:
         label, line = draft.label, draft.label_line
         if label is None:
             return
@@ -72,7 +72,7 @@ class Builder:
         else:
             self._labels[label] = line
 
-    def _check_source(self, draft: Draft) -> None:
+    def _check_source(self, draft: TransformationDraft) -> None:
         if draft.source is None:
             return
         if draft.type == TOPIC:
@@ -84,7 +84,7 @@ class Builder:
                     draft.source_line, f"<source> {trouble}; expected the nodelet, package/Class"
                 )
 
-    def _cost(self, draft: Draft) -> int:
+    def _cost(self, draft: TransformationDraft) -> int:
         if not _COST.match(draft.cost) or len(draft.cost) > 20 or int(draft.cost) > MAX_COST:
             self._findings.problem(
                 draft.line,
@@ -93,7 +93,7 @@ class Builder:
             return 1
         return int(draft.cost)
 
-    def _parameters(self, draft: Draft) -> Tuple[Parameter, ...]:
+    def _parameters(self, draft: TransformationDraft) -> Tuple[Parameter, ...]:
         made: List[Parameter] = []
         lines: Dict[str, int] = {}
         for name, type_, text, line in draft.parameters:
@@ -136,11 +136,11 @@ class Builder:
         if type_ == "yaml":
             self._good_yaml.add(text)
 
-    def check_template(self, draft: Draft) -> None:
+    def check_template(self, draft: TransformationDraft) -> None:
         """Check what can be checked of a template that cannot be expanded: ports and tags."""
         self._ports(draft, is_template=True)
 
-    def _ports(self, draft: Draft, is_template: bool = False) -> Tuple[Port, ...]:
+    def _ports(self, draft: TransformationDraft, is_template: bool = False) -> Tuple[Port, ...]:
         lines: Dict[str, int] = {}
         tags: Dict[str, List[str]] = {}
         for name, _, datatype, line in draft.ports:
@@ -168,7 +168,7 @@ class Builder:
             for name, direction, datatype, _ in draft.ports
         )
 
-    def _distribute_tags(self, draft: Draft, tags: Dict[str, List[str]]) -> None:
+    def _distribute_tags(self, draft: TransformationDraft, tags: Dict[str, List[str]]) -> None:
         suppliers = {port.name for port in draft.ports if port.direction == OUT}
         for port, text, line in draft.tags:
             if not text:
@@ -236,7 +236,7 @@ def _name_trouble(name: str) -> Tuple[str, str]:
     return "", "is no ROS name (a letter, then letters, digits, '_' and '/')"
 
 
-def _count_ports(draft: Draft) -> str:
+def _count_ports(draft: TransformationDraft) -> str:
     ins = sum(port.direction != OUT for port in draft.ports)
     outs = len(draft.ports) - ins
     return f"{ins} in-port{'s' * (ins != 1)} and {outs} out-port{'s' * (outs != 1)}"

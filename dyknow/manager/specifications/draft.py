@@ -42,7 +42,7 @@ class TagDraft(NamedTuple):
     line: int
 
 
-class Draft:
+class TransformationDraft:
     """One `<transformation>` as read.
 
     Attributes:
@@ -107,9 +107,9 @@ class Draft:
             yield tag.port, tag.line
             yield tag.text, tag.line
 
-    def map(self, render: Callable[[str], str]) -> Draft:
+    def map(self, render: Callable[[str], str]) -> TransformationDraft:
         """Make the draft in which each of `texts` is replaced by what `render` makes of it."""
-        made = Draft(self.line)
+        made = TransformationDraft(self.line)
         made.type = self.type
         made.cost = render(self.cost)
         made.label = None if self.label is None else render(self.label)

@@ -12,7 +12,7 @@ from collections import Counter
 from typing import Dict
 from xml.parsers import expat
 
-from dyknow.manager.specifications.limits import Limits
+from dyknow.manager.specifications.limits import SpecificationLimits
 
 _REFERENCE = re.compile(rb"&([^;&<>#\s]+);")
 _WIDE = (b"\xff\xfe", b"\xfe\xff", b"\x00<", b"<\x00")
@@ -22,7 +22,7 @@ class _Begun(Exception):
     """The first element has begun: no entity is declared any more."""
 
 
-def check_entities(data: bytes, limits: Limits) -> None:
+def check_entities(data: bytes, limits: SpecificationLimits) -> None:
     """Refuse a text before anything in it is expanded.
 
     What is not well-formed is left to the parser behind it.

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Limits:
+class SpecificationLimits:
     """The caps on specifications, wirings and ontologies; each is checked before it would hurt.
 
     Attributes:
@@ -42,5 +42,5 @@ class Limits:
     expanded_entities: int = 16 * 2**20
 
 
-DEFAULT_LIMITS = Limits()
+DEFAULT_LIMITS = SpecificationLimits()
 """The limits of a manager that is told no others."""

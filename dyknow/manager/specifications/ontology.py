@@ -17,7 +17,7 @@ from rdflib import OWL, RDF, RDFS
 
 from dyknow.errors import IndividualsError, OntologyFileError, Problem, UnknownConcept
 from dyknow.manager.specifications.entities import check_entities
-from dyknow.manager.specifications.limits import DEFAULT_LIMITS, Limits
+from dyknow.manager.specifications.limits import DEFAULT_LIMITS, SpecificationLimits
 from dyknow.manager.specifications.ontology_remarks import language_order, local_name, remarks_on
 
 FORMATS = {".ttl": "turtle", ".owl": "xml", ".rdf": "xml", ".nt": "nt"}
@@ -195,7 +195,7 @@ class Ontology:
                 self._by_name.setdefault(name, set()).add(uri)
 
 
-def load_ontology(paths: Iterable[str], limits: Limits = DEFAULT_LIMITS) -> Ontology:
+def load_ontology(paths: Iterable[str], limits: SpecificationLimits = DEFAULT_LIMITS) -> Ontology:
     """Read an ontology from local files.
 
     Args:
@@ -215,7 +215,7 @@ def load_ontology(paths: Iterable[str], limits: Limits = DEFAULT_LIMITS) -> Onto
     return Ontology(everything, warnings)
 
 
-def _load(graph: rdflib.Graph, path: str, limits: Limits) -> bytes:
+def _load(graph: rdflib.Graph, path: str, limits: SpecificationLimits) -> bytes:
     kind = FORMATS.get(Path(path).suffix.lower())
     if kind is None:
         raise OntologyFileError(path, f"expected a file ending in {', '.join(sorted(FORMATS))}")

@@ -15,10 +15,10 @@ from xml.parsers import expat
 from dyknow.manager.specifications.draft import (
     BLANK,
     ArgDraft,
-    Draft,
     ParameterDraft,
     PortDraft,
     TagDraft,
+    TransformationDraft,
 )
 from dyknow.manager.specifications.expectations import (
     children_of,
@@ -28,7 +28,7 @@ from dyknow.manager.specifications.expectations import (
 )
 from dyknow.manager.specifications.findings import Findings
 from dyknow.manager.specifications.grammar import ElementRule, roots
-from dyknow.manager.specifications.limits import Limits
+from dyknow.manager.specifications.limits import SpecificationLimits
 from dyknow.manager.specifications.wellformed import Unreadable, explain, to_utf8
 from dyknow.manager.specifications.wording import shorten
 
@@ -38,7 +38,9 @@ _Attributes = Dict[str, Optional[str]]
 _Frame = Tuple[ElementRule, _Attributes, int, Dict[str, int]]
 
 
-def read(text: Union[str, bytes], findings: Findings, limits: Limits) -> Iterator[Draft]:
+def read(
+    text: Union[str, bytes], findings: Findings, limits: SpecificationLimits
+) -> Iterator[TransformationDraft]:
     """Read the transformations of a text one after the other.
 
     Args:
@@ -60,15 +62,15 @@ def read(text: Union[str, bytes], findings: Findings, limits: Limits) -> Iterato
 class _Reader:
     """The handlers of one expat parser, and the elements that are open."""
 
-    def __init__(self, findings: Findings, limits: Limits) -> None:
+    def __init__(self, findings: Findings, limits: SpecificationLimits) -> None:
         self._findings = findings
         self._limits = limits
         self._stack: List[_Frame] = [(ElementRule("", children=roots()), {}, 0, {})]
         self._unknown: List[Tuple[str, int]] = []
         self._texts: List[str] = []
         self._spoiled = False
-        self._draft = Draft(0)
-        self._ready: List[Draft] = []
+        self._draft = TransformationDraft(0)
+        self._ready: List[TransformationDraft] = []
         self._count = 0
         self._items = 0
         self._parser = expat.ParserCreate("utf-8")
@@ -88,7 +90,7 @@ class _Reader:
             "tag": self._tag,
         }
 
-    def drafts(self, data: bytes) -> Iterator[Draft]:
+    def drafts(self, data: bytes) -> Iterator[TransformationDraft]:
         view = memoryview(data)
         longest = self._limits.string_length + 2 * _CHUNK
         try:
@@ -228,7 +230,7 @@ class _Reader:
             raise Unreadable(
                 line, f"more than {self._limits.transformations} transformations in one text"
             )
-        self._draft = Draft(line)
+        self._draft = TransformationDraft(line)
         self._draft.type = attributes.get("type") or ""
         self._draft.cost = attributes.get("cost", "1") or ""
         self._draft.has_variables = "${" in self._draft.cost

@@ -8,9 +8,9 @@ from typing import Iterator, Optional, Tuple, Union
 
 from dyknow.errors import Problem, SpecificationError
 from dyknow.manager.specifications.builder import Builder
-from dyknow.manager.specifications.draft import Draft
+from dyknow.manager.specifications.draft import TransformationDraft
 from dyknow.manager.specifications.findings import EnoughProblems, Findings
-from dyknow.manager.specifications.limits import DEFAULT_LIMITS, Limits
+from dyknow.manager.specifications.limits import DEFAULT_LIMITS, SpecificationLimits
 from dyknow.manager.specifications.reader import read
 from dyknow.manager.specifications.template import Concepts, Expander
 from dyknow.manager.specifications.transformation import Transformation
@@ -48,7 +48,7 @@ def parse(
     text: Union[str, bytes],
     file_name: str = "specification",
     ontology: Optional[Concepts] = None,
-    limits: Limits = DEFAULT_LIMITS,
+    limits: SpecificationLimits = DEFAULT_LIMITS,
 ) -> Specifications:
     """Parse a specification, or many in a `<transformations>` element.
 
@@ -74,7 +74,7 @@ def parse(
 
 
 def parse_file(
-    path: str, ontology: Optional[Concepts] = None, limits: Limits = DEFAULT_LIMITS
+    path: str, ontology: Optional[Concepts] = None, limits: SpecificationLimits = DEFAULT_LIMITS
 ) -> Specifications:
     """Parse a file.
 
@@ -97,7 +97,7 @@ def parse_file(
 
 
 def check(
-    path: str, ontology: Optional[Concepts] = None, limits: Limits = DEFAULT_LIMITS
+    path: str, ontology: Optional[Concepts] = None, limits: SpecificationLimits = DEFAULT_LIMITS
 ) -> Report:
     """Find out what `parse_file` would say, without an exception for a bad file."""
     try:
@@ -108,7 +108,10 @@ def check(
 
 
 def _transformations(
-    text: Union[str, bytes], findings: Findings, ontology: Optional[Concepts], limits: Limits
+    text: Union[str, bytes],
+    findings: Findings,
+    ontology: Optional[Concepts],
+    limits: SpecificationLimits,
 ) -> Iterator[Transformation]:
     builder = Builder(findings, limits)
     for draft in _expanded(text, findings, ontology, limits, builder):
@@ -121,9 +124,9 @@ def _expanded(
     text: Union[str, bytes],
     findings: Findings,
     ontology: Optional[Concepts],
-    limits: Limits,
+    limits: SpecificationLimits,
     builder: Builder,
-) -> Iterator[Draft]:
+) -> Iterator[TransformationDraft]:
     expander = Expander(findings, limits, ontology)
     for draft in read(text, findings, limits):
         if not draft.args and not draft.has_variables:

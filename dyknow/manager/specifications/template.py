@@ -15,9 +15,9 @@ from math import prod
 from typing import Dict, Iterator, List, Optional, Protocol, Sequence, Tuple, Union
 
 from dyknow.errors import OntologyError
-from dyknow.manager.specifications.draft import BLANK, ArgDraft, Draft
+from dyknow.manager.specifications.draft import BLANK, ArgDraft, TransformationDraft
 from dyknow.manager.specifications.findings import Findings
-from dyknow.manager.specifications.limits import Limits
+from dyknow.manager.specifications.limits import SpecificationLimits
 from dyknow.manager.specifications.wording import listed, meant, shorten
 
 _VARIABLE = re.compile(r"\$\$\{|\$\{([^{}]*)\}|\$\{")
@@ -43,7 +43,9 @@ class Concepts(Protocol):
 class Expander:
     """Expands the templates of one text; the limits hold for all of them together."""
 
-    def __init__(self, findings: Findings, limits: Limits, ontology: Optional[Concepts]) -> None:
+    def __init__(
+        self, findings: Findings, limits: SpecificationLimits, ontology: Optional[Concepts]
+    ) -> None:
         self._findings = findings
         self._limits = limits
         self._ontology = ontology
@@ -51,7 +53,7 @@ class Expander:
         self._items = 0
         self._characters = 0
 
-    def expand(self, draft: Draft) -> Optional[Iterator[Draft]]:
+    def expand(self, draft: TransformationDraft) -> Optional[Iterator[TransformationDraft]]:
         """Expand a draft.
 
         Args:
@@ -128,7 +130,7 @@ class Expander:
     def _problem(self, arg: ArgDraft, message: str) -> None:
         self._findings.problem(arg.line, f"the arg '{shorten(arg.label)}' {message}")
 
-    def _variables_are_known(self, draft: Draft, positions: Dict[str, int]) -> bool:
+    def _variables_are_known(self, draft: TransformationDraft, positions: Dict[str, int]) -> bool:
         known = listed(positions)
         good = True
         for text, line in draft.texts():
@@ -144,7 +146,9 @@ class Expander:
                 )
         return good
 
-    def _labels_differ(self, draft: Draft, positions: Dict[str, int], terms: _Terms) -> bool:
+    def _labels_differ(
+        self, draft: TransformationDraft, positions: Dict[str, int], terms: _Terms
+    ) -> bool:
         used = {match.group(1) for match in _VARIABLE.finditer(draft.label or "")}
         good = draft.label is not None
         for name, position in positions.items():
@@ -157,7 +161,7 @@ class Expander:
                 )
         return good
 
-    def _fits(self, draft: Draft, pieces: Dict[str, _Pieces], terms: _Terms) -> bool:
+    def _fits(self, draft: TransformationDraft, pieces: Dict[str, _Pieces], terms: _Terms) -> bool:
         """Check the limits by arithmetic, before anything is expanded."""
         count = prod(len(each) for each in terms)
         if self._transformations + count > self._limits.transformations:
@@ -218,7 +222,9 @@ def _cut(text: str, positions: Dict[str, int]) -> _Pieces:
     return tuple(piece for piece in pieces if piece != "")
 
 
-def _substitutions(draft: Draft, pieces: Dict[str, _Pieces], terms: _Terms) -> Iterator[Draft]:
+def _substitutions(
+    draft: TransformationDraft, pieces: Dict[str, _Pieces], terms: _Terms
+) -> Iterator[TransformationDraft]:
     for values in product(*terms):
 
         def render(text: str, values: Tuple[str, ...] = values) -> str:

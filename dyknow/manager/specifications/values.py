@@ -12,7 +12,7 @@ from typing import Any, Dict, List, Union
 
 import yaml
 
-from dyknow.manager.specifications.limits import DEFAULT_LIMITS, Limits
+from dyknow.manager.specifications.limits import DEFAULT_LIMITS, SpecificationLimits
 from dyknow.manager.specifications.wording import shorten
 
 Value = Union[str, int, float, bool, List[Any], Dict[str, Any]]
@@ -39,7 +39,7 @@ def infer_type(text: str) -> str:
     return "bool" if text.lower() in ("true", "false") else "string"
 
 
-def parse_value(type_: str, text: str, limits: Limits = DEFAULT_LIMITS) -> Value:
+def parse_value(type_: str, text: str, limits: SpecificationLimits = DEFAULT_LIMITS) -> Value:
     """Parse the text of a parameter.
 
     Args:
@@ -86,7 +86,7 @@ def _check_int(value: int, text: str) -> None:
         )
 
 
-def _parse_yaml(text: str, limits: Limits) -> Value:
+def _parse_yaml(text: str, limits: SpecificationLimits) -> Value:
     try:
         _check_yaml_events(text, limits)
         value = yaml.load(text, Loader=_LOADER)
@@ -104,7 +104,7 @@ def _parse_yaml(text: str, limits: Limits) -> Value:
     return value  # type: ignore[no-any-return]
 
 
-def _check_yaml_events(text: str, limits: Limits) -> None:
+def _check_yaml_events(text: str, limits: SpecificationLimits) -> None:
     """Refuse what would grow when it is loaded, before it is loaded."""
     depth = nodes = 0
     for event in yaml.parse(text, Loader=_LOADER):

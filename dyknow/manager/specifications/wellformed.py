@@ -6,7 +6,7 @@ from typing import List, Tuple, Union
 from xml.parsers import expat
 from xml.parsers.expat import errors
 
-from dyknow.manager.specifications.limits import Limits
+from dyknow.manager.specifications.limits import SpecificationLimits
 
 _ROOT = "expected <transformation> or <transformations>"
 _UNFINISHED = (
@@ -38,7 +38,7 @@ class Unreadable(Exception):
         self.message = message
 
 
-def to_utf8(text: Union[str, bytes], limits: Limits) -> bytes:
+def to_utf8(text: Union[str, bytes], limits: SpecificationLimits) -> bytes:
     """Encode a text, or make sure that it is UTF-8 already.
 
     Args:
@@ -66,7 +66,7 @@ def to_utf8(text: Union[str, bytes], limits: Limits) -> bytes:
     return text
 
 
-def _check_size(size: int, limits: Limits) -> None:
+def _check_size(size: int, limits: SpecificationLimits) -> None:
     if size > limits.text_size:
         raise Unreadable(0, f"the text has {size} bytes; expected at most {limits.text_size}")
 

@@ -14,7 +14,7 @@ import rospy
 from dyknow import names
 from dyknow.errors import DyKnowError
 from dyknow.guards import NO_GUARDS, Guards
-from dyknow.manager.specifications.limits import DEFAULT_LIMITS, Limits
+from dyknow.manager.specifications.limits import DEFAULT_LIMITS, SpecificationLimits
 from dyknow.similar import did_you_mean
 
 _PARAMETERS = (
@@ -55,7 +55,7 @@ class ManagerSettings:
     spawn_timeout: float = 10.0
     orphan_timeout: float = 300.0
     guards: Guards = NO_GUARDS
-    limits: Limits = DEFAULT_LIMITS
+    limits: SpecificationLimits = DEFAULT_LIMITS
 
     @classmethod
     def read(cls) -> ManagerSettings:
@@ -87,7 +87,9 @@ class ManagerSettings:
                 read_only=_bool("read_only"),
                 **_limits(Guards, "string_length", "array_length", "nodelets"),
             ),
-            limits=Limits(**_limits(Limits, "text_size", "transformations")),
+            limits=SpecificationLimits(
+                **_limits(SpecificationLimits, "text_size", "transformations")
+            ),
         )
 
     def state_path(self, ending: str) -> str:

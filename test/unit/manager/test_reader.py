@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from dyknow.errors import SpecificationError
-from dyknow.manager.specifications.limits import Limits
+from dyknow.manager.specifications.limits import SpecificationLimits
 from dyknow.manager.specifications.specification import parse
 
 GOOD = "<transformation><label>a</label><source>p/A</source></transformation>"
@@ -14,7 +14,7 @@ GOOD = "<transformation><label>a</label><source>p/A</source></transformation>"
 
 def problems_of(text, **limits):
     with pytest.raises(SpecificationError) as caught:
-        parse(text, "x.xml", limits=Limits(**limits))
+        parse(text, "x.xml", limits=SpecificationLimits(**limits))
     return [(problem.line, problem.message) for problem in caught.value.problems]
 
 
@@ -28,7 +28,9 @@ def test_a_text_that_is_too_large_is_refused_unread(convert):
 def test_the_size_is_that_of_the_encoded_text():
     text = GOOD.replace("a<", "é<")
 
-    assert len(parse(text, limits=Limits(text_size=len(text) + 1)).transformations) == 1
+    assert (
+        len(parse(text, limits=SpecificationLimits(text_size=len(text) + 1)).transformations) == 1
+    )
     assert problems_of(text, text_size=len(text)) == [
         (0, f"the text has {len(text) + 1} bytes; expected at most {len(text)}")
     ]
@@ -62,7 +64,7 @@ def test_too_many_ports_end_the_reading():
     ports = "".join(f'<port type="in">p{number}</port>\n' for number in range(6))
     text = GOOD.replace("</source>", f"</source><ports>{ports}</ports>")
 
-    assert len(parse(text, limits=Limits(items=6)).transformations[0].ports) == 6
+    assert len(parse(text, limits=SpecificationLimits(items=6)).transformations[0].ports) == 6
     assert problems_of(text, items=5) == [
         (6, "more than 5 args, params, ports and tags in one <transformation>")
     ]
@@ -80,7 +82,7 @@ def test_the_yaml_of_a_text_is_limited_as_a_whole():
     params = "".join(f'<param name="p{n}" type="yaml">[{n}, 1]</param>' for n in range(4))
     text = GOOD.replace("</source>", f"</source><params>{params}</params>")
 
-    assert parse(text, limits=Limits(yaml_size=24)).transformations
+    assert parse(text, limits=SpecificationLimits(yaml_size=24)).transformations
     assert problems_of(text, yaml_size=23) == [(1, "more than 23 characters of YAML in this text")]
 
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dyknow.errors import SpecificationError, UnknownConcept
-from dyknow.manager.specifications.limits import Limits
+from dyknow.manager.specifications.limits import SpecificationLimits
 from dyknow.manager.specifications.specification import parse
 from dyknow.manager.specifications.transformation import Parameter, Port
 
@@ -139,7 +139,7 @@ def test_several_args_give_their_product(sets):
 
     assert labels_of(text) == expected
     assert len(expected) == prod(map(len, sets))
-    assert problems_of(text, limits=Limits(transformations=len(expected) - 1))
+    assert problems_of(text, limits=SpecificationLimits(transformations=len(expected) - 1))
 
 
 @given(SETS)
@@ -226,8 +226,8 @@ def test_the_transformations_of_all_templates_count_together():
     two = template("b${X}", {"X": "{1; 2}"})
     text = f"<transformations>{one}{two}</transformations>"
 
-    assert len(labels_of(text, limits=Limits(transformations=4))) == 4
-    assert problems_of(text, limits=Limits(transformations=3)) == [
+    assert len(labels_of(text, limits=SpecificationLimits(transformations=4))) == 4
+    assert problems_of(text, limits=SpecificationLimits(transformations=3)) == [
         "4 transformations in this text; expected at most 3"
     ]
 
@@ -254,5 +254,6 @@ def test_a_value_that_would_become_too_long_is_refused_before():
     extra = '<params><param name="p" type="string">' + "${X}" * 1000 + "</param></params>"
 
     assert problems_of(
-        template("${X}", {"X": "{" + "x" * 100 + "}"}, extra), limits=Limits(string_length=50_000)
+        template("${X}", {"X": "{" + "x" * 100 + "}"}, extra),
+        limits=SpecificationLimits(string_length=50_000),
     ) == ["a value of 100000 characters would result; expected at most 50000"]

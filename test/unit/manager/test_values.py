@@ -2,7 +2,7 @@
 
 import pytest
 
-from dyknow.manager.specifications.limits import Limits
+from dyknow.manager.specifications.limits import SpecificationLimits
 from dyknow.manager.specifications.values import BadValue, infer_type, parse_value
 
 
@@ -69,4 +69,4 @@ def test_an_unknown_type_names_the_known_ones():
 )
 def test_yaml_that_grows_or_does_not_fit_is_refused(text, expected):
     with pytest.raises(BadValue, match=expected):
-        parse_value("yaml", text, Limits(yaml_nodes=10, nesting=8))
+        parse_value("yaml", text, SpecificationLimits(yaml_nodes=10, nesting=8))

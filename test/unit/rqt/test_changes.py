@@ -14,7 +14,7 @@ from dyknow_rqt.graph.changes import (
     Protect,
     SpawnNodelet,
 )
-from dyknow_rqt.graph.history import History
+from dyknow_rqt.graph.history import UndoHistory
 from dyknow_rqt.graph.library_changes import AddTransformations, remove_transformations
 from dyknow_rqt.graph.rates import Meter, in_turns
 from dyknow_rqt.graph.snapshot import PortRef, Snapshot
@@ -172,7 +172,7 @@ def test_a_nodelet_of_nobodys_making_cannot_be_made_anew(remote):
 
 
 def test_history_is_a_pair_of_stacks():
-    history = History()
+    history = UndoHistory()
     one, two = Protect("/a", True), Protect("/b", True)
     history.note(one, Protect("/a", False))
     history.note(two, CannotUndo("never"))
@@ -188,7 +188,7 @@ def test_history_is_a_pair_of_stacks():
 
 
 def test_a_change_that_was_made_twice_is_taken_back_in_turn():
-    history = History()
+    history = UndoHistory()
     protect, release = Protect("/a", True), Protect("/a", False)
     for change, back in ((protect, release), (release, protect), (protect, release)):
         history.note(change, back)

@@ -10,13 +10,13 @@ import pytest
 from dyknow.manager.model import PortState, State
 from dyknow.ros.views import NodeletView
 from dyknow_rqt.graph.dot import BadLayout, read_layout, to_dot
-from dyknow_rqt.graph.figure import Kind, Options, figure_of
+from dyknow_rqt.graph.figure import Options, VertexKind, figure_of
 from dyknow_rqt.graph.filters import BadFilter, completions, parse
 from dyknow_rqt.graph.geometry import Layout, Point, Size
 from dyknow_rqt.graph.layered import layered
 from dyknow_rqt.graph.port_order import without_crossings
-from dyknow_rqt.graph.settle import backwards, moved, settle
 from dyknow_rqt.graph.snapshot import PlainNode, Snapshot, plain_nodes
+from dyknow_rqt.graph.stabilise import backwards, moved, stabilise
 
 
 def nodelet(name, *ports):
@@ -119,7 +119,7 @@ def test_without_topics_arrows_lead_from_nodelet_to_nodelet():
 def test_what_is_hidden(options, topics):
     snapshot = chain(2, [nodelet("/waiting", ">in=/waits")])
     figure = figure_of(snapshot, options)
-    assert [v.name for v in figure.vertices if v.kind is Kind.TOPIC] == topics
+    assert [v.name for v in figure.vertices if v.kind is VertexKind.TOPIC] == topics
 
 
 def test_quiet_names_are_hidden_on_request():
@@ -140,9 +140,12 @@ def test_ordinary_nodes_of_these_topics_can_be_shown():
         PlainNode("/rviewer", (), ("/t01",)),
     )
     snapshot = Snapshot(chain(2).nodelets, nodes)
-    assert not [v for v in figure_of(snapshot, Options()).vertices if v.kind is Kind.NODE]
+    assert not [v for v in figure_of(snapshot, Options()).vertices if v.kind is VertexKind.NODE]
     figure = figure_of(snapshot, Options(show_nodes=True, hide_dead_sinks=True))
-    assert [v.name for v in figure.vertices if v.kind is Kind.NODE] == ["/driver", "/rviewer"]
+    assert [v.name for v in figure.vertices if v.kind is VertexKind.NODE] == [
+        "/driver",
+        "/rviewer",
+    ]
     assert ("p_/driver", "", "t_/t00", "", "/t00") in [tuple(e) for e in figure.edges]
 
 
@@ -225,7 +228,7 @@ def test_a_nodelet_more_leaves_the_others_where_they_are(added):
     """The others are 20 nodelets and their topics: at most 4 of the 40 may move."""
     before, after = (figure_of(chain(20, extra), Options()) for extra in ((), (added,)))
     old = laid_out(before)
-    new = settle(old, before, laid_out(after), after, sizes_of(after))
+    new = stabilise(old, before, laid_out(after), after, sizes_of(after))
     assert len(moved(old, new)) <= 4
     assert set(new.curves) == set(after.edges)
 
@@ -242,7 +245,7 @@ def test_nothing_lies_on_top_of_something_else(arrange):
 def test_settled_nothing_lies_on_top_of_something_else():
     before, after = (figure_of(chain(20, extra), Options()) for extra in ((), ADDITIONS))
     sizes = sizes_of(after)
-    _check_apart(settle(laid_out(before), before, laid_out(after), after, sizes), sizes)
+    _check_apart(stabilise(laid_out(before), before, laid_out(after), after, sizes), sizes)
 
 
 def test_connections_made_one_by_one_end_in_a_drawing_from_left_to_right():
@@ -255,7 +258,7 @@ def test_connections_made_one_by_one_end_in_a_drawing_from_left_to_right():
         chained = [nodelet(f"/n{i}", *ports[i]) for i in range(connected)]
         snapshot = Snapshot((*chained, *(n for n in loose if int(n.name[2:]) >= connected)))
         after = figure_of(snapshot, Options())
-        layout = settle(layout, before, laid_out(after), after, sizes_of(after))
+        layout = stabilise(layout, before, laid_out(after), after, sizes_of(after))
         before = after
         assert backwards(layout.centres, after, sizes_of(after)) == 0
         _check_apart(layout, sizes_of(after))
@@ -271,4 +274,6 @@ def _check_apart(layout, sizes):
 def test_a_drawing_of_other_things_is_taken_as_it_is():
     figure = figure_of(chain(3), Options())
     new = laid_out(figure)
-    assert settle(Layout({"n_/other": Point(0, 0)}), figure, new, figure, sizes_of(figure)) is new
+    assert (
+        stabilise(Layout({"n_/other": Point(0, 0)}), figure, new, figure, sizes_of(figure)) is new
+    )

@@ -733,7 +733,7 @@ def test_five_hundred_nodelets_stay_usable(qtbot):
 
 def test_without_graphviz_there_is_still_a_drawing(qtbot, window):
     figure = window.graph.drawn
-    from dyknow_rqt.canvas.looks import sizes_of
+    from dyknow_rqt.canvas.appearance import sizes_of
 
     sizes = sizes_of(figure, window.font())
     for layouter in (Layouter("no_such_program"), Layouter("dot", limit=0.0)):

@@ -14,7 +14,7 @@ _LOG = logging.getLogger("rosout.dyknow_rqt")
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
-def guarded(method: _Function) -> _Function:
+def qt_slot(method: _Function) -> _Function:
     """Let a method be called by Qt.
 
     What it raises is shown by the ``report`` of its object, if that has one, in its own words if

@@ -1,4 +1,4 @@
-"""How things look that are not about their place: states, words, sizes."""
+"""What the items of the graph look like: states, words, sizes; where they are is the layout's."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from python_qt_binding.QtGui import QFont, QFontMetricsF
 
 from dyknow.manager.model import State
 from dyknow.manager.specifications.transformation import IN
-from dyknow_rqt.graph.figure import Edge, Figure, Kind, Vertex
+from dyknow_rqt.graph.figure import Edge, Figure, Vertex, VertexKind
 from dyknow_rqt.graph.geometry import Size
-from dyknow_rqt.graph.rates import Traffic
+from dyknow_rqt.graph.rates import PortRate
 from dyknow_rqt.graph.snapshot import PortRef, Snapshot
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ _PORT_PITCH = 15.0
 RATE_SCALE = 0.78
 
 
-class Look(NamedTuple):
+class Appearance(NamedTuple):
     """What is to be seen of a vertex besides its name."""
 
     state: State = State.RUNNING
@@ -38,7 +38,7 @@ def sizes_of(figure: Figure, font: QFont) -> Dict[str, Size]:
         lines = vertex.label.split("\n")
         width = max(metrics.horizontalAdvance(line) for line in lines)
         height = metrics.height() * len(lines)
-        if vertex.kind is Kind.TOPIC:
+        if vertex.kind is VertexKind.TOPIC:
             sizes[vertex.key] = Size(width + 16, height + 8)
         else:
             ports = max(len(vertex.inputs), len(vertex.outputs))
@@ -54,29 +54,31 @@ def gap_of(font: QFont) -> float:
     return float(QFontMetricsF(small).horizontalAdvance("000.0 Hz")) + 10
 
 
-def looks_of(snapshot: Snapshot, figure: Figure) -> Dict[str, Look]:
+def appearances_of(snapshot: Snapshot, figure: Figure) -> Dict[str, Appearance]:
     """Looks of all vertices of a figure."""
     topics = snapshot.topics()
     nodelets = {each.name: each for each in snapshot.nodelets}
-    looks = {}
+    appearances = {}
     for vertex in figure.vertices:
-        look = Look(tip=_tip(vertex.name, "ordinary ROS node"))
-        if vertex.kind is Kind.TOPIC and vertex.name in topics:
+        appearance = Appearance(tip=_tip(vertex.name, "ordinary ROS node"))
+        if vertex.kind is VertexKind.TOPIC and vertex.name in topics:
             topic = topics[vertex.name]
-            look = Look(tip=_tip(vertex.name, topic.datatype or "type not known yet", *topic.tags))
-        elif vertex.kind is Kind.NODELET and vertex.name in nodelets:
+            appearance = Appearance(
+                tip=_tip(vertex.name, topic.datatype or "type not known yet", *topic.tags)
+            )
+        elif vertex.kind is VertexKind.NODELET and vertex.name in nodelets:
             nodelet = nodelets[vertex.name]
-            look = Look(
+            appearance = Appearance(
                 nodelet.state,
                 nodelet.is_protected,
                 nodelet.rewired_by_reload,
                 _nodelet_tip(nodelet),
             )
-        looks[vertex.key] = look
-    return looks
+        appearances[vertex.key] = appearance
+    return appearances
 
 
-def port_tip(snapshot: Snapshot, ref: PortRef, traffic: Optional[Traffic]) -> str:
+def port_tip(snapshot: Snapshot, ref: PortRef, traffic: Optional[PortRate]) -> str:
     """What is told of a port when the pointer rests on it."""
     port = snapshot.port(ref)
     if port is None:
@@ -94,9 +96,9 @@ def port_tip(snapshot: Snapshot, ref: PortRef, traffic: Optional[Traffic]) -> st
     return _tip(*lines)
 
 
-def edge_traffic(edge: Edge, traffic: Mapping[PortRef, Traffic]) -> Optional[Traffic]:
+def edge_traffic(edge: Edge, traffic: Mapping[PortRef, PortRate]) -> Optional[PortRate]:
     """What goes over an arrow: as its source counts, or else its sink; None if not known."""
-    nodelet = Kind.NODELET.value + "_"
+    nodelet = VertexKind.NODELET.value + "_"
     sink = source = None
     if edge.tail.startswith(nodelet):
         source = traffic.get(PortRef(edge.tail[len(nodelet) :], edge.tail_port))
@@ -109,7 +111,7 @@ def edge_traffic(edge: Edge, traffic: Mapping[PortRef, Traffic]) -> Optional[Tra
 
 def edge_refs(edge: Edge) -> List[PortRef]:
     """Ports at the ends of an arrow, the receiving one first."""
-    nodelet = Kind.NODELET.value + "_"
+    nodelet = VertexKind.NODELET.value + "_"
     ends = ((edge.head, edge.head_port), (edge.tail, edge.tail_port))
     return [PortRef(key[len(nodelet) :], port) for key, port in ends if key.startswith(nodelet)]
 

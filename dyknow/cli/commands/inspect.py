@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Dict, Iterator, List, Optional, Sequence, Tupl
 
 from dyknow.cli.arguments import Kind, graph_name, namespace, takes
 from dyknow.cli.command import Command
-from dyknow.cli.shapes import nodelet_shape
+from dyknow.cli.json_output import nodelet_json
 from dyknow.cli.shell import FAILED, Shell
 from dyknow.cli.tables import columns
 from dyknow.cli.views import state_of, unknown_nodelet
@@ -38,7 +38,7 @@ def _list(arguments: argparse.Namespace, shell: Shell) -> None:
         inside = shell.resolve(arguments.namespace).rstrip("/") + "/"
         nodelets = tuple(each for each in nodelets if each.name.startswith(inside))
     shell.show(
-        {"nodelets": [nodelet_shape(each) for each in nodelets]},
+        {"nodelets": [nodelet_json(each) for each in nodelets]},
         _long_list(nodelets) if arguments.long else [each.name for each in nodelets],
     )
 
@@ -80,7 +80,7 @@ def _info(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
     present = [nodelet for nodelet in found if nodelet is not None]
     if present or len(wanted) > 1:
         lines = (line for nodelet in present for line in _describe(nodelet, snapshot))
-        shell.show({"nodelets": [nodelet_shape(nodelet) for nodelet in present]}, lines)
+        shell.show({"nodelets": [nodelet_json(nodelet) for nodelet in present]}, lines)
     return None if len(present) == len(wanted) else FAILED
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 from statistics import median
 from typing import Dict, List, Mapping, Sequence, Set, Tuple
 
-from dyknow_rqt.graph.figure import Edge, Figure, Kind, Vertex
+from dyknow_rqt.graph.figure import Edge, Figure, Vertex, VertexKind
 from dyknow_rqt.graph.geometry import (
     Layout,
     Point,
@@ -35,7 +35,7 @@ _TRIES = 10
 _SIDESTEPS = (0.0, -30.0, 30.0, -60.0)
 
 
-def settle(
+def stabilise(
     old: Layout, before: Figure, new: Layout, after: Figure, sizes: Mapping[str, Size]
 ) -> Layout:
     """Bring a new layout as near to the old one as its looks allow.
@@ -92,7 +92,7 @@ def backwards(centres: Mapping[str, Point], figure: Figure, sizes: Mapping[str, 
 
 
 def _nodelets(figure: Figure) -> Set[str]:
-    return {vertex.key for vertex in figure.vertices if vertex.kind is Kind.NODELET}
+    return {vertex.key for vertex in figure.vertices if vertex.kind is VertexKind.NODELET}
 
 
 def _place(

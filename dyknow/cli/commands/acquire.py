@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Iterable, Optional
 
 from dyknow.cli.arguments import seconds, seconds_or_none
 from dyknow.cli.command import Command
-from dyknow.cli.shapes import event_shape, stream_shape
+from dyknow.cli.json_output import event_json, stream_json
 from dyknow.cli.shell import FAILED, Shell
 from dyknow.cli.streams import demand_arguments, request_of
 from dyknow.errors import DyKnowError, Refused
@@ -54,7 +54,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 def _acquire(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
     if arguments.lease is not None:
         claim = _ask(arguments, shell, arguments.lease)
-        shell.show(stream_shape(claim), _describe(claim))
+        shell.show(stream_json(claim), _describe(claim))
         return None
     signal.signal(signal.SIGTERM, _interrupt)
     events = shell.client.stream_events()  # before the claim is made, so that none is missed
@@ -65,7 +65,7 @@ def _acquire(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
         raise
     holding = _Holding(shell, claim.claim_id, events)
     try:
-        _say(shell, stream_shape(claim), [*_describe(claim), "held until Ctrl-C"])
+        _say(shell, stream_json(claim), [*_describe(claim), "held until Ctrl-C"])
         return holding.run()
     except KeyboardInterrupt:
         shell.client.release_stream(claim.claim_id)
@@ -110,7 +110,7 @@ class _Holding:
             event = self._next_event(renewal - time.monotonic())
             if event is not None and event.before is not None:  # that it is new was said
                 line = f"{event.after.state.name.lower()}: {event.reason}"
-                _say(self._shell, event_shape(event), [f"{_clock(event.stamp)} {line}"])
+                _say(self._shell, event_json(event), [f"{_clock(event.stamp)} {line}"])
                 if event.after.state.ended:
                     return FAILED
             if time.monotonic() >= renewal:
@@ -152,7 +152,7 @@ class _Holding:
                 self._shell.warn("the manager is back")
                 for claim in client.list_streams():
                     if claim.claim_id == self._claim_id:
-                        _say(self._shell, stream_shape(claim), _describe(claim))
+                        _say(self._shell, stream_json(claim), _describe(claim))
         except Unreachable:
             return False  # it was said when the connection broke; the claim waits in its store
         return True

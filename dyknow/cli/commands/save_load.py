@@ -111,7 +111,7 @@ def _load(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
             shell.error(f"{step.what}: {cause}")
         _wait(shell, plan)
     subjects = [step.subject for step, _ in failed]
-    shape = _shape(plan, subjects)
+    shape = _json(plan, subjects)
     shape["file"] = arguments.file
     shape["dry_run"] = arguments.dry_run
     shape["failed"] = [
@@ -140,7 +140,7 @@ def _wait(shell: Shell, plan: Plan) -> None:
         shell.warn("done, but the manager's model does not show all of it yet")
 
 
-def _shape(plan: Plan, failed: List[str]) -> Dict[str, Any]:
+def _json(plan: Plan, failed: List[str]) -> Dict[str, Any]:
     return {
         "transformations": {
             "added": [each.label for each in plan.added if each.label not in failed],
@@ -168,7 +168,7 @@ def _shape(plan: Plan, failed: List[str]) -> Dict[str, Any]:
 
 
 def _lines(plan: Plan, failed: List[str], dry_run: bool) -> Iterator[str]:
-    shape = _shape(plan, failed)
+    shape = _json(plan, failed)
     kept_otherwise = {each.wanted.name: each.differences for each in plan.kept}
     empty = True
     for thing in ("transformations", "nodelets"):

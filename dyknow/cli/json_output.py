@@ -13,10 +13,10 @@ if TYPE_CHECKING:
     from dyknow.ros.stream_views import StreamEventView, StreamView
     from dyknow.ros.views import NodeletView, Statistics
 
-Shape = Dict[str, Any]
+Json = Dict[str, Any]
 
 
-def port_shape(port: PortState) -> Shape:
+def port_json(port: PortState) -> Json:
     """A port of a running nodelet."""
     return {
         "name": port.name,
@@ -27,7 +27,7 @@ def port_shape(port: PortState) -> Shape:
     }
 
 
-def nodelet_shape(nodelet: NodeletView) -> Shape:
+def nodelet_json(nodelet: NodeletView) -> Json:
     """A running nodelet."""
     return {
         "name": nodelet.name,
@@ -38,11 +38,11 @@ def nodelet_shape(nodelet: NodeletView) -> Shape:
         "rewired_by_reload": nodelet.rewired_by_reload,
         "state": state_of(nodelet),
         "detail": nodelet.detail,
-        "ports": [port_shape(port) for port in by_name(nodelet.ports)],
+        "ports": [port_json(port) for port in by_name(nodelet.ports)],
     }
 
 
-def transformation_shape(transformation: Transformation) -> Shape:
+def transformation_json(transformation: Transformation) -> Json:
     """A transformation of the library."""
     return {
         "label": transformation.label,
@@ -66,7 +66,7 @@ def transformation_shape(transformation: Transformation) -> Shape:
     }
 
 
-def statistics_shape(name: str, statistics: Statistics) -> Shape:
+def statistics_json(name: str, statistics: Statistics) -> Json:
     """What a nodelet has done; times in seconds, the rate in Hz; null where nobody counts."""
     return {
         "nodelet": name,
@@ -89,7 +89,7 @@ def statistics_shape(name: str, statistics: Statistics) -> Shape:
     }
 
 
-def stream_shape(stream: StreamView) -> Shape:
+def stream_json(stream: StreamView) -> Json:
     """A claim; the end of its lease in seconds of ROS time, null for until it is released."""
     return {
         "claim": stream.claim_id,
@@ -104,11 +104,11 @@ def stream_shape(stream: StreamView) -> Shape:
     }
 
 
-def event_shape(event: StreamEventView) -> Shape:
+def event_json(event: StreamEventView) -> Json:
     """A change of a claim; ``before`` is null for a new one."""
     return {
         "stamp": event.stamp,
-        "before": stream_shape(event.before) if event.before is not None else None,
-        "after": stream_shape(event.after),
+        "before": stream_json(event.before) if event.before is not None else None,
+        "after": stream_json(event.after),
         "reason": event.reason,
     }
