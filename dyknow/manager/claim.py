@@ -72,7 +72,7 @@ class Claim:
         wiring: for each nodelet of the stream the topics that its ports need; while there is no
             stream, the nodelets that are kept for it, connected to nothing.
         sources: topics of ordinary nodes that the stream needs.
-        deadline: when the lease ends, on the keeper's clock; None for never.
+        deadline: when the lease ends, on the reconciler's clock; None for never.
     """
 
     claim_id: str

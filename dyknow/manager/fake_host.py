@@ -21,7 +21,15 @@ from typing import (
 
 from dyknow import names
 from dyknow.errors import HostError, HostTimeout, NameTaken
-from dyknow.manager.host import Count, Crash, Host, Kind, Listening, LoadRequest, ManagerState
+from dyknow.manager.host import (
+    Count,
+    Crash,
+    Host,
+    Listening,
+    LoadRequest,
+    ManagerState,
+    NodeletKind,
+)
 from dyknow.manager.model import PortState
 from dyknow.manager.specifications.transformation import Parameter
 
@@ -166,7 +174,7 @@ class FakeHost(Host):
             arrived.append(name)
         return arrived
 
-    def add(self, manager: str, kind: Kind = Kind.PYTHON) -> None:
+    def add(self, manager: str, kind: NodeletKind = NodeletKind.PYTHON) -> None:
         """Start a nodelet manager of others, or start it again."""
         state = ManagerState(manager, kind, str(next(self._incarnations)), own=False)
         self.processes[manager] = FakeManager(state)
@@ -245,11 +253,11 @@ class FakeHost(Host):
 
     # The host
 
-    def kind_of(self, source: str) -> Kind:
+    def kind_of(self, source: str) -> NodeletKind:
         """Tell the kind of a declared type."""
         if source not in self.sources:
             raise HostError(f"no package declares a nodelet type '{source}'")
-        return Kind.CPP if source in self.cpp else Kind.PYTHON
+        return NodeletKind.CPP if source in self.cpp else NodeletKind.PYTHON
 
     def managers(self) -> List[ManagerState]:
         """List the nodelet managers."""
@@ -267,7 +275,7 @@ class FakeHost(Host):
     def look_for(self, manager: str) -> None:
         """Do nothing: who is there is known at once."""
 
-    def ensure(self, kind: Kind, isolated_for: str = "") -> str:
+    def ensure(self, kind: NodeletKind, isolated_for: str = "") -> str:
         """Start a nodelet manager if there is none."""
         self._step("ensure", isolated_for or kind.value)
         fitting = [
@@ -392,7 +400,7 @@ class FakeHost(Host):
         self.listeners.append(listener)
         return listener
 
-    def _start(self, name: str, kind: Kind, isolated_for: str) -> str:
+    def _start(self, name: str, kind: NodeletKind, isolated_for: str) -> str:
         state = ManagerState(name, kind, str(next(self._incarnations)), isolated_for)
         self.processes[name] = FakeManager(state)
         return name

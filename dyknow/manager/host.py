@@ -25,7 +25,7 @@ from dyknow.manager.model import PortState
 from dyknow.manager.specifications.transformation import Parameter
 
 
-class Kind(enum.Enum):
+class NodeletKind(enum.Enum):
     """What a nodelet manager can host."""
 
     PYTHON = "python"
@@ -48,7 +48,7 @@ class ManagerState:
     """
 
     name: str
-    kind: Kind = Kind.PYTHON
+    kind: NodeletKind = NodeletKind.PYTHON
     incarnation: str = ""
     isolated_for: str = ""
     own: bool = True
@@ -132,7 +132,7 @@ class Host(ABC):
     """Runs nodelets. Every call has its own time limit and raises ``HostError`` beyond it."""
 
     @abstractmethod
-    def kind_of(self, source: str) -> Kind:
+    def kind_of(self, source: str) -> NodeletKind:
         """Tell what kind of nodelet a declared type is.
 
         Raises:
@@ -159,7 +159,7 @@ class Host(ABC):
         """
 
     @abstractmethod
-    def ensure(self, kind: Kind, isolated_for: str = "") -> str:
+    def ensure(self, kind: NodeletKind, isolated_for: str = "") -> str:
         """Return the name of a nodelet manager of that kind that is up, starting it if need be.
 
         Args:

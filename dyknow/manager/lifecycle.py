@@ -23,7 +23,7 @@ from dyknow.errors import (
 from dyknow.guards import Guards
 from dyknow.manager import placement
 from dyknow.manager.graph import Graph
-from dyknow.manager.host import Host, Kind, LoadRequest, ManagerState
+from dyknow.manager.host import Host, LoadRequest, ManagerState, NodeletKind
 from dyknow.manager.model import PortState, Record, State, declared_ports, seen_ports
 from dyknow.manager.specifications.transformation import TOPIC, Transformation
 from dyknow.manager.suspects import Suspects
@@ -107,7 +107,7 @@ class Lifecycle:
                 manager=manager,
                 is_protected=request.is_protected,
                 isolated=isolated,
-                rewired_by_reload=kind is Kind.CPP,
+                rewired_by_reload=kind is NodeletKind.CPP,
                 topics=config,
                 suspicion=suspicion,
             )
@@ -148,7 +148,7 @@ class Lifecycle:
         starting = replace(starting, topics=self.fitting(starting))
         try:
             if record.isolated:
-                kind = Kind.CPP if record.rewired_by_reload else Kind.PYTHON
+                kind = NodeletKind.CPP if record.rewired_by_reload else NodeletKind.PYTHON
                 starting = replace(starting, manager=self._host.ensure(kind, record.name))
             running = self._bring_up(starting)
         except NameTaken:

@@ -27,7 +27,7 @@ from dyknow.manager.suspects import Suspects
 
 
 @dataclass(frozen=True)
-class Settings:
+class ManagerOptions:
     """How a manager behaves.
 
     Attributes:
@@ -39,7 +39,7 @@ class Settings:
     spawn_timeout: float = 10.0
 
 
-DEFAULT_SETTINGS = Settings()
+DEFAULT_OPTIONS = ManagerOptions()
 """Names begin at the root; a nodelet has 10 s to come up."""
 
 
@@ -52,7 +52,7 @@ class Manager:
         store: Store,
         library: Library,
         guards: Guards = NO_GUARDS,
-        settings: Settings = DEFAULT_SETTINGS,
+        settings: ManagerOptions = DEFAULT_OPTIONS,
         run: Callable[[Callable[[], None]], None] = at_once,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:

@@ -6,14 +6,14 @@ import collections
 from typing import Dict, Iterable, List, Optional
 
 from dyknow.errors import HostError
-from dyknow.manager.host import Host, Kind
+from dyknow.manager.host import Host, NodeletKind
 from dyknow.manager.model import Record, topics_of
 
 
 def choose(
     host: Host,
     records: Iterable[Record],
-    kind: Kind,
+    kind: NodeletKind,
     topics: Iterable[str],
     asked: str = "",
     isolated_for: str = "",

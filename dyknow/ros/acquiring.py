@@ -17,8 +17,8 @@ from typing import Any, Callable, Iterable, Optional, Tuple, Union
 import rospy
 
 from dyknow.errors import BadParameter, DyKnowError, HostError, PeerTimeout, Refused
+from dyknow.event_queue import EventQueue
 from dyknow.manager.claim import ClaimState, StreamRequest
-from dyknow.manager.claims.telling import Telling
 from dyknow.ros.client import CHANGE_TIMEOUT, ManagerClient
 from dyknow.ros.client_errors import StreamRefused
 from dyknow.ros.stream_session import StreamSession
@@ -58,7 +58,7 @@ class AcquiredStream:
         self.reused: Tuple[str, ...] = ()
         self._client = client
         self._session = session
-        self._telling: Telling[StreamEventView] = Telling(on_event or (lambda event: None))
+        self._telling: EventQueue[StreamEventView] = EventQueue(on_event or (lambda event: None))
         self._condition = threading.Condition()
         self._view = view
         self._released = False

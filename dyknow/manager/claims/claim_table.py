@@ -11,8 +11,8 @@ from dataclasses import replace
 from typing import Any, Callable, Dict, List, Optional, Set
 
 from dyknow.errors import UnknownClaim
+from dyknow.event_queue import EventQueue
 from dyknow.manager.claim import Claim, ClaimEvent, ClaimState, StreamRequest
-from dyknow.manager.claims.telling import Telling
 from dyknow.manager.moment import Moment
 from dyknow.manager.store import MEANINGLESS, Store
 
@@ -34,7 +34,7 @@ class ClaimTable:
         self._writing = threading.Lock()  # the disk has them in the order of the memory
         self._lock = threading.Lock()
         self._claims: Dict[str, Claim] = self._stored()
-        self._telling: Telling[ClaimEvent] = Telling(lambda event: None)
+        self._telling: EventQueue[ClaimEvent] = EventQueue(lambda event: None)
 
     @property
     def on_event(self) -> Callable[[ClaimEvent], None]:

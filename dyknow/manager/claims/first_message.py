@@ -11,20 +11,20 @@ from typing import Callable, Dict, Iterable, Tuple
 
 from dyknow.manager.claim import NO_MESSAGE, Claim, ClaimState
 from dyknow.manager.claims.claim_table import ClaimTable
-from dyknow.manager.claims.message_counts import MessageCounts, Place
+from dyknow.manager.claims.flows import FlowMeter, Place
 from dyknow.manager.graph import Graph
 
 #: Seconds between two counts while a message is waited for.
 _PERIOD = 0.25
 
 
-class FirstMessages:
+class FirstMessageMonitor:
     """Waits for the first message of each stream after its last change."""
 
     def __init__(
         self,
         table: ClaimTable,
-        counts: MessageCounts,
+        counts: FlowMeter,
         graph: Graph,
         clock: Callable[[], float],
     ) -> None:

@@ -9,19 +9,19 @@ from typing import Any, Callable, Dict, Hashable, Mapping, Optional, Tuple
 from dyknow.errors import DyKnowError, StreamTypeMismatch
 from dyknow.manager.claim import Claim, ClaimState
 from dyknow.manager.claims.assembly import Assembly
+from dyknow.manager.claims.assembly_request import AssemblyRequest, AssemblyResult
+from dyknow.manager.claims.claim_lock import ClaimLock
+from dyknow.manager.claims.claim_planner import ClaimPlanner
 from dyknow.manager.claims.claim_table import ClaimTable
+from dyknow.manager.claims.connector import Connector
 from dyknow.manager.claims.delivery import Delivery
 from dyknow.manager.claims.demands import wanted_type
-from dyknow.manager.claims.first_message import FirstMessages
-from dyknow.manager.claims.housekeeping import Housekeeping
-from dyknow.manager.claims.inspection import Damage, inspect
-from dyknow.manager.claims.message_counts import MessageCounts
-from dyknow.manager.claims.order import Assembled, Order
-from dyknow.manager.claims.prospects import Prospects
+from dyknow.manager.claims.diagnosis import Fault, diagnose
+from dyknow.manager.claims.first_message import FirstMessageMonitor
+from dyknow.manager.claims.flows import FlowMeter
+from dyknow.manager.claims.garbage_collector import GarbageCollector
 from dyknow.manager.claims.quarantine import Quarantine
-from dyknow.manager.claims.silence import SilenceWatch
-from dyknow.manager.claims.turn import Turn
-from dyknow.manager.claims.wires import Wires
+from dyknow.manager.claims.silence_monitor import SilenceMonitor
 from dyknow.manager.manager import Manager
 from dyknow.manager.model import Record, State
 from dyknow.manager.planning.problem import NoPlan, Plan
@@ -39,28 +39,30 @@ class Repair:
         self,
         manager: Manager,
         table: ClaimTable,
-        turn: Turn,
-        prospects: Prospects,
+        claim_lock: ClaimLock,
+        claim_planner: ClaimPlanner,
         delivery: Delivery,
-        housekeeping: Housekeeping,
+        garbage_collector: GarbageCollector,
         quarantine: Quarantine,
-        silence: SilenceWatch,
-        counts: MessageCounts,
-        first_messages: FirstMessages,
-        wires: Wires,
+        silence: SilenceMonitor,
+        counts: FlowMeter,
+        first_messages: FirstMessageMonitor,
+        connector: Connector,
         clock: Callable[[], float],
     ) -> None:
         """Mend nothing yet; hear of nodelets that die from now on."""
         self._manager = manager
         self._table = table
-        self._prospects = prospects
-        self._assembly = Assembly(manager, table, turn, wires, delivery, self._note_failure)
-        self._housekeeping = housekeeping
+        self._planner = claim_planner
+        self._assembly = Assembly(
+            manager, table, claim_lock, connector, delivery, self._note_failure
+        )
+        self._garbage_collector = garbage_collector
         self._quarantine = quarantine
         self._silence = silence
         self._counts = counts
         self._first_messages = first_messages
-        self._wires = wires
+        self._connector = connector
         self._clock = clock
         self._born: Dict[str, float] = {}
         self._culprit = ""
@@ -69,13 +71,17 @@ class Repair:
         manager.observer.on_death = self._note_death
         manager.observer.on_crash = quarantine.blame
 
-    def inspect(self, claim: Claim) -> Optional[Damage]:
+    def diagnose(self, claim: Claim) -> Optional[Fault]:
         """Say what is wrong with a claim's stream; None if it is whole."""
-        silence, published = self._silence, self._prospects.published
-        look = self._wires.audience
-        return inspect(self._manager, claim, silence.silent, silence.mute, published, look)
+        silence, published = self._silence, self._planner.published
+        look = self._connector.topology
+        return diagnose(
+            self._manager, claim, silence.silent, silence.unresponsive, published, look
+        )
 
-    def carry_out(self, claim: Claim, plan: Plan, lenient: bool = False) -> Tuple[Plan, Assembled]:
+    def carry_out(
+        self, claim: Claim, plan: Plan, lenient: bool = False
+    ) -> Tuple[Plan, AssemblyResult]:
         """Make a claim's stream as a plan says.
 
         It is made another way where types turn out wrong, or parts went while new ones came up.
@@ -92,7 +98,7 @@ class Repair:
         wrong: Dict[str, StreamTypeMismatch] = {}
         attempts = 0
         while True:
-            own = self._prospects.own(claim)
+            own = self._planner.own(claim)
             try:
                 return plan, self._carry_out(claim, plan, own)
             except StreamTypeMismatch as error:
@@ -105,7 +111,7 @@ class Repair:
                 if attempts == _ATTEMPTS or self._are_there(plan, own):
                     raise
                 failure = error
-            answer = self._prospects.plan(claim, lenient, frozenset(wrong))
+            answer = self._planner.plan(claim, lenient, frozenset(wrong))
             if isinstance(answer, NoPlan):
                 raise failure
             plan = answer
@@ -119,22 +125,22 @@ class Repair:
         found = map(self._manager.graph.find, counted_on)
         return all(record is not None and record.state is State.RUNNING for record in found)
 
-    def _carry_out(self, claim: Claim, plan: Plan, own: Mapping[str, str]) -> Assembled:
-        order = Order(
+    def _carry_out(self, claim: Claim, plan: Plan, own: Mapping[str, str]) -> AssemblyResult:
+        request = AssemblyRequest(
             plan,
             claim.request.tag,
             claim.topic,
             wanted_type(claim),
             own,
             self._silence.unhealthy,
-            self._silence.mute,
+            self._silence.unresponsive,
             claim.claim_id,
-            self._prospects.ordinary(),
+            self._planner.ordinary(),
         )
-        done = self._assembly.carry_out(order)
+        done = self._assembly.carry_out(request)
         self._counts.excuse(done.wiring)
         done.detail = self._first_messages.expect(claim, done.goal, done.topic)
-        self._housekeeping.replaced(replace(claim, **outcome(done)))
+        self._garbage_collector.replaced(replace(claim, **outcome(done)))
         return done
 
     def mend(self, claim_id: str) -> None:
@@ -146,26 +152,26 @@ class Repair:
         claim = self._table.find(claim_id)
         if claim is None:
             return
-        damage = self.inspect(claim)
-        if damage is None:
+        fault = self.diagnose(claim)
+        if fault is None:
             if claim.state is not ClaimState.ACTIVE:
                 detail = self._first_messages.expect(claim, claim.goal, claim.topic)
                 whole = {"state": ClaimState.ACTIVE, "detail": detail}
                 self._table.change(claim_id, "it is whole again", **whole)
             return
-        despair = (self._prospects.signature(), damage.what)
+        despair = (self._planner.signature(), fault.what)
         if self._hopeless.get(claim_id) == despair:
             return
-        answer = self._prospects.plan(claim)
+        answer = self._planner.plan(claim)
         if isinstance(answer, NoPlan):
             self._hopeless[claim_id] = despair
-            self._despair(claim, damage, answer)
+            self._despair(claim, fault, answer)
             return
         if not self._quarantine.allows(claim_id):
             return
         if claim.state is ClaimState.ACTIVE and answer.steps:
-            changes = {"state": ClaimState.RECOVERING, "detail": damage.what}
-            claim = self._table.change(claim_id, damage.what, **changes) or claim
+            changes = {"state": ClaimState.RECOVERING, "detail": fault.what}
+            claim = self._table.change(claim_id, fault.what, **changes) or claim
         self._culprit = ""
         try:
             _, done = self.carry_out(claim, answer)
@@ -173,38 +179,38 @@ class Repair:
             if not self._culprit:
                 self._quarantine.blame(claim_id)
             failed = {"state": ClaimState.FAILED, "detail": str(error)}
-            self._table.change(claim_id, damage.what, **failed)
+            self._table.change(claim_id, fault.what, **failed)
             return
         self._quarantine.forgive(claim_id)
-        reason = f"mended: {damage.what}" if claim.is_made else "it can be made now"
+        reason = f"mended: {fault.what}" if claim.is_made else "it can be made now"
         reason = with_remarks(reason, done)
         self._table.change(claim_id, reason, **outcome(done))
 
-    def _despair(self, claim: Claim, damage: Damage, answer: NoPlan) -> None:
+    def _despair(self, claim: Claim, fault: Fault, answer: NoPlan) -> None:
         """There is no way now: say why, and whether one is to be expected by itself."""
-        if self._prospects.is_waiting(claim):
+        if self._planner.is_waiting(claim):
             if claim.state is ClaimState.FAILED:
                 return  # it says why already
             state = ClaimState.RECOVERING
-            detail = f"{damage.what}; what could supply it failed lately and is left for a while"
+            detail = f"{fault.what}; what could supply it failed lately and is left for a while"
         else:
             state = ClaimState.PENDING
-            detail = str(answer) if damage.severed else f"{damage.what}; {answer}"
+            detail = str(answer) if fault.severed else f"{fault.what}; {answer}"
         if not claim.topic:
             state = ClaimState.PENDING
-        elif not damage.severed:
+        elif not fault.severed:
             state = ClaimState.DEGRADED
         changes: Dict[str, Any] = {"state": state, "detail": detail}
         if state is ClaimState.PENDING and claim.is_made:
-            if self._housekeeping.take_apart(claim):
-                kept = set(self._prospects.own(claim).values()) & set(claim.wiring)
+            if self._garbage_collector.take_apart(claim):
+                kept = set(self._planner.own(claim).values()) & set(claim.wiring)
                 wiring: Dict[str, Dict[str, str]] = {name: {} for name in kept}
                 changes.update(wiring=wiring, goal=("", ""), sources=())
             else:
                 still = "but a part of it cannot be disconnected yet"
                 changes.update(state=ClaimState.FAILED, detail=f"{detail}; {still}")
                 self._hopeless.pop(claim.claim_id, None)  # it is tried again
-        self._table.change(claim.claim_id, damage.what, **changes)
+        self._table.change(claim.claim_id, fault.what, **changes)
 
     # Failures
 
@@ -239,7 +245,7 @@ class Repair:
             self._note_death(record)
 
 
-def outcome(done: Assembled) -> Dict[str, Any]:
+def outcome(done: AssemblyResult) -> Dict[str, Any]:
     """Write what became of a plan as changes of its claim."""
     return {
         "topic": done.topic,
@@ -252,6 +258,6 @@ def outcome(done: Assembled) -> Dict[str, Any]:
     }
 
 
-def with_remarks(reason: str, done: Assembled) -> str:
+def with_remarks(reason: str, done: AssemblyResult) -> str:
     """Add to a reason what did not go as it should."""
     return "; ".join([reason, *done.remarks])

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import AbstractSet, Iterable, List, Tuple
 
-from dyknow.manager.claims.audience import Audience
+from dyknow.manager.claims.topology import Topology
 from dyknow.manager.model import Record, State
 from dyknow.manager.planning.problem import Live
 from dyknow.manager.planning.supply import Demand, Supply
@@ -21,7 +21,7 @@ Stream = Tuple[Live, Tuple[Term, ...]]
 def live_streams(
     records: Iterable[Record],
     published: Iterable[Transformation],
-    audience: Audience,
+    topology: Topology,
     ontology: Subsumption,
     unhealthy: AbstractSet[str] = frozenset(),
 ) -> List[Stream]:
@@ -30,7 +30,7 @@ def live_streams(
     Args:
         records: the nodelets of the graph.
         published: transformations of type topic whose topic has a publisher.
-        audience: knows who else sends on a topic: a stream is only what holds for all of them.
+        topology: knows who else sends on a topic: a stream is only what holds for all of them.
         ontology: what is a kind of what.
         unhealthy: nodelets that are not to be relied on.
     """
@@ -39,7 +39,7 @@ def live_streams(
 
     def supply(stream: Live, tags: Tuple[Term, ...]) -> None:
         if stream.topic:
-            tags = audience.common_tags(stream.topic, tags)
+            tags = topology.common_tags(stream.topic, tags)
         streams.append((stream, tags))
         if stream.topic:
             on_topic.add(stream.topic, tags, stream.datatype)

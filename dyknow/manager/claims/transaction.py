@@ -8,7 +8,7 @@ from functools import partial
 from typing import AbstractSet, Callable, Dict, List, Mapping, Optional, Tuple
 
 from dyknow.errors import DyKnowError, HostError
-from dyknow.manager.claims.wires import Wires
+from dyknow.manager.claims.connector import Connector
 from dyknow.manager.lifecycle import SpawnRequest
 from dyknow.manager.manager import Manager
 from dyknow.manager.model import Record, State
@@ -20,17 +20,19 @@ _log = logging.getLogger("rosout.dyknow")
 class Transaction:
     """Spawns and connects; what it did can be taken back."""
 
-    def __init__(self, manager: Manager, wires: Wires, mute: AbstractSet[str]) -> None:
+    def __init__(
+        self, manager: Manager, connector: Connector, unresponsive: AbstractSet[str]
+    ) -> None:
         """Begin.
 
         Args:
             manager: makes nodelets.
-            wires: connects them.
-            mute: nodelets that do not answer.
+            connector: connects them.
+            unresponsive: nodelets that do not answer.
         """
         self._manager = manager
-        self._wires = wires
-        self._mute = mute
+        self._connector = connector
+        self._unresponsive = unresponsive
         self.spawned: List[str] = []
         #: Nodelets and how they were connected before; None: they were not there.
         self._before: List[Tuple[str, Optional[Dict[str, str]]]] = []
@@ -58,11 +60,11 @@ class Transaction:
         """
         record = self._manager.graph.get(name)
         before = {port: record.topics.get(port, "") for port in config}
-        if before == dict(config) and self._wires.is_known(name):
+        if before == dict(config) and self._connector.is_known(name):
             return
         self._make_way(record, config)
         self._before.append((name, before))  # also what was not answered may have been done
-        self._wires.connect(name, config)
+        self._connector.connect(name, config)
 
     def undo(self, needed: AbstractSet[str]) -> None:
         """Take everything back, the latest first, but nodelets that others need by now."""
@@ -74,18 +76,18 @@ class Transaction:
                 _quietly(partial(self._reconnect, name, before))
 
     def _make_way(self, record: Record, config: Mapping[str, str]) -> None:
-        for name, ports in sorted(self._wires.in_the_way(record, config).items()):
+        for name, ports in sorted(self._connector.in_the_way(record, config).items()):
             other = self._manager.graph.get(name)
-            if other.state is not State.RUNNING or name in self._mute:
+            if other.state is not State.RUNNING or name in self._unresponsive:
                 raise HostError(f"{name} has to be disconnected first, and does not answer")
             self.connect(name, ports)
 
     def _reconnect(self, name: str, before: Dict[str, str]) -> None:
         record = self._manager.graph.find(name)
-        if record is None or not self._wires.is_known(name):
+        if record is None or not self._connector.is_known(name):
             return  # it is asked how it is connected, and mended then
-        fits = self._wires.fitting(replace(record, topics=before))
-        self._wires.connect(name, fits)
+        fits = self._connector.fitting(replace(record, topics=before))
+        self._connector.connect(name, fits)
 
 
 def _quietly(step: Callable[[], None]) -> None:

@@ -15,7 +15,7 @@ from __future__ import annotations
 import re
 from typing import Dict, List, NamedTuple, Set, Tuple
 
-from dyknow.manager.planning.problem import Answer, Live, NoPlan, Plan, Source, Step
+from dyknow.manager.planning.problem import Answer, Live, NoPlan, Plan, PlanStep, Source
 
 _LINE = re.compile(r"(?P<lead>[ │├└─]*─ )(?:(?P<port>\S+) ← )?(?P<what>.*) \((?P<how>[^()]*)\)\Z")
 _INDENT = 3
@@ -117,7 +117,7 @@ def tree_as_dot(text: str) -> str:
 
 
 def _entries(plan: Plan) -> List[Entry]:
-    steps: Dict[str, Step] = {step.action.label: step for step in plan.steps}
+    steps: Dict[str, PlanStep] = {step.action.label: step for step in plan.steps}
     entries: List[Entry] = []
     told: Set[str] = set()
     waiting: List[Tuple[int, str, Source]] = [(0, "", plan.goal)]

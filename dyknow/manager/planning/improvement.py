@@ -20,7 +20,7 @@ _SEARCHABLE = 2_000
 _REASONABLE = 10_000
 
 
-class Draft(NamedTuple):
+class PlanDraft(NamedTuple):
     """A way to the goal: what is chosen, the actions with suppliers first, and their cost."""
 
     chosen: Chosen
@@ -30,12 +30,12 @@ class Draft(NamedTuple):
 
 def drafted(
     network: Network, reach: Reach, chosen: Chosen, free: AbstractSet[int]
-) -> Optional[Draft]:
+) -> Optional[PlanDraft]:
     """Follow a choice from the goal; None if it has a cycle."""
     needs, costs = network.needs, network.costs
     order: List[int] = []
     if chosen[reach.goal] == LIVE:
-        return Draft(chosen, order, 0)
+        return PlanDraft(chosen, order, 0)
     done: Dict[int, bool] = {}  # False: its inputs are being followed
     stack = [chosen[reach.goal]]  # actions to enter; ~action to leave it again
     while stack:
@@ -56,12 +56,12 @@ def drafted(
                 elif not known:
                     return None
     paid = [action for action in order if action not in free] if free else order
-    return Draft(chosen, order, sum(map(costs.__getitem__, paid)))
+    return PlanDraft(chosen, order, sum(map(costs.__getitem__, paid)))
 
 
 def improve(
-    network: Network, reach: Reach, draft: Draft, free: AbstractSet[int], steps: int
-) -> Draft:
+    network: Network, reach: Reach, draft: PlanDraft, free: AbstractSet[int], steps: int
+) -> PlanDraft:
     """Find a way of less cost, or return the given one.
 
     Args:
@@ -108,11 +108,11 @@ def _search(
     network: Network,
     part: Reach,
     bound: Dict[int, int],
-    best: Draft,
+    best: PlanDraft,
     free: AbstractSet[int],
     floor: int,
     steps: int,
-) -> Tuple[Draft, bool]:
+) -> Tuple[PlanDraft, bool]:
     """Look at every choice that could undercut the best way; exact if it ends in time."""
     needs = network.needs
     cost_of = {action: 0 if action in free else network.costs[action] for action in part.served}
@@ -196,8 +196,8 @@ def _search(
 
 
 def _exchange(
-    network: Network, part: Reach, draft: Draft, free: AbstractSet[int], floor: int, steps: int
-) -> Draft:
+    network: Network, part: Reach, draft: PlanDraft, free: AbstractSet[int], floor: int, steps: int
+) -> PlanDraft:
     """Leave one part after the other out, and see whether the rest serves better."""
     size = len(part.served) + len(part.consumers)
     improved = True

@@ -13,10 +13,10 @@ import contextlib
 import gc
 from typing import AbstractSet, Dict, Iterable, Iterator, List, Tuple
 
-from dyknow.manager.planning.improvement import Draft, drafted, improve
+from dyknow.manager.planning.improvement import PlanDraft, drafted, improve
 from dyknow.manager.planning.knuth import Values, cheapest
 from dyknow.manager.planning.network import Network, Reach
-from dyknow.manager.planning.problem import NO_LABELS, Answer, Live, NoPlan, Plan, Step
+from dyknow.manager.planning.problem import NO_LABELS, Answer, Live, NoPlan, Plan, PlanStep
 from dyknow.manager.planning.supply import Demand, Supply
 from dyknow.manager.specifications.tags import NO_ONTOLOGY, Subsumption, Term
 from dyknow.manager.specifications.transformation import Transformation
@@ -86,7 +86,7 @@ class Planner:
             return _plan(network, reach, draft, nothing)
 
 
-def _plan(network: Network, reach: Reach, draft: Draft, free: AbstractSet[int]) -> Plan:
+def _plan(network: Network, reach: Reach, draft: PlanDraft, free: AbstractSet[int]) -> Plan:
     sources = network.sources(reach, draft.chosen)
     source_of = sources.__getitem__
     steps = []
@@ -95,7 +95,7 @@ def _plan(network: Network, reach: Reach, draft: Draft, free: AbstractSet[int]) 
         if number in free:
             action = action._replace(cost=0)
         inputs = zip(network.ports[number], map(source_of, network.inputs[number]))
-        steps.append(Step(action, tuple(inputs)))
+        steps.append(PlanStep(action, tuple(inputs)))
     return Plan(network.demands[reach.goal], sources[reach.goal], tuple(steps), draft.cost)
 
 

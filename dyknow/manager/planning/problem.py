@@ -61,7 +61,7 @@ class Action(NamedTuple):
     needs: Tuple[Need, ...]
 
 
-class Step(NamedTuple):
+class PlanStep(NamedTuple):
     """A transformation to be made, and where its inputs come from."""
 
     action: Action
@@ -80,7 +80,7 @@ class Plan(NamedTuple):
 
     demand: Demand
     goal: Source
-    steps: Tuple[Step, ...]
+    steps: Tuple[PlanStep, ...]
     cost: int
 
     @property

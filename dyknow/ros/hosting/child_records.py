@@ -7,7 +7,7 @@ import os
 from dataclasses import dataclass
 from typing import Iterable, List, Optional
 
-from dyknow.manager.host import Kind
+from dyknow.manager.host import NodeletKind
 from dyknow.ros.os_process import ProcessId
 
 
@@ -23,7 +23,7 @@ class ChildRecord:
     """
 
     name: str
-    kind: Kind
+    kind: NodeletKind
     isolated_for: str = ""
     process: Optional[ProcessId] = None
 
@@ -43,7 +43,7 @@ def read(path: str) -> List[ChildRecord]:
         records = [
             ChildRecord(
                 each["name"],
-                Kind(each["kind"]),
+                NodeletKind(each["kind"]),
                 each["isolated_for"],
                 ProcessId(each["pid"], each["started"]),
             )

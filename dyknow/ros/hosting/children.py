@@ -16,7 +16,7 @@ from typing import AbstractSet, Callable, Dict, FrozenSet, List, Optional
 
 from dyknow import names
 from dyknow.errors import HostError, PeerTimeout
-from dyknow.manager.host import Crash, Kind
+from dyknow.manager.host import Crash, NodeletKind
 from dyknow.manager.patience import LONG_LIFE, pause
 from dyknow.ros.hosting import child_records
 from dyknow.ros.hosting.child_records import ChildRecord
@@ -31,7 +31,10 @@ PATIENCE = 3.0
 _STEP = 0.02
 #: Seconds that a child of an earlier life may take to show itself: it may have just been started.
 _ADOPTION_TIMEOUT = 5.0
-_BASES = {Kind.PYTHON: "dyknow_nodelet_manager", Kind.CPP: "dyknow_cpp_nodelet_manager"}
+_BASES = {
+    NodeletKind.PYTHON: "dyknow_nodelet_manager",
+    NodeletKind.CPP: "dyknow_cpp_nodelet_manager",
+}
 
 #: No child.
 NOBODY: FrozenSet[str] = frozenset()
@@ -95,7 +98,7 @@ class Children:
             _log.warning("'%s': %s; looking for nodelet managers by name", self._path, error)
             records = []
         known = {record.name for record in records}
-        for kind in Kind:
+        for kind in NodeletKind:
             name = names.join(self._namespace, _BASES[kind])
             found = None if name in known else self._launcher.living(name)
             if found is not None and self._launcher.is_ours(name):
@@ -115,13 +118,15 @@ class Children:
         with self._lock:
             return [self._children[name] for name in sorted(self._children)]
 
-    def want(self, kind: Kind, count: int) -> None:
+    def want(self, kind: NodeletKind, count: int) -> None:
         """See to it that there are so many shared children; they come up in the background."""
         have = [c for c in self.all() if c.record.kind is kind and not c.record.isolated_for]
         for _ in range(count - len(have)):
             self._add(Child(ChildRecord(self._free_name(kind), kind)))
 
-    def ensure(self, kind: Kind, isolated_for: str, without: AbstractSet[str] = NOBODY) -> str:
+    def ensure(
+        self, kind: NodeletKind, isolated_for: str, without: AbstractSet[str] = NOBODY
+    ) -> str:
         """Return the name of a child that is up, starting one if there is none.
 
         Args:
@@ -214,7 +219,7 @@ class Children:
         ).start()
         return child
 
-    def _free_name(self, kind: Kind, isolated_for: str = "") -> str:
+    def _free_name(self, kind: NodeletKind, isolated_for: str = "") -> str:
         """First name, counted from 2, that no child and no living node of others has."""
         if isolated_for:
             base = f"{isolated_for}_nodelet_manager"

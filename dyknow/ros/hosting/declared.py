@@ -13,7 +13,7 @@ from typing import Iterator, Set
 from lxml import etree
 
 from dyknow.errors import HostError
-from dyknow.manager.host import Kind
+from dyknow.manager.host import NodeletKind
 from dyknow.nodelet.plugins import Plugins
 from dyknow.ros.nodelets.packages import exported_files, plugin_files
 
@@ -41,7 +41,7 @@ class Declared:
         self._python: Set[str] = set()
         self._cpp: Set[str] = set()
 
-    def kind_of(self, source: str) -> Kind:
+    def kind_of(self, source: str) -> NodeletKind:
         """Tell the kind of a type; one that is declared in both languages is Python.
 
         Raises:
@@ -58,11 +58,11 @@ class Declared:
             )
         return found
 
-    def _known(self, source: str) -> Kind | None:
+    def _known(self, source: str) -> NodeletKind | None:
         with self._lock:
             if source in self._python:
-                return Kind.PYTHON
-            return Kind.CPP if source in self._cpp else None
+                return NodeletKind.PYTHON
+            return NodeletKind.CPP if source in self._cpp else None
 
     def _refresh(self) -> None:
         python = {each.name for each in self._plugins.declared()}

@@ -32,7 +32,15 @@ from nodelet.srv import NodeletLoad, NodeletUnload
 from dyknow import names
 from dyknow.errors import HostError, HostTimeout, NameTaken, PeerTimeout
 from dyknow.guards import NO_GUARDS, Guards
-from dyknow.manager.host import Count, Crash, Host, Kind, Listening, LoadRequest, ManagerState
+from dyknow.manager.host import (
+    Count,
+    Crash,
+    Host,
+    Listening,
+    LoadRequest,
+    ManagerState,
+    NodeletKind,
+)
 from dyknow.manager.model import PortState
 from dyknow.manager.specifications.transformation import Parameter
 from dyknow.ros.hosting.children import Child, Children
@@ -101,7 +109,7 @@ class RosHost(Host):
 
     # Nodelet managers
 
-    def kind_of(self, source: str) -> Kind:
+    def kind_of(self, source: str) -> NodeletKind:
         """Look the type up in the packages' exports."""
         return self._declared.kind_of(source)
 
@@ -123,7 +131,7 @@ class RosHost(Host):
         """Those of our children; how the processes of others end is not seen here."""
         return self._children.crashes()
 
-    def ensure(self, kind: Kind, isolated_for: str = "") -> str:
+    def ensure(self, kind: NodeletKind, isolated_for: str = "") -> str:
         """Start a child if need be."""
         hanging = {state.name for state in self.managers() if not state.responsive}
         name = self._children.ensure(kind, isolated_for, hanging)
@@ -287,7 +295,7 @@ class RosHost(Host):
 
         What does not work is tried again at the next look; nothing is loaded there before it does.
         """
-        if not state.alive or state.kind is not Kind.PYTHON:
+        if not state.alive or state.kind is not NodeletKind.PYTHON:
             return
         with self._lock:
             protected = self._protected.get(state.name, ())

@@ -18,7 +18,7 @@ from roslib.packages import find_node
 
 from dyknow import names
 from dyknow.errors import HostError, PeerTimeout
-from dyknow.manager.host import Crash, Kind
+from dyknow.manager.host import Crash, NodeletKind
 from dyknow.nodelet import crash_record
 from dyknow.ros import os_process
 from dyknow.ros.addresses import is_here
@@ -68,7 +68,7 @@ class Launcher:
         self._log_folder = os.path.join(rospkg.get_log_dir(), f"dyknow-{host}-{port}")
         os.makedirs(self._log_folder, exist_ok=True)
 
-    def launch(self, kind: Kind, name: str) -> Tuple[ProcessId, Follower]:
+    def launch(self, kind: NodeletKind, name: str) -> Tuple[ProcessId, Follower]:
         """Start a nodelet manager.
 
         What a dead one of that name left at the master goes when this one registers there.
@@ -81,7 +81,7 @@ class Launcher:
             self._master.ask("setParam", names.join(name, key), value)
         output = self._output(name)
         found = os_process.start(self._command(kind, name), output, rospkg.get_ros_home())
-        if kind is Kind.CPP and self._orphan_timeout > 0:
+        if kind is NodeletKind.CPP and self._orphan_timeout > 0:
             self._watch(found, output + ".owner")
         return found, Follower(output)
 
@@ -89,7 +89,9 @@ class Launcher:
         """Follow what one prints that runs already."""
         return Follower(self._output(name), at_end=True)
 
-    def examine(self, kind: Kind, name: str, pid: int, status: Optional[int]) -> Optional[Crash]:
+    def examine(
+        self, kind: NodeletKind, name: str, pid: int, status: Optional[int]
+    ) -> Optional[Crash]:
         """Tell why a process ended, if it did so by a fault of its own.
 
         Args:
@@ -101,7 +103,7 @@ class Launcher:
         if status is None or (status < 0 and -status not in _FAULTS):
             return None
         cause = signal.Signals(-status).name if status < 0 else f"exit code {status}"
-        if kind is Kind.CPP:
+        if kind is NodeletKind.CPP:
             return Crash(name, cause) if status else None
         try:
             found = crash_record.read(self._crash_record(name), pid)
@@ -189,9 +191,9 @@ class Launcher:
     def _parameters_of(self, name: str) -> Mapping[str, Any]:
         return {**self._parameters, _CRASH_RECORD: self._crash_record(name)}
 
-    def _command(self, kind: Kind, name: str) -> Tuple[str, ...]:
+    def _command(self, kind: NodeletKind, name: str) -> Tuple[str, ...]:
         node = (f"__name:={name.rpartition('/')[2]}", f"__ns:={names.parent(name)}")
-        if kind is Kind.PYTHON:
+        if kind is NodeletKind.PYTHON:
             program = (sys.executable, "-m", "dyknow.cli.nodelet", "manager")
             care = (f"_{key}:={json.dumps(value)}" for key, value in self._care.items())
             return (*program, *node, *care)

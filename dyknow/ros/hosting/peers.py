@@ -21,7 +21,7 @@ from typing import Dict, FrozenSet, Iterable, List, Optional
 from nodelet.srv import NodeletList
 
 from dyknow.errors import HostError, HostTimeout, PeerTimeout
-from dyknow.manager.host import Kind, ManagerState
+from dyknow.manager.host import ManagerState, NodeletKind
 from dyknow.ros.master import Master
 from dyknow.ros.rounds import attempt
 from dyknow.ros.service_client import ServiceClient
@@ -92,7 +92,7 @@ class Process:
 
     uri: str
     pid: int
-    kind: Kind
+    kind: NodeletKind
 
     @property
     def incarnation(self) -> str:
@@ -148,7 +148,7 @@ class Peer:
         known = self._presence
         return ManagerState(
             self.name,
-            known.process.kind if known.process is not None else Kind.PYTHON,
+            known.process.kind if known.process is not None else NodeletKind.PYTHON,
             known.process.incarnation if known.process is not None else "",
             own=False,
             responsive=not known.trouble,
@@ -283,7 +283,9 @@ class Peer:
             client.close()
             self._miss(self._client, error)
             return
-        found = Process(uri, pid, Kind.PYTHON if self.name in publishes else Kind.CPP)
+        found = Process(
+            uri, pid, NodeletKind.PYTHON if self.name in publishes else NodeletKind.CPP
+        )
         with self._lock:
             before, old, self._client = self._presence, self._client, client
             self._presence = Presence(found, "", False, nodelets, unseen=False)

@@ -16,10 +16,10 @@ import rospy
 
 from dyknow import names
 from dyknow.errors import DyKnowError, PeerTimeout
-from dyknow.manager.claims.keeper import Keeper
-from dyknow.manager.host import Kind
+from dyknow.manager.claims.reconciler import StreamReconciler
+from dyknow.manager.host import NodeletKind
 from dyknow.manager.library import Library
-from dyknow.manager.manager import Manager, Settings
+from dyknow.manager.manager import Manager, ManagerOptions
 from dyknow.manager.specifications.tags import NO_ONTOLOGY
 from dyknow.manager.store import Store
 from dyknow.nodelet.middleware import Closable
@@ -90,29 +90,30 @@ class ManagerNode(Closable):
             self._store,
             Library(self._store, self._ontology, settings.limits),
             settings.guards,
-            Settings(names.parent(node), settings.spawn_timeout),
+            ManagerOptions(names.parent(node), settings.spawn_timeout),
             self._workers.run,
         )
         self._messages = ModelMessages()
         self._cpp = CppNodelets(self.manager)
         self._watch = Watch(self.manager, self._after_look)
-        self._listener = Listener(self._watch.hear)
+        self._listener = Listener(self._watch.refresh)
 
     def start(self) -> None:
         """Take over what runs, bring back what does not, and offer the services."""
         self._children.adopt()
-        self._children.want(Kind.PYTHON, self._settings.num_nodelet_managers)
+        self._children.want(NodeletKind.PYTHON, self._settings.num_nodelet_managers)
         self._load_transformations()
         self._publisher = ModelPublisher(
             "~model", self.manager.graph_model, self._messages, self._cpp.follow
         )
         self.manager.on_change = self._publisher.note_change
         ontology = NO_ONTOLOGY if self._ontology is None else self._ontology
-        keeper = Keeper(self.manager, ontology)  # sees to it how what comes back is connected
+        # Before the start, since it decides how nodelets that come back are connected.
+        reconciler = StreamReconciler(self.manager, ontology)
         self.manager.start()
         self._retire_empty()
         self._after_change()
-        self._streams = StreamNode(self.manager, keeper, self._after_change)
+        self._streams = StreamNode(self.manager, reconciler, self._after_change)
         self.manager.on_change = self._on_change
         self._services = ManagerServices(self.manager, self._messages, self._after_change)
         self._publisher.note_change()
@@ -171,7 +172,7 @@ class ManagerNode(Closable):
         return [
             state.name
             for state in self._host.managers()
-            if state.kind is Kind.PYTHON and (state.own or state.alive)
+            if state.kind is NodeletKind.PYTHON and (state.own or state.alive)
         ]
 
     def _on_change(self) -> None:
@@ -179,7 +180,7 @@ class ManagerNode(Closable):
         self._streams.note_change()
 
     def _on_child(self) -> None:
-        self._watch.hurry()
+        self._watch.refresh_now()
 
     def _protected(self) -> Dict[str, List[str]]:
         protected: Dict[str, List[str]] = {}

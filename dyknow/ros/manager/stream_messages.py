@@ -15,7 +15,7 @@ class StreamMessages:
     """Makes messages of claims, whose leases run on steady time."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        """Read leases on ``clock``, which is the keeper's."""
+        """Read leases on ``clock``, which is the reconciler's."""
         self._clock = clock
 
     def status(self, claim: Claim) -> StreamStatus:

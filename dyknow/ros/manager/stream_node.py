@@ -1,6 +1,6 @@
 """The part of the node dyknow_manager that is about streams.
 
-Who owns what: ``StreamNode`` owns the keeper of the claims, the thread that lets it work, the
+Who owns what: ``StreamNode`` owns the reconciler of the claims, the thread that lets it work, the
 bonds with clients, the services and the topic of events.
 """
 
@@ -15,10 +15,10 @@ from dyknow_msgs.msg import StreamEvent
 
 from dyknow.manager.claim import ClaimEvent
 from dyknow.manager.claims.advice import unknown_labels
-from dyknow.manager.claims.keeper import Keeper
+from dyknow.manager.claims.reconciler import StreamReconciler
 from dyknow.manager.manager import Manager
 from dyknow.ros.bonding.claim_bonds import ClaimBonds
-from dyknow.ros.manager.reconciling import Reconciling
+from dyknow.ros.manager.reconcile_loop import ReconcileLoop
 from dyknow.ros.manager.stream_messages import StreamMessages
 from dyknow.ros.manager.stream_services import StreamServices
 from dyknow.ros.rounds import attempt
@@ -32,25 +32,27 @@ _END_PATIENCE = 3.0
 class StreamNode:
     """Claims and their surroundings; the manager must have been started."""
 
-    def __init__(self, manager: Manager, keeper: Keeper, after_change: Callable[[], None]) -> None:
+    def __init__(
+        self, manager: Manager, reconciler: StreamReconciler, after_change: Callable[[], None]
+    ) -> None:
         """Take up the claims of an earlier life, and offer the services.
 
         Args:
             manager: makes and destroys nodelets.
-            keeper: keeps the claims; it was there before the manager was started.
+            reconciler: keeps the claims; it was there before the manager was started.
             after_change: called after each attempt to change something, before it is answered.
         """
         self._manager = manager
         self._messages = StreamMessages()
         self._publisher = rospy.Publisher("~stream_events", StreamEvent, queue_size=_QUEUE_SIZE)
-        self._keeper = keeper
-        self._known: Set[str] = {claim.claim_id for claim in self._keeper.claims()}
-        self._bonds = ClaimBonds(self._keeper.expire)
-        self._reconciling = Reconciling(self._keeper, self._has_work)
-        self._keeper.on_event = self._on_event
-        self._bonds.follow(self._keeper.claims())
+        self._reconciler = reconciler
+        self._known: Set[str] = {claim.claim_id for claim in self._reconciler.claims()}
+        self._bonds = ClaimBonds(self._reconciler.expire)
+        self._reconciling = ReconcileLoop(self._reconciler, self._has_work)
+        self._reconciler.on_event = self._on_event
+        self._bonds.follow(self._reconciler.claims())
         self._services = StreamServices(
-            self._keeper,
+            self._reconciler,
             manager.guards,
             self._messages,
             after_change,
@@ -69,14 +71,14 @@ class StreamNode:
         self._reconciling.close(1.0)
         # A repair that is going on is waited for, but not long.
         ending = threading.Thread(
-            target=partial(attempt, "ending the claims", self._keeper.end), daemon=True
+            target=partial(attempt, "ending the claims", self._reconciler.end), daemon=True
         )
         ending.start()
         ending.join(_END_PATIENCE)
         self._bonds.close()  # the topic is withdrawn with the node, when the last is sent
 
     def _has_work(self) -> bool:
-        return any(not claim.state.ended for claim in self._keeper.claims()) or any(
+        return any(not claim.state.ended for claim in self._reconciler.claims()) or any(
             record.claimed for record in self._manager.graph.all()
         )
 
@@ -93,5 +95,5 @@ class StreamNode:
             event.reason,
         )
         self._publisher.publish(self._messages.event(event, is_new))
-        self._bonds.follow(self._keeper.claims())
+        self._bonds.follow(self._reconciler.claims())
         self._reconciling.note_change()

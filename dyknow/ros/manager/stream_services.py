@@ -1,4 +1,4 @@
-"""The services about streams of the DyKnow manager, over the keeper's methods."""
+"""The services about streams of the DyKnow manager, over the reconciler's methods."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from dyknow.errors import (
 )
 from dyknow.guards import Guards
 from dyknow.manager.claim import Claim, StreamRequest
-from dyknow.manager.claims.keeper import Acquired, Keeper
+from dyknow.manager.claims.reconciler import Acquired, StreamReconciler
 from dyknow.manager.planning.explanation import as_tree
 from dyknow.ros.log_text import for_log
 from dyknow.ros.manager.remarks import with_remark
@@ -56,7 +56,7 @@ class StreamServices:
 
     def __init__(
         self,
-        keeper: Keeper,
+        reconciler: StreamReconciler,
         guards: Guards,
         messages: StreamMessages,
         after_change: Callable[[], None],
@@ -66,14 +66,14 @@ class StreamServices:
         """Offer them.
 
         Args:
-            keeper: does it.
+            reconciler: does it.
             guards: what nobody may do.
             messages: makes messages of claims.
             after_change: called after each attempt to change something, before it is answered.
             remark: what the answer to a change has to add; empty for nothing.
             unknown_labels: says which labels that a client excludes are those of nothing.
         """
-        self._keeper = keeper
+        self._reconciler = reconciler
         self._guards = guards
         self._messages = messages
         self._after_change = after_change
@@ -99,7 +99,7 @@ class StreamServices:
 
         def acquire() -> None:
             wanted = self._checked(request)
-            acquired = self._keeper.acquire(wanted, request.dry_run)
+            acquired = self._reconciler.acquire(wanted, request.dry_run)
             claim = acquired.claim
             answer.claim_id, answer.topic = claim.claim_id, claim.topic
             answer.datatype = claim.datatype
@@ -120,7 +120,7 @@ class StreamServices:
         def release() -> None:
             self._guards.check_sizes([request.claim_id])
             self._guards.check_writable(f"releasing '{request.claim_id}'")
-            self._keeper.release(request.claim_id)
+            self._reconciler.release(request.claim_id)
 
         error = self._try(request, f"releasing stream '{request.claim_id}'", release)
         return ReleaseStreamResponse(error is None, str(error or ""))
@@ -129,7 +129,7 @@ class StreamServices:
         """Renew a lease; it happens often, and is no news."""
         try:
             self._guards.check_sizes([request.claim_id])
-            claim: Claim = self._keeper.renew(request.claim_id, _lease(request))
+            claim: Claim = self._reconciler.renew(request.claim_id, _lease(request))
         except DyKnowError as error:
             return RenewStreamResponse(False, str(error), rospy.Time())
         return RenewStreamResponse(True, "", self._messages.expires(claim))
@@ -139,7 +139,7 @@ class StreamServices:
 
         def replan() -> None:
             self._guards.check_sizes([request.claim_id])
-            acquired = self._keeper.replan(request.claim_id, request.dry_run)
+            acquired = self._reconciler.replan(request.claim_id, request.dry_run)
             answer.message = acquired.claim.detail
             _tell_plan(answer, acquired)
 
@@ -150,7 +150,9 @@ class StreamServices:
         return answer
 
     def _list(self, request: Any) -> ListStreamsResponse:
-        return ListStreamsResponse([self._messages.status(each) for each in self._keeper.claims()])
+        return ListStreamsResponse(
+            [self._messages.status(each) for each in self._reconciler.claims()]
+        )
 
     def _checked(self, request: Any) -> StreamRequest:
         texts = (request.tag, request.datatype, request.client_id, request.request_id)

@@ -28,10 +28,10 @@ class Watch:
         self._postponed: Set[str] = set()
         self._rounds = Rounds("looking at the nodelet managers", self._look, self._period)
         self.start = self._rounds.start
-        self.hurry = self._rounds.ask
+        self.refresh_now = self._rounds.ask
         self.close = self._rounds.close
 
-    def hear(self, name: str) -> None:
+    def refresh(self, name: str) -> None:
         """Look closely at a nodelet, soon."""
         self._changed.append(name)
         self._rounds.ask()

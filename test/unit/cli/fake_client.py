@@ -16,7 +16,7 @@ from dyknow.cli.shell import Shell
 from dyknow.errors import DyKnowError, HostError, NoPlanFound, Refused
 from dyknow.manager.claim import Claim, ClaimEvent, StreamRequest
 from dyknow.manager.claims.advice import unknown_labels
-from dyknow.manager.claims.keeper import Acquired, Keeper
+from dyknow.manager.claims.reconciler import Acquired, StreamReconciler
 from dyknow.manager.lifecycle import SpawnRequest
 from dyknow.manager.model import Record
 from dyknow.manager.planning.explanation import as_tree
@@ -45,7 +45,7 @@ class FakeClient:
         self.hung: set[str] = set()
         self.uncounted: set[str] = set()
         self.ordinary: set[str] = set()
-        self.keeper = Keeper(world.manager, clock=lambda: 0.0)
+        self.reconciler = StreamReconciler(world.manager, clock=lambda: 0.0)
         #: What happens, one after the other, while a command waits for events.
         self.script: list[Callable[[], None]] = []
 
@@ -121,7 +121,7 @@ class FakeClient:
     def acquire_stream(self, request: StreamRequest, dry_run: bool = False) -> AcquiredView:
         self._note("plan" if dry_run else "acquire", request.tag)
         try:
-            acquired = self.keeper.acquire(request, dry_run)
+            acquired = self.reconciler.acquire(request, dry_run)
         except NoPlanFound as error:
             raise StreamRefused(str(error), Result.NO_PLAN, error.claim_id) from error
         except DyKnowError as error:
@@ -142,20 +142,20 @@ class FakeClient:
 
     def release_stream(self, claim_id: str) -> None:
         self._note("release", claim_id)
-        self.keeper.release(claim_id)
+        self.reconciler.release(claim_id)
 
     def renew_stream(self, claim_id: str, lease: float) -> float:
         self._note("renew", claim_id)
-        _answered(lambda: self.keeper.renew(claim_id, lease))
+        _answered(lambda: self.reconciler.renew(claim_id, lease))
         return lease
 
     def replan_stream(self, claim_id: str, dry_run: bool = False) -> ReplannedView:
         self._note("replan", claim_id)
-        done = _answered(lambda: self.keeper.replan(claim_id, dry_run))
+        done = _answered(lambda: self.reconciler.replan(claim_id, dry_run))
         return ReplannedView(done.spawned, done.reused, done.cost, _tree(done), "")
 
     def list_streams(self) -> tuple[StreamView, ...]:
-        return tuple(_stream_view(claim) for claim in self.keeper.claims())
+        return tuple(_stream_view(claim) for claim in self.reconciler.claims())
 
     def stream_events(self) -> FakeEvents:
         return FakeEvents(self)
@@ -198,12 +198,12 @@ class FakeClient:
 
 
 class FakeEvents:
-    """Events of the keeper; plays the client's script while it is waited for, then Ctrl-C."""
+    """Events of the reconciler; plays the client's script while it is waited for, then Ctrl-C."""
 
     def __init__(self, client: FakeClient) -> None:
         self.waiting: list[ClaimEvent] = []
         self._client = client
-        client.keeper.on_event = self.waiting.append
+        client.reconciler.on_event = self.waiting.append
 
     def next(self, timeout: float) -> StreamEventView | None:
         if self.waiting:
@@ -217,7 +217,7 @@ class FakeEvents:
         return None
 
     def close(self) -> None:
-        self._client.keeper.on_event = lambda event: None
+        self._client.reconciler.on_event = lambda event: None
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from unit.cli.fake_client import FakeClient, run
 from unit.manager.world import World
 
 from dyknow.errors import Refused
-from dyknow.manager.host import Kind
+from dyknow.manager.host import NodeletKind
 from dyknow.manager.specifications.transformation import Port, Transformation
 from dyknow.ros.client_errors import Unreachable
 from dyknow.wiring.plan import readers_first
@@ -43,7 +43,7 @@ def graph(client: FakeClient) -> list[tuple[object, ...]]:
 def test_loading_what_was_saved_and_saving_it_again_is_the_identity(
     client: FakeClient, file: Path, tmp_path: Path
 ) -> None:
-    client.world.host.ensure(Kind.PYTHON)
+    client.world.host.ensure(NodeletKind.PYTHON)
     client.world.manager.remove_transformation("camera")
     outcome = run(client, f"load {file}")
     assert (outcome.code, outcome.err) == (0, "")

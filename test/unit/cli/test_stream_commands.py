@@ -113,7 +113,7 @@ class TestPlan:
 class TestAcquire:
     def test_is_held_until_ctrl_c(self, client: FakeClient) -> None:
         outcome = run(client, ACQUIRE)
-        (claim,) = client.keeper.claims()
+        (claim,) = client.reconciler.claims()
         assert outcome.lines == [
             "Raw(camera) on /camera_1/image [sensor_msgs/Image]",
             f"  claim {claim.claim_id}",
@@ -127,7 +127,7 @@ class TestAcquire:
     def test_tells_what_happens(self, client: FakeClient) -> None:
         client.script = [
             lambda: client.world.manager.destroy("/camera_1"),
-            client.keeper.reconcile,
+            client.reconciler.reconcile,
         ]
         outcome = run(client, ACQUIRE)
         told = [line.split(" ", 1)[1] for line in outcome.lines if line[2:3] == ":"]
@@ -137,7 +137,7 @@ class TestAcquire:
         ]
 
     def test_a_claim_that_others_release_ends_it(self, client: FakeClient) -> None:
-        client.script = [lambda: client.keeper.release(client.keeper.claims()[0].claim_id)]
+        client.script = [lambda: client.reconciler.release(client.reconciler.claims()[0].claim_id)]
         assert run(client, ACQUIRE).code == 1
 
     def test_a_manager_that_cannot_be_reached_at_the_end(self, client: FakeClient) -> None:
@@ -150,7 +150,7 @@ class TestAcquire:
 
     def test_leaves_a_claim(self, client: FakeClient) -> None:
         outcome = run(client, f"{ACQUIRE} --lease 60")
-        (claim,) = client.keeper.claims()
+        (claim,) = client.reconciler.claims()
         assert claim.deadline == 60.0
         assert outcome.lines[1] == f"  claim {claim.claim_id}"
         assert not claim.state.ended
@@ -159,13 +159,13 @@ class TestAcquire:
         outcome = run(client, "acquire 'Nothing(x)'")
         assert (outcome.code, outcome.out) == (1, "")
         assert outcome.err.endswith("nothing supplies Nothing(x)\n")
-        assert [claim.state.name for claim in client.keeper.claims()] == ["RELEASED"]
+        assert [claim.state.name for claim in client.reconciler.claims()] == ["RELEASED"]
 
     def test_or_waits_for_it(self, client: FakeClient) -> None:
         client.world.manager.remove_transformation("camera")
         client.script = [
             lambda: client.world.manager.add_transformation(CAMERA) and None,
-            client.keeper.reconcile,
+            client.reconciler.reconcile,
         ]
         outcome = run(client, f"{ACQUIRE} --wait --json")
         first, *_, active, released = outcome.lines

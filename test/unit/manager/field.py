@@ -1,4 +1,4 @@
-"""The soccer field on the fake host: a manager, a keeper, and time that is moved by hand."""
+"""The soccer field on the fake host: a manager, a reconciler, and time that is moved by hand."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from unittest import mock
 
 from dyknow.errors import HostTimeout
 from dyknow.manager.claim import Claim, ClaimEvent, ClaimState, StreamRequest
-from dyknow.manager.claims.keeper import Acquired, Keeper
+from dyknow.manager.claims.reconciler import Acquired, StreamReconciler
 from dyknow.manager.fake_host import FakeHost
 from dyknow.manager.library import Library
 from dyknow.manager.lifecycle import SpawnRequest
@@ -104,13 +104,13 @@ def counted_ids() -> Any:
     """Name claims by their number, in whose order they are looked at; a patch to be started."""
     numbers = itertools.count(1)
     return mock.patch(
-        "dyknow.manager.claims.keeper.uuid.uuid4",
+        "dyknow.manager.claims.reconciler.uuid.uuid4",
         lambda: mock.Mock(hex=f"{next(numbers):012x}"),
     )
 
 
 class Field:
-    """A manager, a keeper, and time that is moved by hand."""
+    """A manager, a reconciler, and time that is moved by hand."""
 
     def __init__(
         self,
@@ -135,10 +135,12 @@ class Field:
         self.store = Store(self.path)
         library = Library(self.store)
         self.manager = Manager(self.host, self.store, library, clock=lambda: self.now)
-        self.keeper = Keeper(self.manager, self.ontology, clock=lambda: self.now, sleep=self.sleep)
+        self.reconciler = StreamReconciler(
+            self.manager, self.ontology, clock=lambda: self.now, sleep=self.sleep
+        )
         self.manager.start()
         self.events: List[ClaimEvent] = []
-        self.keeper.on_event = self.events.append
+        self.reconciler.on_event = self.events.append
 
     def kill_manager(self) -> None:
         """End the manager as kill -9 does, and start another."""
@@ -164,12 +166,12 @@ class Field:
         self.by_hand.pop(name, None)
 
     def acquire(self, tag: str = GOAL, **kwds: Any) -> Acquired:
-        return self.keeper.acquire(StreamRequest(tag, **kwds))
+        return self.reconciler.acquire(StreamRequest(tag, **kwds))
 
     # What time does
 
     def settle(self, seconds: float = 1.0) -> None:
-        """Let time pass while the keeper works; then check what must hold."""
+        """Let time pass while the reconciler works; then check what must hold."""
         ticks = max(5, min(40, int(seconds / 0.2)))
         for _ in range(ticks):
             self.tick(seconds / ticks)
@@ -178,7 +180,7 @@ class Field:
     def tick(self, seconds: float = 0.2) -> None:
         self.sleep(seconds)
         self.manager.look()
-        self.keeper.reconcile()
+        self.reconciler.reconcile()
 
     def tidy(self) -> None:
         """Wait until what lingers is gone: nothing is left that nobody needs."""
@@ -211,10 +213,10 @@ class Field:
     # What is there
 
     def living(self) -> List[Claim]:
-        return [claim for claim in self.keeper.claims() if not claim.state.ended]
+        return [claim for claim in self.reconciler.claims() if not claim.state.ended]
 
     def claim(self, claim_id: str) -> Claim:
-        return next(each for each in self.keeper.claims() if each.claim_id == claim_id)
+        return next(each for each in self.reconciler.claims() if each.claim_id == claim_id)
 
     def state(self, claim_id: str) -> ClaimState:
         return self.claim(claim_id).state

@@ -77,7 +77,7 @@ def test_what_came_before_the_change_does_not_count(field: Field) -> None:
 def test_a_replanned_stream_says_so(field: Field) -> None:
     claim = field.acquire().claim
     field.settle(2.0)
-    again = field.keeper.replan(claim.claim_id)
+    again = field.reconciler.replan(claim.claim_id)
     assert again.claim.detail == NO_MESSAGE
     field.settle(2.0)
     assert details(field) == [""]

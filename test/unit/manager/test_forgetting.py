@@ -9,25 +9,25 @@ from unit.manager.field import LIBRARY, Field
 
 from dyknow.errors import NoPlanFound
 from dyknow.manager.claim import StreamRequest
-from dyknow.manager.claims import prospects
+from dyknow.manager.claims import claim_planner
 from dyknow.manager.claims.quarantine import LONG_AGO, Quarantine
 
 
 @pytest.fixture
 def field(monkeypatch: pytest.MonkeyPatch) -> Iterator[Field]:
-    monkeypatch.setattr(prospects, "_WASTE", 20)
+    monkeypatch.setattr(claim_planner, "_WASTE", 20)
     yield Field()
 
 
 def numbers(field: Field) -> int:
-    network = field.keeper._prospects._planner._network
+    network = field.reconciler._planner._planner._network
     return len(network.labels) + len(network.demands)
 
 
 def test_tags_that_were_asked_for_once(field: Field) -> None:
     for number in range(100):
         with pytest.raises(NoPlanFound):
-            field.keeper.acquire(StreamRequest(f"Nothing({number})"), dry_run=True)
+            field.reconciler.acquire(StreamRequest(f"Nothing({number})"), dry_run=True)
         assert numbers(field) < 60
     field.acquire()
     field.settle()
@@ -38,7 +38,7 @@ def test_labels_that_were_replaced(field: Field) -> None:
         field.manager.add_transformation(LIBRARY.replace('cost="5"', f'cost="{cost}"'))
         field.manager.add_transformation(LIBRARY.replace("YUV(field)", f"YUV(field{cost})"))
         with pytest.raises(NoPlanFound):
-            field.keeper.acquire(StreamRequest("Nothing(x)"), dry_run=True)
+            field.reconciler.acquire(StreamRequest("Nothing(x)"), dry_run=True)
         assert numbers(field) < 60
     field.manager.add_transformation(LIBRARY)
     field.acquire()
@@ -61,9 +61,9 @@ def test_claims_that_could_not_be_made_and_ended(field: Field) -> None:
         with pytest.raises(NoPlanFound) as raised:
             field.acquire(f"Nothing({number})")
         field.tick()
-        field.keeper.release(raised.value.claim_id)
+        field.reconciler.release(raised.value.claim_id)
         field.tick()
-    assert field.keeper._repair._hopeless == {}
+    assert field.reconciler._repair._hopeless == {}
 
 
 def test_failures_of_long_ago() -> None:

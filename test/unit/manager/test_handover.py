@@ -92,15 +92,15 @@ def test_a_cheaper_way_is_told_once_and_taken_on_request(field: Field) -> None:
     assert len(news) == 1 and "bottom camera" in news[0]
     assert "ceiling camera" in field.labels()
     gaps = watch(field, claim.topic)
-    intended = field.keeper.replan(claim.claim_id, dry_run=True)
+    intended = field.reconciler.replan(claim.claim_id, dry_run=True)
     assert (intended.spawned, intended.cost) == (("bottom camera",), 1)
     assert len(intended.reused) == 4
-    done = field.keeper.replan(claim.claim_id)
+    done = field.reconciler.replan(claim.claim_id)
     assert (done.spawned, done.cost) == (("/bottom_camera_1",), 1)
     field.tidy()
     assert gaps == []
     assert field.labels() == CHAIN
-    again = field.keeper.replan(claim.claim_id)
+    again = field.reconciler.replan(claim.claim_id)
     assert (again.spawned, again.cost, again.claim.state) == ((), 0, ClaimState.ACTIVE)
     assert field.labels() == CHAIN
 
@@ -153,7 +153,7 @@ def test_a_request_that_fails_leaves_nothing(field: Field, operation: str, part:
     mend = break_at(field, operation, part)
     with pytest.raises((SpawnFailed, HostError), match="it is broken"):
         field.acquire()
-    assert (field.host.running, field.keeper.claims()) == ([], [])
+    assert (field.host.running, field.reconciler.claims()) == ([], [])
     assert field.host.parameters == {}
     mend()
     field.acquire()
@@ -176,12 +176,12 @@ def test_a_type_that_was_not_stated_is_verified(field: Field) -> None:
     field.manager.add_transformation(
         transformation("odd camera", "soccer/Odd", "out yuv", "yuv YUV(field)", cost=0)
     )
-    odd = field.keeper.acquire(StreamRequest(GOAL), dry_run=True)
+    odd = field.reconciler.acquire(StreamRequest(GOAL), dry_run=True)
     assert "odd camera" in odd.spawned
     acquired = field.acquire()
     assert "odd camera" not in field.labels(), "there is another way"
     assert acquired.claim.state is ClaimState.ACTIVE
-    field.keeper.release(acquired.claim.claim_id)
+    field.reconciler.release(acquired.claim.claim_id)
     field.tidy()
     for _ in range(2):
         with pytest.raises(StreamTypeMismatch, match="port 'yuv' of transformation 'subsampler'"):
@@ -203,8 +203,8 @@ def test_a_stream_that_others_listen_to_is_relayed(field: Field) -> None:
     assert "relay" in third.goal[0] and second.goal[0] in third.nodelets
     field.settle()
     assert third.topic in field.moving
-    field.keeper.release(first.claim_id)
-    field.keeper.release(third.claim_id)
+    field.reconciler.release(first.claim_id)
+    field.reconciler.release(third.claim_id)
     field.tidy()
     assert field.host.publishers(first.topic) == []
 
@@ -230,7 +230,7 @@ def test_an_ordinary_topic_takes_over_through_a_relay(field: Field) -> None:
     field.settle()
     assert field.state(claim.claim_id) is ClaimState.PENDING
     assert field.host.publishers(claim.topic) == field.host.publishers(other.topic) == []
-    field.keeper.release(other.claim_id)
+    field.reconciler.release(other.claim_id)
     field.manager.add_transformation(LIBRARY)
     field.tidy()
     assert field.labels() == CHAIN

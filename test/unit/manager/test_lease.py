@@ -57,7 +57,7 @@ def test_a_lease_goes_on_while_the_manager_is_dead(tmp_path: Path) -> None:
     field.store.close()
     field.now += 6.0
     field.open()
-    assert field.keeper.claims()[0].deadline == pytest.approx(claim.deadline)
+    assert field.reconciler.claims()[0].deadline == pytest.approx(claim.deadline)
     field.settle(9.0)
     assert field.state(claim.claim_id) is ClaimState.ACTIVE
     field.settle(2.0)
@@ -101,7 +101,7 @@ def test_a_claim_that_means_nothing_is_set_aside_and_the_others_are_kept(
     with closing(sqlite3.connect(path, isolation_level=None)) as connection:
         connection.execute("INSERT INTO claims VALUES ('bad', ?)", (body,))
     field.open()
-    assert [each.claim_id for each in field.keeper.claims()] == [claim.claim_id]
+    assert [each.claim_id for each in field.reconciler.claims()] == [claim.claim_id]
     assert "claims 'bad'" in field.store.complaint
     (aside,) = kept_aside(path)
     assert json.loads(aside.read_text())[0]["key"] == "bad"

@@ -20,7 +20,7 @@ from dyknow.errors import (
     UnknownTransformation,
 )
 from dyknow.guards import Guards
-from dyknow.manager.host import Kind
+from dyknow.manager.host import NodeletKind
 from dyknow.manager.model import State
 
 
@@ -194,8 +194,8 @@ def test_the_process_of_an_isolated_nodelet_takes_nobody_else(world: World) -> N
 
 
 def test_a_nodelet_goes_to_its_neighbours_else_to_the_emptiest(world: World) -> None:
-    first = world.host.ensure(Kind.PYTHON)
-    second = world.host._start("/second", Kind.PYTHON, "")
+    first = world.host.ensure(NodeletKind.PYTHON)
+    second = world.host._start("/second", NodeletKind.PYTHON, "")
     assert world.spawn("camera", "a", config={"image": "/i"}, manager=first).manager == first
     assert world.spawn("relay", "b", config={"in": "/i"}).manager == first
     assert world.spawn("relay", "c").manager == second

@@ -8,7 +8,7 @@ import pytest
 from unit.manager.world import World
 
 from dyknow.errors import HostError
-from dyknow.manager.host import Kind, LoadRequest
+from dyknow.manager.host import LoadRequest, NodeletKind
 from dyknow.manager.model import State
 
 
@@ -104,7 +104,7 @@ def test_the_list_of_another_process_says_nothing(world: World) -> None:
     def restarted(manager: str) -> list[str]:
         world.host.list = real  # type: ignore[method-assign]
         world.host.kill(manager)
-        world.host.ensure(Kind.PYTHON)
+        world.host.ensure(NodeletKind.PYTHON)
         return real(manager)
 
     world.host.list = restarted  # type: ignore[method-assign, assignment]

@@ -75,10 +75,10 @@ def reconciling_at_once(field: Field) -> Iterator[None]:
         finally:
             at_work.remove(name)
         if asked and not at_work:
-            at_work.append("the keeper")
+            at_work.append("the reconciler")
             asked.clear()
-            field.keeper.reconcile()
-            at_work.remove("the keeper")
+            field.reconciler.reconcile()
+            at_work.remove("the reconciler")
 
     field.manager.on_change = lambda: asked.append(True)
     with mock.patch.object(graph, "changing", changing):
@@ -139,7 +139,7 @@ def test_parts_made_by_hand_come_back_and_leave_the_topic_to_their_successor(
 def test_what_is_protected_stays(field: Field) -> None:
     claim = field.acquire().claim
     field.manager.set_protection("/subsampler_1", True)
-    field.keeper.release(claim.claim_id)
+    field.reconciler.release(claim.claim_id)
     field.settle(30.0)
     assert field.host.running == ["/subsampler_1"]
     field.manager.set_protection("/subsampler_1", False)
@@ -233,7 +233,7 @@ def test_a_pending_claim_costs_no_planning_while_nothing_changes(field: Field) -
     with pytest.raises(NoPlanFound):
         field.acquire("Ghost(field)")
     field.settle()
-    planner = field.keeper._prospects._planner
+    planner = field.reconciler._planner._planner
     plans = []
     planning = planner.plan
     planner.plan = lambda *args, **kwds: plans.append(args) or planning(*args, **kwds)  # type: ignore
@@ -285,7 +285,7 @@ def test_a_part_that_a_client_listens_to_is_replaced_on_its_topic(
     field: Field, monkeypatch: pytest.MonkeyPatch, ids: str
 ) -> None:
     each_id = (uuid.UUID(int=int(number) << 127) for number in ids)
-    monkeypatch.setattr("dyknow.manager.claims.keeper.uuid.uuid4", lambda: next(each_id))
+    monkeypatch.setattr("dyknow.manager.claims.reconciler.uuid.uuid4", lambda: next(each_id))
     whole = field.acquire().claim
     part = field.acquire("RelativePosition(ball)").claim
     field.destroy_by_hand(part.goal[0])
@@ -345,14 +345,14 @@ def test_what_a_claim_excludes_does_not_come_to_it_through_others(field: Field) 
 
 def test_a_client_that_is_gone_ends_its_claim(field: Field) -> None:
     claim = field.acquire(bond_id="b", client_id="c").claim
-    field.keeper.expire(claim.claim_id, "its bond broke")
-    field.keeper.expire(claim.claim_id, "again")
+    field.reconciler.expire(claim.claim_id, "its bond broke")
+    field.reconciler.expire(claim.claim_id, "again")
     assert (field.state(claim.claim_id), field.reasons()[-1]) == (
         ClaimState.EXPIRED,
         "its bond broke",
     )
     with pytest.raises(UnknownClaim, match="expired"):
-        field.keeper.replan(claim.claim_id)
+        field.reconciler.replan(claim.claim_id)
     field.tidy()
     assert field.host.running == []
 
@@ -363,7 +363,7 @@ def test_a_claim_that_is_released_while_it_is_mended_stays_released(field: Field
 
     def release(operation: str, argument: str) -> None:
         if operation == "load":
-            field.keeper.release(claim.claim_id)
+            field.reconciler.release(claim.claim_id)
 
     field.host.fail = release
     field.manager.destroy("/localization_1")
@@ -378,7 +378,7 @@ def test_a_lease_that_is_renewed_during_a_mend_stays_renewed(field: Field) -> No
     claim = field.acquire(lease=5.0).claim
     field.settle()
     field.host.fail = lambda operation, argument: (
-        field.keeper.renew(claim.claim_id, 500.0) and None if operation == "load" else None
+        field.reconciler.renew(claim.claim_id, 500.0) and None if operation == "load" else None
     )
     field.manager.destroy("/localization_1")
     field.settle(1.0)
@@ -389,8 +389,8 @@ def test_a_lease_that_is_renewed_during_a_mend_stays_renewed(field: Field) -> No
 
 def test_only_so_many_ended_claims_are_remembered(field: Field) -> None:
     for _ in range(120):
-        field.keeper.release(field.acquire().claim.claim_id)
-    assert len(field.keeper.claims()) == 100
+        field.reconciler.release(field.acquire().claim.claim_id)
+    assert len(field.reconciler.claims()) == 100
     field.tidy()
     assert field.host.running == []
 
@@ -435,7 +435,7 @@ def test_a_manager_that_is_killed_at_any_moment_loses_no_claim(
 
 def test_an_end_on_purpose_forgets_claims(field: Field) -> None:
     field.acquire()
-    field.keeper.end()
+    field.reconciler.end()
     assert field.reasons()[-1] == "the manager was stopped"
     field.manager.end()
     field.tick()
@@ -460,7 +460,7 @@ def test_while_the_master_is_away_streams_flow_on(field: Field) -> None:
 def test_read_only_refuses_new_claims_but_not_dry_runs(field: Field) -> None:
     claim = field.acquire().claim
     field.manager.guards = Guards(read_only=True)
-    for change in (field.acquire, lambda: field.keeper.replan(claim.claim_id)):
+    for change in (field.acquire, lambda: field.reconciler.replan(claim.claim_id)):
         with pytest.raises(Denied, match="read-only"):
             change()
-    field.keeper.acquire(StreamRequest(GOAL), dry_run=True)
+    field.reconciler.acquire(StreamRequest(GOAL), dry_run=True)

@@ -92,7 +92,7 @@ def test_clients_share_a_topic_only_if_they_ask_for_the_same(lab: Field) -> None
     assert (same.spawned, other.spawned) == ((), ("/relay_of_ceiling_1_image_1",))
     lab.settle(1.0)
     assert {first.topic, other.claim.topic} <= lab.moving
-    lab.keeper.release(other.claim.claim_id)
+    lab.reconciler.release(other.claim.claim_id)
     lab.tidy()
     assert lab.host.running == ["/ceiling_1"]
 
@@ -128,7 +128,7 @@ def test_a_claim_that_waits_delivers_nothing_and_says_so_after_that(field: Field
     def listen(event: ClaimEvent) -> None:
         told.append((event.after.state, field.host.publishers(claim.topic)))
 
-    field.keeper.on_event = listen
+    field.reconciler.on_event = listen
     field.host.topics.clear()
     field.settle()
     assert told == [(ClaimState.PENDING, [])]
@@ -144,7 +144,7 @@ def test_a_claim_that_waits_delivers_nothing_and_says_so_after_that(field: Field
 
 def test_what_lingers_keeps_no_wires_and_is_used_again(field: Field) -> None:
     claim = field.acquire().claim
-    field.keeper.release(claim.claim_id)
+    field.reconciler.release(claim.claim_id)
     field.tick()
     running = field.host.running
     assert [connected(field, name) for name in running] == [{}] * 4

@@ -58,7 +58,7 @@ class Truth(RuleBasedStateMachine):
         self.field = Field(path, relay, "", CONCEPTS)
         self.field.host.topics.clear()
         self.witness = Witness(self.field.host, CONCEPTS)
-        self.witness.claims = lambda: self.field.keeper.claims()
+        self.witness.claims = lambda: self.field.reconciler.claims()
         self.types = itertools.count(1)
         self.hands = itertools.count(1)
         self.add("part a", [], [["Image(left)"]])
@@ -98,14 +98,14 @@ class Truth(RuleBasedStateMachine):
     @rule(number=NUMBERS)
     def release(self, number: int) -> None:
         living = self.field.living()
-        self.field.keeper.release(living[number % len(living)].claim_id)
+        self.field.reconciler.release(living[number % len(living)].claim_id)
 
     @precondition(lambda self: self.field.living())
     @rule(number=NUMBERS)
     def replan(self, number: int) -> None:
         living = self.field.living()
         claim_id = living[number % len(living)].claim_id
-        self.asked(lambda: self.field.keeper.replan(claim_id))
+        self.asked(lambda: self.field.reconciler.replan(claim_id))
 
     # The library
 

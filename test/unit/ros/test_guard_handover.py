@@ -11,7 +11,7 @@ import pytest
 
 from dyknow.errors import HostError
 from dyknow.guards import Guards
-from dyknow.manager.host import Kind, LoadRequest
+from dyknow.manager.host import LoadRequest, NodeletKind
 from dyknow.ros.hosting.host import RosHost
 from dyknow.ros.master import Master
 from dyknow.ros.transport.registrar import Registrar
@@ -56,7 +56,7 @@ class OneChild:
     """A nodelet manager that runs."""
 
     def __init__(self):
-        record = SimpleNamespace(name=NODELET_MANAGER, kind=Kind.PYTHON, isolated_for="")
+        record = SimpleNamespace(name=NODELET_MANAGER, kind=NodeletKind.PYTHON, isolated_for="")
         self._child = SimpleNamespace(record=record, incarnation="1")
 
     def all(self):

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from dyknow.errors import StoreError
-from dyknow.manager.host import Kind
+from dyknow.manager.host import NodeletKind
 from dyknow.ros import os_process
 from dyknow.ros.hosting import child_records
 from dyknow.ros.hosting.child_records import ChildRecord
@@ -139,8 +139,11 @@ def test_records_of_processes_that_ended_are_dropped(tmp_path: Path) -> None:
     assert child_records.read(path) == []
     found = start(tmp_path)
     here = ProcessId.of(os.getpid())
-    records = [ChildRecord("/a", Kind.CPP, "", here), ChildRecord("/b", Kind.PYTHON, "/n", found)]
-    child_records.write(path, [*records, ChildRecord("/not_started", Kind.PYTHON)])
+    records = [
+        ChildRecord("/a", NodeletKind.CPP, "", here),
+        ChildRecord("/b", NodeletKind.PYTHON, "/n", found),
+    ]
+    child_records.write(path, [*records, ChildRecord("/not_started", NodeletKind.PYTHON)])
     assert child_records.read(path) == records
     found.end(1.0)
     assert child_records.read(path) == records[:1]

@@ -58,10 +58,10 @@ def watch(manager: Any, monkeypatch: pytest.MonkeyPatch) -> Iterator[Watch]:
     assert not made._rounds.running
 
 
-def test_what_was_heard_of_is_looked_at_once(manager: FakeManager, watch: Watch) -> None:
-    watch.hear("/a")
+def test_what_is_named_is_looked_at_at_once(manager: FakeManager, watch: Watch) -> None:
+    watch.refresh("/a")
     assert manager.await_close_looks(1)
-    watch.hear("/b")
+    watch.refresh("/b")
     assert manager.await_close_looks(2)
     assert manager.closely() == [{"/a"}, {"/b"}]
     assert manager.after == len(manager.looks), "also after a look that failed"
@@ -69,7 +69,7 @@ def test_what_was_heard_of_is_looked_at_once(manager: FakeManager, watch: Watch)
 
 def test_what_somebody_works_on_is_looked_at_again(manager: FakeManager, watch: Watch) -> None:
     manager.busy.add("/a")
-    watch.hear("/a")
+    watch.refresh("/a")
     assert manager.await_close_looks(3)
     manager.busy.clear()
 

@@ -1,6 +1,6 @@
 """The example's specifications: clean, true to the nodelets, and a plan for either camera.
 
-On the fake host the keeper then does with them what the study tells.
+On the fake host the reconciler then does with them what the study tells.
 """
 
 from __future__ import annotations

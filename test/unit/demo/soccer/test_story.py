@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from dyknow.manager.claim import ClaimState, StreamRequest
-from dyknow.manager.claims.keeper import Keeper
+from dyknow.manager.claims.reconciler import StreamReconciler
 from dyknow.manager.fake_host import FakeHost
 from dyknow.manager.library import Library
 from dyknow.manager.manager import Manager
@@ -23,7 +23,7 @@ CAMERA, CEILING = "/bottom_camera_1", "/ceiling_camera_1"
 
 
 class Field:
-    """The soccer field's manager and keeper; time is moved by hand."""
+    """The soccer field's manager and reconciler; time is moved by hand."""
 
     def __init__(self) -> None:
         self.ontology = load_ontology([str(EXAMPLES / "ontologies" / "soccer.ttl")])
@@ -41,9 +41,11 @@ class Field:
         library = Library(store, self.ontology)
         self.manager = Manager(self.host, store, library, clock=lambda: self.now)
         self.manager.start()
-        self.keeper = Keeper(self.manager, self.ontology, clock=lambda: self.now, sleep=self.sleep)
+        self.reconciler = StreamReconciler(
+            self.manager, self.ontology, clock=lambda: self.now, sleep=self.sleep
+        )
         self.reasons: list[str] = []
-        self.keeper.on_event = lambda event: self.reasons.append(event.reason)
+        self.reconciler.on_event = lambda event: self.reasons.append(event.reason)
         self.manager.add_transformation(SOCCER.read_text())
 
     def sleep(self, seconds: float) -> None:
@@ -54,7 +56,7 @@ class Field:
         for _ in range(int(seconds / 0.2)):
             self.sleep(0.2)
             self.manager.look()
-            self.keeper.reconcile()
+            self.reconciler.reconcile()
 
     def feeds(self, camera: str, number: int = 1) -> None:
         """Both what the robot's vision takes from a camera comes from this one."""
@@ -72,7 +74,7 @@ def field() -> Field:
 
 
 def test_the_robots_tracking_is_kept_and_re_wired(field: Field) -> None:
-    claim = field.keeper.acquire(StreamRequest("FieldPosition(ball)", max_silence=2.0)).claim
+    claim = field.reconciler.acquire(StreamRequest("FieldPosition(ball)", max_silence=2.0)).claim
     own = {*TRACKING, LOCALIZATION}
     assert set(field.host.running) == {CAMERA, *own}
     field.feeds(CAMERA)
@@ -82,7 +84,7 @@ def test_the_robots_tracking_is_kept_and_re_wired(field: Field) -> None:
     field.manager.remove_transformation("bottom_camera")
     field.manager.destroy(CAMERA)
     field.settle()
-    (now,) = field.keeper.claims()
+    (now,) = field.reconciler.claims()
     assert (now.state, now.topic) == (ClaimState.ACTIVE, claim.topic)
     assert set(field.host.running) == {CEILING, *own}
     field.feeds(CEILING)
@@ -96,18 +98,18 @@ def test_the_robots_tracking_is_kept_and_re_wired(field: Field) -> None:
     field.settle()
     assert any("cheaper" in reason and "bottom_camera" in reason for reason in field.reasons)
     field.feeds(CEILING)
-    answer = field.keeper.replan(claim.claim_id)
+    answer = field.reconciler.replan(claim.claim_id)
     assert len(answer.spawned) == 1
     field.settle(10.0)
     assert set(field.host.running) == {CAMERA, *own}
     field.feeds(CAMERA)
-    assert field.keeper.claims()[0].topic == claim.topic
+    assert field.reconciler.claims()[0].topic == claim.topic
 
 
 def test_without_any_robot_the_ceiling_camera_has_its_own(field: Field) -> None:
     for gone in ("bottom_camera", "nao_body"):
         field.manager.remove_transformation(gone)
-    claim = field.keeper.acquire(StreamRequest("FieldPosition(ball)")).claim
+    claim = field.reconciler.acquire(StreamRequest("FieldPosition(ball)")).claim
     assert set(field.host.running) == {
         CEILING,
         "/image_subsampler_ceiling_camera_1",
@@ -118,13 +120,15 @@ def test_without_any_robot_the_ceiling_camera_has_its_own(field: Field) -> None:
 
 
 def test_two_cameras_at_a_time_are_not_mixed_up(field: Field) -> None:
-    field.keeper.acquire(StreamRequest("FieldPosition(ball)"))
-    other = field.keeper.acquire(StreamRequest("FieldPosition(ball)", exclude=("bottom_camera",)))
+    field.reconciler.acquire(StreamRequest("FieldPosition(ball)"))
+    other = field.reconciler.acquire(
+        StreamRequest("FieldPosition(ball)", exclude=("bottom_camera",))
+    )
     assert CEILING in other.spawned
     field.settle()
     field.feeds(CAMERA)
     field.feeds(CEILING, 2)
-    balls = field.keeper.acquire(StreamRequest("SubsampledYUV(nao, eighth)"))
+    balls = field.reconciler.acquire(StreamRequest("SubsampledYUV(nao, eighth)"))
     field.settle()
     assert balls.spawned == ()
     field.feeds(CAMERA)

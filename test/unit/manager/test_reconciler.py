@@ -37,7 +37,7 @@ def test_what_runs_is_reused_and_not_collected(field: Field) -> None:
     acquired = field.acquire()
     assert acquired.reused == ("/mine",)
     assert len(acquired.spawned) == 3
-    field.keeper.release(acquired.claim.claim_id)
+    field.reconciler.release(acquired.claim.claim_id)
     field.settle()
     field.settle(60.0)
     assert field.host.running == ["/mine"]
@@ -47,13 +47,13 @@ def test_two_claims_share_and_the_last_one_clears(field: Field) -> None:
     first = field.acquire().claim
     second = field.acquire("RelativePosition(ball)")
     assert second.spawned == ()
-    field.keeper.release(first.claim_id)
+    field.reconciler.release(first.claim_id)
     field.settle()
     field.settle(60.0)
     assert field.labels() == ["bottom camera", "detector", "subsampler"]
     assert field.state(second.claim.claim_id) is ClaimState.ACTIVE
-    field.keeper.release(second.claim.claim_id)
-    field.keeper.release(second.claim.claim_id)
+    field.reconciler.release(second.claim.claim_id)
+    field.reconciler.release(second.claim.claim_id)
     field.settle()
     field.settle(4.0)
     assert field.host.running != []
@@ -62,12 +62,12 @@ def test_two_claims_share_and_the_last_one_clears(field: Field) -> None:
 
 
 def test_a_dry_run_changes_nothing(field: Field) -> None:
-    answer = field.keeper.acquire(StreamRequest(GOAL), dry_run=True)
+    answer = field.reconciler.acquire(StreamRequest(GOAL), dry_run=True)
     assert sorted(answer.spawned) == CHAIN
-    assert (field.host.running, field.keeper.claims()) == ([], [])
+    assert (field.host.running, field.reconciler.claims()) == ([], [])
     with pytest.raises(NoPlanFound, match="nothing supplies Nothing"):
-        field.keeper.acquire(StreamRequest("Nothing(x)"), dry_run=True)
-    assert field.keeper.claims() == []
+        field.reconciler.acquire(StreamRequest("Nothing(x)"), dry_run=True)
+    assert field.reconciler.claims() == []
 
 
 def test_the_same_request_is_the_same_claim(field: Field) -> None:
@@ -77,7 +77,7 @@ def test_the_same_request_is_the_same_claim(field: Field) -> None:
     assert first.claim.claim_id == again.claim.claim_id != other.claim.claim_id
     assert again.spawned == other.spawned == ()
     request = StreamRequest(GOAL, client_id="c", request_id="r")
-    explained = field.keeper.acquire(request, dry_run=True)
+    explained = field.reconciler.acquire(request, dry_run=True)
     assert explained.claim.claim_id == ""
     assert explained.plan is not None
 
@@ -99,7 +99,7 @@ def test_bad_tags_and_types_are_refused(field: Field) -> None:
     with pytest.raises(StreamTypeMismatch, match="geometry_msgs/PointStamped.*std_msgs/Header"):
         field.acquire(datatype="std_msgs/Header")
     assert field.host.running == []
-    assert field.keeper.claims() == []
+    assert field.reconciler.claims() == []
 
 
 @pytest.mark.parametrize("victim", ["/bottom_camera_1", "/subsampler_1", "/localization_1"])
@@ -111,7 +111,7 @@ def test_a_nodelet_that_is_destroyed_is_replaced_behind_the_same_topic(
     field.settle()
     assert field.state(claim.claim_id) is ClaimState.ACTIVE
     assert field.labels() == CHAIN
-    assert field.keeper.claims()[0].topic == claim.topic
+    assert field.reconciler.claims()[0].topic == claim.topic
     reasons = [event.reason for event in field.events]
     assert any("gone" in reason for reason in reasons)
 
@@ -122,7 +122,7 @@ def test_a_dead_nodelet_manager_takes_nothing_for_long(field: Field) -> None:
     field.settle()
     assert field.state(claim.claim_id) is ClaimState.ACTIVE
     assert field.labels() == CHAIN
-    assert field.keeper.claims()[0].topic == claim.topic
+    assert field.reconciler.claims()[0].topic == claim.topic
 
 
 def test_the_case_study_the_ceiling_camera_takes_over(field: Field) -> None:
@@ -136,7 +136,7 @@ def test_the_case_study_the_ceiling_camera_takes_over(field: Field) -> None:
     assert field.host.nodelet("/subsampler_1").ports["yuv"].topic == camera
     field.settle(60.0)
     assert "/bottom_camera_1" not in field.host.running
-    assert field.keeper.claims()[0].topic == claim.topic
+    assert field.reconciler.claims()[0].topic == claim.topic
 
 
 def test_a_cheaper_way_is_taken_on_request_only(field: Field) -> None:
@@ -146,11 +146,11 @@ def test_a_cheaper_way_is_taken_on_request_only(field: Field) -> None:
     field.manager.add_transformation(LIBRARY)
     field.settle(60.0)
     assert "bottom camera" not in field.labels()
-    replanned = field.keeper.replan(claim.claim_id)
+    replanned = field.reconciler.replan(claim.claim_id)
     assert replanned.plan is not None
     field.settle(60.0)
     assert field.labels() == CHAIN
-    assert field.keeper.claims()[0].topic == claim.topic
+    assert field.reconciler.claims()[0].topic == claim.topic
 
 
 def test_a_claim_waits_for_what_is_missing(field: Field) -> None:
@@ -167,7 +167,7 @@ def test_a_claim_waits_for_what_is_missing(field: Field) -> None:
     field.host.topics.clear()
     field.settle()
     assert field.state(claim_id) is ClaimState.PENDING
-    assert "Joints" in field.keeper.claims()[0].detail
+    assert "Joints" in field.reconciler.claims()[0].detail
 
 
 def test_connecting_a_part_elsewhere_is_mended_where_a_claim_needs_it(field: Field) -> None:
@@ -189,7 +189,7 @@ def test_a_failing_step_undoes_the_others_and_is_tried_again_later(field: Field)
     field.host.fail = fail
     with pytest.raises(SpawnFailed, match="out of memory"):
         field.acquire()
-    assert (field.host.running, field.keeper.claims()) == ([], [])
+    assert (field.host.running, field.reconciler.claims()) == ([], [])
     field.host.fail = lambda operation, argument: None
     claim = field.acquire().claim
     field.host.fail = fail
@@ -202,7 +202,7 @@ def test_a_failing_step_undoes_the_others_and_is_tried_again_later(field: Field)
             any(call == ("load", "/localization_2") for call in field.host.calls[before:])
         )
     assert field.state(claim.claim_id) is ClaimState.FAILED
-    assert "out of memory" in field.keeper.claims()[0].detail
+    assert "out of memory" in field.reconciler.claims()[0].detail
     assert 2 <= attempts.count(True) < 12
     field.host.fail = lambda operation, argument: None
     field.settle(100.0)
@@ -212,13 +212,13 @@ def test_a_failing_step_undoes_the_others_and_is_tried_again_later(field: Field)
 def test_leases_end_unless_they_are_renewed(field: Field) -> None:
     claim = field.acquire(lease=10.0).claim
     field.settle(9.0)
-    field.keeper.renew(claim.claim_id, 10.0)
+    field.reconciler.renew(claim.claim_id, 10.0)
     field.settle(9.0)
     assert field.state(claim.claim_id) is ClaimState.ACTIVE
     field.settle(2.0)
     assert field.state(claim.claim_id) is ClaimState.EXPIRED
     with pytest.raises(UnknownClaim, match="expired"):
-        field.keeper.renew(claim.claim_id, 10.0)
+        field.reconciler.renew(claim.claim_id, 10.0)
     field.settle(60.0)
     assert field.host.running == []
 
@@ -230,7 +230,7 @@ def test_claims_survive_the_manager(field: Field) -> None:
     field.store.close()
     field.open()
     field.settle(1.0)
-    assert field.keeper.claims() == [replace(claim, detail="")]
+    assert field.reconciler.claims() == [replace(claim, detail="")]
     assert field.host.running == running
     assert [call for call in field.host.calls if call[0] == "load"] == loads
     assert field.acquire(client_id="c", request_id="r").claim.claim_id == claim.claim_id
@@ -239,4 +239,4 @@ def test_claims_survive_the_manager(field: Field) -> None:
     field.open()
     field.settle()
     assert field.state(claim.claim_id) is ClaimState.ACTIVE
-    assert field.keeper.claims()[0].topic == claim.topic
+    assert field.reconciler.claims()[0].topic == claim.topic

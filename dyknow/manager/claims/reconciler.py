@@ -1,8 +1,8 @@
 """Keeps requested streams alive: the reconciler of claims.
 
-Desired are the claims, observed is the graph. Whatever happened, the keeper asks of each claim the
-same question, what is wrong with its stream, and if something is makes a new plan with what is
-there now. The client's topic stays.
+Desired are the claims, observed is the graph. Whatever happened, the reconciler asks of each
+claim the same question, what is wrong with its stream, and if something is makes a new plan with
+what is there now. The client's topic stays.
 
 One change of claims at a time (``turn``); looking at them, renewing and ending them waits for
 nobody.
@@ -19,19 +19,19 @@ from typing import Callable, List, Mapping, Optional, Tuple
 from dyknow.errors import DyKnowError, NoPlanFound
 from dyknow.manager.claim import Claim, ClaimEvent, ClaimState, StreamRequest
 from dyknow.manager.claims.advice import refusal
+from dyknow.manager.claims.cheaper_plans import CheaperPlans
+from dyknow.manager.claims.claim_lock import ClaimLock
+from dyknow.manager.claims.claim_planner import ClaimPlanner
 from dyknow.manager.claims.claim_table import ClaimTable
+from dyknow.manager.claims.connector import Connector
 from dyknow.manager.claims.delivery import Delivery
 from dyknow.manager.claims.demands import demand_of
-from dyknow.manager.claims.first_message import FirstMessages
-from dyknow.manager.claims.housekeeping import Housekeeping
-from dyknow.manager.claims.message_counts import MessageCounts
-from dyknow.manager.claims.offers import Offers
-from dyknow.manager.claims.prospects import Prospects
+from dyknow.manager.claims.first_message import FirstMessageMonitor
+from dyknow.manager.claims.flows import FlowMeter
+from dyknow.manager.claims.garbage_collector import GarbageCollector
 from dyknow.manager.claims.quarantine import Quarantine
 from dyknow.manager.claims.repair import Repair, outcome, with_remarks
-from dyknow.manager.claims.silence import SilenceWatch
-from dyknow.manager.claims.turn import Turn
-from dyknow.manager.claims.wires import Wires
+from dyknow.manager.claims.silence_monitor import SilenceMonitor
 from dyknow.manager.manager import Manager
 from dyknow.manager.planning.problem import NoPlan, Plan
 from dyknow.manager.specifications.tags import NO_ONTOLOGY, Subsumption
@@ -40,8 +40,8 @@ _log = logging.getLogger("rosout.dyknow")
 
 
 @dataclass(frozen=True)
-class KeeperSettings:
-    """How the keeper behaves.
+class ReconcilerSettings:
+    """How the reconciler behaves.
 
     Attributes:
         linger: seconds that a nodelet that no claim needs any more is kept.
@@ -54,7 +54,7 @@ class KeeperSettings:
     ended_kept: int = 100
 
 
-DEFAULT_KEEPER_SETTINGS = KeeperSettings()
+DEFAULT_RECONCILER_SETTINGS = ReconcilerSettings()
 """Nodelets linger for five seconds; replacements have two to deliver."""
 
 
@@ -80,14 +80,14 @@ class Acquired:
         return 0 if self.plan is None else self.plan.cost
 
 
-class Keeper:
+class StreamReconciler:
     """All claims, and what is done for them."""
 
     def __init__(
         self,
         manager: Manager,
         ontology: Subsumption = NO_ONTOLOGY,
-        settings: KeeperSettings = DEFAULT_KEEPER_SETTINGS,
+        settings: ReconcilerSettings = DEFAULT_RECONCILER_SETTINGS,
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
@@ -101,46 +101,52 @@ class Keeper:
             sleep: waits that long, while a replacement comes up.
         """
         self._manager = manager
-        self._turn = Turn()
+        self._claim_lock = ClaimLock()
         self._ended = False
         self._table = ClaimTable(manager.store, clock, settings.ended_kept)
-        self._counts = MessageCounts(manager.host, manager.graph, clock)
-        self._silence = SilenceWatch(self._counts, manager.graph)
-        self._first_messages = FirstMessages(self._table, self._counts, manager.graph, clock)
+        self._counts = FlowMeter(manager.host, manager.graph, clock)
+        self._silence = SilenceMonitor(self._counts, manager.graph)
+        self._first_messages = FirstMessageMonitor(self._table, self._counts, manager.graph, clock)
         quarantine = Quarantine(clock)
-        self._wires = Wires(manager, self._table, ontology, clock)
-        self._prospects = Prospects(
+        self._connector = Connector(manager, self._table, ontology, clock)
+        self._planner = ClaimPlanner(
             manager,
             ontology,
             self._table,
             quarantine,
             self._silence,
-            self._turn,
-            self._wires,
+            self._claim_lock,
+            self._connector,
             clock,
         )
-        self._offers = Offers(self._table, self._prospects)
-        self._housekeeping = Housekeeping(
-            manager, self._table, self._turn, self._silence, self._wires, settings.linger, clock
+        self._cheaper_plans = CheaperPlans(self._table, self._planner)
+        self._garbage_collector = GarbageCollector(
+            manager,
+            self._table,
+            self._claim_lock,
+            self._silence,
+            self._connector,
+            settings.linger,
+            clock,
         )
 
         def wait(seconds: float) -> None:
-            with self._turn.pause():
+            with self._claim_lock.pause():
                 sleep(seconds)
 
         delivery = Delivery(manager.host, settings.handover, clock, wait)
         self._repair = Repair(
             manager,
             self._table,
-            self._turn,
-            self._prospects,
+            self._claim_lock,
+            self._planner,
             delivery,
-            self._housekeeping,
+            self._garbage_collector,
             quarantine,
             self._silence,
             self._counts,
             self._first_messages,
-            self._wires,
+            self._connector,
             clock,
         )
 
@@ -171,22 +177,22 @@ class Keeper:
         demand_of([claim])
         if not dry_run:
             self._manager.guards.check_writable(f"acquiring '{request.tag}'")
-        with self._turn.round() if dry_run else self._turn.request():
+        with self._claim_lock.round() if dry_run else self._claim_lock.request():
             known = None if dry_run else self._table.same(request)
             if known is not None and not known.topic:
                 raise NoPlanFound(known.detail, known.claim_id)
             if known is not None:
                 return Acquired(known, None, (), known.nodelets)
-            self._prospects.look(at_once=True)
-            claim = replace(claim, topic=self._prospects.common_topic(claim))
-            answer = self._prospects.plan(claim, lenient=True)
+            self._planner.look(at_once=True)
+            claim = replace(claim, topic=self._planner.common_topic(claim))
+            answer = self._planner.plan(claim, lenient=True)
             if isinstance(answer, NoPlan):
                 if not dry_run:
                     self._table.add(replace(claim, topic="", detail=str(answer)), "requested")
                 reason = refusal(self._manager, answer, request.exclude)
                 raise NoPlanFound(reason, claim.claim_id)
             if dry_run:
-                return Acquired(claim, answer, *_intended(answer, self._prospects.own(claim)))
+                return Acquired(claim, answer, *_intended(answer, self._planner.own(claim)))
             plan, done = self._repair.carry_out(claim, answer, lenient=True)
             claim = self._table.add(replace(claim, **outcome(done)), "requested")
         return Acquired(claim, plan, tuple(done.spawned), tuple(sorted(done.reused)))
@@ -217,13 +223,13 @@ class Keeper:
         """
         if not dry_run:
             self._manager.guards.check_writable(f"replanning claim '{claim_id}'")
-        with self._turn.round() if dry_run else self._turn.request(claim_id):
+        with self._claim_lock.round() if dry_run else self._claim_lock.request(claim_id):
             claim = self._table.get(claim_id)
-            self._prospects.look(at_once=True)
-            damage = self._repair.inspect(claim)
-            own = self._prospects.own(claim)
-            cheaper = self._offers.cheaper(claim) if damage is None else None
-            answer = cheaper or self._prospects.plan(claim, lenient=True)
+            self._planner.look(at_once=True)
+            fault = self._repair.diagnose(claim)
+            own = self._planner.own(claim)
+            cheaper = self._cheaper_plans.cheaper(claim) if fault is None else None
+            answer = cheaper or self._planner.plan(claim, lenient=True)
             if isinstance(answer, NoPlan):
                 reason = refusal(self._manager, answer, claim.request.exclude)
                 raise NoPlanFound(reason, claim_id)
@@ -233,7 +239,7 @@ class Keeper:
             changed = self._table.change(
                 claim_id, with_remarks("replanned on request", done), **outcome(done)
             )
-            self._housekeeping.clear_topics()
+            self._garbage_collector.clear_topics()
         return Acquired(changed or claim, plan, tuple(done.spawned), tuple(sorted(done.reused)))
 
     def claims(self) -> List[Claim]:
@@ -244,20 +250,20 @@ class Keeper:
 
     def end(self) -> None:
         """End every claim, as the manager is stopped on purpose; nothing is mended any more."""
-        with self._turn.round():
+        with self._claim_lock.round():
             self._ended = True
         for claim in self._table.living():
             self._table.end(claim.claim_id, ClaimState.RELEASED, "the manager was stopped")
 
     def reconcile(self) -> None:
         """Look at every claim once, and mend what is broken."""
-        with self._turn.round():
+        with self._claim_lock.round():
             if self._ended:
                 return
             self._table.end_late()
-            self._prospects.look()
-            self._wires.ask()
-            self._housekeeping.disconnect()
+            self._planner.look()
+            self._connector.ask()
+            self._garbage_collector.disconnect()
             self._repair.keep_books()
             claims = self._table.living()
             came = self._counts.read(
@@ -266,15 +272,15 @@ class Keeper:
             for name in self._silence.look(claims, came):
                 self._repair.blame(name)
             for claim in sorted(claims, key=_upstream_first):
-                if claim.claim_id == self._turn.claim_id:
+                if claim.claim_id == self._claim_lock.claim_id:
                     continue  # a request is about to make it anew
                 try:
                     self._repair.mend(claim.claim_id)
                 except DyKnowError as error:
                     _log.warning("claim %s: %s", claim.claim_id, error)
-            self._housekeeping.clear_topics()
-            self._housekeeping.collect()
-            self._offers.tell()
+            self._garbage_collector.clear_topics()
+            self._garbage_collector.collect()
+            self._cheaper_plans.tell()
             self._first_messages.look()
 
 

@@ -6,42 +6,42 @@ from typing import Dict, List, Sequence, Set, Tuple
 
 from dyknow import names
 from dyknow.errors import StreamTypeMismatch
+from dyknow.manager.claims.assembly_request import AssemblyRequest
 from dyknow.manager.claims.claim_table import ClaimTable
-from dyknow.manager.claims.order import Order
 from dyknow.manager.manager import Manager
 from dyknow.manager.model import Record, State
-from dyknow.manager.planning.problem import Live, New, Source, Step
+from dyknow.manager.planning.problem import Live, New, PlanStep, Source
 from dyknow.manager.specifications.transformation import IN, OUT
 
 #: Types that go with every other.
 ANY = ("", "*")
 
 
-class Parts:
+class PlanContext:
     """Names, topics and types of suppliers, live and new ones alike."""
 
     def __init__(
-        self, manager: Manager, table: ClaimTable, order: Order, spawned: Sequence[str]
+        self, manager: Manager, table: ClaimTable, request: AssemblyRequest, spawned: Sequence[str]
     ) -> None:
         """Look at the parts of an order.
 
         Args:
             manager: knows the nodelets.
             table: knows where clients listen.
-            order: what is being made.
+            request: what is being made.
             spawned: names of the nodelets that were made for it so far; grows.
         """
         self._manager = manager
         self._graph = manager.graph
         self._table = table
-        self._order = order
+        self._request = request
         self.spawned = spawned
         #: Nodelets of the plan's transformations, by label.
         self.made: Dict[str, str] = {}
 
     def outputs(self, label: str) -> List[str]:
         """Out-ports of a transformation that the plan uses."""
-        plan = self._order.plan
+        plan = self._request.plan
         used = {source for step in plan.steps for _, source in step.inputs} | {plan.goal}
         return sorted(
             {each.port for each in used if isinstance(each, New) and each.label == label}
@@ -73,7 +73,7 @@ class Parts:
         ports = transformation.ports if transformation is not None else ()
         return next((port.tags for port in ports if port.name == source.port or not name), ())
 
-    def check_types(self, record: Record, step: Step) -> None:
+    def check_types(self, record: Record, step: PlanStep) -> None:
         """Compare the types of a nodelet's in-ports with those of their suppliers.
 
         Raises:
@@ -88,11 +88,11 @@ class Parts:
 
     def taken(self) -> Set[str]:
         """Topics that are spoken for: clients of other claims listen there."""
-        return self._table.taken(but=self._order.claim_id)
+        return self._table.taken(but=self._request.claim_id)
 
     def free_topic(self, name: str, port: str) -> str:
         """Name a topic after an out-port; one that has passed to a successor is passed over."""
-        spoken_for = self.taken() | {self._order.topic}
+        spoken_for = self.taken() | {self._request.topic}
         spoken_for |= {
             each.topic
             for record in self._graph.all()
@@ -111,7 +111,7 @@ class Parts:
         return any(
             port.direction == OUT and port.topic == topic
             for record in self._graph.all()
-            if record.state is State.RUNNING and record.name not in self._order.unhealthy
+            if record.state is State.RUNNING and record.name not in self._request.unhealthy
             for port in record.ports
         )
 
@@ -121,7 +121,7 @@ class Parts:
             return True
         if not self._graph.get(name).claimed or topic in self.taken():
             return False
-        own = {*self._order.own.values(), *self.spawned}
+        own = {*self._request.own.values(), *self.spawned}
         return not any(
             port.direction == IN and port.topic == topic
             for record in self._graph.all()

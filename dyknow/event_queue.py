@@ -9,7 +9,7 @@ from typing import Callable, Deque, Generic, TypeVar
 News = TypeVar("News")
 
 
-class Telling(Generic[News]):
+class EventQueue(Generic[News]):
     """A row of news; who adds to it while another thread tells leaves the telling to it."""
 
     def __init__(self, listener: Callable[[News], None]) -> None:

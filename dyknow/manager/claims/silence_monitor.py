@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import Dict, FrozenSet, Iterable, List, Mapping, Set
 
 from dyknow.manager.claim import Claim
-from dyknow.manager.claims.message_counts import MessageCounts, Place
+from dyknow.manager.claims.flows import FlowMeter, Place
 from dyknow.manager.graph import Graph
 from dyknow.manager.model import State
 from dyknow.manager.specifications.transformation import OUT
@@ -21,10 +21,10 @@ _LOOKS = 4
 _LEAST_PERIOD = 0.05
 
 
-class SilenceWatch:
+class SilenceMonitor:
     """Judges by the counts; the same counts give the same judgement, whenever it is made."""
 
-    def __init__(self, counts: MessageCounts, graph: Graph) -> None:
+    def __init__(self, counts: FlowMeter, graph: Graph) -> None:
         """Watch nothing yet."""
         self._counts = counts
         self._graph = graph
@@ -32,14 +32,14 @@ class SilenceWatch:
         self.silent: Dict[str, str] = {}
 
     @property
-    def mute(self) -> FrozenSet[str]:
+    def unresponsive(self) -> FrozenSet[str]:
         """Nodelets that do not answer."""
-        return self._counts.mute
+        return self._counts.unresponsive
 
     @property
     def unhealthy(self) -> FrozenSet[str]:
         """Nodelets of which nothing is to be expected."""
-        return self.mute | frozenset(self.silent)
+        return self.unresponsive | frozenset(self.silent)
 
     def periods(self, claims: Iterable[Claim]) -> Dict[Place, float]:
         """Tell how often (s) to count where."""

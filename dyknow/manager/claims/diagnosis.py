@@ -7,15 +7,15 @@ from typing import AbstractSet, Callable, Mapping, Optional
 
 from dyknow.errors import UnknownTransformation
 from dyknow.manager.claim import Claim
-from dyknow.manager.claims.audience import Audience
 from dyknow.manager.claims.relay import is_relay
+from dyknow.manager.claims.topology import Topology
 from dyknow.manager.library import Library
 from dyknow.manager.manager import Manager
 from dyknow.manager.model import Record, State
 
 
 @dataclass(frozen=True)
-class Damage:
+class Fault:
     """Why a stream has to be mended.
 
     Attributes:
@@ -27,66 +27,66 @@ class Damage:
     severed: bool = True
 
 
-def inspect(
+def diagnose(
     manager: Manager,
     claim: Claim,
     silent: Mapping[str, str],
-    mute: AbstractSet[str],
+    unresponsive: AbstractSet[str],
     published: AbstractSet[str],
-    audience: Callable[[], Audience],
-) -> Optional[Damage]:
+    topology: Callable[[], Topology],
+) -> Optional[Fault]:
     """Look at every part of a claim's stream.
 
     Args:
         manager: knows the nodelets.
         claim: whose stream it is.
         silent: nodelets and topics that are silent, and what to say about it.
-        mute: nodelets that do not answer.
+        unresponsive: nodelets that do not answer.
         published: topics of ordinary nodes that have a publisher.
-        audience: tells who hears whom.
+        topology: tells who hears whom.
     """
     if not claim.topic:
-        return Damage("it has no stream yet")
+        return Fault("it has no stream yet")
     if not claim.is_made:
-        return Damage("it has no stream")
+        return Fault("it has no stream")
     for topic in claim.sources:
         if topic not in published:
-            return Damage(f"topic {topic} is not published any more")
-        if not _is_what_it_was(topic, claim, audience()):
-            return Damage(f"topic {topic} is not described any more as what is needed")
+            return Fault(f"topic {topic} is not published any more")
+        if not _is_what_it_was(topic, claim, topology()):
+            return Fault(f"topic {topic} is not described any more as what is needed")
     doubts = []
     for name in claim.nodelets:
         record = manager.graph.find(name)
         if record is None or record.transformation is None:
-            return Damage(f"nodelet {name} is gone")
+            return Fault(f"nodelet {name} is gone")
         if record.state is not State.RUNNING:
-            return Damage(record.detail or f"nodelet {name} is {record.state.name.lower()}")
+            return Fault(record.detail or f"nodelet {name} is {record.state.name.lower()}")
         for port, topic in claim.wiring[name].items():
             if record.topics.get(port, "") != topic:
-                return Damage(f"port {port} of {name} was connected elsewhere")
+                return Fault(f"port {port} of {name} was connected elsewhere")
         if name in silent:
             doubts.append(silent[name])
-        elif name in mute:
+        elif name in unresponsive:
             doubts.append(f"nodelet {name} does not answer")
         elif record.claimed and not is_current(manager.library, record):
             doubts.append(f"transformation {record.label} was removed")
     for topic in claim.sources:
         if topic in silent:
             doubts.append(silent[topic])
-    return Damage(doubts[0], severed=False) if doubts else None
+    return Fault(doubts[0], severed=False) if doubts else None
 
 
-def _is_what_it_was(topic: str, claim: Claim, audience: Audience) -> bool:
+def _is_what_it_was(topic: str, claim: Claim, topology: Topology) -> bool:
     """Whether the library still says of a topic what the claim's parts, or its client, need."""
     concerned = [
         listener.demand
-        for listener in audience.listeners(topic)
+        for listener in topology.listeners(topic)
         if claim.wiring.get(listener.nodelet, {}).get(listener.port) == topic
         or listener.port == claim.claim_id
     ]
-    senders = audience.senders(topic)
-    return audience.is_described(topic) and all(
-        audience.serves(sender, demand) for sender in senders for demand in concerned
+    senders = topology.senders(topic)
+    return topology.is_described(topic) and all(
+        topology.serves(sender, demand) for sender in senders for demand in concerned
     )
 
 

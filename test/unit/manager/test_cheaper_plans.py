@@ -42,14 +42,14 @@ def test_what_others_need_anyway_is_not_saved(field: Field) -> None:
     field.settle(10.0)
     assert news(field) == []
     before = total(field)
-    field.keeper.replan(whole.claim_id)
+    field.reconciler.replan(whole.claim_id)
     field.tidy()
     assert total(field) == before
-    field.keeper.release(planes.claim_id)
+    field.reconciler.release(planes.claim_id)
     field.manager.add_transformation(LIBRARY)  # something new: they are compared again
     field.settle(10.0)
     assert len(news(field)) == 1
-    assert field.keeper.replan(whole.claim_id).cost == 2
+    assert field.reconciler.replan(whole.claim_id).cost == 2
     field.tidy()
     assert total(field) == 2 < before
 
@@ -59,7 +59,7 @@ def test_what_all_clients_of_a_stream_share_is_saved(field: Field) -> None:
     field.manager.add_transformation(ALONE)
     field.settle(10.0)
     assert len(news(field)) == 2, "each of them is told"
-    field.keeper.replan(claims[0].claim_id)
+    field.reconciler.replan(claims[0].claim_id)
     field.tidy()
     assert total(field) == 2
     assert {field.claim(each.claim_id).topic for each in claims} == {claims[0].topic}
@@ -104,6 +104,6 @@ def test_an_offer_that_is_taken_never_raises_the_total(seed: int) -> None:
         field.events.clear()
         for claim_id in offered[:1]:
             before = total(field)
-            field.keeper.replan(claim_id)
+            field.reconciler.replan(claim_id)
             field.tidy()
             assert total(field) <= before

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Dict, List
 
-from dyknow.manager.claims.audience import Audience
 from dyknow.manager.claims.relay import relay
+from dyknow.manager.claims.topology import Topology
 from dyknow.manager.model import Record
 from dyknow.manager.specifications.tags import NO_ONTOLOGY
 from dyknow.manager.specifications.transformation import IN, OUT, Port, Transformation
@@ -31,8 +31,8 @@ def relay_between(name: str, topics: Dict[str, str]) -> Record:
     return Record(name, relay("/left", IMAGE, ("Raw(left)",)), "/m", topics=topics)
 
 
-def misfits(*records: Record) -> List[str]:
-    found = Audience(records, (), (), lambda name, port: (), NO_ONTOLOGY).misfits()
+def mismatches(*records: Record) -> List[str]:
+    found = Topology(records, (), (), lambda name, port: (), NO_ONTOLOGY).mismatches()
     return sorted(f"{sender.nodelet} {listener.nodelet}" for _, sender, listener in found)
 
 
@@ -40,7 +40,7 @@ def test_a_relay_is_believed_while_it_hears_what_it_says() -> None:
     first = relay_between("/first", {"in": "/left", "out": "/a"})
     second = relay_between("/second", {"in": "/a", "out": "/b"})
     left, eye = camera("/left_camera", "Raw(left)", "/left"), viewer("/eye", "Raw(left)", "/b")
-    assert misfits(left, first, second, eye) == []
+    assert mismatches(left, first, second, eye) == []
 
 
 def test_what_a_relay_hears_wrongly_goes_through_all_relays_behind_it() -> None:
@@ -49,4 +49,4 @@ def test_what_a_relay_hears_wrongly_goes_through_all_relays_behind_it() -> None:
     right, eye = camera("/right_camera", "Raw(right)", "/right"), viewer("/eye", "Raw(left)", "/b")
     wrong = ["/first /second", "/right_camera /first", "/second /eye"]
     for records in ([right, first, second, eye], [eye, second, first, right]):
-        assert misfits(*records) == wrong
+        assert mismatches(*records) == wrong

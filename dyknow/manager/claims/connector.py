@@ -14,8 +14,8 @@ from dataclasses import replace
 from typing import Callable, Dict, List, Mapping, Optional, Set, Tuple
 
 from dyknow.errors import Busy, DyKnowError, HostError, HostTimeout, WrongStream
-from dyknow.manager.claims.audience import Audience, Listener, Sender
 from dyknow.manager.claims.claim_table import ClaimTable
+from dyknow.manager.claims.topology import Consumer, Producer, Topology
 from dyknow.manager.manager import Manager
 from dyknow.manager.model import Record, State, seen_ports, topics_of
 from dyknow.manager.specifications.tags import Subsumption
@@ -30,7 +30,7 @@ _PAUSE = 1.0
 Config = Mapping[str, str]
 
 
-class Wires:
+class Connector:
     """Knows who may hear whom, and connects ports accordingly."""
 
     def __init__(
@@ -59,7 +59,7 @@ class Wires:
 
     # Who hears whom
 
-    def audience(self, changed: Optional[Record] = None) -> Audience:
+    def topology(self, changed: Optional[Record] = None) -> Topology:
         """Look at who may be where.
 
         Args:
@@ -68,7 +68,7 @@ class Wires:
         records = self._acting()
         if changed is not None:
             records.append(changed)
-        return Audience(
+        return Topology(
             records,
             self._manager.existing_topics(),
             [claim for claim in self._table.living() if claim.topic],
@@ -80,8 +80,8 @@ class Wires:
         """Return a nodelet's connections, without those that must not be made as things are."""
         topics = dict(record.topics)
         made = {each.name for each in self._graph.all() if each.claimed}
-        misfits = self.audience(record).misfits(set(topics.values()) - {""})
-        for topic, sender, listener in misfits:
+        mismatches = self.topology(record).mismatches(set(topics.values()) - {""})
+        for topic, sender, listener in mismatches:
             for end, other in ((sender, listener), (listener, sender)):
                 # What people made by hand and connected with each other is their own affair.
                 is_client = other is listener and not listener.nodelet
@@ -102,7 +102,7 @@ class Wires:
         changed = replace(record, topics={**record.topics, **config})
         cut: Dict[str, Dict[str, str]] = {}
         topics = set(config.values()) - {""}
-        for topic, sender, listener in self.audience(changed).misfits(topics):
+        for topic, sender, listener in self.topology(changed).mismatches(topics):
             if _is_at(listener, record.name, config, topic) or (
                 not listener.nodelet and _is_at(sender, record.name, config, topic)
             ):
@@ -221,5 +221,5 @@ class Wires:
             del self._late[place]
 
 
-def _is_at(end: Sender | Listener, name: str, config: Config, topic: str) -> bool:
+def _is_at(end: Producer | Consumer, name: str, config: Config, topic: str) -> bool:
     return end.nodelet == name and config.get(end.port) == topic

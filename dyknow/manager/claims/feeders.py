@@ -8,7 +8,7 @@ from dyknow.manager.model import Record, State
 from dyknow.manager.specifications.transformation import IN, OUT
 
 
-def upstream(
+def with_feeders(
     records: Sequence[Record],
     ordinary: AbstractSet[str],
     wiring: Dict[str, Dict[str, str]],

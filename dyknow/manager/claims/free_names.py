@@ -9,7 +9,7 @@ from typing import Iterator
 _MOST = 10_000
 
 
-def candidates(label: str) -> Iterator[str]:
+def free_names(label: str) -> Iterator[str]:
     """Name nodelets of a transformation: ``bottom camera`` gives bottom_camera_1, _2 and so on."""
     stem = re.sub(r"[^A-Za-z0-9_]+", "_", label).strip("_")
     if not stem[:1].isalpha():

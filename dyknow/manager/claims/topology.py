@@ -28,7 +28,7 @@ from dyknow.manager.specifications.tags import Subsumption, Term, read_tags
 from dyknow.manager.specifications.transformation import IN, OUT, Port, Transformation
 
 
-class Sender(NamedTuple):
+class Producer(NamedTuple):
     """An out-port, or the ordinary nodes that publish a topic.
 
     Attributes:
@@ -44,7 +44,7 @@ class Sender(NamedTuple):
     datatype: str = ""
 
 
-class Listener(NamedTuple):
+class Consumer(NamedTuple):
     """A tagged in-port, or the client of a claim.
 
     Attributes:
@@ -58,7 +58,7 @@ class Listener(NamedTuple):
     demand: Demand
 
 
-class Audience:
+class Topology:
     """Senders and listeners by topic, at one moment."""
 
     def __init__(
@@ -80,10 +80,10 @@ class Audience:
         """
         records = list(records)
         self._ontology = ontology
-        self._senders: Dict[str, List[Sender]] = {}
-        self._listeners: Dict[str, List[Listener]] = {}
+        self._senders: Dict[str, List[Producer]] = {}
+        self._listeners: Dict[str, List[Consumer]] = {}
         for claim in claims:
-            client = Listener("", claim.claim_id, demand_of([claim]))
+            client = Consumer("", claim.claim_id, demand_of([claim]))
             self._listeners.setdefault(claim.topic, []).append(client)
         places = [
             (topic, record.name, port)
@@ -96,9 +96,9 @@ class Audience:
         for each in described:
             if each.source in used:
                 port = each.ports[0]
-                known = self._senders.get(each.source, [Sender("", "")])[0]
+                known = self._senders.get(each.source, [Producer("", "")])[0]
                 tags = known.tags + read_tags(port.tags)
-                sender = Sender("", "", tags, known.datatype or port.datatype)
+                sender = Producer("", "", tags, known.datatype or port.datatype)
                 self._senders[each.source] = [sender]
         said = set(self._senders)
         for topic, name, port in places:
@@ -108,24 +108,24 @@ class Audience:
     def _enter(self, name: str, port: Port, topic: str, is_described: bool) -> None:
         tags = read_tags(port.tags)
         if port.direction == IN and tags:
-            listener = Listener(name, port.name, Demand(frozenset(tags), port.datatype))
+            listener = Consumer(name, port.name, Demand(frozenset(tags), port.datatype))
             self._listeners.setdefault(topic, []).append(listener)
         elif port.direction == OUT and (tags or not is_described):
-            sender = Sender(name, port.name, tags, port.datatype)
+            sender = Producer(name, port.name, tags, port.datatype)
             self._senders.setdefault(topic, []).append(sender)
 
     def _distrust(self, relays: AbstractSet[str]) -> None:
         """What a relay says of its stream holds only as long as it hears nothing else."""
         misled: AbstractSet[str] = relays
         while relays and misled:
-            hearing = {listener.nodelet for _, _, listener in self.misfits()}
+            hearing = {listener.nodelet for _, _, listener in self.mismatches()}
             misled, relays = relays & hearing, relays - hearing
             for senders in self._senders.values():
                 senders[:] = [
                     each._replace(tags=()) if each.nodelet in misled else each for each in senders
                 ]
 
-    def senders(self, topic: str) -> List[Sender]:
+    def senders(self, topic: str) -> List[Producer]:
         """Who may send on a topic; what is said of it stands for senders without tags."""
         return self._senders.get(topic, [])
 
@@ -133,17 +133,17 @@ class Audience:
         """Whether anybody says what ordinary nodes send on a topic."""
         return any(not sender.nodelet for sender in self.senders(topic))
 
-    def listeners(self, topic: str) -> List[Listener]:
+    def listeners(self, topic: str) -> List[Consumer]:
         """Who may listen on a topic."""
         return self._listeners.get(topic, [])
 
-    def serves(self, sender: Sender, demand: Demand) -> bool:
+    def serves(self, sender: Producer, demand: Demand) -> bool:
         """Whether a sender is what is demanded."""
         return meets(sender.tags, sender.datatype, demand, self._ontology)
 
-    def misfits(
+    def mismatches(
         self, topics: Optional[Iterable[str]] = None
-    ) -> Iterator[Tuple[str, Sender, Listener]]:
+    ) -> Iterator[Tuple[str, Producer, Consumer]]:
         """Everybody who may hear what was not asked for: topic, sender and listener."""
         for topic in sorted(set(self._listeners if topics is None else topics)):
             for listener in self.listeners(topic):

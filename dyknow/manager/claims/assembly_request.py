@@ -1,4 +1,4 @@
-"""What the keeper orders, and what it gets, as values."""
+"""What the reconciler orders, and what it gets, as values."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dyknow.manager.planning.problem import Plan
 
 
 @dataclass(frozen=True)
-class Order:
+class AssemblyRequest:
     """What is to be made, and around what.
 
     Attributes:
@@ -19,7 +19,7 @@ class Order:
         datatype: ROS type that was asked for; empty for any.
         own: healthy nodelets of the claim that can be re-wired, by label.
         unhealthy: nodelets that nothing is expected of any more.
-        mute: nodelets that do not answer.
+        unresponsive: nodelets that do not answer.
         claim_id: whose stream it is; what other claims have is theirs.
         ordinary: topics on which ordinary nodes send what the library says.
     """
@@ -30,13 +30,13 @@ class Order:
     datatype: str = ""
     own: Mapping[str, str] = field(default_factory=dict)
     unhealthy: AbstractSet[str] = frozenset()
-    mute: AbstractSet[str] = frozenset()
+    unresponsive: AbstractSet[str] = frozenset()
     claim_id: str = ""
     ordinary: AbstractSet[str] = frozenset()
 
 
 @dataclass
-class Assembled:
+class AssemblyResult:
     """What became of a plan.
 
     Attributes:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Callable, Optional
 
-from dyknow.manager.claims.keeper import Keeper
+from dyknow.manager.claims.reconciler import StreamReconciler
 from dyknow.ros.rounds import PAUSE, Rounds
 
 #: Seconds between two rounds as long as there is something to be looked after.
@@ -13,18 +13,18 @@ PERIOD = 0.5
 _ROUNDS = 4
 
 
-class Reconciling:
-    """Lets the keeper look at its claims, soon after changes and from time to time."""
+class ReconcileLoop:
+    """Lets the reconciler look at its claims, soon after changes and from time to time."""
 
-    def __init__(self, keeper: Keeper, has_work: Callable[[], bool]) -> None:
+    def __init__(self, reconciler: StreamReconciler, has_work: Callable[[], bool]) -> None:
         """Prepare; nothing is done yet.
 
         Args:
-            keeper: who looks.
+            reconciler: who looks.
             has_work: whether there is anything to be looked after; if not, nothing is done until
                 the next change.
         """
-        self._keeper = keeper
+        self._reconciler = reconciler
         self._has_work = has_work
         self._had_work = False
         self._rounds = Rounds("looking after streams", self._round, self.period)
@@ -38,13 +38,13 @@ class Reconciling:
             return None
         silences = [
             claim.request.max_silence
-            for claim in self._keeper.claims()
+            for claim in self._reconciler.claims()
             if claim.request.max_silence and not claim.state.ended
         ]
         return max(PAUSE, min([PERIOD, *(each / _ROUNDS for each in silences)]))
 
     def _round(self) -> None:
-        """Let the keeper work, and once more when the last claim has ended: it lets go then."""
+        """Reconcile, and once more when the last claim has ended: nodelets are released then."""
         had_work, self._had_work = self._had_work, self._has_work()
         if self._had_work or had_work:
-            self._keeper.reconcile()
+            self._reconciler.reconcile()

@@ -52,7 +52,7 @@ class Flow:
         return self.quiet_until - self.quiet_from
 
 
-class MessageCounts:
+class FlowMeter:
     """Reads the counts of the places that it is told, and remembers what follows from them."""
 
     def __init__(self, host: Host, graph: Graph, clock: Callable[[], float]) -> None:
@@ -64,12 +64,12 @@ class MessageCounts:
         self._listening: Dict[str, Listening] = {}
         self._asked: Dict[str, float] = {}
         self._waiting_since: Dict[str, float] = {}
-        self._mute: Dict[str, List[Place]] = {}
+        self._unresponsive: Dict[str, List[Place]] = {}
 
     @property
-    def mute(self) -> FrozenSet[str]:
+    def unresponsive(self) -> FrozenSet[str]:
         """Nodelets that do not answer."""
-        return frozenset(self._mute)
+        return frozenset(self._unresponsive)
 
     @property
     def flows(self) -> Mapping[Place, Flow]:
@@ -99,9 +99,11 @@ class MessageCounts:
         """
         records = {record.name: record for record in self._graph.all()}
         running = {name for name, each in records.items() if each.state is State.RUNNING}
-        self._mute = {name: places for name, places in self._mute.items() if name in running}
+        self._unresponsive = {
+            name: places for name, places in self._unresponsive.items() if name in running
+        }
         # Those that do not answer are asked on until they do, whether a claim needs them or not.
-        wanted = {place: _AGAIN for places in self._mute.values() for place in places}
+        wanted = {place: _AGAIN for places in self._unresponsive.values() for place in places}
         for place, period in [each for one in periods for each in one.items()]:
             wanted[place] = min(wanted.get(place, period), period)
         topics: Dict[str, List[Place]] = {}
@@ -155,10 +157,12 @@ class MessageCounts:
             if counts is None:
                 gone = name in answers
                 if gone or self._clock() - self._waiting_since.setdefault(name, now) >= UNANSWERED:
-                    self._mute[name] = places
+                    self._unresponsive[name] = places
                 continue
             self._waiting_since.pop(name, None)
-            if self._mute.pop(name, None):  # it may have been stopped: its time begins anew
+            if self._unresponsive.pop(
+                name, None
+            ):  # it may have been stopped: its time begins anew
                 for place in places:
                     self._flows.pop(place, None)
             for place in places:

@@ -10,8 +10,8 @@ from unit.manager.field import GOAL, LINGER, Field, transformation
 
 from dyknow.errors import DyKnowError, HostError
 from dyknow.manager.claim import ClaimState, StreamRequest
-from dyknow.manager.claims.keeper import Acquired
-from dyknow.manager.claims.turn import Turn
+from dyknow.manager.claims.claim_lock import ClaimLock
+from dyknow.manager.claims.reconciler import Acquired
 
 BALL = "RelativePosition(ball)"
 
@@ -90,7 +90,7 @@ def test_what_is_idle_is_not_cleared_away_when_a_waiting_request_counts_on_it(
     field: Field,
 ) -> None:
     camera = field.acquire("YUV(field)").claim
-    field.keeper.release(camera.claim_id)
+    field.reconciler.release(camera.claim_id)
 
     def time_passes() -> None:
         for _ in range(int(4 * LINGER)):
@@ -146,7 +146,7 @@ def test_the_claim_of_a_request_is_left_to_the_request(field: Field) -> None:
         reasons.extend(event.reason for event in field.events[before:])
 
     done = meanwhile(field, "/cheap_localization_1", lose_a_part)
-    field.keeper.replan(claim.claim_id)
+    field.reconciler.replan(claim.claim_id)
     assert done
     assert not [reason for reason in reasons if "gone" in reason]
     field.settle()
@@ -159,7 +159,7 @@ def test_a_dry_run_waits_for_nobody_who_waits(field: Field) -> None:
 
     def explain() -> None:
         request = StreamRequest("YUV(field)")
-        answers.append(field.keeper.acquire(request, dry_run=True))
+        answers.append(field.reconciler.acquire(request, dry_run=True))
 
     done = meanwhile(field, "/localization_1", explain)
     field.acquire(GOAL)
@@ -172,7 +172,7 @@ def test_a_request_that_is_repeated_while_it_is_worked_on_gets_the_same_answer(
 ) -> None:
     request = StreamRequest(GOAL, client_id="/client", request_id="1")
     again: List[Acquired] = []
-    thread = threading.Thread(target=lambda: again.append(field.keeper.acquire(request)))
+    thread = threading.Thread(target=lambda: again.append(field.reconciler.acquire(request)))
 
     def repeat() -> None:
         thread.start()
@@ -180,7 +180,7 @@ def test_a_request_that_is_repeated_while_it_is_worked_on_gets_the_same_answer(
         assert thread.is_alive()
 
     done = meanwhile(field, "/localization_1", repeat)
-    first = field.keeper.acquire(request)
+    first = field.reconciler.acquire(request)
     thread.join(10.0)
     assert done
     assert again[0].claim.claim_id == first.claim.claim_id
@@ -188,19 +188,19 @@ def test_a_request_that_is_repeated_while_it_is_worked_on_gets_the_same_answer(
 
 
 def test_a_round_lets_nobody_pass() -> None:
-    turn = Turn()
+    claim_lock = ClaimLock()
     order: List[str] = []
 
     def ask() -> None:
-        with turn.request():
+        with claim_lock.request():
             order.append("request")
 
     thread = threading.Thread(target=ask)
-    with turn.round():
-        turn.reserve(["/nodelet"])
-        assert not turn.reserved
+    with claim_lock.round():
+        claim_lock.reserve(["/nodelet"])
+        assert not claim_lock.reserved
         thread.start()
-        with turn.pause():
+        with claim_lock.pause():
             thread.join(0.05)
             order.append("round")
     thread.join(10.0)
@@ -208,23 +208,23 @@ def test_a_round_lets_nobody_pass() -> None:
 
 
 def test_requests_come_one_at_a_time_and_rounds_in_between() -> None:
-    turn = Turn()
+    claim_lock = ClaimLock()
     order: List[str] = []
 
     def ask() -> None:
-        with turn.request("second"):
-            order.append(turn.claim_id)
+        with claim_lock.request("second"):
+            order.append(claim_lock.claim_id)
 
     thread = threading.Thread(target=ask)
-    with turn.request("first"):
-        turn.reserve(["/nodelet"])
+    with claim_lock.request("first"):
+        claim_lock.reserve(["/nodelet"])
         thread.start()
-        with turn.pause():
+        with claim_lock.pause():
             thread.join(0.05)
-            with turn.round():
-                order.append(turn.claim_id)
-        assert turn.reserved
+            with claim_lock.round():
+                order.append(claim_lock.claim_id)
+        assert claim_lock.reserved
         order.append("end")
     thread.join(10.0)
     assert order == ["first", "end", "second"]
-    assert (turn.claim_id, turn.reserved) == ("", set())
+    assert (claim_lock.claim_id, claim_lock.reserved) == ("", set())

@@ -90,14 +90,14 @@ class Claims(RuleBasedStateMachine):
     @rule(number=NUMBERS)
     def release(self, number: int) -> None:
         living = self.field.living()
-        self.field.keeper.release(living[number % len(living)].claim_id)
+        self.field.reconciler.release(living[number % len(living)].claim_id)
 
     @precondition(lambda self: self.field.living())
     @rule(number=NUMBERS)
     def replan(self, number: int) -> None:
         living = self.field.living()
         try:
-            self.field.keeper.replan(living[number % len(living)].claim_id)
+            self.field.reconciler.replan(living[number % len(living)].claim_id)
         except DyKnowError:
             return
 

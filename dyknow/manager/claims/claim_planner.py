@@ -10,15 +10,15 @@ from typing import AbstractSet, Callable, Dict, FrozenSet, Hashable, Iterable, L
 
 from dyknow.errors import HostError
 from dyknow.manager.claim import Claim
+from dyknow.manager.claims.claim_lock import ClaimLock
 from dyknow.manager.claims.claim_table import ClaimTable
+from dyknow.manager.claims.connector import Connector
 from dyknow.manager.claims.demands import demand_of, may_share
-from dyknow.manager.claims.inspection import is_current
+from dyknow.manager.claims.diagnosis import is_current
 from dyknow.manager.claims.quarantine import Quarantine
 from dyknow.manager.claims.relay import is_relay
-from dyknow.manager.claims.silence import SilenceWatch
+from dyknow.manager.claims.silence_monitor import SilenceMonitor
 from dyknow.manager.claims.streams import Stream, live_streams
-from dyknow.manager.claims.turn import Turn
-from dyknow.manager.claims.wires import Wires
 from dyknow.manager.manager import Manager
 from dyknow.manager.model import State
 from dyknow.manager.planning.planner import Planner
@@ -33,7 +33,7 @@ _FRESH = 0.5
 _WASTE = 1_000
 
 
-class Prospects:
+class ClaimPlanner:
     """Plans with what there is; one call at a time."""
 
     def __init__(
@@ -42,9 +42,9 @@ class Prospects:
         ontology: Subsumption,
         table: ClaimTable,
         quarantine: Quarantine,
-        silence: SilenceWatch,
-        turn: Turn,
-        wires: Wires,
+        silence: SilenceMonitor,
+        claim_lock: ClaimLock,
+        connector: Connector,
         clock: Callable[[], float],
     ) -> None:
         """Know nothing yet."""
@@ -53,8 +53,8 @@ class Prospects:
         self._table = table
         self._quarantine = quarantine
         self._silence = silence
-        self._turn = turn
-        self._wires = wires
+        self._claim_lock = claim_lock
+        self._connector = connector
         self._clock = clock
         self._planner = Planner(ontology)
         self._known: Dict[str, Transformation] = {}
@@ -112,7 +112,7 @@ class Prospects:
         whatever suits their in-ports, their out-ports supply the same.
         """
         sharing = [each for each in self._table.living() if each.claim_id != claim.claim_id]
-        needed = self._table.needed() | self._turn.reserved
+        needed = self._table.needed() | self._claim_lock.reserved
         idle = [record.name for record in self._manager.graph.all() if record.name not in needed]
         found: Dict[str, str] = {}
         for name in (*idle, *claim.nodelets):
@@ -263,7 +263,7 @@ class Prospects:
             or (record.claimed and not is_current(manager.library, record))
         }
         unfit = without | excluded | self._silence.unhealthy
-        return live_streams(records, published, self._wires.audience(), self._ontology, unfit)
+        return live_streams(records, published, self._connector.topology(), self._ontology, unfit)
 
     def _current(self, label: str) -> Optional[Transformation]:
         self._update()

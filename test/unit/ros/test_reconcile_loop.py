@@ -8,11 +8,11 @@ from typing import Any, Iterator
 import pytest
 
 from dyknow.manager.claim import Claim, ClaimState, StreamRequest
-from dyknow.ros.manager.reconciling import PERIOD, Reconciling
+from dyknow.ros.manager.reconcile_loop import PERIOD, ReconcileLoop
 from dyknow.ros.rounds import PAUSE
 
 
-class FakeKeeper:
+class FakeReconciler:
     """Counts rounds; the first one fails."""
 
     def __init__(self) -> None:
@@ -40,13 +40,13 @@ def claim(max_silence: float = 0.0, state: ClaimState = ClaimState.ACTIVE) -> Cl
 
 
 @pytest.fixture
-def keeper() -> FakeKeeper:
-    return FakeKeeper()
+def reconciler() -> FakeReconciler:
+    return FakeReconciler()
 
 
 @pytest.fixture
-def reconciling(keeper: Any) -> Iterator[Reconciling]:
-    made = Reconciling(keeper, lambda: bool(keeper.living))
+def reconciling(reconciler: Any) -> Iterator[ReconcileLoop]:
+    made = ReconcileLoop(reconciler, lambda: bool(reconciler.living))
     made.start()
     yield made
     made.close(5.0)
@@ -54,32 +54,32 @@ def reconciling(keeper: Any) -> Iterator[Reconciling]:
 
 
 def test_nothing_is_done_while_nothing_is_claimed(
-    keeper: FakeKeeper, reconciling: Reconciling
+    reconciler: FakeReconciler, reconciling: ReconcileLoop
 ) -> None:
     reconciling.note_change()
-    assert not keeper.await_rounds(1, 0.3)
+    assert not reconciler.await_rounds(1, 0.3)
     assert reconciling.period() is None
 
 
 def test_claims_are_looked_after_again_and_again_whatever_fails(
-    keeper: FakeKeeper, reconciling: Reconciling
+    reconciler: FakeReconciler, reconciling: ReconcileLoop
 ) -> None:
-    keeper.living = [claim()]
+    reconciler.living = [claim()]
     reconciling.note_change()
-    assert keeper.await_rounds(3)
+    assert reconciler.await_rounds(3)
 
 
 def test_when_the_last_claim_has_ended_the_keeper_lets_go(
-    keeper: FakeKeeper, reconciling: Reconciling
+    reconciler: FakeReconciler, reconciling: ReconcileLoop
 ) -> None:
-    keeper.living = [claim()]
+    reconciler.living = [claim()]
     reconciling.note_change()
-    assert keeper.await_rounds(2)
-    with keeper.done:
-        keeper.living = []
-        rounds = keeper.rounds
-    assert keeper.await_rounds(rounds + 1)
-    assert not keeper.await_rounds(rounds + 3, 0.3), "one may have begun before"
+    assert reconciler.await_rounds(2)
+    with reconciler.done:
+        reconciler.living = []
+        rounds = reconciler.rounds
+    assert reconciler.await_rounds(rounds + 1)
+    assert not reconciler.await_rounds(rounds + 3, 0.3), "one may have begun before"
 
 
 @pytest.mark.parametrize(
@@ -93,7 +93,7 @@ def test_when_the_last_claim_has_ended_the_keeper_lets_go(
     ],
 )
 def test_the_shortest_silence_sets_the_pace(
-    keeper: FakeKeeper, reconciling: Reconciling, claims: list[Claim], period: float
+    reconciler: FakeReconciler, reconciling: ReconcileLoop, claims: list[Claim], period: float
 ) -> None:
-    keeper.living = claims
+    reconciler.living = claims
     assert reconciling.period() == pytest.approx(period)

@@ -13,7 +13,7 @@ import threading
 from typing import Iterable, Iterator, Set
 
 
-class Turn:
+class ClaimLock:
     """A lock with an order of precedence."""
 
     def __init__(self) -> None:
@@ -57,7 +57,7 @@ class Turn:
     def pause(self) -> Iterator[None]:
         """Wait for something: rounds can pass meanwhile, if it is a request that waits.
 
-        Called by whoever has the turn, who has to expect that afterwards nodelets have other
+        Called by whoever has the lock, who has to expect that afterwards nodelets have other
         topics, or are gone.
         """
         if not self._may_pause:

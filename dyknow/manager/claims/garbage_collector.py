@@ -8,11 +8,11 @@ from typing import AbstractSet, Callable, Dict, Iterable, Set, Tuple
 
 from dyknow.errors import DyKnowError
 from dyknow.manager.claim import Claim, ClaimState
-from dyknow.manager.claims.audience import Listener, Sender
+from dyknow.manager.claims.claim_lock import ClaimLock
 from dyknow.manager.claims.claim_table import ClaimTable
-from dyknow.manager.claims.silence import SilenceWatch
-from dyknow.manager.claims.turn import Turn
-from dyknow.manager.claims.wires import Wires
+from dyknow.manager.claims.connector import Connector
+from dyknow.manager.claims.silence_monitor import SilenceMonitor
+from dyknow.manager.claims.topology import Consumer, Producer
 from dyknow.manager.manager import Manager
 from dyknow.manager.model import Record, State
 from dyknow.manager.specifications.transformation import IN, OUT
@@ -27,16 +27,16 @@ Wire = Tuple[str, str, str]
 """A nodelet, its port, and the topic that it is connected to."""
 
 
-class Housekeeping:
+class GarbageCollector:
     """Works after the claims were mended; never touches what is protected or made by hand."""
 
     def __init__(
         self,
         manager: Manager,
         table: ClaimTable,
-        turn: Turn,
-        silence: SilenceWatch,
-        wires: Wires,
+        claim_lock: ClaimLock,
+        silence: SilenceMonitor,
+        connector: Connector,
         linger: float,
         clock: Callable[[], float],
     ) -> None:
@@ -45,17 +45,17 @@ class Housekeeping:
         Args:
             manager: destroys nodelets.
             table: the claims.
-            turn: knows what a request that waits counts on.
+            claim_lock: knows what a request that waits counts on.
             silence: knows which nodelets do not answer.
-            wires: knows who hears whom.
+            connector: knows who hears whom.
             linger: seconds that a nodelet that no claim needs any more is kept.
             clock: seconds, steady.
         """
         self._manager = manager
         self._table = table
-        self._turn = turn
+        self._claim_lock = claim_lock
         self._silence = silence
-        self._wires = wires
+        self._connector = connector
         self._linger = linger
         self._clock = clock
         self._idle_since: Dict[str, float] = {}
@@ -78,13 +78,13 @@ class Housekeeping:
         """Disconnect what was made for claims that need it no more, and whoever does not fit."""
         claims = self._table.living()
         needed, wires = self._table.needed(), _wires(claims)
-        audience = self._wires.audience()
+        topology = self._connector.topology()
         sources = {topic for claim in claims for topic in claim.sources}
-        unknown = {topic for topic in sources if not audience.is_described(topic)}
+        unknown = {topic for topic in sources if not topology.is_described(topic)}
         for record in self._manager.graph.all():
             if not record.claimed:
                 continue
-            reserved, in_use = record.name in self._turn.reserved, record.name in needed
+            reserved, in_use = record.name in self._claim_lock.reserved, record.name in needed
             listening = [port for port in record.ports if port.direction == IN and port.tags]
             ports = {port.name for port in listening if port.topic in unknown}
             if not reserved:
@@ -95,11 +95,11 @@ class Housekeeping:
                 )
             # All at once: a plain nodelet comes up again with those that stay.
             self._cut(record, ports)
-        for topic, sender, listener in self._wires.audience().misfits():
+        for topic, sender, listener in self._connector.topology().mismatches():
             self._separate(topic, sender, listener, wires)
 
     def _separate(
-        self, topic: str, sender: Sender, listener: Listener, wires: AbstractSet[Wire]
+        self, topic: str, sender: Producer, listener: Consumer, wires: AbstractSet[Wire]
     ) -> None:
         """Part two that do not fit: a claim's listener stays where the claim has it."""
         hearer = self._manager.graph.find(listener.nodelet)
@@ -127,7 +127,7 @@ class Housekeeping:
         wires = _wires(others)
         for name, topics in sorted(claim.wiring.items()):
             record = self._manager.graph.find(name)
-            if record is not None and record.claimed and name not in self._turn.reserved:
+            if record is not None and record.claimed and name not in self._claim_lock.reserved:
                 ports = [
                     port
                     for port in topics
@@ -159,7 +159,7 @@ class Housekeeping:
     def collect(self) -> None:
         """Destroy what was made for claims and no claim needs, after a while."""
         now = self._clock()
-        needed = self._table.needed() | self._turn.reserved
+        needed = self._table.needed() | self._claim_lock.reserved
         for record in reversed(self._manager.graph.all()):
             if not record.claimed or record.is_protected or record.name in needed:
                 self._idle_since.pop(record.name, None)
@@ -186,11 +186,11 @@ class Housekeeping:
         return (
             self._is_reachable(record)
             and self._may_try(record.name)
-            and self._try(record, partial(self._wires.connect, record.name, config))
+            and self._try(record, partial(self._connector.connect, record.name, config))
         )
 
     def _is_reachable(self, record: Record) -> bool:
-        return record.state is State.RUNNING and record.name not in self._silence.mute
+        return record.state is State.RUNNING and record.name not in self._silence.unresponsive
 
     def _try(self, record: Record, action: Callable[[], None]) -> bool:
         try:
