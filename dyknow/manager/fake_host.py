@@ -21,6 +21,7 @@ from typing import (
 
 from dyknow import names
 from dyknow.errors import HostError, HostTimeout, NameTaken
+from dyknow.locks import assert_no_state_lock
 from dyknow.manager.host import (
     Count,
     Crash,
@@ -406,10 +407,12 @@ class FakeHost(Host):
         return name
 
     def _step(self, operation: str, argument: str) -> None:
+        assert_no_state_lock(f"asking the host: {operation} {argument}")
         self.calls.append((operation, argument))
         self.fail(operation, argument)
 
     def _alive(self, manager: str) -> FakeManager:
+        assert_no_state_lock(f"asking nodelet manager {manager}")
         process: Optional[FakeManager] = self.processes.get(manager)
         if manager in self._hung or manager in self._cut:
             raise HostTimeout(f"nodelet manager '{manager}' does not answer")

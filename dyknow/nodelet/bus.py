@@ -23,6 +23,7 @@ from dataclasses import dataclass, field
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple, Union
 
 from dyknow.errors import HandleClosed, TypeMismatch
+from dyknow.locks import state_lock
 from dyknow.nodelet.endpoints import NOTHING, Connection, Publication, Subscription
 from dyknow.nodelet.middleware import Middleware, OutsidePublisher, OutsideSubscriber
 from dyknow.nodelet.scheduler import Clock
@@ -69,7 +70,7 @@ class Bus:
     def __init__(self, middleware: Middleware, clock: Clock = time.monotonic) -> None:
         self._middleware = middleware
         self._clock = clock
-        self._lock = threading.Lock()
+        self._lock = state_lock("bus")
         self._topics: Dict[str, _Topic] = {}
         self._making: List[_Plan] = []
         self._leaving: List[Tuple[Endpoint, OutsidePublisher]] = []

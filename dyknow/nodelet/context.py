@@ -7,7 +7,6 @@ its strands, endpoints, services and timers. Handles only refer to it.
 from __future__ import annotations
 
 import logging
-import threading
 import time
 import traceback
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple
 from dyknow import names
 from dyknow.errors import NoMessageClass
 from dyknow.guards import NO_GUARDS, Guards
+from dyknow.locks import state_lock
 from dyknow.nodelet.bus import Bus, Endpoint
 from dyknow.nodelet.endpoints import Publication, Subscription
 from dyknow.nodelet.middleware import Closable, Middleware
@@ -95,7 +95,7 @@ class Context:
         self.on_attach: Callable[[Context, Any], Optional[Closable]] = lambda context, thing: None
         self.attached: Any = None
         self.shutdown_hooks: List[Callable[[], None]] = []
-        self._lock = threading.Lock()
+        self._lock = state_lock("context")
         self._strands = [self.strand]
         self._endpoints: List[Endpoint] = []
         self._timers: List[Timer] = []

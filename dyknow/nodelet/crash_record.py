@@ -15,9 +15,10 @@ import contextlib
 import mmap
 import os
 import struct
-import threading
 from dataclasses import dataclass
 from typing import FrozenSet, Iterator, List
+
+from dyknow.locks import state_lock
 
 #: Threads that can be told apart; those beyond share the last word.
 _THREADS = 511
@@ -39,7 +40,7 @@ class CrashRecord:
         Raises:
             OSError: the file cannot be made.
         """
-        self._lock = threading.Lock()
+        self._lock = state_lock("crash record")
         self._free: List[int] = list(range(_THREADS, 0, -1))
         #: Written by the thread that has the word, read by nobody here.
         self.words: memoryview[int] = memoryview(_map(path)).cast("Q")

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Type
 
 from dyknow.errors import LoadFailed, NameTaken, UnknownNodelet, UnloadedMeanwhile
+from dyknow.locks import state_lock
 from dyknow.nodelet.context import Context, Runtime
 from dyknow.nodelet.middleware import Closable
 from dyknow.nodelet.nodelet import Nodelet
@@ -83,7 +84,7 @@ class Loader:
         self._find_class = find_class
         self._on_attach = on_attach
         self._on_unloaded = on_unloaded
-        self._lock = threading.Lock()
+        self._lock = state_lock("loader")
         self._entries: Dict[str, _Entry] = {}
 
     def list(self) -> List[str]:

@@ -6,11 +6,11 @@ time is set by hand, its "outside" is a list that can be looked at.
 
 from __future__ import annotations
 
-import threading
 from dataclasses import dataclass, field
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 from dyknow.errors import DyKnowError, HandleClosed
+from dyknow.locks import assert_no_state_lock, state_condition
 from dyknow.nodelet.middleware import (
     Closable,
     Handler,
@@ -27,7 +27,7 @@ class ManualTicker(Ticker):
 
     def __init__(self) -> None:
         self.seconds = 0.0
-        self._changed = threading.Condition()
+        self._changed = state_condition("manual ticker")
         self._woken = False
 
     def now(self) -> float:
@@ -100,6 +100,7 @@ class LocalPublisher(OutsidePublisher):
 
     def close(self) -> None:
         """Withdraw the registration."""
+        assert_no_state_lock(f"withdrawing {self.topic}")
         if self.open:
             self.open = False
             self.middleware.publishers.remove(self)
@@ -128,6 +129,7 @@ class LocalSubscriber(OutsideSubscriber):
 
     def close(self) -> None:
         """Withdraw the registration."""
+        assert_no_state_lock(f"withdrawing {self.topic}")
         if self.open:
             self.open = False
             self.middleware.subscribers.remove(self)
@@ -144,6 +146,7 @@ class LocalService(Closable):
 
     def close(self) -> None:
         """Withdraw it."""
+        assert_no_state_lock(f"withdrawing {self.name}")
         self.middleware.services.pop(self.name, None)
 
 
@@ -217,6 +220,7 @@ class LocalMiddleware(Middleware):
         options: Dict[str, Any],
     ) -> LocalPublisher:
         """Register a publisher."""
+        assert_no_state_lock(f"advertising {topic}")
         self.registrations.append(("publisher", topic))
         return LocalPublisher(self, topic, datatype)
 
@@ -224,11 +228,13 @@ class LocalMiddleware(Middleware):
         self, topic: str, datatype: Any, receive: Receive, options: Dict[str, Any]
     ) -> LocalSubscriber:
         """Register a subscriber."""
+        assert_no_state_lock(f"subscribing to {topic}")
         self.registrations.append(("subscriber", topic))
         return LocalSubscriber(self, topic, datatype, receive)
 
     def datatype_of(self, topic: str) -> str:
         """Type of a topic that lives outside."""
+        assert_no_state_lock(f"asking for the type of {topic}")
         return self.types.get(topic, "")
 
     def build(self, datatype: Any, args: Sequence[Any], kwds: Dict[str, Any]) -> Any:
@@ -249,6 +255,7 @@ class LocalMiddleware(Middleware):
         self, service: str, service_class: Any, handler: Handler, options: Dict[str, Any]
     ) -> LocalService:
         """Offer a service to ``call``."""
+        assert_no_state_lock(f"offering {service}")
         self.services[service] = handler
         return LocalService(self, service, handler)
 

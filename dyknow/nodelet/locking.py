@@ -14,8 +14,9 @@ may come in between.
 
 from __future__ import annotations
 
-import threading
 import time
+
+from dyknow.locks import reentrant_state_lock
 
 
 class MessageLock:
@@ -32,7 +33,7 @@ class MessageLock:
     """
 
     def __init__(self) -> None:
-        lock = threading.RLock()
+        lock = reentrant_state_lock("messages")
         self.attempt = lock.acquire
         self.leave = lock.release
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import importlib
 import sys
-import threading
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Callable, Dict, Iterable, List, Tuple, Type
@@ -17,6 +16,7 @@ from typing import Callable, Dict, Iterable, List, Tuple, Type
 from lxml import etree
 
 from dyknow.errors import BrokenPlugin, UnknownNodeletType
+from dyknow.locks import state_lock
 from dyknow.nodelet.nodelet import Nodelet
 
 BASE_CLASS = "dyknow.Nodelet"
@@ -99,7 +99,7 @@ class Plugins:
 
     def __init__(self, find: Callable[[], Iterable[PluginFile]]) -> None:
         self._find = find
-        self._lock = threading.Lock()
+        self._lock = state_lock("plug-ins")
         self._classes: Dict[str, PluginClass] = {}
         self._broken: Tuple[str, ...] = ()
 

@@ -26,6 +26,7 @@ import traceback
 import weakref
 from typing import Callable, Deque, Dict, List, Optional, Tuple
 
+from dyknow.locks import state_condition
 from dyknow.nodelet.crash_record import CrashRecord
 from dyknow.nodelet.locking import message_lock
 
@@ -239,7 +240,7 @@ class WorkerPool(Executor):
         self._idle: Deque[_Worker] = collections.deque()
         self._called = 0  # workers that have not noticed yet
         self._workers: List[_Worker] = []
-        self._quiet = threading.Condition()
+        self._quiet = state_condition("worker pool")
         self._drainers = 0
         self._closed = False
         self._awake = threading.Event()

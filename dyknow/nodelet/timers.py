@@ -14,6 +14,7 @@ import logging
 import threading
 from typing import Any, Callable, List, Optional, Tuple
 
+from dyknow.locks import state_lock
 from dyknow.nodelet.middleware import Middleware
 from dyknow.nodelet.scheduler import Strand
 
@@ -87,7 +88,7 @@ class TimerQueue:
         self.middleware = middleware
         self.now = middleware.ticker.now
         self._ticker = middleware.ticker
-        self._lock = threading.Lock()
+        self._lock = state_lock("timers")
         self._order = itertools.count()
         self._heap: List[Tuple[float, int, Timer]] = []
         self._pause = _PAUSE

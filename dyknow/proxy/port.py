@@ -6,10 +6,10 @@ topic that it is connected to. Handles made on it later find that connection aga
 
 from __future__ import annotations
 
-import threading
 from dataclasses import dataclass, replace
 from typing import Any, List, Optional, Sequence
 
+from dyknow.locks import state_lock
 from dyknow.nodelet.bus import Endpoint
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.endpoints import NOTHING, Publication
@@ -105,7 +105,7 @@ class OutPort(Port):
         self.publication: Optional[Publication] = None
         self.handles: List[PortPublisher] = []
         #: A handle that comes must not share what the last one is about to withdraw.
-        self.lock = threading.Lock()
+        self.lock = state_lock("port")
 
     def endpoints(self) -> Sequence[Endpoint]:
         """Its publication, while a handle is there."""

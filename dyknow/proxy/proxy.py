@@ -6,7 +6,6 @@ turns; nothing else waits for that turn, and it waits for no callback.
 
 from __future__ import annotations
 
-import threading
 from dataclasses import dataclass
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
@@ -23,6 +22,7 @@ from dyknow.errors import (
     UnknownPort,
     UnloadedMeanwhile,
 )
+from dyknow.locks import turn_lock
 from dyknow.nodelet.bus import Endpoint
 from dyknow.nodelet.context import Context, check_message_class
 from dyknow.nodelet.handle import NodeHandle
@@ -68,7 +68,7 @@ class NodeletProxy:
         """Make the proxy; use ``of``, since a nodelet has one."""
         self._context = context
         self._ports: Dict[str, Port] = {}
-        self._turn = threading.RLock()
+        self._turn = turn_lock("reconfiguration")
         self._reconfigurations = 0
         self._callback: Optional[ReconfigureCallback] = None
         #: Called after every change of a port, on the thread that made it.

@@ -8,6 +8,7 @@ import xmlrpc.client
 from typing import Any, List, Set, Tuple
 
 from dyknow.errors import PeerTimeout
+from dyknow.locks import assert_no_state_lock
 from dyknow.ros.addresses import connect
 
 #: Seconds that the master may take to answer.
@@ -52,6 +53,7 @@ class _Server:
             PeerTimeout: no answer in time, or nobody there.
             LookupError: the answer is an error.
         """
+        assert_no_state_lock(f"asking {self._peer}: {question}")
         try:
             transport = self._idle.pop()
         except IndexError:

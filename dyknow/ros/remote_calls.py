@@ -11,6 +11,7 @@ import threading
 from typing import Callable, TypeVar
 
 from dyknow.errors import PeerTimeout
+from dyknow.locks import assert_no_state_lock
 
 T = TypeVar("T")
 
@@ -29,6 +30,7 @@ def call_within(seconds: float, what: str, call: Callable[[], T]) -> T:
         PeerTimeout: It did not end in time.
         Exception: Whatever the call raises.
     """
+    assert_no_state_lock(f"calling {what}")
     results: queue.SimpleQueue[tuple[Exception | None, T | None]] = queue.SimpleQueue()
 
     def work() -> None:

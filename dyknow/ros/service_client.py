@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import socket
 import struct
-import threading
 import time
 from io import BytesIO
 from typing import Any, Optional
@@ -18,6 +17,7 @@ from typing import Any, Optional
 import rosgraph.network
 
 from dyknow.errors import HostError, PeerTimeout
+from dyknow.locks import assert_no_state_lock, turn_lock
 from dyknow.ros.addresses import connect
 from dyknow.ros.master import Master
 
@@ -69,7 +69,7 @@ class ServiceClient:
         self._reconnects = reconnects
         #: Where the service was found last; another process has another address.
         self.address = ""
-        self._turn = threading.Lock()
+        self._turn = turn_lock("service client")
         self._socket: Optional[socket.socket] = None
         self._owed = False
 
@@ -89,6 +89,7 @@ class ServiceClient:
             ServiceLost: nobody offers it, or the server went away.
             PeerTimeout: no answer in time.
         """
+        assert_no_state_lock(f"calling service {self.name}")
         request_class = self._class._request_class
         is_request = len(args) == 1 and isinstance(args[0], request_class)
         request = args[0] if is_request else request_class(*args, **kwds)

@@ -7,7 +7,6 @@ remappings, which the manager does. What goes through it nobody counts.
 from __future__ import annotations
 
 import math
-import threading
 import time
 from typing import Any, Dict, List
 
@@ -24,6 +23,7 @@ from dyknow_msgs.srv import (
 
 from dyknow import names
 from dyknow.errors import DuplicatePort, DyKnowError, UnknownNodelet
+from dyknow.locks import turn_lock
 from dyknow.manager.manager import Manager
 from dyknow.manager.model import Record, State
 from dyknow.ros.log_text import for_log
@@ -109,7 +109,7 @@ class CppNodelets:
     def __init__(self, manager: Manager) -> None:
         """Offer nothing yet."""
         self._manager = manager
-        self._turn = threading.Lock()
+        self._turn = turn_lock("services of C++ nodelets")
         self._offered: Dict[str, CppNodelet] = {}
 
     def follow(self) -> None:

@@ -7,12 +7,12 @@ one message.
 
 from __future__ import annotations
 
-import threading
 from typing import Any, Callable, Dict, Iterable, List, Set
 
 import rospy
 from dyknow_msgs.msg import NodeletChanges
 
+from dyknow.locks import state_lock, turn_lock
 from dyknow.ros.rounds import Rounds
 
 TOPIC = "changes"
@@ -31,7 +31,7 @@ class Announcer:
             everything: names for those who begin to listen, since they may have missed some.
         """
         self._everything = everything
-        self._lock = threading.Lock()
+        self._lock = state_lock("announcer")
         self._names: Set[str] = set()
         self._publisher = rospy.Publisher(
             f"~{TOPIC}",
@@ -95,7 +95,7 @@ class Listener:
             hear: called with the name of a nodelet, on rospy's threads.
         """
         self._hear = hear
-        self._turn = threading.Lock()
+        self._turn = turn_lock("listening to nodelet managers")
         self._subscribers: Dict[str, Any] = {}
 
     def follow(self, managers: Iterable[str]) -> None:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import faulthandler
 import os
 import sys
-import threading
 import traceback
 from dataclasses import dataclass
 from typing import Any, Callable, Dict, List, Optional, Sequence
@@ -28,6 +27,7 @@ from nodelet.srv import (
 
 from dyknow import names
 from dyknow.errors import BadParameter, DyKnowError, TooMuch
+from dyknow.locks import state_condition
 from dyknow.nodelet.context import Context, Runtime
 from dyknow.nodelet.crash_record import CrashRecord
 from dyknow.nodelet.loader import Loader
@@ -103,7 +103,7 @@ class NodeletManager(Closable):
         self._runtime = Runtime.make(RospyMiddleware(pool), pool, guards=self._guards.current)
         self._bonds = Bonds(names.join(rospy.get_name(), "bond"))
         self._bonded: Dict[str, str] = {}
-        self._bond_ended = threading.Condition()
+        self._bond_ended = state_condition("bonded nodelets")
         self.loader = Loader(
             self._runtime, Plugins(plugin_files).load, self._attach, self._unloaded
         )

@@ -19,7 +19,6 @@ from the first publication until rospy's publisher of that topic is gone.
 from __future__ import annotations
 
 import copy
-import threading
 from io import BytesIO
 from typing import Any, Callable, Collection, Dict, List, Set, Tuple
 
@@ -30,6 +29,7 @@ import rospy.impl.tcpros
 from rospy.impl.transport import INBOUND, Transport
 
 from dyknow.errors import PeerTimeout
+from dyknow.locks import state_lock
 from dyknow.nodelet.endpoints import NOTHING, Connection
 from dyknow.nodelet.scheduler import Executor, Strand
 from dyknow.ros.master import Master
@@ -86,7 +86,7 @@ class LocalTopic:
         self._uri = uri
         self._strand = Strand(executor, f"rospy subscribers of {name}")
         self._adopted: Any = None
-        self._refreshing = threading.Lock()
+        self._refreshing = state_lock("outside listeners")
         self._listening: Any = None
 
     @property
@@ -292,7 +292,7 @@ class IntraProcess:
         """Install the hook; the node must be initialised."""
         self._executor = executor
         self._master = Master(rospy.get_name())
-        self._lock = threading.Lock()
+        self._lock = state_lock("topics taken over")
         self._topics: Dict[str, LocalTopic] = {}
         self._uri: str = rospy.core.get_node_uri()
         handler = rospy.impl.tcpros.get_tcpros_handler()

@@ -12,6 +12,7 @@ import rospy.msg
 import rospy.timer
 
 from dyknow.errors import PeerTimeout
+from dyknow.locks import assert_no_state_lock
 from dyknow.nodelet.middleware import Closable, Handler, Middleware, Receive
 from dyknow.nodelet.scheduler import Executor
 from dyknow.ros.errors import ClosedHandle, Interrupted, MessageTimeout
@@ -44,6 +45,7 @@ class RospyMiddleware(Middleware):
         options: Dict[str, Any],
     ) -> RospyPublisher:
         """Register a publisher."""
+        assert_no_state_lock(f"advertising {topic}")
         return RospyPublisher(
             self._intraprocess, self._registrar, topic, datatype, latch, queue_size, options
         )
@@ -52,6 +54,7 @@ class RospyMiddleware(Middleware):
         self, topic: str, datatype: Any, receive: Receive, options: Dict[str, Any]
     ) -> RospySubscriber:
         """Register a subscriber."""
+        assert_no_state_lock(f"subscribing to {topic}")
         return RospySubscriber(self._registrar, topic, datatype, receive, options)
 
     def datatype_of(self, topic: str) -> str:
@@ -97,6 +100,7 @@ class RospyMiddleware(Middleware):
         self, service: str, service_class: Any, handler: Handler, options: Dict[str, Any]
     ) -> Closable:
         """Offer a rospy service."""
+        assert_no_state_lock(f"offering {service}")
         return RospyService(service, service_class, handler, options)
 
     def timer_event(self, last: Any, expected: float, real: float, duration: Any) -> Any:

@@ -29,6 +29,7 @@ from rospy.impl.registration import (
 )
 
 from dyknow.errors import PeerTimeout
+from dyknow.locks import state_lock
 from dyknow.ros.master import Master
 from dyknow.ros.rounds import attempt
 from dyknow.ros.transport.reminders import Reminders
@@ -55,7 +56,7 @@ class Registrar(RegistrationListener):
         """Take the place of rospy's own; ``master`` is that of the environment by default."""
         self._master = master or Master(rospy.get_name())
         self._uri: str = rospy.core.get_node_uri() or ""
-        self._lock = threading.Lock()
+        self._lock = state_lock("registrar")
         self._owed: Dict[Key, str] = {}
         self._peers: Dict[Key, FrozenSet[str]] = {}
         self._thread: Optional[threading.Thread] = None

@@ -18,6 +18,8 @@ from typing import Callable, Dict, FrozenSet, Optional
 
 import rospy
 
+from dyknow.locks import state_lock
+
 #: Seconds in which a subscriber notices that a topic is gone, at the most.
 LATELY = 60.0
 #: Seconds until the first reminder; the pauses double up to the longest.
@@ -61,7 +63,7 @@ class Reminders:
         self._tell_again = tell_again
         self._connected = connected
         self._clock = clock
-        self._lock = threading.Lock()
+        self._lock = state_lock("reminders")
         self._withdrawn: Dict[str, float] = {}
         self._open: Dict[str, _Reminder] = {}
         self._thread: Optional[threading.Thread] = None

@@ -1,0 +1,204 @@
+"""Locks of two kinds, in one order, which a debug mode asserts.
+
+A *state lock* guards memory and is held for microseconds: nobody calls out or waits under it. A
+*turn* is held over such calls, each of which has a time limit, so waiting for a turn ends too.
+A thread that holds locks takes only locks that come later in ``ORDER``. ``doc/locks.rst`` has the
+policy with its reasons, and what each lock guards.
+
+The functions below return the locks of ``threading``. Where the environment variable
+``DYKNOW_LOCK_REPORT`` names a file, they return locks that check the policy: a violation is
+appended to that file, with the stack, and raised where it happens.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+import traceback
+from typing import Any, List, Optional, Tuple, cast
+
+#: Stands in ``ORDER`` for all state locks that are not named there; they never nest.
+OTHER_STATE_LOCKS = "every other state lock"
+
+#: Every turn, the outermost first.
+TURNS: Tuple[str, ...] = (
+    "claim request",
+    "claim work",
+    "look at nodelet managers",
+    "services of C++ nodelets",
+    "opening of a stream session",
+    "library",
+    "claims on disk",
+    "records of children",
+    "reconfiguration",
+    "listening to nodelet managers",
+    "words of a bond",
+    "service client",
+    "state file",
+)
+
+#: State locks that are held while others are taken, the outermost first.
+STATE_LOCKS: Tuple[str, ...] = (
+    "port",
+    "loader",
+    "bus",
+    OTHER_STATE_LOCKS,
+    "messages",
+)
+
+ORDER: Tuple[str, ...] = TURNS + STATE_LOCKS
+
+
+class LockViolation(AssertionError):
+    """The policy of locks was not kept."""
+
+
+def turn_lock(name: str) -> threading.Lock:
+    """Make a lock that is held over remote calls, disk writes and bounded waits.
+
+    Args:
+        name: one of ``TURNS``.
+    """
+    if name not in TURNS:
+        raise ValueError(f"'{name}' is not in the order of turns")
+    return threading.Lock() if _checker is None else _checked(_checker, name)
+
+
+def state_lock(name: str) -> threading.Lock:
+    """Make a lock for memory.
+
+    Args:
+        name: of ``STATE_LOCKS`` if other locks are taken under it, else any, for messages.
+    """
+    return threading.Lock() if _checker is None else _checked(_checker, name)
+
+
+def reentrant_state_lock(name: str) -> Any:
+    """Make a state lock that its holder may take again."""
+    return threading.RLock() if _checker is None else CheckedLock(_checker, name, reentrant=True)
+
+
+def state_condition(name: str) -> threading.Condition:
+    """Make a condition on a state lock, reentrant as that of ``threading``.
+
+    A wait gives up the lock of the condition, so it may be the only state lock that is held.
+    """
+    return threading.Condition(reentrant_state_lock(name))
+
+
+def assert_no_state_lock(what: str) -> None:
+    """Assert, in debug mode, that the thread may call out now.
+
+    Args:
+        what: the call that is about to be made, for the report.
+    """
+    if _checker is not None:
+        _checker.check_calling_out(what)
+
+
+class Checker:
+    """Knows which locks each thread holds, and reports violations.
+
+    Args:
+        path: file that violations are appended to; empty for none.
+    """
+
+    def __init__(self, path: str = "") -> None:
+        self._path = path
+        self._threads = threading.local()
+
+    @property
+    def held(self) -> List[CheckedLock]:
+        """Locks that this thread holds, in the order in which it took them."""
+        locks: Optional[List[CheckedLock]] = getattr(self._threads, "locks", None)
+        if locks is None:
+            locks = self._threads.locks = []
+        return locks
+
+    def check_taking(self, lock: CheckedLock) -> None:
+        """Report a lock that is taken out of order."""
+        held = self.held
+        if lock in held:
+            if not lock.reentrant:
+                self._violated(f"{lock} is taken by the thread that holds it")
+            return
+        for other in held:
+            if lock.rank <= other.rank:
+                self._violated(f"{lock} is taken while {other} is held")
+
+    def check_calling_out(self, what: str, but: Optional[CheckedLock] = None) -> None:
+        """Report a call or a wait while a state lock is held, ``but`` the one it gives up."""
+        for lock in self.held:
+            if lock.is_state and lock is not but:
+                self._violated(f"{what} while {lock} is held")
+
+    def _violated(self, message: str) -> None:
+        if self._path:
+            stack = "".join(traceback.format_stack()[:-2])
+            with open(self._path, "a") as file:
+                file.write(f"{message} (thread '{threading.current_thread().name}')\n{stack}\n")
+        raise LockViolation(message)
+
+
+class CheckedLock:
+    """A lock of ``threading`` that tells its checker who holds it."""
+
+    def __init__(self, checker: Checker, name: str, reentrant: bool = False) -> None:
+        self.name = name
+        self.reentrant = reentrant
+        self.is_state = name not in TURNS
+        self.rank = ORDER.index(name if name in ORDER else OTHER_STATE_LOCKS)
+        self._checker = checker
+        self._lock: Any = threading.RLock() if reentrant else threading.Lock()
+        self._holder: List[CheckedLock] = []
+
+    def __str__(self) -> str:
+        return f"{'state lock' if self.is_state else 'turn'} '{self.name}'"
+
+    def acquire(self, blocking: bool = True, timeout: float = -1) -> bool:
+        """Take the lock, as that of ``threading``."""
+        self._checker.check_taking(self)
+        taken: bool = self._lock.acquire(blocking, timeout)
+        if taken:
+            self._holder = self._checker.held
+            self._holder.append(self)
+        return taken
+
+    def release(self) -> None:
+        """Give the lock back."""
+        self._holder.remove(self)
+        self._lock.release()
+
+    def locked(self) -> bool:
+        """Whether a thread holds it; not for reentrant ones."""
+        return bool(self._lock.locked())
+
+    def __enter__(self) -> bool:
+        return self.acquire()
+
+    def __exit__(self, *unused: object) -> None:
+        self.release()
+
+    # What threading.Condition asks of its lock.
+
+    def _release_save(self) -> int:
+        self._checker.check_calling_out(f"waiting for '{self.name}'", but=self)
+        depth = self._checker.held.count(self)
+        for _ in range(depth):
+            self.release()
+        return depth
+
+    def _acquire_restore(self, depth: int) -> None:
+        for _ in range(depth):
+            self.acquire()
+
+    def _is_owned(self) -> bool:
+        return self in self._checker.held
+
+
+def _checked(checker: Checker, name: str) -> threading.Lock:
+    return cast("threading.Lock", CheckedLock(checker, name))
+
+
+_report = os.environ.get("DYKNOW_LOCK_REPORT", "")
+_checker: Optional[Checker] = Checker(_report) if _report else None

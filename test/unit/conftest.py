@@ -1,0 +1,27 @@
+"""Every unit test runs with locks that assert their order, and fails where it is not kept."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from pathlib import Path
+from typing import Iterator
+
+import pytest
+
+_directory = tempfile.TemporaryDirectory()
+_report = Path(_directory.name, "violations")
+# Before dyknow is imported: the locks of modules are made then. Children report here as well.
+os.environ["DYKNOW_LOCK_REPORT"] = str(_report)
+
+
+@pytest.fixture(autouse=True)
+def no_lock_violations() -> Iterator[None]:
+    before = _violations()
+    yield
+    found = _violations()[len(before) :]
+    assert not found, f"the policy of doc/locks.rst was not kept:\n{found}"
+
+
+def _violations() -> str:
+    return _report.read_text() if _report.exists() else ""
