@@ -1,7 +1,7 @@
 """What the window knows of the computation graph, kept up to date, and how it changes it.
 
-``Monitor`` owns the remote side and the workers. Everything it knows changes in the thread of the
-window only; everything that may block is done by the workers.
+``Monitor`` owns the remote side and the calls in the background. What it knows changes in the
+thread of the window only; whatever may block is called in the background.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ from python_qt_binding.QtCore import QObject, QTimer, Signal
 from dyknow.errors import DyKnowError, HostError, PeerTimeout, Refused
 from dyknow.manager.model import State
 from dyknow.manager.specifications.transformation import Transformation
+from dyknow_rqt.background_calls import BackgroundCalls
 from dyknow_rqt.graph.changes import CannotUndo, Change
 from dyknow_rqt.graph.history import UndoHistory
 from dyknow_rqt.graph.rates import Meter, in_turns
 from dyknow_rqt.graph.snapshot import PlainNode, Snapshot, plain_nodes, taken_topics
 from dyknow_rqt.qt_slot import qt_slot
 from dyknow_rqt.remote import Remote
-from dyknow_rqt.workers import Workers
 
 if TYPE_CHECKING:
     from dyknow.ros.views import ModelView, Statistics
@@ -90,7 +90,7 @@ class Monitor(QObject):
         self.library: Dict[str, Transformation] = {}
         self.is_linked: Optional[bool] = None
         self.history = UndoHistory()
-        self._workers = Workers()
+        self._calls = BackgroundCalls()
         self._meter = Meter()
         self._revision = -1
         self._library_revision = -1
@@ -108,8 +108,8 @@ class Monitor(QObject):
     def start(self) -> None:
         """Begin to listen and to look."""
         self.remote.start(
-            lambda model: self._workers.deliver(lambda: self._hear(model)),
-            lambda event: self._workers.deliver(lambda: self.stream_event.emit(event)),
+            lambda model: self._calls.deliver(lambda: self._hear(model)),
+            lambda event: self._calls.deliver(lambda: self.stream_event.emit(event)),
         )
         self._timer.start()
         self.look()
@@ -118,7 +118,7 @@ class Monitor(QObject):
         """Stop; returns at once."""
         self._timer.stop()
         self._drawing.stop()
-        self._workers.close()
+        self._calls.close()
         self.remote.close()
 
     def set_period(self, seconds: float) -> None:
@@ -145,14 +145,14 @@ class Monitor(QObject):
                 self._turn,
                 _ASKED,
             )
-            self._workers.run(lambda: self._looked(names), self._take_look, self._take_failure)
+            self._calls.run(lambda: self._looked(names), self._take_look, self._take_failure)
 
     @qt_slot
     def read_library(self) -> None:
         """Ask for all that can run."""
         if not self._reading:
             self._reading = True
-            self._workers.run(self.remote.library, self._take_library, self._take_no_library)
+            self._calls.run(self.remote.library, self._take_library, self._take_no_library)
 
     def ask(
         self,
@@ -168,7 +168,7 @@ class Monitor(QObject):
             failed: called there with what went wrong, in words; by default it is reported.
         """
         say = failed or self.report
-        self._workers.run(lambda: question(self.remote), then, lambda error: say(_words(error)))
+        self._calls.run(lambda: question(self.remote), then, lambda error: say(_words(error)))
 
     def do(self, change: Change, then: Callable[[], None] = lambda: None) -> None:
         """Make a change; it can be undone after that, as far as that is possible.
@@ -255,7 +255,7 @@ class Monitor(QObject):
                 change.check(self.remote)
             return change.apply(self.remote)
 
-        self._workers.run(job, made, refused)
+        self._calls.run(job, made, refused)
 
     def _tell_history(self) -> None:
         self.history_changed.emit(*self.history.texts)

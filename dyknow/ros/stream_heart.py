@@ -14,8 +14,8 @@ import rospy
 from bond.msg import Constants, Status
 
 from dyknow import names
+from dyknow.periodic import PeriodicWorker
 from dyknow.ros.bonding.claim_bonds import TOPIC
-from dyknow.ros.rounds import Rounds
 
 _QUEUE_SIZE = 10
 #: Seconds to wait, at the end, for a beat that is going out.
@@ -37,17 +37,17 @@ class Heart(rospy.SubscribeListener):
         self._publisher: Any = rospy.Publisher(
             names.join(manager, TOPIC), Status, subscriber_listener=self, queue_size=_QUEUE_SIZE
         )
-        self._rounds = Rounds(
-            "stream heart",
+        self._worker = PeriodicWorker(
+            "heartbeats of streams",
             lambda: self._say(active=True),
-            lambda: float(Constants.DEFAULT_HEARTBEAT_PERIOD),
+            float(Constants.DEFAULT_HEARTBEAT_PERIOD),
         )
-        self._rounds.start()
+        self._worker.start()
 
     def close(self) -> None:
         """Say that it is over, and beat no more."""
         self._closed.set()
-        self._rounds.close(_CLOSE_PATIENCE)
+        self._worker.close(_CLOSE_PATIENCE)
         self._say(active=False)
         self._publisher.unregister()
 

@@ -17,8 +17,8 @@ from dyknow_msgs.msg import StreamEvent
 
 from dyknow import names
 from dyknow.errors import HostError, PeerTimeout, Refused
+from dyknow.periodic import PeriodicWorker, attempt
 from dyknow.ros.client import ManagerClient
-from dyknow.ros.rounds import Rounds, attempt
 from dyknow.ros.stream_heart import Heart
 from dyknow.ros.stream_views import StreamEventView, StreamView, event_view
 
@@ -79,8 +79,8 @@ class StreamSession:
             names.join(client.manager, "stream_events"), StreamEvent, self._on_event
         )
         self._await_connection()
-        self._rounds = Rounds("renewing leases", self._keep, self._until_due)
-        self._rounds.start()
+        self._worker = PeriodicWorker("renewing leases", self._keep, self._until_due)
+        self._worker.start()
 
     @property
     def bond_id(self) -> str:
@@ -92,7 +92,7 @@ class StreamSession:
         with self._lock:
             self._streams[stream.claim_id] = stream
             self._due[stream.claim_id] = 0.0  # at once, for what happened before it was here
-        self._rounds.ask()
+        self._worker.wake()
 
     def remove(self, claim_id: str) -> None:
         """Care for a stream no more."""
@@ -107,7 +107,7 @@ class StreamSession:
             if self._users:
                 return
             self._sessions.pop(self._client.manager, None)
-        self._rounds.close(0.0)
+        self._worker.close()
         self._subscriber.unregister()
         self._heart.close()
 

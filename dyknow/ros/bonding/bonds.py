@@ -23,10 +23,10 @@ import rospy
 from bond.msg import Constants, Status
 
 from dyknow.errors import DyKnowError, PeerTimeout
+from dyknow.periodic import RETRY, attempt
 from dyknow.ros.bonding.bond_states import BondTimings
 from dyknow.ros.bonding.bond_table import BondTable, Effects, OnBroken, Word
 from dyknow.ros.remote_calls import call_within
-from dyknow.ros.rounds import RETRY, attempt
 
 STOCK_TIMINGS = BondTimings(
     connect_timeout=Constants.DEFAULT_CONNECT_TIMEOUT,

@@ -12,8 +12,8 @@ from typing import Any, Callable, Optional
 import rospy
 
 from dyknow.manager.host import Count, Listening
-from dyknow.ros.nodelets.workers import Workers
 from dyknow.ros.transport.registrar import Registrar
+from dyknow.workers import Workers
 
 #: Seconds to wait, at the end, for a registration that is going on.
 _END_PATIENCE = 0.5
@@ -25,7 +25,7 @@ class Hearing:
     def __init__(self, registrar: Registrar) -> None:
         """Listen to nothing yet; ``registrar`` knows what the master has yet to be told."""
         self._registrar = registrar
-        self._registrations = Workers(1)
+        self._registrations = Workers("registering to count messages", 1)
 
     def listen(self, topic: str) -> Listening:
         """Begin to count the messages of a topic, of any type."""

@@ -22,8 +22,8 @@ from nodelet.srv import NodeletList
 
 from dyknow.errors import HostError, HostTimeout, PeerTimeout
 from dyknow.manager.host import ManagerState, NodeletKind
+from dyknow.periodic import attempt
 from dyknow.ros.master import Master
-from dyknow.ros.rounds import attempt
 from dyknow.ros.service_client import ServiceClient
 
 #: Seconds for an answer over a connection that is there.

@@ -38,9 +38,9 @@ from dyknow.ros.model_messages import ModelMessages
 from dyknow.ros.nodelets.announcements import Listener
 from dyknow.ros.nodelets.guard_parameters import guards_key, to_parameter
 from dyknow.ros.nodelets.owner import OwnerLock
-from dyknow.ros.nodelets.workers import Workers
 from dyknow.ros.process import NodeProcess
 from dyknow.ros.transport.registrar import Registrar
+from dyknow.workers import Workers
 
 if TYPE_CHECKING:
     from dyknow.manager.specifications.ontology import Ontology
@@ -78,7 +78,7 @@ class ManagerNode(Closable):
             settings.state_path("children.json"),
             self._on_child,
         )
-        self._workers = Workers(_WORKERS)
+        self._workers = Workers("work of the manager", _WORKERS)
         self._host = RosHost(
             master, self._children, Registrar(), settings.nodelet_managers, settings.guards
         )

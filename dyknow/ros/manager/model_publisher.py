@@ -8,8 +8,8 @@ import rospy
 from dyknow_msgs.msg import Model as ModelMessage
 
 from dyknow.manager.model import Model
+from dyknow.periodic import PeriodicWorker
 from dyknow.ros.model_messages import ModelMessages
-from dyknow.ros.rounds import Rounds
 
 #: Least seconds from one message to the next.
 PERIOD = 0.05
@@ -38,16 +38,16 @@ class ModelPublisher:
         self._before = before
         self._shown: Optional[Tuple[int, int]] = None
         self._publisher = rospy.Publisher(topic, ModelMessage, latch=True, queue_size=1)
-        self._rounds = Rounds("publishing the model", self._publish, lambda: None, PERIOD)
-        self._rounds.start()
+        self._worker = PeriodicWorker("publishing the model", self._publish, pause=PERIOD)
+        self._worker.start()
 
     def note_change(self) -> None:
         """Say that the model changed; returns at once."""
-        self._rounds.ask()
+        self._worker.wake()
 
     def close(self) -> None:
         """Publish no more."""
-        self._rounds.close(1.0)
+        self._worker.close(1.0)
         self._publisher.unregister()
 
     def _publish(self) -> None:

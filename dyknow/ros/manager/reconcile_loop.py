@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Callable, Optional
 
 from dyknow.manager.claims.reconciler import StreamReconciler
-from dyknow.ros.rounds import PAUSE, Rounds
+from dyknow.periodic import PAUSE, PeriodicWorker
 
 #: Seconds between two rounds as long as there is something to be looked after.
 PERIOD = 0.5
@@ -27,10 +27,10 @@ class ReconcileLoop:
         self._reconciler = reconciler
         self._has_work = has_work
         self._had_work = False
-        self._rounds = Rounds("looking after streams", self._round, self.period)
-        self.start = self._rounds.start
-        self.note_change = self._rounds.ask
-        self.close = self._rounds.close
+        self._worker = PeriodicWorker("looking after streams", self._round, self.period)
+        self.start = self._worker.start
+        self.note_change = self._worker.wake
+        self.close = self._worker.close
 
     def period(self) -> Optional[float]:
         """Most seconds until the next round; None: until the next change."""

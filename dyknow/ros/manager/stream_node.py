@@ -6,8 +6,6 @@ bonds with clients, the services and the topic of events.
 
 from __future__ import annotations
 
-import threading
-from functools import partial
 from typing import Callable, Set
 
 import rospy
@@ -17,11 +15,11 @@ from dyknow.manager.claim import ClaimEvent
 from dyknow.manager.claims.advice import unknown_labels
 from dyknow.manager.claims.reconciler import StreamReconciler
 from dyknow.manager.manager import Manager
+from dyknow.periodic import in_background
 from dyknow.ros.bonding.claim_bonds import ClaimBonds
 from dyknow.ros.manager.reconcile_loop import ReconcileLoop
 from dyknow.ros.manager.stream_messages import StreamMessages
 from dyknow.ros.manager.stream_services import StreamServices
-from dyknow.ros.rounds import attempt
 
 #: Events that may wait for a slow subscriber.
 _QUEUE_SIZE = 1000
@@ -70,11 +68,7 @@ class StreamNode:
         self._services.close()
         self._reconciling.close(1.0)
         # A repair that is going on is waited for, but not long.
-        ending = threading.Thread(
-            target=partial(attempt, "ending the claims", self._reconciler.end), daemon=True
-        )
-        ending.start()
-        ending.join(_END_PATIENCE)
+        in_background("ending the claims", self._reconciler.end).join(_END_PATIENCE)
         self._bonds.close()  # the topic is withdrawn with the node, when the last is sent
 
     def _has_work(self) -> bool:

@@ -6,7 +6,7 @@ import collections
 from typing import Callable, Deque, Set
 
 from dyknow.manager.manager import Manager
-from dyknow.ros.rounds import PAUSE, Rounds
+from dyknow.periodic import PAUSE, PeriodicWorker
 
 #: Seconds between two looks when nothing happens.
 PERIOD = 0.5
@@ -26,15 +26,15 @@ class Watch:
         self._after = after
         self._changed: Deque[str] = collections.deque()
         self._postponed: Set[str] = set()
-        self._rounds = Rounds("looking at the nodelet managers", self._look, self._period)
-        self.start = self._rounds.start
-        self.refresh_now = self._rounds.ask
-        self.close = self._rounds.close
+        self._worker = PeriodicWorker("looking at the nodelet managers", self._look, self._period)
+        self.start = self._worker.start
+        self.refresh_now = self._worker.wake
+        self.close = self._worker.close
 
     def refresh(self, name: str) -> None:
         """Look closely at a nodelet, soon."""
         self._changed.append(name)
-        self._rounds.ask()
+        self._worker.wake()
 
     def _period(self) -> float:
         return PAUSE if self._postponed else PERIOD

@@ -13,7 +13,7 @@ import rospy
 from dyknow_msgs.msg import NodeletChanges
 
 from dyknow.locks import state_lock, turn_lock
-from dyknow.ros.rounds import Rounds
+from dyknow.periodic import PeriodicWorker
 
 TOPIC = "changes"
 #: Seconds in which changes that follow one that was told are collected.
@@ -39,14 +39,14 @@ class Announcer:
             subscriber_listener=_Newcomers(self),
             queue_size=_QUEUE_SIZE,
         )
-        self._rounds = Rounds("announcing changes", self._announce, lambda: None, _WINDOW)
-        self._rounds.start()
+        self._worker = PeriodicWorker("announcing changes", self._announce, pause=_WINDOW)
+        self._worker.start()
 
     def tell(self, name: str) -> None:
         """Announce a nodelet; returns at once."""
         with self._lock:
             self._names.add(name)
-        self._rounds.ask()
+        self._worker.wake()
 
     def tell_newcomer(self, publish: Callable[[NodeletChanges], None]) -> None:
         """Announce everything to a new listener."""
@@ -56,7 +56,7 @@ class Announcer:
 
     def close(self) -> None:
         """Withdraw the topic."""
-        self._rounds.close(0.0)
+        self._worker.close()
         self._publisher.unregister()
 
     def _announce(self) -> None:

@@ -20,8 +20,8 @@ import time
 from typing import Callable, Sequence, TextIO
 
 from dyknow.errors import StoreError
+from dyknow.periodic import RETRY, attempt
 from dyknow.ros.os_process import ProcessId
-from dyknow.ros.rounds import RETRY, attempt
 
 #: Seconds that an owner waits for its predecessor to be gone altogether.
 _CONTENTION = 1.0

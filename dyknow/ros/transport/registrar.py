@@ -30,8 +30,8 @@ from rospy.impl.registration import (
 
 from dyknow.errors import PeerTimeout
 from dyknow.locks import state_lock
+from dyknow.periodic import attempt
 from dyknow.ros.master import Master
-from dyknow.ros.rounds import attempt
 from dyknow.ros.transport.reminders import Reminders
 
 #: Seconds between two attempts while the master is down.

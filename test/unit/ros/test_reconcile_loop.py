@@ -8,8 +8,8 @@ from typing import Any, Iterator
 import pytest
 
 from dyknow.manager.claim import Claim, ClaimState, StreamRequest
+from dyknow.periodic import PAUSE
 from dyknow.ros.manager.reconcile_loop import PERIOD, ReconcileLoop
-from dyknow.ros.rounds import PAUSE
 
 
 class FakeReconciler:
@@ -50,7 +50,7 @@ def reconciling(reconciler: Any) -> Iterator[ReconcileLoop]:
     made.start()
     yield made
     made.close(5.0)
-    assert not made._rounds.running
+    assert not made._worker.running
 
 
 def test_nothing_is_done_while_nothing_is_claimed(

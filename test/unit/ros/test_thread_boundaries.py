@@ -10,12 +10,12 @@ from typing import Any, Callable, Iterator, List
 import pytest
 import rospy
 
+from dyknow import periodic
 from dyknow.manager.model import Model
-from dyknow.ros import rounds, stream_heart, stream_session
+from dyknow.ros import stream_heart, stream_session
 from dyknow.ros.bonding import bonds
 from dyknow.ros.manager.model_publisher import ModelPublisher
 from dyknow.ros.nodelets.announcements import Announcer
-from dyknow.ros.rounds import Rounds
 
 PATIENCE = 10.0
 
@@ -66,7 +66,7 @@ def _fakes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rospy, "Publisher", FakeTopic)
     monkeypatch.setattr(rospy, "Subscriber", FakeTopic)
     monkeypatch.setattr(rospy.Time, "now", classmethod(lambda cls: rospy.Time()))
-    monkeypatch.setattr(rounds, "RETRY", 0.01)
+    monkeypatch.setattr(periodic, "RETRY", 0.01)
     monkeypatch.setattr(bonds, "RETRY", 0.01)
 
 
@@ -76,24 +76,6 @@ def closing() -> Iterator[List[Any]]:
     yield things
     for thing in things:
         thing.close()
-
-
-@pytest.mark.parametrize("where", ["work", "period"])
-def test_a_round_that_fails_is_done_again_without_being_asked_for(where: str) -> None:
-    fault, work = Fault(), Fault()
-    work.calls = 1  # it does not fail
-    made = Rounds(
-        "testing",
-        fault if where == "work" else work,
-        (lambda: 0.0 if fault() is None else None) if where == "period" else lambda: None,
-    )
-    made.start()
-    made.ask()
-    try:
-        assert (fault if where == "work" else work).is_done()
-    finally:
-        made.close(PATIENCE)
-    assert not made.running
 
 
 @pytest.mark.parametrize("where", ["take", "before", "publish"])

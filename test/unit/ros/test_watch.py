@@ -55,7 +55,7 @@ def watch(manager: Any, monkeypatch: pytest.MonkeyPatch) -> Iterator[Watch]:
     made.start()
     yield made
     made.close(5.0)
-    assert not made._rounds.running
+    assert not made._worker.running
 
 
 def test_what_is_named_is_looked_at_at_once(manager: FakeManager, watch: Watch) -> None:

@@ -1,0 +1,186 @@
+"""Threads that work in rounds: once in a period, and at once when they are woken.
+
+A thread of DyKnow is one of three kinds: a `PeriodicWorker`, one of a pool
+(`dyknow.workers.Workers`), or a single call in the background (`in_background`), for a call that
+may block for so long that it would keep a pool from its work. All three have the same boundary:
+what the work raises is logged with its traceback, and the thread goes on.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from typing import Callable, Optional, TypeVar, Union
+
+from dyknow.errors import DyKnowError
+
+#: Least seconds between two rounds of a worker, however often it is woken.
+PAUSE = 0.05
+#: Seconds until a round that failed is repeated.
+RETRY = 0.5
+
+T = TypeVar("T")
+Period = Union[None, float, Callable[[], Optional[float]]]
+"""Seconds between two rounds, None for no round before the worker is woken, or a function that
+returns one of these."""
+
+_log = logging.getLogger("rosout.dyknow")
+
+
+class Clock:
+    """Steady time, in seconds."""
+
+    def now(self) -> float:
+        """Return the time."""
+        return time.monotonic()
+
+    def wait(self, condition: threading.Condition, seconds: Optional[float]) -> None:
+        """Wait for a condition, whose lock is held, to be notified; at most ``seconds``."""
+        condition.wait(seconds)
+
+
+STEADY = Clock()
+
+
+def attempt(what: str, work: Callable[[], T], logger: logging.Logger = _log) -> Optional[T]:
+    """Call ``work`` at the top of a thread; None if it raised, which is logged.
+
+    Args:
+        what: what the work is, for the log.
+        work: the call.
+        logger: where a failure is logged.
+    """
+    try:
+        return work()
+    except DyKnowError as error:
+        logger.warning("%s: %s", what, error)
+    except Exception:  # the boundary of the thread
+        logger.exception("%s failed", what)
+    return None
+
+
+def in_background(
+    what: str, work: Callable[[], object], logger: logging.Logger = _log
+) -> threading.Thread:
+    """Call ``work`` in a daemon thread of its own, which is returned.
+
+    Args:
+        what: what the work is, for the log and as the name of the thread.
+        work: the call.
+        logger: where a failure is logged.
+    """
+    thread = threading.Thread(target=attempt, args=(what, work, logger), name=what, daemon=True)
+    thread.start()
+    return thread
+
+
+class PeriodicWorker:
+    """One daemon thread, one round at a time. Every method is safe from any thread.
+
+    A round that fails is logged, and repeated after ``RETRY`` seconds.
+    """
+
+    def __init__(
+        self,
+        what: str,
+        work: Callable[[], object],
+        period: Period = None,
+        pause: float = PAUSE,
+        logger: logging.Logger = _log,
+        clock: Clock = STEADY,
+    ) -> None:
+        """Prepare; ``start`` starts the thread.
+
+        Args:
+            what: what a round does, for the log and as the name of the thread.
+            work: a round. It may close its own worker.
+            period: seconds to the next round; a function is asked after each round.
+            pause: least seconds to the next round.
+            logger: where failures are logged.
+            clock: steady time.
+        """
+        self._what = what
+        self._work = work
+        self._period = period
+        self._pause = pause
+        self._logger = logger
+        self._clock = clock
+        self._changed = threading.Condition()
+        #: Numbers of the last round that began, that ended, and that somebody asked for.
+        self._begun = self._ended = self._wanted = 0
+        self._closed = False
+        self._thread: Optional[threading.Thread] = None
+
+    @property
+    def running(self) -> bool:
+        """Whether its thread was started and has not ended."""
+        return self._thread is not None and self._thread.is_alive()
+
+    def start(self) -> None:
+        """Start the thread, unless it runs or the worker is closed.
+
+        The first round comes after a period, or when the worker is woken.
+        """
+        with self._changed:
+            if self._thread is None and not self._closed:
+                self._thread = in_background(self._what, self._run, self._logger)
+
+    def wake(self) -> int:
+        """Ask for a round that begins from now on, and return its number; does not wait."""
+        with self._changed:
+            self._wanted = self._begun + 1
+            self._changed.notify_all()
+            return self._wanted
+
+    def wait_for(self, number: int, timeout: float) -> bool:
+        """Wait for the end of a round, as ``wake`` numbers them; returns whether it has ended.
+
+        Args:
+            number: the round.
+            timeout: seconds to wait at most.
+        """
+        with self._changed:
+            self._changed.wait_for(lambda: self._closed or self._ended >= number, timeout)
+            return self._ended >= number
+
+    def close(self, timeout: float = 0.0) -> None:
+        """Begin no further round; wait at most ``timeout`` s for the end of the thread."""
+        with self._changed:
+            self._closed = True
+            thread = self._thread
+            self._changed.notify_all()
+        if thread is not None and thread is not threading.current_thread():
+            thread.join(timeout)
+
+    def _run(self) -> None:
+        while not self._closed:
+            if attempt(self._what, self._round, self._logger) is None:
+                self._sleep(RETRY, woken=False)
+                self.wake()
+
+    def _round(self) -> bool:
+        period = self._period() if callable(self._period) else self._period
+        self._sleep(self._pause, woken=False)
+        self._sleep(None if period is None else period - self._pause, woken=True)
+        with self._changed:
+            if self._closed:
+                return False
+            self._begun += 1
+        try:
+            self._work()
+        finally:
+            with self._changed:
+                self._ended = self._begun
+                self._changed.notify_all()
+        return True
+
+    def _sleep(self, seconds: Optional[float], woken: bool) -> None:
+        """Sleep until the worker is closed or, where ``woken`` says so, woken."""
+        deadline = None if seconds is None else self._clock.now() + seconds
+        with self._changed:
+            while not self._closed and not (woken and self._wanted > self._begun):
+                left = None if deadline is None else deadline - self._clock.now()
+                if left is not None and left <= 0.0:
+                    return
+                self._clock.wait(self._changed, left)

@@ -1,0 +1,53 @@
+"""Time of workers that a test moves on by hand, once their threads sleep."""
+
+from __future__ import annotations
+
+import threading
+from typing import Dict, Optional, Tuple
+
+from dyknow.periodic import Clock
+
+#: Seconds until a test gives up waiting for threads.
+PATIENCE = 10.0
+
+
+class SteppedClock(Clock):
+    """Stands still until ``advance``. Threads that wait by it sleep until then, or are woken."""
+
+    def __init__(self) -> None:
+        self._now = 0.0
+        self._sleeping: Dict[int, Tuple[threading.Condition, float]] = {}
+        self._changed = threading.Condition()
+
+    def now(self) -> float:
+        return self._now
+
+    def wait(self, condition: threading.Condition, seconds: Optional[float]) -> None:
+        deadline = float("inf") if seconds is None else self._now + seconds
+        thread = threading.get_ident()
+        with self._changed:
+            self._sleeping[thread] = (condition, deadline)
+            self._changed.notify_all()
+        condition.wait()
+        with self._changed:
+            self._sleeping.pop(thread, None)
+
+    def settle(self, threads: int = 1) -> None:
+        """Wait until so many threads sleep."""
+        with self._changed:
+            assert self._changed.wait_for(lambda: len(self._sleeping) == threads, PATIENCE)
+
+    def advance(self, seconds: float, threads: int = 1) -> None:
+        """Move on from deadline to deadline, each once so many threads sleep."""
+        end = self._now + seconds
+        while True:
+            self.settle(threads)
+            with self._changed:
+                self._now = min([end, *(deadline for _, deadline in self._sleeping.values())])
+                due = [key for key, (_, when) in self._sleeping.items() if when <= self._now]
+                conditions = [self._sleeping.pop(key)[0] for key in due]
+            for condition in conditions:
+                with condition:
+                    condition.notify_all()
+            if not due:
+                return
