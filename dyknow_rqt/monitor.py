@@ -25,8 +25,8 @@ from typing import (
 from python_qt_binding.QtCore import QObject, QTimer, Signal
 
 from dyknow.errors import DyKnowError, HostError, PeerTimeout, Refused
-from dyknow.manager.model import State
-from dyknow.manager.specifications.transformation import Transformation
+from dyknow.model.graph import State
+from dyknow.model.transformation import Transformation
 from dyknow_rqt.background_calls import BackgroundCalls
 from dyknow_rqt.graph.changes import CannotUndo, Change
 from dyknow_rqt.graph.history import UndoHistory

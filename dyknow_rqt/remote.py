@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Callable, Mapping, Optional, Sequence, Tuple
 from dyknow_rqt.graph.snapshot import Side
 
 if TYPE_CHECKING:
-    from dyknow.manager.claim import StreamRequest
-    from dyknow.manager.model import PortState
+    from dyknow.model.graph import PortState
+    from dyknow.model.streams import StreamRequest
     from dyknow.ros.client import Added
     from dyknow.ros.stream_views import (
         AcquiredView,

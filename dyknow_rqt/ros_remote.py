@@ -15,8 +15,8 @@ from dyknow_msgs.msg import StreamEvent
 
 from dyknow import names
 from dyknow.errors import DyKnowError, HostError
-from dyknow.manager.claim import StreamRequest
-from dyknow.manager.model import PortState
+from dyknow.model.graph import PortState
+from dyknow.model.streams import StreamRequest
 from dyknow.ros.client import Added, ManagerClient
 from dyknow.ros.master import Master
 from dyknow.ros.stream_views import (

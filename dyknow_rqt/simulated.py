@@ -24,10 +24,10 @@ from dyknow.errors import (
     UnknownPort,
     UnknownTransformation,
 )
-from dyknow.manager.claim import StreamRequest
-from dyknow.manager.model import PortState, State
 from dyknow.manager.specifications.specification import parse
-from dyknow.manager.specifications.transformation import OUT, TOPIC, Transformation
+from dyknow.model.graph import PortState, State
+from dyknow.model.streams import StreamRequest
+from dyknow.model.transformation import OUT, TOPIC, Transformation
 from dyknow.ros.client import Added
 from dyknow.ros.stream_views import AcquiredView, ReplannedView, StreamEventView, StreamView
 from dyknow.ros.views import ModelView, NodeletView, PortTraffic, Statistics

@@ -8,14 +8,14 @@ from dataclasses import replace
 from typing import Callable, Dict, Iterator, List, Mapping, Tuple
 
 from dyknow.errors import InvalidTag, Refused, UnknownClaim
-from dyknow.manager.claim import ClaimState, StreamRequest
-from dyknow.manager.model import State
 from dyknow.manager.planning.explanation import as_tree
 from dyknow.manager.planning.planner import Planner
 from dyknow.manager.planning.problem import Answer, Live, NoPlan, Plan, Source
 from dyknow.manager.planning.supply import Demand
 from dyknow.manager.specifications.tags import Term, parse_tag, read_tags
-from dyknow.manager.specifications.transformation import IN, OUT, Transformation
+from dyknow.model.graph import State
+from dyknow.model.streams import ClaimState, StreamRequest
+from dyknow.model.transformation import IN, OUT, Transformation
 from dyknow.ros.client_errors import Result, StreamRefused
 from dyknow.ros.stream_views import AcquiredView, ReplannedView, StreamEventView, StreamView
 from dyknow.ros.views import NodeletView

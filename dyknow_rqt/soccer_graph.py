@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Dict, Tuple
 
-from dyknow.manager.model import State
+from dyknow.model.graph import State
 from dyknow_rqt.graph.snapshot import PortRef
 from dyknow_rqt.simulated import SimulatedRemote
 

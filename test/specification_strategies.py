@@ -2,7 +2,7 @@
 
 from hypothesis import strategies as st
 
-from dyknow.manager.specifications.transformation import Parameter, Port, Transformation
+from dyknow.model.transformation import Parameter, Port, Transformation
 
 BLANK = " \t\r\n"
 CHARACTERS = st.characters(

@@ -20,7 +20,7 @@ from dyknow.manager.planning.planner import Planner
 from dyknow.manager.planning.problem import Plan
 from dyknow.manager.planning.supply import Demand
 from dyknow.manager.specifications.tags import parse_tag
-from dyknow.manager.specifications.transformation import IN, OUT, Port, Transformation
+from dyknow.model.transformation import IN, OUT, Port, Transformation
 
 HEADER = ("library", "transformations", "steps", "load_s", "first_s", "median_s", "max_s")
 #: Length of a chain of the deep library, and layers of the dense one.

@@ -20,7 +20,7 @@ from typing import (
 from dyknow import names
 from dyknow.cli.arguments import Kind, kind_of
 from dyknow.cli.topics import topics_of
-from dyknow.manager.specifications.transformation import IN, NODELET, OUT
+from dyknow.model.transformation import IN, NODELET, OUT
 from dyknow.wiring.ports import types_fit
 
 if TYPE_CHECKING:

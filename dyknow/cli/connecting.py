@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Dict, List, Sequence, Tuple
 from dyknow.cli.arguments import PortReference
 from dyknow.cli.views import state_of, unknown_nodelet
 from dyknow.errors import DyKnowError
-from dyknow.manager.model import PortState
-from dyknow.manager.specifications.transformation import IN, OUT
+from dyknow.model.graph import PortState
+from dyknow.model.transformation import IN, OUT
 from dyknow.ros.client_errors import Silent
 from dyknow.similar import did_you_mean
 from dyknow.wiring.ports import by_name, choose_topic, types_fit

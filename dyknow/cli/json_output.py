@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Dict
 
 from dyknow.cli.views import state_of
-from dyknow.manager.model import PortState
-from dyknow.manager.specifications.transformation import Transformation
+from dyknow.model.graph import PortState
+from dyknow.model.transformation import Transformation
 from dyknow.wiring.ports import by_name
 
 if TYPE_CHECKING:

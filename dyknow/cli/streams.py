@@ -7,7 +7,7 @@ import os
 import socket
 
 from dyknow.cli.arguments import Kind, takes
-from dyknow.manager.claim import StreamRequest
+from dyknow.model.streams import StreamRequest
 
 
 def demand_arguments(parser: argparse.ArgumentParser) -> None:

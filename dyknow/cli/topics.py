@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Dict, Iterator, List, Sequence, Tuple
 
 from dyknow.cli.arguments import PortReference
 from dyknow.cli.views import state_of
-from dyknow.manager.specifications.transformation import OUT
+from dyknow.model.transformation import OUT
 from dyknow.wiring.ports import by_name
 
 if TYPE_CHECKING:

@@ -31,8 +31,9 @@ from dyknow.manager.host import (
     ManagerState,
     NodeletKind,
 )
-from dyknow.manager.model import PortState
-from dyknow.manager.specifications.transformation import Parameter
+from dyknow.manager.specifications.values import value_of
+from dyknow.model.graph import PortState
+from dyknow.model.transformation import Parameter
 
 
 @dataclass
@@ -304,7 +305,7 @@ class FakeHost(Host):
         if request.name in process.nodelets:
             raise NameTaken(request.name)
         for parameter in request.parameters:
-            self.parameters[f"{request.name}/{parameter.name}"] = parameter.value
+            self.parameters[f"{request.name}/{parameter.name}"] = value_of(parameter)
         nodelet = FakeNodelet(request)
         for name, direction, datatype in self.sources[request.source]:
             topic = request.remappings.get(f"/{name}", "")

@@ -12,7 +12,7 @@ import threading
 from typing import Callable, Dict, Iterator, List, Optional, Set
 
 from dyknow.errors import Busy, NameTaken, UnknownNodelet
-from dyknow.manager.model import Record
+from dyknow.manager.record import Record
 from dyknow.manager.store import Store
 
 #: Revisions that are reserved on disk at a time, so that not every change has to be written.

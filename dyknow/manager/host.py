@@ -21,8 +21,8 @@ from typing import (
     Tuple,
 )
 
-from dyknow.manager.model import PortState
-from dyknow.manager.specifications.transformation import Parameter
+from dyknow.model.graph import PortState
+from dyknow.model.transformation import Parameter
 
 
 class NodeletKind(enum.Enum):

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Dict, List, Optional, Sequence
 from dyknow.errors import TooMuch, UnknownTransformation
 from dyknow.manager.specifications.limits import DEFAULT_LIMITS, SpecificationLimits
 from dyknow.manager.specifications.specification import Specifications, parse
-from dyknow.manager.specifications.transformation import TOPIC, Transformation
 from dyknow.manager.store import Store
+from dyknow.model.transformation import TOPIC, Transformation
 from dyknow.similar import did_you_mean
 
 if TYPE_CHECKING:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import logging
-from dataclasses import dataclass, field, replace
-from typing import Callable, Dict, List, Mapping, Optional, Tuple
+from dataclasses import replace
+from typing import Callable, Dict, Iterable, List, Mapping, Optional, Tuple
 
 from dyknow import names
 from dyknow.errors import (
@@ -24,39 +24,15 @@ from dyknow.guards import Guards
 from dyknow.manager import placement
 from dyknow.manager.graph import Graph
 from dyknow.manager.host import Host, LoadRequest, ManagerState, NodeletKind
-from dyknow.manager.model import PortState, Record, State, declared_ports, seen_ports
-from dyknow.manager.specifications.transformation import TOPIC, Transformation
+from dyknow.manager.record import Record, declared_ports, seen_ports
 from dyknow.manager.suspects import Suspects
+from dyknow.model.graph import PortState, SpawnRequest, State
+from dyknow.model.transformation import TOPIC, Transformation
 
 #: Seconds to wait for a look, or for somebody else, to be done with a nodelet.
 PATIENCE = 5.0
 
 _log = logging.getLogger("rosout.dyknow")
-
-
-@dataclass(frozen=True)
-class SpawnRequest:
-    """What a spawn asks for.
-
-    Attributes:
-        label: of the transformation.
-        name: of the new nodelet.
-        is_protected: refuse to destroy it.
-        isolated: give it a process of its own.
-        config: where its ports are to be connected.
-        manager: nodelet manager to use; empty for the manager's choice.
-        claimed: made for a claim, not by hand.
-        near: topics that it will be connected to: its place is near their nodelets.
-    """
-
-    label: str
-    name: str
-    is_protected: bool = False
-    isolated: bool = False
-    config: Mapping[str, str] = field(default_factory=dict)
-    manager: str = ""
-    claimed: bool = False
-    near: Tuple[str, ...] = ()
 
 
 class Lifecycle:
@@ -74,8 +50,20 @@ class Lifecycle:
         #: Which of a nodelet's connections can be made when it is brought back.
         self.fitting: Callable[[Record], Mapping[str, str]] = lambda record: record.topics
 
-    def spawn(self, transformation: Transformation, request: SpawnRequest) -> Record:
-        """Make a nodelet of a transformation; its name is global.
+    def spawn(
+        self,
+        transformation: Transformation,
+        request: SpawnRequest,
+        claimed: bool = False,
+        near: Iterable[str] = (),
+    ) -> Record:
+        """Make a nodelet of a transformation.
+
+        Args:
+            transformation: what to make.
+            request: how; its name is global.
+            claimed: whether it is made for a claim, not by hand.
+            near: topics that it will be connected to: its place is near their nodelets.
 
         Raises:
             DyKnowError: it did not work, and nothing is left of it.
@@ -88,7 +76,7 @@ class Lifecycle:
         config = self._resolved(transformation, request.name, request.config)
         with self._graph.changing(request.name, new=True, patience=PATIENCE):
             kind = self._host.kind_of(transformation.source)
-            planned = Record(request.name, transformation, "", claimed=request.claimed)
+            planned = Record(request.name, transformation, "", claimed=claimed)
             self._suspects.know(planned)
             suspicion = "" if request.manager else self._suspects.verdict(request.name)
             if suspicion and not request.isolated:
@@ -98,7 +86,7 @@ class Lifecycle:
                 self._host,
                 self._graph.all(),
                 kind,
-                (*config.values(), *request.near),
+                (*config.values(), *near),
                 request.manager,
                 request.name if isolated else "",
             )

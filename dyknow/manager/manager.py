@@ -17,13 +17,14 @@ from dyknow.guards import NO_GUARDS, Guards
 from dyknow.manager.graph import Graph
 from dyknow.manager.host import Host
 from dyknow.manager.library import Library
-from dyknow.manager.lifecycle import PATIENCE, Lifecycle, SpawnRequest
-from dyknow.manager.model import Model, Record
+from dyknow.manager.lifecycle import PATIENCE, Lifecycle
 from dyknow.manager.observer import Observer, at_once
+from dyknow.manager.record import Model, Record
 from dyknow.manager.specifications.specification import Specifications
-from dyknow.manager.specifications.transformation import Transformation
 from dyknow.manager.store import Store
 from dyknow.manager.suspects import Suspects
+from dyknow.model.graph import SpawnRequest
+from dyknow.model.transformation import Transformation
 
 
 @dataclass(frozen=True)

@@ -19,9 +19,10 @@ from dyknow.errors import Busy, DyKnowError, HostError, NameTaken
 from dyknow.manager.graph import Graph
 from dyknow.manager.host import Crash, Host, ManagerState
 from dyknow.manager.lifecycle import Lifecycle
-from dyknow.manager.model import Record, State, declared_ports, seen_ports, topics_of
 from dyknow.manager.patience import Patience
+from dyknow.manager.record import Record, declared_ports, seen_ports, topics_of
 from dyknow.manager.suspects import Suspects
+from dyknow.model.graph import State
 
 _log = logging.getLogger("rosout.dyknow")
 

@@ -7,7 +7,7 @@ from typing import Dict, Iterable, List, Optional
 
 from dyknow.errors import HostError
 from dyknow.manager.host import Host, NodeletKind
-from dyknow.manager.model import Record, topics_of
+from dyknow.manager.record import Record, topics_of
 
 
 def choose(

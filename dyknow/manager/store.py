@@ -14,11 +14,12 @@ from typing import Any, Callable, Dict, Iterable, List, Mapping, Optional, TypeV
 
 from dyknow import names
 from dyknow.errors import DyKnowError
-from dyknow.manager.model import Record, State
-from dyknow.manager.specifications.transformation import Parameter, Port, Transformation
+from dyknow.manager.record import Record
 from dyknow.manager.specifications.values import parse_value
 from dyknow.manager.state_file import IN_MEMORY, StateFile
 from dyknow.manager.well_typed import check_types
+from dyknow.model.graph import State
+from dyknow.model.transformation import Parameter, Port, Transformation
 
 #: What reading an entry may raise that is none.
 MEANINGLESS = (DyKnowError, ValueError, TypeError, KeyError, AttributeError, RecursionError)

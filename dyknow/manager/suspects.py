@@ -16,7 +16,7 @@ from typing import Callable, Dict, Iterable
 
 from dyknow import names
 from dyknow.manager.host import Crash
-from dyknow.manager.model import Record
+from dyknow.manager.record import Record
 
 #: Accusations after which a nodelet is kept apart: once may be chance.
 ENOUGH = 2

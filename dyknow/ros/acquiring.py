@@ -18,7 +18,7 @@ import rospy
 
 from dyknow.errors import BadParameter, DyKnowError, HostError, PeerTimeout, Refused
 from dyknow.event_queue import EventQueue
-from dyknow.manager.claim import ClaimState, StreamRequest
+from dyknow.model.streams import ClaimState, StreamRequest
 from dyknow.ros.client import CHANGE_TIMEOUT, ManagerClient
 from dyknow.ros.client_errors import StreamRefused
 from dyknow.ros.stream_session import StreamSession

@@ -33,8 +33,8 @@ from genpy import Duration
 
 from dyknow import names
 from dyknow.errors import Refused
-from dyknow.manager.claim import StreamRequest
-from dyknow.manager.model import PortState
+from dyknow.model.graph import PortState
+from dyknow.model.streams import StreamRequest
 from dyknow.ros.master import Master
 from dyknow.ros.service_client import ServiceClient
 from dyknow.ros.stream_views import (

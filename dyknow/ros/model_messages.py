@@ -18,9 +18,10 @@ from dyknow_msgs.msg import Nodelet, Parameter, Port
 from dyknow_msgs.msg import Transformation as TransformationMessage
 from dyknow_msgs.srv import GetModelResponse
 
-from dyknow.manager.model import Model, PortState, Record
-from dyknow.manager.specifications.transformation import OUT, Transformation
-from dyknow.manager.specifications.transformation import Port as DeclaredPort
+from dyknow.manager.record import Model, Record
+from dyknow.model.graph import PortState
+from dyknow.model.transformation import OUT, Transformation
+from dyknow.model.transformation import Port as DeclaredPort
 
 _HEAD = struct.Struct("<QQII")
 _COUNT = struct.Struct("<I")

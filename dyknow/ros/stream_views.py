@@ -7,7 +7,7 @@ from typing import Any, Optional, Sequence, Tuple
 
 from dyknow_msgs.msg import StreamEvent, StreamStatus
 
-from dyknow.manager.claim import ClaimState
+from dyknow.model.streams import ClaimState
 from dyknow.ros.client_errors import Result, StreamRefused
 
 #: Begins the lines of a message that are no detail of the claim.

@@ -12,8 +12,8 @@ from dyknow_msgs.msg import Port as PortMessage
 from dyknow_msgs.msg import PortStatistics
 from dyknow_msgs.msg import Transformation as TransformationMessage
 
-from dyknow.manager.model import PortState, State
-from dyknow.manager.specifications.transformation import IN, OUT, Parameter, Port, Transformation
+from dyknow.model.graph import PortState, State
+from dyknow.model.transformation import IN, OUT, Parameter, Port, Transformation
 
 
 @dataclass(frozen=True)

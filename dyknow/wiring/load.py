@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Callable, Dict, List, Mapping, Optional, Protocol, Tuple
 
 from dyknow.errors import DyKnowError, Refused
-from dyknow.manager.specifications.transformation import Transformation
+from dyknow.model.transformation import Transformation
 from dyknow.wiring.plan import Kept, Plan
 from dyknow.wiring.ports import connections_of
 from dyknow.wiring.wiring import WiredNodelet

@@ -16,8 +16,9 @@ from typing import (
     Tuple,
 )
 
-from dyknow.manager.specifications.transformation import TOPIC, Transformation
+from dyknow.manager.specifications.values import value_of
 from dyknow.manager.specifications.wording import shorten
+from dyknow.model.transformation import TOPIC, Transformation
 from dyknow.wiring.ports import connections_of, types_fit
 from dyknow.wiring.wiring import WiredNodelet, Wiring
 
@@ -269,7 +270,7 @@ def _otherwise_made(
             name, expected = parameter.name, f"expected {shorten(parameter.text)}"
             if name not in values:
                 found.append(f"parameter {name} is not set, {expected}")
-            elif values[name] != parameter.value:
+            elif values[name] != value_of(parameter):
                 found.append(f"parameter {name} is {shorten(str(values[name]))}, {expected}")
     for port in blueprint.ports:
         shown = present.port(port.name)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Container, Dict, Iterable, List
 
 from dyknow import names
-from dyknow.manager.specifications.transformation import OUT
+from dyknow.model.transformation import OUT
 
 if TYPE_CHECKING:
-    from dyknow.manager.model import PortState
+    from dyknow.model.graph import PortState
     from dyknow.ros.views import NodeletView
 
 #: The type of ports that take any.

@@ -15,7 +15,7 @@ from dyknow import names
 from dyknow.errors import InvalidName, Problem, SpecificationError
 from dyknow.manager.specifications.limits import DEFAULT_LIMITS
 from dyknow.manager.specifications.specification import parse
-from dyknow.manager.specifications.transformation import Transformation
+from dyknow.model.transformation import Transformation
 from dyknow.wiring.wiring import VERSION, WiredNodelet, Wiring
 
 _CHILDREN: Mapping[str, Tuple[str, ...]] = {

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, List, Tuple
 from xml.sax.saxutils import quoteattr
 
 from dyknow.errors import DyKnowError
-from dyknow.manager.specifications.transformation import Transformation
+from dyknow.model.transformation import Transformation
 from dyknow.wiring.ports import connections_of
 
 if TYPE_CHECKING:

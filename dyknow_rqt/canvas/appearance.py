@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Dict, List, Mapping, NamedTuple, Optional
 
 from python_qt_binding.QtGui import QFont, QFontMetricsF
 
-from dyknow.manager.model import State
-from dyknow.manager.specifications.transformation import IN
+from dyknow.model.graph import State
+from dyknow.model.transformation import IN
 from dyknow_rqt.graph.figure import Edge, Figure, Vertex, VertexKind
 from dyknow_rqt.graph.geometry import Size
 from dyknow_rqt.graph.rates import PortRate

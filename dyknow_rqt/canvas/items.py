@@ -8,7 +8,7 @@ from python_qt_binding.QtCore import QPointF, QRectF, Qt
 from python_qt_binding.QtGui import QBrush, QFont, QFontMetricsF, QPainter, QPainterPath, QPen
 from python_qt_binding.QtWidgets import QGraphicsItem
 
-from dyknow.manager.specifications.transformation import IN
+from dyknow.model.transformation import IN
 from dyknow_rqt.canvas.colours import Colours, Tone
 from dyknow_rqt.graph.geometry import Rectangle
 from dyknow_rqt.graph.snapshot import PortRef

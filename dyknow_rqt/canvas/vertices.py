@@ -9,8 +9,8 @@ from python_qt_binding.QtCore import QPointF, QRectF, Qt
 from python_qt_binding.QtGui import QBrush, QFont, QFontMetricsF, QPainter, QPainterPath, QPen
 from python_qt_binding.QtWidgets import QGraphicsItem
 
-from dyknow.manager.model import State
-from dyknow.manager.specifications.transformation import IN, OUT
+from dyknow.model.graph import State
+from dyknow.model.transformation import IN, OUT
 from dyknow_rqt.canvas.appearance import Appearance
 from dyknow_rqt.canvas.colours import Colours, Tone
 from dyknow_rqt.canvas.items import Item, PortItem

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Dict, List, Mapping, Tuple
 
 from dyknow.errors import DyKnowError
-from dyknow.manager.specifications.transformation import Transformation
+from dyknow.model.transformation import Transformation
 from dyknow_rqt.graph.snapshot import PortRef, Snapshot
 
 if TYPE_CHECKING:

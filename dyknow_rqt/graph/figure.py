@@ -6,7 +6,7 @@ import enum
 from dataclasses import dataclass, field
 from typing import Dict, Iterator, List, NamedTuple, Set, Tuple
 
-from dyknow.manager.specifications.transformation import IN
+from dyknow.model.transformation import IN
 from dyknow_rqt.graph.filters import Filter
 from dyknow_rqt.graph.snapshot import PortRef, Snapshot, Topic
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Sequence, Tuple
 
-from dyknow.manager.specifications.transformation import Transformation
+from dyknow.model.transformation import Transformation
 from dyknow_rqt.graph.changes import CannotUndo, Change, Library
 from dyknow_rqt.graph.snapshot import Snapshot
 

@@ -16,8 +16,8 @@ from typing import (
     Tuple,
 )
 
-from dyknow.manager.model import PortState
-from dyknow.manager.specifications.transformation import IN
+from dyknow.model.graph import PortState
+from dyknow.model.transformation import IN
 from dyknow.wiring.ports import topic_after
 
 if TYPE_CHECKING:

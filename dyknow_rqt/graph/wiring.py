@@ -6,8 +6,8 @@ from typing import Iterator, List, Tuple
 
 from dyknow import names
 from dyknow.errors import DyKnowError
-from dyknow.manager.model import PortState
-from dyknow.manager.specifications.transformation import IN
+from dyknow.model.graph import PortState
+from dyknow.model.transformation import IN
 from dyknow.wiring import ports
 from dyknow.wiring.ports import types_fit
 from dyknow_rqt.graph.changes import Rewire

@@ -7,8 +7,8 @@ from typing import Optional, Sequence
 from python_qt_binding.QtCore import Signal
 from python_qt_binding.QtWidgets import QHBoxLayout, QPushButton, QVBoxLayout, QWidget
 
-from dyknow.manager.model import State
-from dyknow.manager.specifications.transformation import IN
+from dyknow.model.graph import State
+from dyknow.model.transformation import IN
 from dyknow_rqt.graph.changes import DestroyNodelet, Protect
 from dyknow_rqt.graph.snapshot import Snapshot
 from dyknow_rqt.monitor import Monitor

@@ -18,8 +18,8 @@ from python_qt_binding.QtWidgets import (
     QWidget,
 )
 
-from dyknow.manager.model import PortState
-from dyknow.manager.specifications.transformation import IN, OUT
+from dyknow.model.graph import PortState
+from dyknow.model.transformation import IN, OUT
 from dyknow_rqt.graph.snapshot import PortRef, Snapshot
 from dyknow_rqt.graph.wiring import (
     DoNotFit,

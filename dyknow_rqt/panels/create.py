@@ -19,7 +19,7 @@ from python_qt_binding.QtWidgets import (
 )
 
 from dyknow import names
-from dyknow.manager.specifications.transformation import NODELET, Transformation
+from dyknow.model.transformation import NODELET, Transformation
 from dyknow_rqt.graph.changes import SpawnNodelet
 from dyknow_rqt.graph.snapshot import Snapshot
 from dyknow_rqt.monitor import Monitor

@@ -17,7 +17,7 @@ from python_qt_binding.QtWidgets import (
     QWidget,
 )
 
-from dyknow.manager.specifications.transformation import IN, Transformation
+from dyknow.model.transformation import IN, Transformation
 from dyknow_rqt.graph.library_changes import (
     AddTransformations,
     as_specification,

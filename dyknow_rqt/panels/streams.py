@@ -24,8 +24,8 @@ from python_qt_binding.QtWidgets import (
     QWidget,
 )
 
-from dyknow.manager.claim import ClaimState, StreamRequest
-from dyknow.manager.specifications.transformation import OUT, Transformation
+from dyknow.model.streams import ClaimState, StreamRequest
+from dyknow.model.transformation import OUT, Transformation
 from dyknow_rqt.graph.stream_changes import AcquireStream, ReleaseStream, ReplanStream
 from dyknow_rqt.monitor import Monitor
 from dyknow_rqt.panels.tables import KeyedTable

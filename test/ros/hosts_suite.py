@@ -18,8 +18,8 @@ from processes import NODELET, Running
 from stream_suite import GOAL, StreamCase
 
 from dyknow.errors import HostError, PeerTimeout, Refused
-from dyknow.manager.claim import ClaimState, StreamRequest
-from dyknow.manager.model import State
+from dyknow.model.graph import State
+from dyknow.model.streams import ClaimState, StreamRequest
 from dyknow.ros.master import Master
 from dyknow.ros.service_client import ServiceClient
 from dyknow.ros.stream_views import StreamEventView

@@ -21,7 +21,7 @@ from roslib.message import get_message_class
 from std_msgs.msg import String
 
 from dyknow.errors import DyKnowError
-from dyknow.manager.claim import ClaimState, StreamRequest
+from dyknow.model.streams import ClaimState, StreamRequest
 
 sys.path.append(str(PACKAGES / "dyknow_manager_test" / "src"))
 import signatures

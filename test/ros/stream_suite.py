@@ -13,8 +13,8 @@ from processes import BUSY
 from std_msgs.msg import Header, String
 
 from dyknow.errors import DyKnowError
-from dyknow.manager.claim import ClaimState
-from dyknow.manager.model import State
+from dyknow.model.graph import State
+from dyknow.model.streams import ClaimState
 from dyknow.ros.stream_views import StreamEventView, StreamView, event_view
 
 

@@ -18,7 +18,7 @@ from nodelet.srv import NodeletLoad, NodeletUnload
 from processes import NODELET, STOCK_NODELET, Running
 from std_msgs.msg import String
 
-from dyknow.manager.model import State
+from dyknow.model.graph import State
 from dyknow.ros.os_process import ProcessId
 
 PEER = "/peer"

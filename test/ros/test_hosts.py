@@ -13,8 +13,8 @@ from manager_suite import LIBRARY, eventually
 from stream_suite import LIBRARY as STREAMS
 
 from dyknow.errors import Refused
-from dyknow.manager.claim import ClaimState
-from dyknow.manager.model import State
+from dyknow.model.graph import State
+from dyknow.model.streams import ClaimState
 from dyknow.ros.master import Master
 
 CLIENT = [sys.executable, str(Path(__file__).resolve().parent / "stream_client.py")]

@@ -33,7 +33,8 @@ from manager_suite import (
 from nodelet.srv import NodeletLoad, NodeletUnload
 
 from dyknow.errors import DyKnowError, HostError, Refused
-from dyknow.manager.model import State
+from dyknow.manager.specifications.values import value_of
+from dyknow.model.graph import State
 
 
 class ServicesTest(ManagerCase):
@@ -74,7 +75,7 @@ class ServicesTest(ManagerCase):
         added = self.client.add_transformation(text)
         self.assertEqual(added.labels, ("extra",))
         found = {each.label: each for each in self.client.get_model().transformations}["extra"]
-        self.assertEqual([p.value for p in found.parameters], [3, 0.5, True, "me"])
+        self.assertEqual([value_of(p) for p in found.parameters], [3, 0.5, True, "me"])
         self.assertEqual(
             [(p.name, p.direction) for p in found.ports], [("in", "in"), ("out", "out")]
         )

@@ -16,7 +16,7 @@ from manager_suite import LIBRARY, ManagerCase, eventually, registrations, speci
 from sensor_msgs.msg import CameraInfo, Image
 
 from dyknow.errors import Refused
-from dyknow.manager.model import State
+from dyknow.model.graph import State
 
 EXAMPLE = Path(rospkg.RosPack().get_path("dyknow")) / "examples/transformations/image_proc.xml"
 CPP = "/dyknow_cpp_nodelet_manager"

@@ -18,8 +18,8 @@ from faulty_disk import full, kept_aside, read_only, small_disk
 from manager_suite import CHILD, MANAGER, ManagerCase, ManagerProcess, Receiver, eventually
 from rosservice import get_service_class_by_name
 
-from dyknow.manager.claim import StreamRequest
-from dyknow.manager.model import State
+from dyknow.model.graph import State
+from dyknow.model.streams import StreamRequest
 
 SOURCE = """<transformation><label>numbers</label><source>dyknow_manager_test/Counter</source>
 <ports><port type="out">out</port></ports><tags><tag port="out">Numbers(test)</tag></tags>

@@ -29,7 +29,7 @@ from processes import BUSY, Running
 from std_msgs.msg import Header
 
 from dyknow.errors import DyKnowError, Refused
-from dyknow.manager.model import State
+from dyknow.model.graph import State
 from dyknow.ros.os_process import ProcessId
 
 

@@ -16,7 +16,7 @@ from stream_suite import CHEAP_FILTER, GOAL, SPARE_FILTER, StreamCase, transform
 
 import dyknow
 from dyknow.errors import DyKnowError
-from dyknow.manager.claim import ClaimState, StreamRequest
+from dyknow.model.streams import ClaimState, StreamRequest
 
 HANGING = transformation("hanging", "HangsInInit", "Hanging(ball)", "Raw(?camera)")
 

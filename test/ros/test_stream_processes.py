@@ -14,7 +14,7 @@ from manager_suite import eventually
 from processes import Running
 from stream_suite import GOAL, StreamCase
 
-from dyknow.manager.claim import ClaimState, StreamRequest
+from dyknow.model.streams import ClaimState, StreamRequest
 
 CLIENT = [sys.executable, str(Path(__file__).resolve().parent / "stream_client.py")]
 

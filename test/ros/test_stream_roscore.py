@@ -19,7 +19,7 @@ from roslib.packages import find_node
 from stream_suite import GOAL, LIBRARY, StreamCase
 
 from dyknow.errors import DyKnowError
-from dyknow.manager.claim import ClaimState, StreamRequest
+from dyknow.model.streams import ClaimState, StreamRequest
 from dyknow.ros.client import ManagerClient
 from dyknow.ros.master import Master
 

@@ -15,7 +15,7 @@ from std_msgs.msg import Header
 from stream_suite import CAMERA, GOAL, SENSOR, StreamCase, transformation
 
 import dyknow
-from dyknow.manager.claim import NO_MESSAGE, ClaimState, StreamRequest
+from dyknow.model.streams import NO_MESSAGE, ClaimState, StreamRequest
 
 DYKNOW = [sys.executable, "-m", "dyknow.cli"]
 #: Of equal worth with the camera of the suite's library.

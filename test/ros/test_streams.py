@@ -17,7 +17,7 @@ from stream_suite import FILTER, GOAL, SENSOR, SPARE_FILTER, StreamCase
 
 import dyknow
 from dyknow.errors import Refused
-from dyknow.manager.claim import NO_MESSAGE, ClaimState, StreamRequest
+from dyknow.model.streams import NO_MESSAGE, ClaimState, StreamRequest
 from dyknow.ros.client_errors import Result, StreamRefused
 
 DYKNOW = [sys.executable, "-m", "dyknow.cli"]

@@ -11,7 +11,7 @@ from dyknow.cli.json_output import nodelet_json
 from dyknow.cli.shell import FAILED, Shell
 from dyknow.cli.tables import columns
 from dyknow.cli.views import state_of, unknown_nodelet
-from dyknow.manager.specifications.transformation import IN, OUT
+from dyknow.model.transformation import IN, OUT
 from dyknow.wiring.ports import by_name
 
 if TYPE_CHECKING:

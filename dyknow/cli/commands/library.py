@@ -14,7 +14,7 @@ from dyknow.cli.json_output import transformation_json
 from dyknow.cli.shell import FAILED, Shell
 from dyknow.cli.tables import columns, count
 from dyknow.errors import DyKnowError, Refused, UnknownTransformation
-from dyknow.manager.specifications.transformation import IN, OUT, Transformation
+from dyknow.model.transformation import IN, OUT, Transformation
 from dyknow.ros.client_errors import Unreachable
 from dyknow.similar import did_you_mean
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Dict, List, Set
 from dyknow.cli.command import Command
 from dyknow.cli.shell import Shell
 from dyknow.cli.tables import columns
-from dyknow.manager.specifications.transformation import OUT
+from dyknow.model.transformation import OUT
 
 if TYPE_CHECKING:
     from dyknow.ros.views import ModelView

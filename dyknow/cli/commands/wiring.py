@@ -25,7 +25,7 @@ from dyknow.cli.connecting import (
 from dyknow.cli.json_output import Json
 from dyknow.cli.shell import Shell
 from dyknow.cli.views import shows
-from dyknow.manager.specifications.transformation import IN, OUT
+from dyknow.model.transformation import IN, OUT
 
 
 def _connect_arguments(parser: argparse.ArgumentParser) -> None:

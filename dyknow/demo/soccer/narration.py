@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Dict, Iterator, List
 
 from dyknow import names
-from dyknow.manager.model import State
+from dyknow.model.graph import State
 from dyknow.ros.views import ModelView, NodeletView
 
 

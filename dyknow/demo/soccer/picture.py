@@ -9,7 +9,7 @@ from typing import AbstractSet, Dict, List, Sequence, Tuple
 
 from dyknow.demo.soccer.narration import short
 from dyknow.errors import DyKnowError
-from dyknow.manager.model import State
+from dyknow.model.graph import State
 from dyknow.ros.views import ModelView, NodeletView
 
 FORMS = ("png", "svg")

@@ -19,7 +19,7 @@ from dyknow.demo.soccer.observing import TRACKING, Observation, feeding, trackin
 from dyknow.demo.soccer.picture import Moment, draw, to_dot
 from dyknow.demo.soccer.track import shortcomings
 from dyknow.errors import DyKnowError, Refused
-from dyknow.manager.claim import StreamRequest
+from dyknow.model.streams import StreamRequest
 from dyknow.ros.client import ManagerClient
 from dyknow.ros.views import ModelView
 

@@ -7,8 +7,8 @@ from typing import Sequence, Set, Tuple
 from dyknow.errors import UnknownTransformation
 from dyknow.manager.manager import Manager
 from dyknow.manager.planning.problem import NoPlan
-from dyknow.manager.specifications.transformation import OUT
 from dyknow.manager.specifications.wording import listed
+from dyknow.model.transformation import OUT
 from dyknow.similar import did_you_mean
 
 #: Transformations beyond which nothing is suggested: looking would take too long.

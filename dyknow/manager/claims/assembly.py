@@ -22,12 +22,11 @@ from dyknow.manager.claims.plan_context import ANY, PlanContext, default_topic
 from dyknow.manager.claims.relay import relay
 from dyknow.manager.claims.transaction import Transaction
 from dyknow.manager.host import NodeletKind
-from dyknow.manager.lifecycle import SpawnRequest
 from dyknow.manager.manager import Manager
-from dyknow.manager.model import State
 from dyknow.manager.planning.problem import Live, New, PlanStep, Source
 from dyknow.manager.specifications.tags import read_tags
-from dyknow.manager.specifications.transformation import OUT, Transformation
+from dyknow.model.graph import SpawnRequest, State
+from dyknow.model.transformation import OUT, Transformation
 
 
 class Assembly:
@@ -258,15 +257,9 @@ class _Work:
             self._claim_lock.reserve([name])  # nobody takes it for one that is not needed
             try:
                 is_plain = self._manager.host.kind_of(transformation.source) is NodeletKind.CPP
-                request = SpawnRequest(
-                    transformation.label,
-                    name,
-                    config=wiring if is_plain else {},
-                    claimed=True,
-                    near=tuple(inputs.values()),
-                )
+                request = SpawnRequest(transformation.label, name, wiring if is_plain else {})
                 with self._claim_lock.pause():
-                    self.transaction.spawn(transformation, request)
+                    self.transaction.spawn(transformation, request, inputs.values())
             except NameTaken:
                 continue
             except DyKnowError:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from typing import Dict, Hashable, Optional, Tuple
 
-from dyknow.manager.claim import Claim, ClaimState
+from dyknow.manager.claim import Claim
 from dyknow.manager.claims.claim_planner import ClaimPlanner
 from dyknow.manager.claims.claim_table import ClaimTable
 from dyknow.manager.claims.relay import RELAY_COST
 from dyknow.manager.planning.problem import Live, NoPlan, Plan
+from dyknow.model.streams import ClaimState
 
 
 class CheaperPlans:

@@ -20,12 +20,12 @@ from dyknow.manager.claims.relay import is_relay
 from dyknow.manager.claims.silence_monitor import SilenceMonitor
 from dyknow.manager.claims.streams import Stream, live_streams
 from dyknow.manager.manager import Manager
-from dyknow.manager.model import State
 from dyknow.manager.planning.planner import Planner
 from dyknow.manager.planning.problem import NO_LABELS, Answer, Live, NoPlan, Plan
 from dyknow.manager.planning.supply import Demand, Supply
 from dyknow.manager.specifications.tags import Subsumption
-from dyknow.manager.specifications.transformation import Transformation
+from dyknow.model.graph import State
+from dyknow.model.transformation import Transformation
 
 #: Seconds for which the answer to "which topics are published?" is good enough.
 _FRESH = 0.5

@@ -17,8 +17,9 @@ from dyknow.errors import Busy, DyKnowError, HostError, HostTimeout, WrongStream
 from dyknow.manager.claims.claim_table import ClaimTable
 from dyknow.manager.claims.topology import Consumer, Producer, Topology
 from dyknow.manager.manager import Manager
-from dyknow.manager.model import Record, State, seen_ports, topics_of
+from dyknow.manager.record import Record, seen_ports, topics_of
 from dyknow.manager.specifications.tags import Subsumption
+from dyknow.model.graph import State
 
 #: Seconds to wait for a look to be done with a nodelet.
 _PATIENCE = 1.0

@@ -6,7 +6,7 @@ import contextlib
 from typing import Callable, List, Optional
 
 from dyknow.manager.host import Count, Host
-from dyknow.manager.model import Record
+from dyknow.manager.record import Record
 
 #: Seconds between two questions.
 _STEP = 0.02

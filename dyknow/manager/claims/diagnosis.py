@@ -11,7 +11,8 @@ from dyknow.manager.claims.relay import is_relay
 from dyknow.manager.claims.topology import Topology
 from dyknow.manager.library import Library
 from dyknow.manager.manager import Manager
-from dyknow.manager.model import Record, State
+from dyknow.manager.record import Record
+from dyknow.model.graph import State
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import AbstractSet, Dict, List, Sequence, Set
 
-from dyknow.manager.model import Record, State
-from dyknow.manager.specifications.transformation import IN, OUT
+from dyknow.manager.record import Record
+from dyknow.model.graph import State
+from dyknow.model.transformation import IN, OUT
 
 
 def with_feeders(

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 from typing import Callable, Dict, Iterable, Tuple
 
-from dyknow.manager.claim import NO_MESSAGE, Claim, ClaimState
+from dyknow.manager.claim import Claim
 from dyknow.manager.claims.claim_table import ClaimTable
 from dyknow.manager.claims.flows import FlowMeter, Place
 from dyknow.manager.graph import Graph
+from dyknow.model.streams import NO_MESSAGE, ClaimState
 
 #: Seconds between two counts while a message is waited for.
 _PERIOD = 0.25

@@ -13,7 +13,7 @@ from typing import Callable, Dict, FrozenSet, Iterable, List, Mapping, Set, Tupl
 
 from dyknow.manager.graph import Graph
 from dyknow.manager.host import Count, Host, Listening
-from dyknow.manager.model import State
+from dyknow.model.graph import State
 
 #: Seconds without an answer after which a nodelet counts as one that does not answer.
 UNANSWERED = 2.0

@@ -7,15 +7,17 @@ from functools import partial
 from typing import AbstractSet, Callable, Dict, Iterable, Set, Tuple
 
 from dyknow.errors import DyKnowError
-from dyknow.manager.claim import Claim, ClaimState
+from dyknow.manager.claim import Claim
 from dyknow.manager.claims.claim_lock import ClaimLock
 from dyknow.manager.claims.claim_table import ClaimTable
 from dyknow.manager.claims.connector import Connector
 from dyknow.manager.claims.silence_monitor import SilenceMonitor
 from dyknow.manager.claims.topology import Consumer, Producer
 from dyknow.manager.manager import Manager
-from dyknow.manager.model import Record, State
-from dyknow.manager.specifications.transformation import IN, OUT
+from dyknow.manager.record import Record
+from dyknow.model.graph import State
+from dyknow.model.streams import ClaimState
+from dyknow.model.transformation import IN, OUT
 
 _log = logging.getLogger("rosout.dyknow")
 

@@ -9,9 +9,10 @@ from dyknow.errors import StreamTypeMismatch
 from dyknow.manager.claims.assembly_request import AssemblyRequest
 from dyknow.manager.claims.claim_table import ClaimTable
 from dyknow.manager.manager import Manager
-from dyknow.manager.model import Record, State
 from dyknow.manager.planning.problem import Live, New, PlanStep, Source
-from dyknow.manager.specifications.transformation import IN, OUT
+from dyknow.manager.record import Record
+from dyknow.model.graph import State
+from dyknow.model.transformation import IN, OUT
 
 #: Types that go with every other.
 ANY = ("", "*")

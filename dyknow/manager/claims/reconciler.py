@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 from typing import Callable, List, Mapping, Optional, Tuple
 
 from dyknow.errors import DyKnowError, NoPlanFound
-from dyknow.manager.claim import Claim, ClaimEvent, ClaimState, StreamRequest
+from dyknow.manager.claim import Claim, ClaimEvent
 from dyknow.manager.claims.advice import refusal
 from dyknow.manager.claims.cheaper_plans import CheaperPlans
 from dyknow.manager.claims.claim_lock import ClaimLock
@@ -35,6 +35,7 @@ from dyknow.manager.claims.silence_monitor import SilenceMonitor
 from dyknow.manager.manager import Manager
 from dyknow.manager.planning.problem import NoPlan, Plan
 from dyknow.manager.specifications.tags import NO_ONTOLOGY, Subsumption
+from dyknow.model.streams import ClaimState, StreamRequest
 
 _log = logging.getLogger("rosout.dyknow")
 

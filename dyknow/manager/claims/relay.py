@@ -10,7 +10,7 @@ from typing import Optional, Tuple
 
 from dyknow.errors import SpawnFailed
 from dyknow.manager.specifications.tags import read_tags
-from dyknow.manager.specifications.transformation import IN, OUT, Parameter, Port, Transformation
+from dyknow.model.transformation import IN, OUT, Parameter, Port, Transformation
 
 #: What a relay costs, as transformations do that say nothing else.
 RELAY_COST = 1

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any, Callable, Dict, Hashable, Mapping, Optional, Tuple
 
 from dyknow.errors import DyKnowError, StreamTypeMismatch
-from dyknow.manager.claim import Claim, ClaimState
+from dyknow.manager.claim import Claim
 from dyknow.manager.claims.assembly import Assembly
 from dyknow.manager.claims.assembly_request import AssemblyRequest, AssemblyResult
 from dyknow.manager.claims.claim_lock import ClaimLock
@@ -23,8 +23,10 @@ from dyknow.manager.claims.garbage_collector import GarbageCollector
 from dyknow.manager.claims.quarantine import Quarantine
 from dyknow.manager.claims.silence_monitor import SilenceMonitor
 from dyknow.manager.manager import Manager
-from dyknow.manager.model import Record, State
 from dyknow.manager.planning.problem import NoPlan, Plan
+from dyknow.manager.record import Record
+from dyknow.model.graph import State
+from dyknow.model.streams import ClaimState
 
 #: Times that a stream is planned anew because parts went while it was being made.
 _ATTEMPTS = 3

@@ -12,8 +12,8 @@ from typing import Dict, FrozenSet, Iterable, List, Mapping, Set
 from dyknow.manager.claim import Claim
 from dyknow.manager.claims.flows import FlowMeter, Place
 from dyknow.manager.graph import Graph
-from dyknow.manager.model import State
-from dyknow.manager.specifications.transformation import OUT
+from dyknow.model.graph import State
+from dyknow.model.transformation import OUT
 
 #: Seconds that a part may take to send its first message, if the claim does not allow more.
 FIRST_MESSAGE = 2.0

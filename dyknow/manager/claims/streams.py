@@ -9,11 +9,12 @@ from __future__ import annotations
 from typing import AbstractSet, Iterable, List, Tuple
 
 from dyknow.manager.claims.topology import Topology
-from dyknow.manager.model import Record, State
 from dyknow.manager.planning.problem import Live
 from dyknow.manager.planning.supply import Demand, Supply
+from dyknow.manager.record import Record
 from dyknow.manager.specifications.tags import Subsumption, Term, read_tags
-from dyknow.manager.specifications.transformation import IN, OUT, Transformation
+from dyknow.model.graph import State
+from dyknow.model.transformation import IN, OUT, Transformation
 
 Stream = Tuple[Live, Tuple[Term, ...]]
 

@@ -22,10 +22,10 @@ from typing import (
 from dyknow.manager.claim import Claim
 from dyknow.manager.claims.demands import demand_of
 from dyknow.manager.claims.relay import is_relay
-from dyknow.manager.model import Record
 from dyknow.manager.planning.supply import Demand, meets
+from dyknow.manager.record import Record
 from dyknow.manager.specifications.tags import Subsumption, Term, read_tags
-from dyknow.manager.specifications.transformation import IN, OUT, Port, Transformation
+from dyknow.model.transformation import IN, OUT, Port, Transformation
 
 
 class Producer(NamedTuple):

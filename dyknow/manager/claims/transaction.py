@@ -5,14 +5,14 @@ from __future__ import annotations
 import logging
 from dataclasses import replace
 from functools import partial
-from typing import AbstractSet, Callable, Dict, List, Mapping, Optional, Tuple
+from typing import AbstractSet, Callable, Dict, Iterable, List, Mapping, Optional, Tuple
 
 from dyknow.errors import DyKnowError, HostError
 from dyknow.manager.claims.connector import Connector
-from dyknow.manager.lifecycle import SpawnRequest
 from dyknow.manager.manager import Manager
-from dyknow.manager.model import Record, State
-from dyknow.manager.specifications.transformation import Transformation
+from dyknow.manager.record import Record
+from dyknow.model.graph import SpawnRequest, State
+from dyknow.model.transformation import Transformation
 
 _log = logging.getLogger("rosout.dyknow")
 
@@ -37,15 +37,17 @@ class Transaction:
         #: Nodelets and how they were connected before; None: they were not there.
         self._before: List[Tuple[str, Optional[Dict[str, str]]]] = []
 
-    def spawn(self, transformation: Transformation, request: SpawnRequest) -> Record:
-        """Make a nodelet.
+    def spawn(
+        self, transformation: Transformation, request: SpawnRequest, near: Iterable[str]
+    ) -> Record:
+        """Make a nodelet, close to those that publish on the topics ``near`` it.
 
         Raises:
             DyKnowError: it did not work.
         """
         planned = Record(request.name, transformation, "", topics=request.config)
         self._make_way(planned, request.config)
-        record = self._manager.lifecycle.spawn(transformation, request)
+        record = self._manager.lifecycle.spawn(transformation, request, True, near)
         self.spawned.append(record.name)
         self._before.append((record.name, None))
         return record

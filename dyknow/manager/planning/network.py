@@ -13,7 +13,7 @@ from typing import AbstractSet, Dict, Iterable, List, Optional, Set, Tuple
 from dyknow.manager.planning.problem import Action, Live, Need, New, Source
 from dyknow.manager.planning.supply import Demand, Supply
 from dyknow.manager.specifications.tags import NO_ONTOLOGY, Subsumption, Term, read_tags
-from dyknow.manager.specifications.transformation import IN, OUT, TOPIC, Port, Transformation
+from dyknow.model.transformation import IN, OUT, TOPIC, Port, Transformation
 
 Chosen = Dict[int, int]
 """For each demand the action that supplies it, or -1 for a live stream."""

@@ -19,7 +19,7 @@ from dyknow.manager.planning.network import Network, Reach
 from dyknow.manager.planning.problem import NO_LABELS, Answer, Live, NoPlan, Plan, PlanStep
 from dyknow.manager.planning.supply import Demand, Supply
 from dyknow.manager.specifications.tags import NO_ONTOLOGY, Subsumption, Term
-from dyknow.manager.specifications.transformation import Transformation
+from dyknow.model.transformation import Transformation
 
 #: Steps that the improvement may take: about a tenth of a second.
 STEPS = 100_000

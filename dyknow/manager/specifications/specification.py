@@ -13,7 +13,7 @@ from dyknow.manager.specifications.findings import EnoughProblems, Findings
 from dyknow.manager.specifications.limits import DEFAULT_LIMITS, SpecificationLimits
 from dyknow.manager.specifications.reader import read
 from dyknow.manager.specifications.template import Concepts, Expander
-from dyknow.manager.specifications.transformation import Transformation
+from dyknow.model.transformation import Transformation
 
 
 @dataclass(frozen=True)

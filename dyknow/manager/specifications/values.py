@@ -14,6 +14,7 @@ import yaml
 
 from dyknow.manager.specifications.limits import DEFAULT_LIMITS, SpecificationLimits
 from dyknow.manager.specifications.wording import shorten
+from dyknow.model.transformation import Parameter
 
 Value = Union[str, int, float, bool, List[Any], Dict[str, Any]]
 
@@ -68,6 +69,11 @@ def parse_value(type_: str, text: str, limits: SpecificationLimits = DEFAULT_LIM
     if type_ == "yaml":
         return _parse_yaml(text, limits)
     raise BadValue(f"expected the type string, int, double, bool or yaml, found '{type_}'")
+
+
+def value_of(parameter: Parameter) -> Value:
+    """Return what the parameter server is to hold; lists and mappings are the caller's own."""
+    return parse_value(parameter.type, parameter.text)
 
 
 def _parse_int(text: str) -> int:

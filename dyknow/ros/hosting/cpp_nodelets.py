@@ -25,7 +25,8 @@ from dyknow import names
 from dyknow.errors import DuplicatePort, DyKnowError, UnknownNodelet
 from dyknow.locks import turn_lock
 from dyknow.manager.manager import Manager
-from dyknow.manager.model import Record, State
+from dyknow.manager.record import Record
+from dyknow.model.graph import State
 from dyknow.ros.log_text import for_log
 from dyknow.ros.messages import config_pairs
 from dyknow.ros.model_messages import running_port

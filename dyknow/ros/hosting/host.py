@@ -41,8 +41,9 @@ from dyknow.manager.host import (
     ManagerState,
     NodeletKind,
 )
-from dyknow.manager.model import PortState
-from dyknow.manager.specifications.transformation import Parameter
+from dyknow.manager.specifications.values import value_of
+from dyknow.model.graph import PortState
+from dyknow.model.transformation import Parameter
 from dyknow.ros.hosting.children import Child, Children
 from dyknow.ros.hosting.counting import Counting
 from dyknow.ros.hosting.declared import Declared
@@ -383,7 +384,7 @@ class RosHost(Host):
         for parameter in parameters:
             key = names.join(name, parameter.name)
             try:
-                self._master.ask("setParam", key, parameter.value)
+                self._master.ask("setParam", key, value_of(parameter))
             except (LookupError, PeerTimeout, OverflowError, TypeError) as error:
                 raise HostError(f"parameter '{key}' cannot be set: {error}") from error
 

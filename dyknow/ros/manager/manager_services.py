@@ -22,8 +22,8 @@ from dyknow_msgs.srv import (
 )
 
 from dyknow.errors import DuplicatePort, DyKnowError, InvalidConfiguration
-from dyknow.manager.lifecycle import SpawnRequest
 from dyknow.manager.manager import Manager
+from dyknow.model.graph import SpawnRequest
 from dyknow.ros.log_text import for_log
 from dyknow.ros.manager.remarks import with_remark
 from dyknow.ros.messages import config_pairs
@@ -97,9 +97,9 @@ class ManagerServices:
                 SpawnRequest(
                     request.label,
                     request.name,
+                    _mapping(request.name, pairs),
                     request.is_protected,
                     request.isolated,
-                    _mapping(request.name, pairs),
                     manager,
                 )
             )

@@ -30,9 +30,10 @@ from dyknow.errors import (
     TooMuch,
 )
 from dyknow.guards import Guards
-from dyknow.manager.claim import Claim, StreamRequest
+from dyknow.manager.claim import Claim
 from dyknow.manager.claims.reconciler import Acquired, StreamReconciler
 from dyknow.manager.planning.explanation import as_tree
+from dyknow.model.streams import StreamRequest
 from dyknow.ros.log_text import for_log
 from dyknow.ros.manager.remarks import with_remark
 from dyknow.ros.manager.stream_messages import StreamMessages

@@ -14,12 +14,13 @@ from dyknow.cli.main import execute
 from dyknow.cli.parser import parse
 from dyknow.cli.shell import Shell
 from dyknow.errors import DyKnowError, HostError, NoPlanFound, Refused
-from dyknow.manager.claim import Claim, ClaimEvent, StreamRequest
+from dyknow.manager.claim import Claim, ClaimEvent
 from dyknow.manager.claims.advice import unknown_labels
 from dyknow.manager.claims.reconciler import Acquired, StreamReconciler
-from dyknow.manager.lifecycle import SpawnRequest
-from dyknow.manager.model import Record
 from dyknow.manager.planning.explanation import as_tree
+from dyknow.manager.record import Record
+from dyknow.model.graph import SpawnRequest
+from dyknow.model.streams import StreamRequest
 from dyknow.ros.client import Added
 from dyknow.ros.client_errors import Result, Silent, StreamRefused
 from dyknow.ros.stream_views import AcquiredView, ReplannedView, StreamEventView, StreamView
@@ -86,7 +87,7 @@ class FakeClient:
         manager: str = "",
     ) -> None:
         self._note("spawn", name)
-        request = SpawnRequest(label, name, is_protected, isolated, config or {}, manager)
+        request = SpawnRequest(label, name, config or {}, is_protected, isolated, manager)
         _answered(lambda: self.world.manager.spawn(request))
 
     def destroy(self, name: str) -> None:

@@ -12,7 +12,7 @@ from unit.cli.fake_client import FakeClient, run
 from unit.manager.world import World
 
 from dyknow.cli.drawing import CannotDraw, render, to_dot
-from dyknow.manager.model import PortState, State
+from dyknow.model.graph import PortState, State
 from dyknow.ros.views import ModelView, NodeletView
 
 needs_graphviz = pytest.mark.skipif(shutil.which("dot") is None, reason="graphviz is missing")

@@ -10,7 +10,7 @@ from unit.manager.world import World
 
 from dyknow.errors import Refused
 from dyknow.manager.host import NodeletKind
-from dyknow.manager.specifications.transformation import Port, Transformation
+from dyknow.model.transformation import Port, Transformation
 from dyknow.ros.client_errors import Unreachable
 from dyknow.wiring.plan import readers_first
 from dyknow.wiring.wiring import WiredNodelet

@@ -27,7 +27,7 @@ def test_each_concept_makes_a_transformation_for_each_individual(ontology):
     labels = [[each.label for each in found[name]] for name in FILES]
     assert labels == [["tracker"], ["camera(robot_camera)"], ["camera(ceiling_camera)"]]
     (camera,) = found["robot_cameras.xml"]
-    assert [each.value for each in camera.parameters] == ["robot_camera"]
+    assert [each.text for each in camera.parameters] == ["robot_camera"]
     assert [port.tags for port in camera.ports] == [("Image(robot_camera)",)]
 
 

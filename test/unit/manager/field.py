@@ -7,15 +7,15 @@ from typing import Any, Dict, List, Mapping, Sequence, Tuple
 from unittest import mock
 
 from dyknow.errors import HostTimeout
-from dyknow.manager.claim import Claim, ClaimEvent, ClaimState, StreamRequest
+from dyknow.manager.claim import Claim, ClaimEvent
 from dyknow.manager.claims.reconciler import Acquired, StreamReconciler
 from dyknow.manager.fake_host import FakeHost
 from dyknow.manager.library import Library
-from dyknow.manager.lifecycle import SpawnRequest
 from dyknow.manager.manager import Manager
-from dyknow.manager.model import State
 from dyknow.manager.specifications.tags import NO_ONTOLOGY, Subsumption
 from dyknow.manager.store import Store
+from dyknow.model.graph import SpawnRequest, State
+from dyknow.model.streams import ClaimState, StreamRequest
 
 IMAGE, POINT = "sensor_msgs/Image", "geometry_msgs/PointStamped"
 SOURCES = {

@@ -8,7 +8,7 @@ import pytest
 from unit.manager.world import World
 
 from dyknow.errors import HostError, HostTimeout
-from dyknow.manager.model import State
+from dyknow.model.graph import State
 
 FAR = "/far"
 

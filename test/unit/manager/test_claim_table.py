@@ -6,9 +6,10 @@ import contextlib
 import threading
 from typing import List
 
-from dyknow.manager.claim import Claim, ClaimEvent, ClaimState, StreamRequest
+from dyknow.manager.claim import Claim, ClaimEvent
 from dyknow.manager.claims.claim_table import ClaimTable
 from dyknow.manager.store import Store
+from dyknow.model.streams import ClaimState, StreamRequest
 
 
 def table() -> ClaimTable:

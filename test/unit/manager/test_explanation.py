@@ -9,11 +9,11 @@ import subprocess
 import pytest
 from unit.manager.field import GOAL, Field
 
-from dyknow.manager.claim import StreamRequest
 from dyknow.manager.planning.explanation import Entry, as_dot, as_tree, read_tree, tree_as_dot
 from dyknow.manager.planning.problem import Action, Live, Need, New, NoPlan, Plan, PlanStep
 from dyknow.manager.planning.supply import Demand
 from dyknow.manager.specifications.tags import parse_tag
+from dyknow.model.streams import StreamRequest
 
 
 def demand(tag: str, datatype: str = "") -> Demand:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from unit.manager.field import FIRST_MESSAGE, POINT, Field
 
-from dyknow.manager.claim import NO_MESSAGE, ClaimState
+from dyknow.model.streams import NO_MESSAGE, ClaimState
 
 REFEREE = (
     '<transformation type="topic"><label>referee</label><source>/referee/ball</source>'

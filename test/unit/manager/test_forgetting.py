@@ -8,9 +8,9 @@ import pytest
 from unit.manager.field import LIBRARY, Field
 
 from dyknow.errors import NoPlanFound
-from dyknow.manager.claim import StreamRequest
 from dyknow.manager.claims import claim_planner
 from dyknow.manager.claims.quarantine import LONG_AGO, Quarantine
+from dyknow.model.streams import StreamRequest
 
 
 @pytest.fixture

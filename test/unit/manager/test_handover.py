@@ -8,7 +8,7 @@ import pytest
 from unit.manager.field import CHAIN, GOAL, LIBRARY, POINT, Field, transformation
 
 from dyknow.errors import HostError, NoPlanFound, SpawnFailed, StreamTypeMismatch
-from dyknow.manager.claim import ClaimState, StreamRequest
+from dyknow.model.streams import ClaimState, StreamRequest
 
 OTHER = transformation(
     "other localization",

@@ -6,7 +6,7 @@ import pytest
 from unit.manager.field import CHAIN, Field
 
 from dyknow.errors import HostTimeout
-from dyknow.manager.claim import ClaimState
+from dyknow.model.streams import ClaimState
 
 
 @pytest.fixture

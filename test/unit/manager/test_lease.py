@@ -11,8 +11,9 @@ import pytest
 from faulty_disk import kept_aside
 from unit.manager.field import Field
 
-from dyknow.manager.claim import Claim, ClaimState, StreamRequest
+from dyknow.manager.claim import Claim
 from dyknow.manager.moment import Moment
+from dyknow.model.streams import ClaimState, StreamRequest
 
 WRITTEN = Moment(steady=1000.0, wall=50_000.0, boot="first")
 

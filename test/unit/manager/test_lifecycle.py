@@ -21,7 +21,7 @@ from dyknow.errors import (
 )
 from dyknow.guards import Guards
 from dyknow.manager.host import NodeletKind
-from dyknow.manager.model import State
+from dyknow.model.graph import State
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ from unit.manager.world import World
 
 from dyknow.errors import HostError
 from dyknow.manager.host import LoadRequest, NodeletKind
-from dyknow.manager.model import State
+from dyknow.model.graph import State
 
 
 @pytest.fixture

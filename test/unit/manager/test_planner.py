@@ -13,7 +13,7 @@ from dyknow.manager.planning.planner import Planner
 from dyknow.manager.planning.problem import Answer, Live, New, NoPlan, Plan
 from dyknow.manager.planning.supply import Demand
 from dyknow.manager.specifications.tags import parse_tag
-from dyknow.manager.specifications.transformation import Port, Transformation
+from dyknow.model.transformation import Port, Transformation
 
 
 def make(

@@ -9,8 +9,8 @@ import pytest
 from unit.manager.field import CHAIN, FIRST_MESSAGE, GOAL, LIBRARY, POINT, Field
 
 from dyknow.errors import InvalidTag, NoPlanFound, SpawnFailed, StreamTypeMismatch, UnknownClaim
-from dyknow.manager.claim import ClaimState, StreamRequest
-from dyknow.manager.lifecycle import SpawnRequest
+from dyknow.model.graph import SpawnRequest
+from dyknow.model.streams import ClaimState, StreamRequest
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 from unit.manager.field import LIBRARY, Field, counted_ids, transformation
 
 from dyknow.errors import DyKnowError, NoPlanFound
-from dyknow.manager.claim import ClaimState
+from dyknow.model.streams import ClaimState
 
 OTHERS = "".join(
     [

@@ -13,7 +13,7 @@ from unit.manager.field import CHAIN, FIRST_MESSAGE, GOAL, LIBRARY, Field, trans
 
 from dyknow.errors import Denied, HostError, NoPlanFound, UnknownClaim
 from dyknow.guards import Guards
-from dyknow.manager.claim import ClaimState, StreamRequest
+from dyknow.model.streams import ClaimState, StreamRequest
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import pytest
 from unit.manager.field import CHAIN, FIRST_MESSAGE, Field
 
 from dyknow.errors import HostError, HostTimeout
-from dyknow.manager.claim import ClaimState
+from dyknow.model.streams import ClaimState
 
 
 @pytest.fixture

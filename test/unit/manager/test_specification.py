@@ -9,7 +9,8 @@ from specification_strategies import transformations
 
 from dyknow.errors import Problem, SpecificationError
 from dyknow.manager.specifications.specification import check, parse, parse_file
-from dyknow.manager.specifications.transformation import Parameter, Port, Transformation
+from dyknow.manager.specifications.values import value_of
+from dyknow.model.transformation import Parameter, Port, Transformation
 
 HERE = Path(__file__).parent
 EXAMPLES = HERE.parents[2] / "examples" / "transformations"
@@ -165,7 +166,7 @@ def test_yaml_may_be_indented_like_the_xml_around_it():
     parameter = parse(text).transformations[0].parameters[0]
 
     assert parameter.text == "k: [1, 2]\nmodel:\n  name: fisheye"
-    assert parameter.value == {"k": [1, 2], "model": {"name": "fisheye"}}
+    assert value_of(parameter) == {"k": [1, 2], "model": {"name": "fisheye"}}
 
 
 def test_lines_are_exact_beyond_the_65535_that_libxml2_can_count():

@@ -11,9 +11,10 @@ import pytest
 from faulty_disk import kept_aside
 
 from dyknow.errors import StoreError
-from dyknow.manager.model import Record, State
-from dyknow.manager.specifications.transformation import Parameter, Port, Transformation
+from dyknow.manager.record import Record
 from dyknow.manager.store import Store, _body, pack
+from dyknow.model.graph import State
+from dyknow.model.transformation import Parameter, Port, Transformation
 
 TRANSFORMATION = Transformation(
     "a(1)",

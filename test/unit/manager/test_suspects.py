@@ -11,10 +11,10 @@ from unit.manager.world import World
 
 from dyknow import names
 from dyknow.errors import HostError, NoPlanFound, SpawnFailed
-from dyknow.manager.claim import ClaimState
 from dyknow.manager.host import Crash
-from dyknow.manager.model import State
 from dyknow.manager.suspects import ENOUGH, MEMORY, Suspects
+from dyknow.model.graph import State
+from dyknow.model.streams import ClaimState
 
 SHARED = "/fake_0"
 

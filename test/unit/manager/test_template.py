@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from dyknow.errors import SpecificationError, UnknownConcept
 from dyknow.manager.specifications.limits import SpecificationLimits
 from dyknow.manager.specifications.specification import parse
-from dyknow.manager.specifications.transformation import Parameter, Port
+from dyknow.model.transformation import Parameter, Port
 
 TERMS = st.text(st.sampled_from("ab1 ${}X<&"), min_size=1, max_size=6).map(str.strip)
 SETS = st.lists(TERMS.filter(bool), min_size=1, max_size=4, unique=True)

@@ -6,9 +6,9 @@ from typing import Dict, List
 
 from dyknow.manager.claims.relay import relay
 from dyknow.manager.claims.topology import Topology
-from dyknow.manager.model import Record
+from dyknow.manager.record import Record
 from dyknow.manager.specifications.tags import NO_ONTOLOGY
-from dyknow.manager.specifications.transformation import IN, OUT, Port, Transformation
+from dyknow.model.transformation import IN, OUT, Port, Transformation
 
 IMAGE = "sensor_msgs/Image"
 

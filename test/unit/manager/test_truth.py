@@ -9,7 +9,8 @@ import pytest
 from unit.manager.field import CHAIN, GOAL, IMAGE, LIBRARY, Field, specification, transformation
 
 from dyknow.errors import HostError, NoPlanFound
-from dyknow.manager.claim import ClaimEvent, ClaimState
+from dyknow.manager.claim import ClaimEvent
+from dyknow.model.streams import ClaimState
 
 JOINTS = "sensor_msgs/JointState"
 

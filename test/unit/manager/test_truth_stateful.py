@@ -25,8 +25,8 @@ from unit.manager.field import Field, counted_ids, specification
 from unit.manager.witness import Concepts, Witness
 
 from dyknow.errors import DyKnowError, HostError
-from dyknow.manager.claim import ClaimState
-from dyknow.manager.lifecycle import SpawnRequest
+from dyknow.model.graph import SpawnRequest
+from dyknow.model.streams import ClaimState
 
 CONCEPTS = Concepts({"Frame": "Image", "left": "camera", "right": "camera"})
 TYPE = "test/Signed"

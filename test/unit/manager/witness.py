@@ -10,8 +10,9 @@ import itertools
 import re
 from typing import Callable, Dict, FrozenSet, List, Mapping, Set, Tuple
 
-from dyknow.manager.claim import Claim, ClaimState
+from dyknow.manager.claim import Claim
 from dyknow.manager.fake_host import FakeHost
+from dyknow.model.streams import ClaimState
 
 Wrong = Tuple[str, str, str, str]
 """Who receives, at which port, on which topic, from whom."""

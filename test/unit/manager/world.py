@@ -8,9 +8,9 @@ from typing import Any, Callable
 from dyknow.guards import NO_GUARDS, Guards
 from dyknow.manager.fake_host import FakeHost
 from dyknow.manager.library import Library
-from dyknow.manager.lifecycle import SpawnRequest
 from dyknow.manager.manager import Manager
 from dyknow.manager.store import Store
+from dyknow.model.graph import SpawnRequest
 
 SOURCES = {
     "pkg/Camera": [("image", "out", "sensor_msgs/Image")],

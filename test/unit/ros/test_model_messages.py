@@ -10,8 +10,9 @@ import rospy
 from dyknow_msgs.msg import Model as ModelMessage
 from dyknow_msgs.srv import GetModelResponse
 
-from dyknow.manager.model import Model, PortState, Record, State
-from dyknow.manager.specifications.transformation import Parameter, Port, Transformation
+from dyknow.manager.record import Model, Record
+from dyknow.model.graph import PortState, State
+from dyknow.model.transformation import Parameter, Port, Transformation
 from dyknow.ros.model_messages import ModelMessages, nodelet_message, transformation_message
 from dyknow.ros.views import model_view
 

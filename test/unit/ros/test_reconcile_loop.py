@@ -7,7 +7,8 @@ from typing import Any, Iterator
 
 import pytest
 
-from dyknow.manager.claim import Claim, ClaimState, StreamRequest
+from dyknow.manager.claim import Claim
+from dyknow.model.streams import ClaimState, StreamRequest
 from dyknow.periodic import PAUSE
 from dyknow.ros.manager.reconcile_loop import PERIOD, ReconcileLoop
 

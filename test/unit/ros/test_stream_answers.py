@@ -6,7 +6,8 @@ import pytest
 from dyknow_msgs.srv import AcquireStreamResponse
 
 from dyknow.errors import Denied, HostError, InvalidTag, NoPlanFound, PeerTimeout, SpawnFailed
-from dyknow.manager.claim import Claim, ClaimEvent, ClaimState, StreamRequest
+from dyknow.manager.claim import Claim, ClaimEvent
+from dyknow.model.streams import ClaimState, StreamRequest
 from dyknow.ros.client_errors import Result, StreamRefused
 from dyknow.ros.manager.stream_messages import StreamMessages
 from dyknow.ros.manager.stream_services import _result

@@ -8,7 +8,7 @@ from unittest import mock
 
 import pytest
 
-from dyknow.manager.claim import ClaimState
+from dyknow.model.streams import ClaimState
 from dyknow.ros.acquiring import AcquiredStream
 from dyknow.ros.stream_views import StreamEventView, StreamView
 

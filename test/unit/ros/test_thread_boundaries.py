@@ -11,7 +11,7 @@ import pytest
 import rospy
 
 from dyknow import periodic
-from dyknow.manager.model import Model
+from dyknow.manager.record import Model
 from dyknow.ros import stream_heart, stream_session
 from dyknow.ros.bonding import bonds
 from dyknow.ros.manager.model_publisher import ModelPublisher

@@ -7,7 +7,7 @@ import subprocess
 import pydot
 import pytest
 
-from dyknow.manager.model import PortState, State
+from dyknow.model.graph import PortState, State
 from dyknow.ros.views import NodeletView
 from dyknow_rqt.graph.dot import BadLayout, read_layout, to_dot
 from dyknow_rqt.graph.figure import Options, VertexKind, figure_of

@@ -436,7 +436,7 @@ def test_library_shows_imports_exports_and_deletes(qtbot, window, remote, tmp_pa
 
 
 def test_a_library_of_a_hundred_thousand_does_not_hold_up_the_window(qtbot, window):
-    from dyknow.manager.specifications.transformation import Transformation
+    from dyknow.model.transformation import Transformation
 
     library = {f"t{i}": Transformation(f"t{i}", "p/C") for i in range(100_000)}
     window.tabs.setCurrentWidget(window.library)

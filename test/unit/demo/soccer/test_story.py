@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pytest
 
-from dyknow.manager.claim import ClaimState, StreamRequest
 from dyknow.manager.claims.reconciler import StreamReconciler
 from dyknow.manager.fake_host import FakeHost
 from dyknow.manager.library import Library
@@ -14,6 +13,7 @@ from dyknow.manager.manager import Manager
 from dyknow.manager.specifications.ontology import load_ontology
 from dyknow.manager.specifications.specification import parse_file
 from dyknow.manager.store import Store
+from dyknow.model.streams import ClaimState, StreamRequest
 
 EXAMPLES = Path(__file__).parents[4] / "examples"
 SOCCER = EXAMPLES / "transformations" / "soccer.xml"

@@ -9,7 +9,7 @@ import numpy as np
 from dyknow.demo.soccer.narration import changes
 from dyknow.demo.soccer.picture import Moment, draw, to_dot
 from dyknow.demo.soccer.track import Stretch, Track, shortcomings
-from dyknow.manager.model import PortState, State
+from dyknow.model.graph import PortState, State
 from dyknow.ros.views import ModelView, NodeletView
 
 

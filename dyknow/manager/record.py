@@ -1,40 +1,12 @@
-"""The model of the computation graph, as values: the paper's GetModel."""
+"""Nodelets as the manager knows them: what each should be, and what was last seen."""
 
 from __future__ import annotations
 
-import enum
 from dataclasses import dataclass, field
 from typing import Dict, Mapping, Optional, Tuple
 
-from dyknow.manager.specifications.transformation import Transformation
-
-
-class State(enum.IntEnum):
-    """State of a nodelet; the numbers are those of ``dyknow_msgs/Nodelet``."""
-
-    STARTING = 0
-    RUNNING = 1
-    LOST = 2
-    FAILED = 3
-
-
-@dataclass(frozen=True)
-class PortState:
-    """A port of a running nodelet.
-
-    Attributes:
-        name: unique in the nodelet.
-        direction: ``in`` or ``out``.
-        datatype: ROS type, empty when not known yet.
-        topic: global name, empty when disconnected.
-        tags: those of the transformation.
-    """
-
-    name: str
-    direction: str
-    datatype: str = ""
-    topic: str = ""
-    tags: Tuple[str, ...] = ()
+from dyknow.model.graph import PortState, State
+from dyknow.model.transformation import Transformation
 
 
 @dataclass(frozen=True)

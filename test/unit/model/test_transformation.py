@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 from specification_strategies import transformations
 
 from dyknow.manager.specifications.specification import parse
-from dyknow.manager.specifications.transformation import Parameter, Port, Transformation
+from dyknow.manager.specifications.values import value_of
+from dyknow.model.transformation import Parameter, Port, Transformation
 
 UNDISTORT = Transformation(
     label="undistort(cam1)",
@@ -63,6 +64,6 @@ def test_transformations_are_values():
 def test_a_mapping_read_from_a_parameter_belongs_to_the_reader():
     parameter = Parameter("lens", "yaml", "{k1: 0.5}")
 
-    parameter.value["k1"] = 7
+    value_of(parameter)["k1"] = 7
 
-    assert parameter.value == {"k1": 0.5}
+    assert value_of(parameter) == {"k1": 0.5}

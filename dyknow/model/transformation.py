@@ -5,8 +5,6 @@ from __future__ import annotations
 from typing import List, NamedTuple, Tuple
 from xml.sax.saxutils import escape, quoteattr
 
-from dyknow.manager.specifications.values import Value, parse_value
-
 NODELET = "nodelet"
 TOPIC = "topic"
 IN = "in"
@@ -25,11 +23,6 @@ class Parameter(NamedTuple):
     name: str
     type: str
     text: str
-
-    @property
-    def value(self) -> Value:
-        """The value as the parameter server holds it; lists and mappings are the caller's own."""
-        return parse_value(self.type, self.text)
 
 
 class Port(NamedTuple):

@@ -1,0 +1,5 @@
+"""Plain values for everything that crosses a seam: what can run, what runs, and its streams.
+
+The manager answers with these values, the messages of ``dyknow_msgs`` carry them, and the command
+line, wirings and the window work on them. Nothing here knows ROS.
+"""
