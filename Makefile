@@ -17,10 +17,10 @@ build: deps ## build the checkout in a catkin workspace of its own, build/ws
 	@bash tools/build.sh
 
 demo: build ## run the demonstration on the soccer field (options: make demo ARGS="...")
-	@$(IN_WORKSPACE) $(ROS_PYTHON) -m dyknow.demo $(ARGS)
+	@$(IN_WORKSPACE) $(ROS_PYTHON) -m dyknow_demo $(ARGS)
 
 demo-rewiring: build ## re-wire a chain of camera frames by hand, and count the frames
-	@$(IN_WORKSPACE) $(ROS_PYTHON) -m dyknow.demo --rewiring $(ARGS)
+	@$(IN_WORKSPACE) $(ROS_PYTHON) -m dyknow_demo --rewiring $(ARGS)
 
 gui: build ## open the window on the computation graph
 	@$(IN_WORKSPACE) rosrun dyknow dyknow_rqt $(ARGS)

@@ -5,7 +5,11 @@ from setuptools import find_packages, setup
 
 setup(
     **generate_distutils_setup(
-        packages=find_packages(".", include=["dyknow", "dyknow.*", "dyknow_rqt", "dyknow_rqt.*"]),
+        packages=[
+            each
+            for each in find_packages(".")
+            if each.split(".")[0] in ("dyknow", "dyknow_benchmark", "dyknow_demo", "dyknow_rqt")
+        ],
         package_dir={"": "."},
         # What the packages read at run time besides modules, beside those that read it.
         package_data={

@@ -38,7 +38,7 @@ class DemoCase(unittest.TestCase):
 
     def start(self, *arguments, env=None):
         demo = subprocess.Popen(
-            [sys.executable, "-u", "-m", "dyknow.demo", *self.arguments, *arguments],
+            [sys.executable, "-u", "-m", "dyknow_demo", *self.arguments, *arguments],
             env=env,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,

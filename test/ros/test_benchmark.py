@@ -14,7 +14,7 @@ from pathlib import Path
 
 from telling import TellingCase
 
-from dyknow.benchmark.kinds import KINDS
+from dyknow_benchmark.kinds import KINDS
 
 PKG, NAME = "dyknow", "benchmark"
 TIME_LIMIT = 150.0
@@ -41,7 +41,7 @@ class BenchmarkTest(TellingCase):
         self.out = Path(directory.name) / "out"
 
     def command(self, *arguments):
-        return [sys.executable, "-m", "dyknow.benchmark", *map(str, arguments)]
+        return [sys.executable, "-m", "dyknow_benchmark", *map(str, arguments)]
 
     def measure(self, *arguments, name=None):
         name = name or arguments[0]

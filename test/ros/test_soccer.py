@@ -17,9 +17,9 @@ from nodelet.srv import NodeletLoad, NodeletUnload
 from sensor_msgs.msg import CameraInfo, Image, JointState
 from telling import TellingCase
 
-from dyknow.demo.soccer.field import BALL_RADIUS
-from dyknow.demo.soccer.planes_message import planes_of
-from dyknow.demo.soccer.world import World
+from dyknow_demo.soccer.field import BALL_RADIUS
+from dyknow_demo.soccer.planes_message import planes_of
+from dyknow_demo.soccer.world import World
 
 TIMEOUT = 30.0  # s
 SEED = 4

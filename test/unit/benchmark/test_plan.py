@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import csv
 
-from dyknow.benchmark import plan
-from dyknow.benchmark.main import main
+from dyknow_benchmark import plan
+from dyknow_benchmark.main import main
 
 
 def test_both_libraries_are_planned_over(tmp_path, capsys):

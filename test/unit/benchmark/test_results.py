@@ -4,15 +4,15 @@ import csv
 
 import pytest
 
-from dyknow.benchmark import chain, ratios, tables
-from dyknow.benchmark.chain import HEADER, OVERHEAD_HEADER, Plan
-from dyknow.benchmark.control import Block, Order, select
-from dyknow.benchmark.fan import last_arrivals
-from dyknow.benchmark.main import FAILED, main, parser, with_measurement
-from dyknow.benchmark.outcome import Outcome
-from dyknow.benchmark.outside import spread
-from dyknow.benchmark.parts import payload_of
-from dyknow.benchmark.targets import Verdict
+from dyknow_benchmark import chain, ratios, tables
+from dyknow_benchmark.chain import HEADER, OVERHEAD_HEADER, Plan
+from dyknow_benchmark.control import Block, Order, select
+from dyknow_benchmark.fan import last_arrivals
+from dyknow_benchmark.main import FAILED, main, parser, with_measurement
+from dyknow_benchmark.outcome import Outcome
+from dyknow_benchmark.outside import spread
+from dyknow_benchmark.parts import payload_of
+from dyknow_benchmark.targets import Verdict
 
 
 def read(path):

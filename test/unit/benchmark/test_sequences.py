@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import pytest
 
-from dyknow.benchmark.rewire import delays
-from dyknow.benchmark.sequences import SwitchedIn, SwitchedOut
+from dyknow_benchmark.rewire import delays
+from dyknow_benchmark.sequences import SwitchedIn, SwitchedOut
 
 
 def ticking():

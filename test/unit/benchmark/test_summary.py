@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-from dyknow.benchmark.summary import Summary, median, median_interval, quantile
+from dyknow_benchmark.summary import Summary, median, median_interval, quantile
 
 
 def test_a_summary_of_no_values_is_all_zero():

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from dyknow.demo.rewiring.accounting import Arrival, Published, Switch, account, gaps
-from dyknow.demo.rewiring.frame_names import FrameName
+from dyknow_demo.rewiring.accounting import Arrival, Published, Switch, account, gaps
+from dyknow_demo.rewiring.frame_names import FrameName
 
 PERIOD = 0.03
 SIZE = (304, 400)

@@ -9,9 +9,9 @@ import pytest
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
-from dyknow.demo import images
-from dyknow.demo.field import render
-from dyknow.demo.rewiring.frame_names import FrameName
+from dyknow_demo import images
+from dyknow_demo.field import render
+from dyknow_demo.rewiring.frame_names import FrameName
 
 
 def test_an_array_is_a_view_of_the_message():

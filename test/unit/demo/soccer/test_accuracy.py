@@ -14,12 +14,12 @@ import math
 import numpy as np
 import pytest
 
-from dyknow.demo.soccer import ceiling
-from dyknow.demo.soccer.accuracy import measure
-from dyknow.demo.soccer.ceiling import CEILING_CAMERA
-from dyknow.demo.soccer.field import BALL_RADIUS
-from dyknow.demo.soccer.nao import BOTTOM_CAMERA, ENCODER_STEP
-from dyknow.demo.soccer.world import HEADING_ERROR, MOUNTING_ERROR, PLACE_ERROR, World
+from dyknow_demo.soccer import ceiling
+from dyknow_demo.soccer.accuracy import measure
+from dyknow_demo.soccer.ceiling import CEILING_CAMERA
+from dyknow_demo.soccer.field import BALL_RADIUS
+from dyknow_demo.soccer.nao import BOTTOM_CAMERA, ENCODER_STEP
+from dyknow_demo.soccer.world import HEADING_ERROR, MOUNTING_ERROR, PLACE_ERROR, World
 
 TIMES = [1.6e9 + 2.4 * number for number in range(40)]
 SEEDS = range(5)
@@ -62,6 +62,6 @@ def test_errors_are_within_what_geometry_allows(name):
 
 
 def test_without_errors_of_its_owner_the_ceiling_camera_sees_to_a_centimetre(monkeypatch):
-    monkeypatch.setattr("dyknow.demo.soccer.world.MOUNTING_ERROR", 0.0)
+    monkeypatch.setattr("dyknow_demo.soccer.world.MOUNTING_ERROR", 0.0)
     accuracy = measure("ceiling_camera", 0, TIMES)
     assert accuracy.percentile(95) < 2 * PIXEL * 2 * ceiling.HEIGHT / CEILING_CAMERA.fx

@@ -6,11 +6,11 @@ import cv2
 import numpy as np
 import pytest
 
-from dyknow.demo.shared_frames import SHARED_FRAMES
-from dyknow.demo.soccer import forest, learn
-from dyknow.demo.soccer.nodelets.ball_detector import LEARNT, BallDetector
-from dyknow.demo.soccer.recall import planes_from_bgr
-from dyknow.demo.soccer.regions import regions
+from dyknow_demo.shared_frames import SHARED_FRAMES
+from dyknow_demo.soccer import forest, learn
+from dyknow_demo.soccer.nodelets.ball_detector import LEARNT, BallDetector
+from dyknow_demo.soccer.recall import planes_from_bgr
+from dyknow_demo.soccer.regions import regions
 
 YELLOWS = {"warm": (40, 210, 230), "pale": (150, 205, 215), "dim": (25, 95, 100)}
 OFF_LIMITS = (75, 120, 130)  # as in a dim hall

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dyknow.demo.soccer import ceiling, nao
-from dyknow.demo.soccer.mounts import Fixed, NaoBottom, mount_of
-from dyknow.demo.soccer.nao import BOTTOM_CAMERA, Posture, robot_from_bottom_camera
-from dyknow.demo.soccer.pinhole import Pinhole
-from dyknow.demo.soccer.rigid import (
+from dyknow_demo.soccer import ceiling, nao
+from dyknow_demo.soccer.mounts import Fixed, NaoBottom, mount_of
+from dyknow_demo.soccer.nao import BOTTOM_CAMERA, Posture, robot_from_bottom_camera
+from dyknow_demo.soccer.pinhole import Pinhole
+from dyknow_demo.soccer.rigid import (
     apply,
     inverse,
     quaternion_of_yaw,

@@ -6,11 +6,11 @@ import cv2
 import numpy as np
 import pytest
 
-from dyknow.demo.shared_frames import SHARED_FRAMES
-from dyknow.demo.soccer import evaluate
-from dyknow.demo.soccer.annotations import read_frames
-from dyknow.demo.soccer.finder import Find
-from dyknow.demo.soccer.recall import evaluate_frame, is_hit, match, overlap
+from dyknow_demo.shared_frames import SHARED_FRAMES
+from dyknow_demo.soccer import evaluate
+from dyknow_demo.soccer.annotations import read_frames
+from dyknow_demo.soccer.finder import Find
+from dyknow_demo.soccer.recall import evaluate_frame, is_hit, match, overlap
 
 real_frames = pytest.mark.skipif(
     not SHARED_FRAMES.is_dir(), reason=f"there are no real frames in {SHARED_FRAMES}"

@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 
-from dyknow.demo.soccer.narration import changes
-from dyknow.demo.soccer.picture import Moment, draw, to_dot
-from dyknow.demo.soccer.track import Stretch, Track, shortcomings
 from dyknow.model.graph import PortState, State
 from dyknow.ros.views import ModelView, NodeletView
+from dyknow_demo.soccer.narration import changes
+from dyknow_demo.soccer.picture import Moment, draw, to_dot
+from dyknow_demo.soccer.track import Stretch, Track, shortcomings
 
 
 def nodelet(name, state=State.RUNNING, **ports):

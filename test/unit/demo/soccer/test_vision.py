@@ -8,19 +8,19 @@ import cv2
 import numpy as np
 import pytest
 
-from dyknow.demo.soccer.ceiling import floor_from_camera
-from dyknow.demo.soccer.colour import ORANGE, YELLOW
-from dyknow.demo.soccer.finder import Find, Limits, find_balls
-from dyknow.demo.soccer.history import History
-from dyknow.demo.soccer.localizing import on_field
-from dyknow.demo.soccer.nao import BOTTOM_CAMERA
-from dyknow.demo.soccer.outline import fit_round
-from dyknow.demo.soccer.pinhole import Pinhole
-from dyknow.demo.soccer.planes import pyramid
-from dyknow.demo.soccer.rigid import apply, inverse
-from dyknow.demo.soccer.sighting import Geometry, best_sighting, cone, sight
-from dyknow.demo.soccer.sphere import draw_ball
-from dyknow.demo.soccer.yuv import pack, yuv_from_bgr
+from dyknow_demo.soccer.ceiling import floor_from_camera
+from dyknow_demo.soccer.colour import ORANGE, YELLOW
+from dyknow_demo.soccer.finder import Find, Limits, find_balls
+from dyknow_demo.soccer.history import History
+from dyknow_demo.soccer.localizing import on_field
+from dyknow_demo.soccer.nao import BOTTOM_CAMERA
+from dyknow_demo.soccer.outline import fit_round
+from dyknow_demo.soccer.pinhole import Pinhole
+from dyknow_demo.soccer.planes import pyramid
+from dyknow_demo.soccer.rigid import apply, inverse
+from dyknow_demo.soccer.sighting import Geometry, best_sighting, cone, sight
+from dyknow_demo.soccer.sphere import draw_ball
+from dyknow_demo.soccer.yuv import pack, yuv_from_bgr
 
 GRASS, ORANGE_BGR, YELLOW_BGR = (60, 120, 50), (20, 105, 245), (40, 210, 230)
 CIRCLE = np.linspace(0, 2 * math.pi, 60, endpoint=False)

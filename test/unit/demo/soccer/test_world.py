@@ -8,17 +8,17 @@ import cv2
 import numpy as np
 import pytest
 
-from dyknow.demo.soccer import field, nao
-from dyknow.demo.soccer.ball import INTERVAL, KICKS, ROLLING, Ball
-from dyknow.demo.soccer.camera import FieldCamera
-from dyknow.demo.soccer.ceiling import CEILING_CAMERA
-from dyknow.demo.soccer.field import BALL_RADIUS
-from dyknow.demo.soccer.nao import BOTTOM_CAMERA
-from dyknow.demo.soccer.pinhole import Pinhole
-from dyknow.demo.soccer.rigid import apply, inverse
-from dyknow.demo.soccer.sphere import draw_ball
-from dyknow.demo.soccer.world import World
-from dyknow.demo.soccer.yuv import pack, yuv_from_bgr
+from dyknow_demo.soccer import field, nao
+from dyknow_demo.soccer.ball import INTERVAL, KICKS, ROLLING, Ball
+from dyknow_demo.soccer.camera import FieldCamera
+from dyknow_demo.soccer.ceiling import CEILING_CAMERA
+from dyknow_demo.soccer.field import BALL_RADIUS
+from dyknow_demo.soccer.nao import BOTTOM_CAMERA
+from dyknow_demo.soccer.pinhole import Pinhole
+from dyknow_demo.soccer.rigid import apply, inverse
+from dyknow_demo.soccer.sphere import draw_ball
+from dyknow_demo.soccer.world import World
+from dyknow_demo.soccer.yuv import pack, yuv_from_bgr
 
 ROUND = KICKS * INTERVAL
 FASTEST_WALK = 0.25  # m/s

@@ -1,0 +1,105 @@
+"""``benchmark leak``: what re-wiring and loading leave behind in a nodelet manager.
+
+File descriptors, threads and registrations of the manager are counted before and after many
+re-wirings and many cycles of load and unload; nothing may be left.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+from dataclasses import astuple, dataclass, fields
+from pathlib import Path
+
+import rosgraph
+
+from dyknow_benchmark import machine, options, progress
+from dyknow_benchmark.managers import Manager
+from dyknow_benchmark.outcome import Outcome
+from dyknow_benchmark.session import Session
+from dyknow_benchmark.switching import ENDS, Switching
+from dyknow_benchmark.targets import Verdict
+
+HEADER = ("what", "before", "after")
+#: Seconds in which connections and threads of what is gone end.
+_SETTLE = 10.0
+#: Rounds before the first count, in which pools and caches fill.
+_WARM_UP = 20
+
+
+@dataclass(frozen=True)
+class Census:
+    """What a process holds at one moment."""
+
+    file_descriptors: int
+    threads: int
+    registrations: int
+    resident_kib: int
+
+    @classmethod
+    def take(cls, manager: Manager) -> Census:
+        """Count."""
+        process = Path(f"/proc/{manager.pid}")
+        state = rosgraph.Master("/benchmark").getSystemState()
+        return cls(
+            len(os.listdir(process / "fd")),
+            len(os.listdir(process / "task")),
+            sum(manager.name in nodes for kind in state for _, nodes in kind),
+            int((process / "statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") // 1024,
+        )
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument(
+        "--cycles", type=options.positive, default=1000, help="of each kind (default: %(default)d)"
+    )
+
+
+def run(arguments: argparse.Namespace) -> Outcome:
+    """Measure and put the results together."""
+    with Session() as session:
+        manager = Manager.python(session)
+        switching = Switching(manager, rate=100.0)
+        load = machine.Load()
+        for _ in range(_WARM_UP):
+            _cycle(manager, switching)
+        before = _settled(manager)
+        for _ in progress.steps(range(arguments.cycles), "leak", arguments.cycles, "cycle"):
+            _cycle(manager, switching)
+        after = _settled(manager)
+    names = [field.name for field in fields(Census)]
+    rows = list(zip(names, astuple(before), astuple(after)))
+    outcome = Outcome(
+        [
+            Verdict(f"{name} left by {arguments.cycles} cycles", now - then, 0)
+            for name, then, now in rows
+            if name != "resident_kib"
+        ]
+    )
+    outcome.table("leak", "what the nodelet manager holds", HEADER, rows)
+    outcome.table("machine", "the machine", machine.HEADER, load.rows())
+    return outcome
+
+
+def _cycle(manager: Manager, switching: Switching) -> None:
+    for end in ENDS:
+        switching.switch(end)
+    name = "/benchmark/leak/hop"
+    remappings = {f"/benchmark/leak/{port}": f"/benchmark/leak/{port}" for port in ("in", "out")}
+    manager.load(name, "dyknow/ChainHop", remappings)
+    manager.unload(name)
+
+
+def _settled(manager: Manager) -> Census:
+    """Count until two counts in a row, a second apart, are the same, or time is up."""
+    end = time.monotonic() + _SETTLE
+    census = Census.take(manager)
+    while time.monotonic() < end:
+        before = census
+        time.sleep(1.0)
+        census = Census.take(manager)
+        if astuple(census)[:3] == astuple(before)[:3]:
+            break
+    return census

@@ -1,0 +1,78 @@
+"""What a measurement came to: tables, pictures and verdicts, shown and written in one way."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Callable, List, Sequence, Tuple
+
+from dyknow_benchmark import targets
+from dyknow_benchmark.tables import Cell, render, write
+from dyknow_benchmark.targets import Verdict
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows that are shown under a title and written to ``NAME.csv``."""
+
+    name: str
+    title: str
+    header: Sequence[str]
+    rows: Sequence[Sequence[Cell]]
+
+
+@dataclass
+class Outcome:
+    """Results of one measurement, in the order in which they are shown."""
+
+    verdicts: Sequence[Verdict] = ()
+    tables: List[Table] = field(default_factory=list)
+    pictures: List[Tuple[str, Callable[[Path], None]]] = field(default_factory=list)
+
+    @property
+    def met(self) -> bool:
+        """Whether every target that applies is reached."""
+        return all(verdict.met for verdict in self.verdicts)
+
+    def table(
+        self, name: str, title: str, header: Sequence[str], rows: Sequence[Sequence[Cell]]
+    ) -> None:
+        """Add a table."""
+        self.tables.append(Table(name, title, header, rows))
+
+    def draw(self, name: str, draw: Callable[[Path], None]) -> None:
+        """Add a picture, written as PNG and SVG."""
+        self.pictures.append((name, draw))
+
+    def show(self) -> str:
+        """Lay everything out for the terminal."""
+        parts = [f"{each.title}\n{render(each.header, each.rows)}" for each in self.tables]
+        parts.append(f"targets\n{targets.show(self.verdicts)}")
+        return "\n\n".join(parts)
+
+    def write(self, directory: Path) -> List[Path]:
+        """Write all files into a directory, which is made if need be; returns their paths."""
+        directory.mkdir(parents=True, exist_ok=True)
+        written = []
+        verdicts = [verdict.row for verdict in self.verdicts]
+        for each in [*self.tables, Table("targets", "", targets.HEADER, verdicts)]:
+            path = directory / f"{each.name}.csv"
+            write(path, each.header, each.rows)
+            written.append(path)
+        for name, draw in self.pictures:
+            for suffix in (".png", ".svg"):
+                path = directory / (name + suffix)
+                draw(path)
+                written.append(path)
+        return written
+
+
+def obstacle(directory: Path) -> str:
+    """Say why files cannot be written into a directory; empty if nothing speaks against it."""
+    there = next(each for each in (directory, *directory.parents) if each.exists())
+    if not there.is_dir():
+        return f"{there} is not a folder"
+    if not os.access(there, os.W_OK | os.X_OK):
+        return f"no permission to write into {there}"
+    return ""

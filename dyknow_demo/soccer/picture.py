@@ -1,0 +1,141 @@
+"""Draws the graph of one moment of the story: what was kept, what is new, what has gone."""
+
+from __future__ import annotations
+
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+from typing import AbstractSet, Dict, List, Sequence, Tuple
+
+from dyknow.errors import DyKnowError
+from dyknow.model.graph import State
+from dyknow.ros.views import ModelView, NodeletView
+from dyknow_demo.soccer.narration import short
+
+FORMS = ("png", "svg")
+
+_LAYOUT_TIMEOUT = 20.0  # s
+_KEPT, _NEW, _IDLE = "#cfe2f3", "#c6e7c8", "#eeeeee"
+_HEAD = """digraph story {
+  rankdir=TB; nodesep=0.2; ranksep=0.25; labelloc=t; fontname="sans-serif"; fontsize=15;
+  node [fontname="sans-serif", fontsize=12, margin="0.08,0.04", height=0.3];
+  edge [fontname="sans-serif", fontsize=10];"""
+
+
+class CannotDraw(DyKnowError):
+    """Graphviz is not installed, or gave up."""
+
+
+@dataclass(frozen=True)
+class Moment:
+    """What there is to draw.
+
+    Attributes:
+        title: what it shows.
+        model: the graph.
+        needed: names of the nodelets of the stream.
+        goal: topic on which the client listens.
+        space: namespace that is left out of names.
+    """
+
+    title: str
+    model: ModelView
+    needed: AbstractSet[str]
+    goal: str
+    space: str = "/"
+
+    def label(self, name: str) -> str:
+        """Write a name as people want to read it; a topic's in two lines."""
+        head, slash, tail = short(name, self.space).rpartition("/")
+        return _quoted(f"{head}\n{slash}{tail}" if head else slash + tail)
+
+
+def to_dot(moment: Moment, first: ModelView) -> str:
+    """Write a picture in graphviz's DOT language.
+
+    Ovals are nodelets and rectangles are topics; the topic of the client is drawn bold. Blue is
+    what was there in the first picture, green what was not, grey what the stream needs no more.
+    What has gone since the first picture is dashed.
+
+    Args:
+        moment: what to draw.
+        first: the graph of the first picture.
+    """
+    there, known = _running(moment.model), _running(first)
+    lines = [_HEAD, f"  label={_quoted(moment.title)};"]
+    for name in sorted({*there, *known}):
+        if name not in there:
+            style = "style=dashed, color=gray50, fontcolor=gray50"
+        elif name not in moment.needed:
+            style = _filled(_IDLE)
+        else:
+            style = _filled(_KEPT if name in known else _NEW)
+        lines.append(f"  {_quoted('n' + name)} [label={moment.label(name)}, {style}];")
+    lines += _streams(there, moment)
+    lines.append("}")
+    return "\n".join(lines) + "\n"
+
+
+def draw(dot: str, folder: Path, name: str) -> List[Path]:
+    """Draw a picture in every form, into files of that name.
+
+    Raises:
+        CannotDraw: with the reason.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    files = [folder / f"{name}.{form}" for form in FORMS]
+    arguments = [part for form, file in zip(FORMS, files) for part in (f"-T{form}", f"-o{file}")]
+    try:
+        done = subprocess.run(
+            ["dot", *arguments],
+            input=dot.encode(),
+            capture_output=True,
+            timeout=_LAYOUT_TIMEOUT,
+            check=False,
+        )
+    except FileNotFoundError as error:
+        raise CannotDraw("graphviz's program 'dot' is not installed") from error
+    except subprocess.TimeoutExpired as error:
+        raise CannotDraw(f"graphviz needs more than {_LAYOUT_TIMEOUT:g} s") from error
+    if done.returncode:
+        raise CannotDraw(f"graphviz failed: {done.stderr.decode(errors='replace').strip()}")
+    return files
+
+
+def _running(model: ModelView) -> Dict[str, NodeletView]:
+    return {each.name: each for each in model.nodelets if each.state is State.RUNNING}
+
+
+def _filled(colour: str) -> str:
+    return f'style=filled, fillcolor="{colour}"'
+
+
+def _streams(there: Dict[str, NodeletView], moment: Moment) -> List[str]:
+    """Topics that somebody listens to, and the arrows to and from them."""
+    sources: Dict[str, List[Tuple[str, str]]] = {}
+    targets: Dict[str, List[Tuple[str, str]]] = {moment.goal: []}
+    for name in sorted(there):
+        for port in there[name].ports:
+            if port.topic:
+                side = targets if port.direction == "in" else sources
+                side.setdefault(port.topic, []).append((name, port.name))
+    lines = [f"  client [shape=plaintext]; {_quoted('t' + moment.goal)} -> client;"]
+    for topic in sorted(targets):
+        bold = ", style=bold" if topic == moment.goal else ""
+        lines.append(f"  {_quoted('t' + topic)} [label={moment.label(topic)}, shape=box{bold}];")
+        lines += _arrows(topic, sources.get(topic, ()), targets[topic])
+    return lines
+
+
+def _arrows(
+    topic: str, sources: Sequence[Tuple[str, str]], targets: Sequence[Tuple[str, str]]
+) -> List[str]:
+    node = _quoted("t" + topic)
+    return [
+        *(f"  {_quoted('n' + name)} -> {node};" for name, _ in sources),
+        *(f"  {node} -> {_quoted('n' + name)} [label={_quoted(port)}];" for name, port in targets),
+    ]
+
+
+def _quoted(text: str) -> str:
+    return '"' + text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n") + '"'
