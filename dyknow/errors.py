@@ -16,7 +16,7 @@ wrong and says what was expected. Only ``dyknow.ros`` turns them into answers of
     ├── BondsClosed              no more bonds: this end is closed (dyknow.ros.bonding.bonds)
     ├── HandleClosed             the nodelet of this handle is unloaded, or it was unregistered
     ├── Denied                   a guard forbids it: deny list, read-only mode
-    ├── TooMuch                  a limit is exceeded
+    ├── LimitExceeded            a limit is exceeded
     ├── UnknownTransformation    the library has no such label
     ├── NotSpawnable             the transformation is an existing topic
     ├── NoPlanFound              nothing supplies a requested stream; what is missing is named
@@ -145,7 +145,7 @@ class Denied(DyKnowError):
         super().__init__(f"{what} is denied: {why}")
 
 
-class TooMuch(DyKnowError):
+class LimitExceeded(DyKnowError):
     """A limit is exceeded."""
 
     def __init__(self, what: str, count: int, limit: int) -> None:

@@ -10,7 +10,7 @@ import fnmatch
 from dataclasses import dataclass, field
 from typing import Iterable, Tuple
 
-from dyknow.errors import Denied, TooMuch
+from dyknow.errors import Denied, LimitExceeded
 
 
 @dataclass(frozen=True)
@@ -56,13 +56,13 @@ class Guards:
         """Refuse what is longer than any sensible request.
 
         Raises:
-            TooMuch: a string or an array is too long.
+            LimitExceeded: a string or an array is too long.
         """
         if entries > self.array_length:
-            raise TooMuch("entries in an array", entries, self.array_length)
+            raise LimitExceeded("entries in an array", entries, self.array_length)
         for text in strings:
             if len(text) > self.string_length:
-                raise TooMuch("characters in a string", len(text), self.string_length)
+                raise LimitExceeded("characters in a string", len(text), self.string_length)
 
 
 NO_GUARDS = Guards()

@@ -14,6 +14,7 @@ import time
 from typing import Callable, Optional, TypeVar, Union
 
 from dyknow.errors import DyKnowError
+from dyknow.locks import state_condition
 
 #: Least seconds between two rounds of a worker, however often it is woken.
 PAUSE = 0.05
@@ -106,7 +107,7 @@ class PeriodicWorker:
         self._pause = pause
         self._logger = logger
         self._clock = clock
-        self._changed = threading.Condition()
+        self._changed = state_condition("worker")
         #: Numbers of the last round that began, that ended, and that somebody asked for.
         self._begun = self._ended = self._wanted = 0
         self._closed = False

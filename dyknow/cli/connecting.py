@@ -10,7 +10,7 @@ from dyknow.cli.views import state_of, unknown_nodelet
 from dyknow.errors import DyKnowError
 from dyknow.model.graph import PortState
 from dyknow.model.transformation import IN, OUT
-from dyknow.ros.client_errors import Silent
+from dyknow.ros.client_errors import NodeletUnreachable
 from dyknow.similar import did_you_mean
 from dyknow.wiring.ports import by_name, choose_topic, types_fit
 
@@ -36,11 +36,11 @@ def ports_of(client: ShellClient, nodelet: str) -> Tuple[PortState, ...]:
 
     Raises:
         CannotConnect: there is no such nodelet, or it has no proxy.
-        Silent: it does not answer.
+        NodeletUnreachable: it does not answer.
     """
     try:
         return client.get_config(nodelet)
-    except Silent as silence:
+    except NodeletUnreachable as silence:
         model = client.nodelets()
         present = model.nodelet(nodelet)
         if present is None:
@@ -50,7 +50,7 @@ def ports_of(client: ShellClient, nodelet: str) -> Tuple[PortState, ...]:
                 f"nodelet '{nodelet}' was loaded by others and has no proxy: its ports cannot be "
                 "connected elsewhere"
             ) from silence
-        raise Silent(f"{silence}; it is {state_of(present)}") from silence
+        raise NodeletUnreachable(f"{silence}; it is {state_of(present)}") from silence
 
 
 def find_port(reference: PortReference, ports: Sequence[PortState]) -> PortState:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Optional, Sequence
 from dyknow.cli.parser import all_commands, parse
 from dyknow.cli.shell import BROKEN_PIPE, DONE, FAILED, INTERRUPTED, UNREACHABLE, Shell
 from dyknow.errors import DyKnowError
-from dyknow.ros.client_errors import Unreachable
+from dyknow.ros.client_errors import ManagerUnreachable
 
 if TYPE_CHECKING:
     from dyknow.ros.shell_client import ShellClient
@@ -39,7 +39,7 @@ def execute(arguments: argparse.Namespace, shell: Shell) -> int:
     """Run the command that was parsed and return its exit code; errors become one line each."""
     try:
         code = all_commands()[arguments.command].run(arguments, shell)
-    except Unreachable as error:
+    except ManagerUnreachable as error:
         shell.error(error)
         return UNREACHABLE
     except DyKnowError as error:

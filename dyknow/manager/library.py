@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from typing import TYPE_CHECKING, Dict, List, Optional, Sequence
 
-from dyknow.errors import TooMuch, UnknownTransformation
+from dyknow.errors import LimitExceeded, UnknownTransformation
 from dyknow.manager.specifications.limits import DEFAULT_LIMITS, SpecificationLimits
 from dyknow.manager.specifications.specification import Specifications, parse
 from dyknow.manager.store import Store
@@ -85,14 +85,14 @@ class Library:
 
         Raises:
             SpecificationError: something is wrong with the text; nothing was added.
-            TooMuch: the library would grow beyond its limit; nothing was added.
+            LimitExceeded: the library would grow beyond its limit; nothing was added.
         """
         specifications = parse(text, file_name, self._ontology, self._limits)
         with self._lock:
             new = {each.label: each for each in specifications.transformations}
             count = len(self._by_label.keys() | new.keys())
             if count > self._limits.transformations:
-                raise TooMuch("transformations", count, self._limits.transformations)
+                raise LimitExceeded("transformations", count, self._limits.transformations)
             self._store.put_transformations(new.values(), self.revision + 1)
             self._by_label.update(new)
             self.revision += 1

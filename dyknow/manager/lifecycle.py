@@ -13,11 +13,11 @@ from dyknow.errors import (
     HostError,
     HostTimeout,
     InvalidConfiguration,
+    LimitExceeded,
     NameTaken,
     NotSpawnable,
     Protected,
     SpawnFailed,
-    TooMuch,
     UnknownPort,
 )
 from dyknow.guards import Guards
@@ -72,7 +72,7 @@ class Lifecycle:
             raise NotSpawnable(transformation.label, transformation.source)
         count = len(self._graph.all()) + 1
         if count > self._guards.nodelets:
-            raise TooMuch("nodelets", count, self._guards.nodelets)
+            raise LimitExceeded("nodelets", count, self._guards.nodelets)
         config = self._resolved(transformation, request.name, request.config)
         with self._graph.changing(request.name, new=True, patience=PATIENCE):
             kind = self._host.kind_of(transformation.source)

@@ -98,7 +98,7 @@ class NodeletProxy:
 
         Raises:
             InvalidConfiguration: something is wrong with an entry; nothing was changed.
-            TooMuch: the request is beyond the limits.
+            LimitExceeded: the request is beyond the limits.
             UnloadedMeanwhile: the nodelet was unloaded; nothing is connected any more.
         """
         before = self._reconfigurations

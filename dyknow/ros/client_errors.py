@@ -3,10 +3,10 @@
 ::
 
     DyKnowError
-    ├── Unreachable       no master, no manager, or it hangs
-    ├── Silent            a nodelet is not there or does not answer; what was asked may be done
+    ├── ManagerUnreachable    no master, no manager, or it hangs
+    ├── NodeletUnreachable    a nodelet is not there or does not answer; it may have done it
     └── Refused
-        └── StreamRefused the manager did not make a stream
+        └── StreamRefused     the manager did not make a stream
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ import enum
 from dyknow.errors import DyKnowError, Refused, waiting
 
 
-class Unreachable(DyKnowError):
+class ManagerUnreachable(DyKnowError):
     """There is no ROS master, or no manager that answers; the text says which."""
 
 
-class Silent(DyKnowError):
+class NodeletUnreachable(DyKnowError):
     """A nodelet's proxy does not answer; whether it did what was asked for is not known."""
 
 

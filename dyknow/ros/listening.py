@@ -28,7 +28,7 @@ _AGAIN = 0.1
 _log = logging.getLogger("rosout.dyknow")
 
 
-def make_room() -> None:
+def enlarge_queue() -> None:
     """Lengthen the queue of this node's server, which is started if need be, and keep it going.
 
     The node must be initialised. To listen again on a socket that listens changes its queue and

@@ -16,7 +16,7 @@ import rospy
 
 from dyknow.nodelet.middleware import Closable
 from dyknow.ros.exit_codes import DONE, FAILED, INTERRUPTED
-from dyknow.ros.listening import make_room
+from dyknow.ros.listening import enlarge_queue
 from dyknow.ros.signals import on_signals
 
 #: Seconds that what is just being started may take to be complete, so that it can be closed.
@@ -77,7 +77,7 @@ class NodeProcess:
     def _begin(self) -> None:
         try:
             rospy.init_node(self._node, argv=self._argv, disable_signals=True)
-            make_room()
+            enlarge_queue()
             self._shut_down.clear()
             rospy.core.add_shutdown_hook(lambda reason: self._shut_down.set())
             rospy.on_shutdown(self._on_shutdown)

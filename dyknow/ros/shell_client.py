@@ -21,7 +21,7 @@ from dyknow import names
 from dyknow.errors import PeerTimeout, Refused
 from dyknow.ros import client
 from dyknow.ros.client import ManagerClient
-from dyknow.ros.client_errors import Silent, Unreachable
+from dyknow.ros.client_errors import ManagerUnreachable, NodeletUnreachable
 from dyknow.ros.master import TIMEOUT, Master
 from dyknow.ros.service_client import ServiceFailed, ServiceLost
 from dyknow.ros.stream_views import StreamEventView, event_view
@@ -48,12 +48,12 @@ class EventReader:
         """Return the next event, or None if none comes in time.
 
         Raises:
-            Unreachable: the manager is gone.
+            ManagerUnreachable: the manager is gone.
         """
         try:
             message = self._reader.read(timeout)
         except OSError as error:
-            raise Unreachable(f"the manager is gone ({_words(error)})") from error
+            raise ManagerUnreachable(f"the manager is gone ({_words(error)})") from error
         return None if message is None else event_view(message)
 
     def close(self) -> None:
@@ -64,8 +64,9 @@ class EventReader:
 class ShellClient(ManagerClient):
     """Asks one DyKnow manager and its nodelets.
 
-    Every method raises `Refused` when the manager or the nodelet says no, `Silent` when the
-    nodelet does not answer, and `Unreachable` when the manager or the master does not.
+    Every method raises `Refused` when the manager or the nodelet says no, `NodeletUnreachable`
+    when the nodelet does not answer, and `ManagerUnreachable` when the manager or the master does
+    not.
     """
 
     def __init__(self, manager: str, timeout: Optional[float] = None) -> None:
@@ -174,11 +175,13 @@ class ShellClient(ManagerClient):
             raise Refused(f"'{owner}': {error}") from error
         except ServiceLost as error:
             if owner != self.manager:
-                raise Silent(f"nodelet '{owner}' does not answer: {error}") from error
+                raise NodeletUnreachable(f"nodelet '{owner}' does not answer: {error}") from error
             raise self._no_manager(error, seconds) from error
         except PeerTimeout as error:
             if owner != self.manager:
-                raise Silent(f"nodelet '{owner}' did not answer within {seconds:g} s") from error
+                raise NodeletUnreachable(
+                    f"nodelet '{owner}' did not answer within {seconds:g} s"
+                ) from error
             raise self._no_manager(error, seconds) from error
 
     def _topic(self, name: str, message_class: Any) -> TopicReader:
@@ -213,12 +216,12 @@ class ShellClient(ManagerClient):
             http.client.HTTPException,
             xmlrpc.client.Error,
         ) as error:
-            raise Unreachable(
+            raise ManagerUnreachable(
                 f"no ROS master at {self._asked.uri} ({_words(error)}): is roscore running, and "
                 "ROS_MASTER_URI right?"
             ) from error
 
-    def _no_manager(self, error: BaseException, seconds: float) -> Unreachable:
+    def _no_manager(self, error: BaseException, seconds: float) -> ManagerUnreachable:
         """Say why the manager does not answer, and what to do: it is not there, dead, or hangs."""
         cause = error.__cause__ or error
         if isinstance(cause, LookupError):
@@ -237,7 +240,7 @@ class ShellClient(ManagerClient):
                 f"is registered, but does not answer ({_words(error)}): it was probably killed; "
                 "start it again with 'rosrun dyknow manager'"
             )
-        return Unreachable(f"DyKnow manager '{self.manager}' {why}")
+        return ManagerUnreachable(f"DyKnow manager '{self.manager}' {why}")
 
 
 def _words(error: BaseException) -> str:

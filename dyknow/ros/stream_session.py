@@ -18,8 +18,8 @@ from dyknow_msgs.msg import StreamEvent
 from dyknow import names
 from dyknow.errors import HostError, PeerTimeout, Refused
 from dyknow.periodic import PeriodicWorker, attempt
+from dyknow.ros.bonding.client_bond import ClientBond
 from dyknow.ros.client import ManagerClient
-from dyknow.ros.stream_heart import Heart
 from dyknow.ros.stream_views import StreamEventView, StreamView, event_view
 
 #: A lease is renewed when this part of it is over.
@@ -74,7 +74,7 @@ class StreamSession:
         self._lock = threading.Lock()
         self._streams: Dict[str, Follower] = {}
         self._due: Dict[str, float] = {}
-        self._heart = Heart(client.manager)
+        self._heart = ClientBond(client.manager)
         self._subscriber: Any = rospy.Subscriber(
             names.join(client.manager, "stream_events"), StreamEvent, self._on_event
         )

@@ -17,7 +17,7 @@ from processes import eventually
 from std_msgs.msg import Header
 
 from dyknow.ros.hosting.counting import Counting
-from dyknow.ros.hosting.hearing import Hearing
+from dyknow.ros.hosting.message_counter import MessageCounter
 from dyknow.ros.master import Master
 from dyknow.ros.transport.registrar import Registrar
 
@@ -156,7 +156,7 @@ class HearingTest(unittest.TestCase):
         cls.registrar = Registrar()
 
     def setUp(self):
-        self.hearing = Hearing(self.registrar)
+        self.hearing = MessageCounter(self.registrar)
         self.addCleanup(self.hearing.close)
         self.publisher = rospy.Publisher("/spoken", Header, queue_size=10)
         self.addCleanup(self.publisher.unregister)

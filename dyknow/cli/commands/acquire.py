@@ -14,7 +14,7 @@ from dyknow.cli.json_output import event_json, stream_json
 from dyknow.cli.shell import FAILED, Shell
 from dyknow.cli.streams import demand_arguments, request_of
 from dyknow.errors import DyKnowError, Refused
-from dyknow.ros.client_errors import StreamRefused, Unreachable
+from dyknow.ros.client_errors import ManagerUnreachable, StreamRefused
 
 if TYPE_CHECKING:
     from dyknow.ros.shell_client import EventReader
@@ -132,7 +132,7 @@ class _Holding:
             return None
         try:
             event = self._events.next(max(0.0, patience))
-        except Unreachable as error:
+        except ManagerUnreachable as error:
             self._shell.warn(f"{error}; waiting for it")
             self.close()
             return None
@@ -153,7 +153,7 @@ class _Holding:
                 for claim in client.list_streams():
                     if claim.claim_id == self._claim_id:
                         _say(self._shell, stream_json(claim), _describe(claim))
-        except Unreachable:
+        except ManagerUnreachable:
             return False  # it was said when the connection broke; the claim waits in its store
         return True
 

@@ -15,7 +15,7 @@ from dyknow.cli.shell import FAILED, Shell
 from dyknow.cli.tables import columns, count
 from dyknow.errors import DyKnowError, Refused, UnknownTransformation
 from dyknow.model.transformation import IN, OUT, Transformation
-from dyknow.ros.client_errors import Unreachable
+from dyknow.ros.client_errors import ManagerUnreachable
 from dyknow.similar import did_you_mean
 
 STDIN = "-"
@@ -77,7 +77,7 @@ def _import(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
     for file in arguments.files:
         try:
             added = shell.client.add_transformation(_read(file))
-        except Unreachable:
+        except ManagerUnreachable:
             raise
         except (OSError, UnicodeDecodeError, Refused) as error:
             message = _explain(file, error)
@@ -157,7 +157,7 @@ def _remove(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
     for label in arguments.labels:
         try:
             shell.client.remove_transformation(label)
-        except Unreachable:
+        except ManagerUnreachable:
             raise
         except DyKnowError as error:
             shell.error(error)

@@ -11,7 +11,7 @@ from dyknow.cli.json_output import nodelet_json
 from dyknow.cli.shell import FAILED, Shell
 from dyknow.cli.views import state_of
 from dyknow.errors import DuplicatePort, DyKnowError
-from dyknow.ros.client_errors import Unreachable
+from dyknow.ros.client_errors import ManagerUnreachable
 from dyknow.wiring.ports import connections_of
 
 if TYPE_CHECKING:
@@ -119,7 +119,7 @@ def _each(
     for name in map(shell.resolve, names):
         try:
             act(name)
-        except Unreachable:
+        except ManagerUnreachable:
             raise
         except DyKnowError as error:
             shell.error(error)

@@ -15,7 +15,7 @@ from dyknow.cli.tables import columns
 from dyknow.cli.views import unknown_nodelet
 from dyknow.cli.watching import Screen
 from dyknow.errors import DyKnowError, Refused
-from dyknow.ros.client_errors import Silent
+from dyknow.ros.client_errors import NodeletUnreachable
 
 if TYPE_CHECKING:
     from dyknow.ros.views import Statistics
@@ -97,7 +97,7 @@ def _ask(shell: Shell, names: Sequence[str]) -> Dict[str, Answer]:
     def ask(name: str) -> Tuple[str, Answer]:
         try:
             return name, shell.client.get_statistics(name)
-        except (Refused, Silent) as error:
+        except (Refused, NodeletUnreachable) as error:
             return name, error
 
     unique = list(dict.fromkeys(names))

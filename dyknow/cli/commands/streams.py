@@ -13,7 +13,7 @@ from dyknow.cli.streams import demand_arguments, request_of
 from dyknow.cli.tables import columns
 from dyknow.errors import DyKnowError
 from dyknow.manager.planning.explanation import tree_as_dot
-from dyknow.ros.client_errors import Unreachable
+from dyknow.ros.client_errors import ManagerUnreachable
 
 if TYPE_CHECKING:
     from dyknow.ros.stream_views import StreamView
@@ -110,7 +110,7 @@ def _release(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
             if claim not in known:
                 raise DyKnowError(f"there is no claim '{claim}'; see 'dyknow streams'")
             shell.client.release_stream(claim)
-        except Unreachable:
+        except ManagerUnreachable:
             raise
         except DyKnowError as error:
             shell.error(error)

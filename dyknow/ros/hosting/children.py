@@ -21,8 +21,8 @@ from dyknow.manager.patience import LONG_LIFE, pause
 from dyknow.ros.hosting import child_records
 from dyknow.ros.hosting.child_records import ChildRecord
 from dyknow.ros.hosting.launcher import Launcher
+from dyknow.ros.log_tail import LogTail
 from dyknow.ros.os_process import ProcessId
-from dyknow.ros.output import Follower
 
 #: Seconds that a child may take to offer its services.
 START_TIMEOUT = 20.0
@@ -53,7 +53,7 @@ class Child:
     gone: threading.Event = field(default_factory=threading.Event)
     trouble: str = ""
     stale: str = ""
-    follower: Optional[Follower] = None
+    follower: Optional[LogTail] = None
 
     @property
     def incarnation(self) -> str:

@@ -46,9 +46,9 @@ from dyknow.model.graph import PortState
 from dyknow.model.transformation import Parameter
 from dyknow.ros.hosting.children import Child, Children
 from dyknow.ros.hosting.counting import Counting
-from dyknow.ros.hosting.declared import Declared
-from dyknow.ros.hosting.hearing import Hearing
-from dyknow.ros.hosting.peers import ListClient, Peers
+from dyknow.ros.hosting.external_managers import ExternalManagers, ListClient
+from dyknow.ros.hosting.message_counter import MessageCounter
+from dyknow.ros.hosting.nodelet_types import NodeletTypes
 from dyknow.ros.master import Master
 from dyknow.ros.nodelets.guard_parameters import guards_key, to_parameter
 from dyknow.ros.service_client import ServiceClient, ServiceFailed, ServiceLost
@@ -90,7 +90,7 @@ class RosHost(Host):
         """
         self._master = master
         self._children = children
-        self._peers = Peers(master, peers)
+        self._peers = ExternalManagers(master, peers)
         self._guards_key = guards_key(master.caller)
         self._guards = guards
         #: Nodelets that are protected, by nodelet manager.
@@ -99,9 +99,9 @@ class RosHost(Host):
         self._guarded: Dict[str, Tuple[str, Tuple[str, ...]]] = {}
         #: Nodelet managers that could not be given the guards yet, and why.
         self._unguarded: Dict[str, str] = {}
-        self._declared = Declared()
+        self._declared = NodeletTypes()
         self._counting = Counting(master)
-        self._hearing = Hearing(registrar)
+        self._hearing = MessageCounter(registrar)
         self._lists: Dict[Tuple[str, str], ListClient] = {}
         self._askers = ThreadPoolExecutor(_ASKERS, "asking nodelet managers")
         self._lock = threading.Lock()

@@ -22,10 +22,10 @@ from dyknow.manager.host import Crash, NodeletKind
 from dyknow.nodelet import crash_record
 from dyknow.ros import os_process
 from dyknow.ros.addresses import is_here
+from dyknow.ros.log_tail import LogTail
 from dyknow.ros.master import Master
 from dyknow.ros.nodelets.owner import OwnerLock
 from dyknow.ros.os_process import ProcessId
-from dyknow.ros.output import Follower
 
 _ANSWER_TIMEOUT = 1.0
 #: Signals that a process brings upon itself.
@@ -68,7 +68,7 @@ class Launcher:
         self._log_folder = os.path.join(rospkg.get_log_dir(), f"dyknow-{host}-{port}")
         os.makedirs(self._log_folder, exist_ok=True)
 
-    def launch(self, kind: NodeletKind, name: str) -> Tuple[ProcessId, Follower]:
+    def launch(self, kind: NodeletKind, name: str) -> Tuple[ProcessId, LogTail]:
         """Start a nodelet manager.
 
         What a dead one of that name left at the master goes when this one registers there.
@@ -83,11 +83,11 @@ class Launcher:
         found = os_process.start(self._command(kind, name), output, rospkg.get_ros_home())
         if kind is NodeletKind.CPP and self._orphan_timeout > 0:
             self._watch(found, output + ".owner")
-        return found, Follower(output)
+        return found, LogTail(output)
 
-    def follow(self, name: str) -> Follower:
+    def follow(self, name: str) -> LogTail:
         """Follow what one prints that runs already."""
-        return Follower(self._output(name), at_end=True)
+        return LogTail(self._output(name), at_end=True)
 
     def examine(
         self, kind: NodeletKind, name: str, pid: int, status: Optional[int]

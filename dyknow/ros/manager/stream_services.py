@@ -24,10 +24,10 @@ from dyknow.errors import (
     Denied,
     DyKnowError,
     InvalidTag,
+    LimitExceeded,
     NoPlanFound,
     PeerTimeout,
     StreamTypeMismatch,
-    TooMuch,
 )
 from dyknow.guards import Guards
 from dyknow.manager.claim import Claim
@@ -48,7 +48,7 @@ _RESULTS: Tuple[Tuple[Type[DyKnowError], int], ...] = (
     (StreamTypeMismatch, AcquireStreamResponse.TYPE_MISMATCH),
     (PeerTimeout, AcquireStreamResponse.TIMEOUT),
     (Denied, AcquireStreamResponse.DENIED),
-    (TooMuch, AcquireStreamResponse.DENIED),
+    (LimitExceeded, AcquireStreamResponse.DENIED),
 )
 
 

@@ -26,7 +26,7 @@ from nodelet.srv import (
 )
 
 from dyknow import names
-from dyknow.errors import BadParameter, DyKnowError, TooMuch
+from dyknow.errors import BadParameter, DyKnowError, LimitExceeded
 from dyknow.locks import state_condition
 from dyknow.nodelet.context import Context, Runtime
 from dyknow.nodelet.crash_record import CrashRecord
@@ -169,7 +169,7 @@ class NodeletManager(Closable):
             UnknownNodelet: there is none of that name.
             Denied: the mode is read-only.
             ProtectedFromUnloading: a DyKnow manager protects it.
-            TooMuch: the name is longer than any sensible one.
+            LimitExceeded: the name is longer than any sensible one.
         """
         self._guards.current().check_sizes([name])
         name = _resolved(name)
@@ -267,7 +267,7 @@ class NodeletManager(Closable):
         wanted = set(request.nodelets)
         try:
             self._guards.current().check_sizes(wanted, len(request.nodelets))
-        except TooMuch as error:
+        except LimitExceeded as error:
             raise rospy.ServiceException(str(error)) from error
         proxies = [
             context.attached

@@ -22,7 +22,7 @@ from dyknow.manager.record import Record
 from dyknow.model.graph import SpawnRequest
 from dyknow.model.streams import StreamRequest
 from dyknow.ros.client import Added
-from dyknow.ros.client_errors import Result, Silent, StreamRefused
+from dyknow.ros.client_errors import NodeletUnreachable, Result, StreamRefused
 from dyknow.ros.stream_views import AcquiredView, ReplannedView, StreamEventView, StreamView
 from dyknow.ros.views import ModelView, NodeletView, PortTraffic, Statistics
 
@@ -191,11 +191,11 @@ class FakeClient:
 
     def _asked(self, nodelet: str, ask: Callable[[], Any]) -> Any:
         if nodelet in self.hung:
-            raise Silent(f"nodelet '{nodelet}' did not answer within 5 s")
+            raise NodeletUnreachable(f"nodelet '{nodelet}' did not answer within 5 s")
         try:
             return ask()
         except HostError as error:
-            raise Silent(f"nodelet '{nodelet}' does not answer") from error
+            raise NodeletUnreachable(f"nodelet '{nodelet}' does not answer") from error
 
 
 class FakeEvents:

@@ -8,7 +8,7 @@ import pytest
 from unit.cli.fake_client import FakeClient, run
 from unit.manager.world import World
 
-from dyknow.ros.client_errors import Unreachable
+from dyknow.ros.client_errors import ManagerUnreachable
 
 
 @pytest.fixture
@@ -116,7 +116,7 @@ class TestEach:
 
     def test_a_manager_that_is_gone_ends_it_with_3(self, chain: FakeClient) -> None:
         def fail(call: str, subject: str) -> None:
-            raise Unreachable("DyKnow manager '/dyknow_manager' is not running")
+            raise ManagerUnreachable("DyKnow manager '/dyknow_manager' is not running")
 
         chain.fail = fail
         outcome = run(chain, "destroy cam nobody")

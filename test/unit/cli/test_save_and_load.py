@@ -11,7 +11,7 @@ from unit.manager.world import World
 from dyknow.errors import Refused
 from dyknow.manager.host import NodeletKind
 from dyknow.model.transformation import Port, Transformation
-from dyknow.ros.client_errors import Unreachable
+from dyknow.ros.client_errors import ManagerUnreachable
 from dyknow.wiring.plan import readers_first
 from dyknow.wiring.wiring import WiredNodelet
 
@@ -259,7 +259,7 @@ def test_a_step_without_an_answer_is_undone_too(client: FakeClient, file: Path) 
         if (call, subject) == ("spawn", "/cam"):
             client.fail = lambda call, subject: None
             client.spawn("camera", "/cam")
-            raise Unreachable("did not answer within 30 s")
+            raise ManagerUnreachable("did not answer within 30 s")
 
     client.fail = fail
     assert run(client, f"load {file}").code == 1

@@ -10,7 +10,7 @@ from unit.cli.fake_client import FakeClient, run
 from unit.cli.test_completion import offered
 from unit.manager.world import World
 
-from dyknow.ros.client_errors import Unreachable
+from dyknow.ros.client_errors import ManagerUnreachable
 
 ACQUIRE = "acquire 'Raw(camera)'"
 
@@ -143,7 +143,7 @@ class TestAcquire:
     def test_a_manager_that_cannot_be_reached_at_the_end(self, client: FakeClient) -> None:
         def fail(call: str, subject: str) -> None:
             if call == "release":
-                raise Unreachable("nobody")
+                raise ManagerUnreachable("nobody")
 
         client.fail = fail
         assert run(client, ACQUIRE).code == 3

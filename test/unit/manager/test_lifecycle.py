@@ -11,11 +11,11 @@ from dyknow.errors import (
     HostError,
     InvalidConfiguration,
     InvalidName,
+    LimitExceeded,
     NameTaken,
     NotSpawnable,
     Protected,
     SpawnFailed,
-    TooMuch,
     UnknownNodelet,
     UnknownTransformation,
 )
@@ -236,7 +236,7 @@ def test_guards_refuse_topics_numbers_and_every_change_in_read_only_mode() -> No
     with pytest.raises(InvalidConfiguration, match="cmd_vel.*deny list"):
         world.spawn("relay", "a", config={"out": "/robot/cmd_vel"})
     world.spawn("relay", "a", config={"out": "/fine"})
-    with pytest.raises(TooMuch, match="2, at most 1"):
+    with pytest.raises(LimitExceeded, match="2, at most 1"):
         world.spawn("relay", "b")
     frozen = World(guards=Guards(read_only=True))
     for change in (

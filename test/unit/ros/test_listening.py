@@ -26,7 +26,7 @@ def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[tcpros_base.TCPROSServer
 
 
 def test_the_queue_of_the_server_is_lengthened(server: tcpros_base.TCPROSServer) -> None:
-    listening.make_room()
+    listening.enlarge_queue()
     listener = server.tcp_ros_server.server_sock
     information = listener.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, 64)
     assert struct.unpack_from("<I", information, _QUEUE_AT)[0] == listening.QUEUE

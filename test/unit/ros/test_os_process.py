@@ -18,9 +18,9 @@ from dyknow.manager.host import NodeletKind
 from dyknow.ros import os_process
 from dyknow.ros.hosting import child_records
 from dyknow.ros.hosting.child_records import ChildRecord
+from dyknow.ros.log_tail import LogTail
 from dyknow.ros.nodelets.owner import OwnerLock, wait_until_orphaned
 from dyknow.ros.os_process import ProcessId
-from dyknow.ros.output import Follower
 
 SLEEP = (sys.executable, "-c", "import time; print('up', flush=True); time.sleep(1000)")
 STUBBORN = (
@@ -213,7 +213,7 @@ def test_a_file_that_is_gone_has_no_owner(tmp_path: Path) -> None:
 def test_output_is_followed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "output"
     path.write_text("old\n")
-    both, new = Follower(str(path)), Follower(str(path), at_end=True)
+    both, new = LogTail(str(path)), LogTail(str(path), at_end=True)
     both.copy(sys.stdout)
     new.copy(sys.stdout)
     assert capsys.readouterr().out == "old\n"

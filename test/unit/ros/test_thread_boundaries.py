@@ -12,8 +12,8 @@ import rospy
 
 from dyknow import periodic
 from dyknow.manager.record import Model
-from dyknow.ros import stream_heart, stream_session
-from dyknow.ros.bonding import bonds
+from dyknow.ros import stream_session
+from dyknow.ros.bonding import bonds, client_bond
 from dyknow.ros.manager.model_publisher import ModelPublisher
 from dyknow.ros.nodelets.announcements import Announcer
 
@@ -107,8 +107,8 @@ def test_a_change_is_announced_although_it_failed_at_first(closing: List[Any]) -
 
 
 def test_the_heart_beats_on(monkeypatch: pytest.MonkeyPatch, closing: List[Any]) -> None:
-    monkeypatch.setattr(stream_heart.Constants, "DEFAULT_HEARTBEAT_PERIOD", 0.01)
-    heart = stream_heart.Heart("/manager")
+    monkeypatch.setattr(client_bond.Constants, "DEFAULT_HEARTBEAT_PERIOD", 0.01)
+    heart = client_bond.ClientBond("/manager")
     closing.append(heart)
     assert FakeTopic.made[0].publish.is_done(2)
 
@@ -116,7 +116,7 @@ def test_the_heart_beats_on(monkeypatch: pytest.MonkeyPatch, closing: List[Any])
 def test_leases_are_renewed_although_one_of_them_raises(
     monkeypatch: pytest.MonkeyPatch, closing: List[Any]
 ) -> None:
-    monkeypatch.setattr(stream_session, "Heart", lambda manager: SimpleNamespace(close=int))
+    monkeypatch.setattr(stream_session, "ClientBond", lambda manager: SimpleNamespace(close=int))
     monkeypatch.setattr(stream_session, "_RETRY", 0.01)
     renew = Fault()
     client: Any = SimpleNamespace(

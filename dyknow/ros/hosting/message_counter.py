@@ -19,7 +19,7 @@ from dyknow.workers import Workers
 _END_PATIENCE = 0.5
 
 
-class Hearing:
+class MessageCounter:
     """Begins to listen, and ends it, without letting anybody wait."""
 
     def __init__(self, registrar: Registrar) -> None:

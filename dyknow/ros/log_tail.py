@@ -9,7 +9,7 @@ from typing import TextIO
 _CHUNK = 1 << 16
 
 
-class Follower:
+class LogTail:
     """Copies what is appended to a file."""
 
     def __init__(self, path: str, at_end: bool = False) -> None:

@@ -10,7 +10,7 @@ import pytest
 from unit.ros.small_graph import SmallManager, SmallMaster, small_graph
 
 from dyknow.errors import HostError, HostTimeout
-from dyknow.ros.hosting.peers import Peer, Peers
+from dyknow.ros.hosting.external_managers import ExternalManager, ExternalManagers
 from dyknow.ros.master import Master
 
 LONG = 30.0
@@ -31,10 +31,10 @@ def eventually(condition: Callable[[], object]) -> None:
 
 
 @pytest.fixture
-def peer(graph: SmallMaster) -> Iterator[Peer]:
+def peer(graph: SmallMaster) -> Iterator[ExternalManager]:
     graph.nodes[FAR] = SmallManager()
     graph.nodes[FAR].nodelets = ["/b", "/a"]
-    peer = Peer(Master("/test", graph.uri), FAR)
+    peer = ExternalManager(Master("/test", graph.uri), FAR)
     eventually(lambda: peer.state.responsive)
     yield peer
     peer.close()
@@ -43,13 +43,13 @@ def peer(graph: SmallMaster) -> Iterator[Peer]:
 def test_nobody_waits_for_one_that_was_never_seen() -> None:
     asked, answer = threading.Event(), threading.Event()
 
-    class Silent(Master):
+    class SilentMaster(Master):
         def node(self, name: str) -> str:
             asked.set()
             answer.wait()
             return ""
 
-    peers = Peers(Silent("/test", "http://127.0.0.1:9"), [FAR])
+    peers = ExternalManagers(SilentMaster("/test", "http://127.0.0.1:9"), [FAR])
     assert asked.wait(LONG)
     (peer,) = peers.all()
     assert (peer.state.unseen, peer.state.away, peer.state.alive) == (True, True, False)
@@ -63,7 +63,9 @@ def test_nobody_waits_for_one_that_was_never_seen() -> None:
     peers.close()
 
 
-def test_one_that_answers_is_asked_for_its_nodelets(graph: SmallMaster, peer: Peer) -> None:
+def test_one_that_answers_is_asked_for_its_nodelets(
+    graph: SmallMaster, peer: ExternalManager
+) -> None:
     assert peer.list() == ["/a", "/b"]
     state = peer.state
     assert (state.alive, state.responsive, state.away, state.own) == (True, True, False, False)
@@ -71,7 +73,7 @@ def test_one_that_answers_is_asked_for_its_nodelets(graph: SmallMaster, peer: Pe
 
 
 def test_one_that_hangs_is_asked_by_nobody_until_it_is_back(
-    graph: SmallMaster, peer: Peer
+    graph: SmallMaster, peer: ExternalManager
 ) -> None:
     manager, before = graph.nodes[FAR], peer.state.incarnation
     manager.goes_on.clear()
@@ -88,7 +90,7 @@ def test_one_that_hangs_is_asked_by_nobody_until_it_is_back(
     assert peer.list() == ["/a", "/b"]
 
 
-def test_one_that_ended_is_gone_and_not_away(graph: SmallMaster, peer: Peer) -> None:
+def test_one_that_ended_is_gone_and_not_away(graph: SmallMaster, peer: ExternalManager) -> None:
     graph.nodes[FAR].close()
     with pytest.raises(HostError):
         peer.list()
@@ -98,7 +100,7 @@ def test_one_that_ended_is_gone_and_not_away(graph: SmallMaster, peer: Peer) -> 
     eventually(lambda: peer.state.responsive)
 
 
-def test_a_lost_connection_is_no_other_process(graph: SmallMaster, peer: Peer) -> None:
+def test_a_lost_connection_is_no_other_process(graph: SmallMaster, peer: ExternalManager) -> None:
     before = peer.state.incarnation
     graph.nodes[FAR].lose_connections()
     with pytest.raises(HostError):
@@ -107,7 +109,9 @@ def test_a_lost_connection_is_no_other_process(graph: SmallMaster, peer: Peer) -
     assert peer.state.incarnation == before
 
 
-def test_a_successor_is_never_taken_for_its_predecessor(graph: SmallMaster, peer: Peer) -> None:
+def test_a_successor_is_never_taken_for_its_predecessor(
+    graph: SmallMaster, peer: ExternalManager
+) -> None:
     before = peer.state.incarnation
     elder, graph.nodes[FAR] = graph.nodes[FAR], SmallManager()
     elder.close()
@@ -119,7 +123,7 @@ def test_a_successor_is_never_taken_for_its_predecessor(graph: SmallMaster, peer
     assert peer.list() == []
 
 
-def test_who_lost_its_name_is_told_to_end(graph: SmallMaster, peer: Peer) -> None:
+def test_who_lost_its_name_is_told_to_end(graph: SmallMaster, peer: ExternalManager) -> None:
     elder, graph.nodes[FAR] = graph.nodes[FAR], SmallManager()
     try:
         assert elder.ended.wait(LONG)
@@ -130,7 +134,7 @@ def test_who_lost_its_name_is_told_to_end(graph: SmallMaster, peer: Peer) -> Non
 
 
 def test_who_lost_its_name_while_it_hung_is_told_when_it_goes_on(
-    graph: SmallMaster, peer: Peer
+    graph: SmallMaster, peer: ExternalManager
 ) -> None:
     elder = graph.nodes[FAR]
     elder.goes_on.clear()
@@ -147,7 +151,9 @@ def test_who_lost_its_name_while_it_hung_is_told_when_it_goes_on(
         elder.close()
 
 
-def test_another_process_at_the_same_address_is_left_alone(graph: SmallMaster, peer: Peer) -> None:
+def test_another_process_at_the_same_address_is_left_alone(
+    graph: SmallMaster, peer: ExternalManager
+) -> None:
     elder, newcomer = graph.nodes[FAR], SmallManager()
     elder.pid += 1
     graph.nodes[FAR] = newcomer
@@ -159,7 +165,7 @@ def test_another_process_at_the_same_address_is_left_alone(graph: SmallMaster, p
         elder.close()
 
 
-def test_a_master_that_is_away_changes_nothing(graph: SmallMaster, peer: Peer) -> None:
+def test_a_master_that_is_away_changes_nothing(graph: SmallMaster, peer: ExternalManager) -> None:
     graph.close()
     assert peer.list() == ["/a", "/b"]
     peer.look()
@@ -167,9 +173,9 @@ def test_a_master_that_is_away_changes_nothing(graph: SmallMaster, peer: Peer) -
     assert peer.list() == ["/a", "/b"]
 
 
-def test_a_nodelet_is_where_it_was_seen_last(graph: SmallMaster, peer: Peer) -> None:
+def test_a_nodelet_is_where_it_was_seen_last(graph: SmallMaster, peer: ExternalManager) -> None:
     peer.list()
-    peers = Peers(Master("/test", graph.uri), [FAR])
+    peers = ExternalManagers(Master("/test", graph.uri), [FAR])
     eventually(lambda: peers.hosting("/a"))
     found = peers.hosting("/a")
     assert found is not None
@@ -180,7 +186,7 @@ def test_a_nodelet_is_where_it_was_seen_last(graph: SmallMaster, peer: Peer) -> 
 
 
 def test_one_that_has_just_come_is_found_by_who_names_it(graph: SmallMaster) -> None:
-    peer = Peer(Master("/test", graph.uri), FAR)
+    peer = ExternalManager(Master("/test", graph.uri), FAR)
     try:
         eventually(lambda: not peer.state.unseen)
         assert not peer.state.alive

@@ -31,7 +31,7 @@ def cpp_classes() -> Iterator[str]:
             _log.warning("plugin description '%s': %s", plugin_file.file, error)
 
 
-class Declared:
+class NodeletTypes:
     """The declared types; the packages are read when a type is not known yet."""
 
     def __init__(self) -> None:

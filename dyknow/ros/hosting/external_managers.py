@@ -1,14 +1,13 @@
 """Nodelet managers that the DyKnow manager did not start, on any host of the ROS graph.
 
-Who owns what: a ``Peer`` owns what is known of one nodelet manager, and a thread that finds it
-out. As long as the peer answers, those who want to know its nodelets ask it themselves, over a
-connection that is kept; the first who gets no answer marks it, and from then on everybody is told
-so at once. Its thread goes on asking until it is back, so nobody else ever waits for a host that
-is away.
+Who owns what: an ``ExternalManager`` owns what is known of one nodelet manager, and a thread that
+finds it out. While the nodelet manager answers, each caller asks it directly over a kept
+connection. The first caller without an answer marks it as unresponsive; from then on every call
+fails at once and only the thread goes on asking, so no call waits for a host that is away.
 
-The ROS master decides who bears a name. Where another process registers under the name of one
-that the master could not tell so, since its host was away, the thread tells it to end as soon as
-it can be reached: the master's own word to it may come much later, or never.
+The ROS master decides which process bears a name. When another process registers under the name
+while the host of the first is away, the master cannot tell the first to end. The thread does so as
+soon as it can be reached.
 """
 
 from __future__ import annotations
@@ -119,7 +118,7 @@ class Presence:
     unseen: bool = True
 
 
-class Peer:
+class ExternalManager:
     """One nodelet manager of others."""
 
     def __init__(self, master: Master, name: str) -> None:
@@ -317,22 +316,24 @@ def _may_be_there(trouble: BaseException) -> bool:
     return not isinstance(trouble, answers) and not isinstance(trouble.__cause__, answers)
 
 
-class Peers:
+class ExternalManagers:
     """All nodelet managers of others."""
 
     def __init__(self, master: Master, names: Iterable[str]) -> None:
         """Begin to look for all of them, side by side."""
-        self._peers: Dict[str, Peer] = {name: Peer(master, name) for name in sorted(set(names))}
+        self._peers: Dict[str, ExternalManager] = {
+            name: ExternalManager(master, name) for name in sorted(set(names))
+        }
 
-    def all(self) -> List[Peer]:
+    def all(self) -> List[ExternalManager]:
         """Return every peer, by name."""
         return list(self._peers.values())
 
-    def find(self, name: str) -> Optional[Peer]:
+    def find(self, name: str) -> Optional[ExternalManager]:
         """Return the peer of that name, if there is one."""
         return self._peers.get(name)
 
-    def hosting(self, nodelet: str) -> Optional[Peer]:
+    def hosting(self, nodelet: str) -> Optional[ExternalManager]:
         """Return the peer that ran a nodelet when it was asked last, if there is one."""
         peers = self._peers.values()
         return next((peer for peer in peers if nodelet in peer.presence.nodelets), None)

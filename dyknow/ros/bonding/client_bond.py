@@ -22,7 +22,7 @@ _QUEUE_SIZE = 10
 _CLOSE_PATIENCE = 1.0
 
 
-class Heart(rospy.SubscribeListener):
+class ClientBond(rospy.SubscribeListener):
     """Says at once to whoever listens, and once a second, that this process is alive.
 
     Attributes:
