@@ -47,10 +47,11 @@ class CrashesTest(ManagerCase):
         self.receiver.flows()
 
     def spawn_fatal(self, topic: str = "", **moments: str) -> None:
+        """Spawn one that ends its process at the given moments, but not while it is made."""
+        self.client.spawn("fatal", "/fatal", {"in": topic})
         for moment, way in moments.items():
             rospy.set_param(f"/fatal/{moment}", way)
             self.addCleanup(self.forget, f"/fatal/{moment}")
-        self.client.spawn("fatal", "/fatal", {"in": topic})
 
     def forget(self, parameter: str) -> None:
         if rospy.has_param(parameter):
