@@ -6,7 +6,7 @@ import re
 import shutil
 import time
 import xml.etree.ElementTree as ElementTree
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Sequence
@@ -15,6 +15,23 @@ from processes import run_logged
 
 IN_WORKSPACE = ("bash", str(Path(__file__).resolve().parent / "in-workspace.sh"))
 SUITE_TIMEOUT = 420.0  # s
+#: Suites that take a minute or longer.
+SLOW = (
+    "benchmark",
+    "bonds",
+    "crashes",
+    "demo",
+    "dyknow_command",
+    "ends_of_nodelet_managers",
+    "endurance",
+    "hosts",
+    "nodelet_command",
+    "nodelet_manager",
+    "stream_parts",
+    "stream_processes",
+    "stream_roscore",
+    "streams",
+)
 #: What each test that is skipped prints: rostest counts it as passed.
 SKIPPED = re.compile(r"^skipped: (.*)", re.MULTILINE)
 SUMMARY = re.compile(r" \* (TESTS|ERRORS|FAILURES): (\d+)")
@@ -35,14 +52,20 @@ class SuiteOutcome:
 def run_all(suites: Sequence[Path], results: Path, jobs: int, timeout: float) -> tuple[int, int]:
     """Runs the suites, at most `jobs` at a time and `timeout` s each, and prints a line for each.
 
-    Before the line of a failing one stands what it printed.
+    The slow ones come first, so that none of them is left alone at the end. Before the line of a
+    failing one stands what it printed.
 
     Returns:
         The numbers of tests passed and failed.
     """
     passed = failed = 0
     with ThreadPoolExecutor(max_workers=max(1, jobs)) as pool:
-        for outcome in pool.map(lambda suite: run_suite(suite, results, timeout), suites):
+        runs = [
+            pool.submit(run_suite, suite, results, timeout)
+            for suite in sorted(suites, key=lambda suite: suite.stem not in SLOW)
+        ]
+        for run in as_completed(runs):
+            outcome = run.result()
             passed += outcome.passed
             failed += outcome.failed
             if outcome.failed:
