@@ -142,7 +142,7 @@ def ros_tests(long: bool = False) -> Outcome:
     passed, failed = rostests.run_all(
         suites,
         RESULTS,
-        jobs=int(os.environ.get("ROSTEST_JOBS", "7")),
+        jobs=int(os.environ.get("ROSTEST_JOBS", "6")),
         timeout=LONG_TIMEOUT if long else rostests.SUITE_TIMEOUT,
     )
     return Outcome(passed, failed, note=f"{passed} passed, {failed} failed")

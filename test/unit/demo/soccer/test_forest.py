@@ -114,6 +114,7 @@ def test_what_is_no_forest_is_named(tmp_path):
         forest.load(file)
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not SHARED_FRAMES.is_dir(), reason=f"no real frames in {SHARED_FRAMES}")
 def test_the_shipped_forest_is_of_the_frames(tmp_path):
     file = tmp_path / "again.yml.gz"
