@@ -11,17 +11,22 @@ from dyknow.nodelets.relay import Relay
 from dyknow.nodelets.sink import Sink
 from dyknow.nodelets.source import Source
 from dyknow.nodelets.throttle import Throttle
+from dyknow.testing import LogEntry
 
 ALL = (Source, Relay, Throttle, Sink)
+
+
+IN, OUT = {"in": "/in"}, {"out": "/out"}
+BOTH = {**IN, **OUT}
 
 
 @pytest.mark.parametrize("nodelet_class", ALL)
 @pytest.mark.parametrize(
     "datatype", ["std_msgs/Nope", "nowhere/Image", "Header", "a/b/c", "", 5, "std_msgs/"]
 )
-def test_a_bad_datatype_is_an_error_at_the_load(world, nodelet_class, datatype):
+def test_a_bad_datatype_is_an_error_at_the_load(nodelet_harness, nodelet_class, datatype):
     with pytest.raises(LoadFailed) as failure:
-        world.load(nodelet_class, datatype=datatype)
+        nodelet_harness.load(nodelet_class, parameters={"datatype": datatype})
     assert f"parameter '/nodelet/datatype' is {datatype!r}" in str(failure.value)
     assert "expected a message type of a built package, such as" in str(failure.value)
 
@@ -30,17 +35,15 @@ def test_a_bad_datatype_is_an_error_at_the_load(world, nodelet_class, datatype):
     ("nodelet_class", "name"), [(Source, "rate"), (Throttle, "rate"), (Sink, "period")]
 )
 @pytest.mark.parametrize("value", [0, -1.0, "fast", True, float("nan")])
-def test_a_bad_number_is_an_error_at_the_load(world, nodelet_class, name, value):
+def test_a_bad_number_is_an_error_at_the_load(nodelet_harness, nodelet_class, name, value):
     with pytest.raises(LoadFailed, match=f"'/nodelet/{name}' is .*: expected a number above 0"):
-        world.load(nodelet_class, **{name: value})
+        nodelet_harness.load(nodelet_class, parameters={name: value})
 
 
-def test_source_counts_and_stamps_headers(world):
-    got = []
-    world.listen("/out", Header, got.append)
-    world.load(Source, rate=4.0)
-    for _ in range(3):
-        world.advance(0.25)
+def test_source_counts_and_stamps_headers(nodelet_harness):
+    got = nodelet_harness.listen("/out")
+    nodelet_harness.load(Source, ports=OUT, parameters={"rate": 4.0})
+    nodelet_harness.advance(0.75)
     assert [(each.seq, each.frame_id) for each in got] == [(0, "0"), (1, "1"), (2, "2")]
     assert [each.stamp.to_sec() for each in got] == [0.25, 0.5, 0.75]
 
@@ -52,92 +55,83 @@ def test_source_counts_and_stamps_headers(world):
         (Time, lambda time: time.data),
     ],
 )
-def test_source_stamps_whatever_has_a_stamp(world, datatype, stamp):
-    got = []
-    world.listen("/out", datatype, got.append)
-    world.load(Source, datatype=datatype._type, rate=1)
-    world.advance(1.0)
+def test_source_stamps_whatever_has_a_stamp(nodelet_harness, datatype, stamp):
+    got = nodelet_harness.listen("/out")
+    nodelet_harness.load(Source, ports=OUT, parameters={"datatype": datatype._type, "rate": 1})
+    nodelet_harness.advance(1.0)
     assert [stamp(each).to_sec() for each in got] == [1.0]
 
 
-def test_source_publishes_defaults_of_a_type_without_a_stamp(world):
-    got = []
-    world.listen("/out", String, got.append)
-    world.load(Source, datatype="std_msgs/String", rate=1)
-    world.advance(1.0)
+def test_source_publishes_defaults_of_a_type_without_a_stamp(nodelet_harness):
+    got = nodelet_harness.listen("/out")
+    nodelet_harness.load(Source, ports=OUT, parameters={"datatype": "std_msgs/String", "rate": 1})
+    nodelet_harness.advance(1.0)
     assert got == [String("")]
 
 
-def test_relay_hands_on_the_very_same_message(world):
-    got = []
-    world.listen("/out", Image, got.append)
-    world.load(Relay, datatype="sensor_msgs/Image")
+def test_relay_hands_on_the_very_same_message(nodelet_harness):
+    got = nodelet_harness.listen("/out")
+    nodelet_harness.load(Relay, ports=BOTH, parameters={"datatype": "sensor_msgs/Image"})
     sent = [Image(), Image()]
-    publisher = world.publisher("/in", Image)
     for image in sent:
-        publisher.publish(image)
-    world.executor.drain()
+        nodelet_harness.publish("/in", image)
+    nodelet_harness.drain()
     assert [id(each) for each in got] == [id(each) for each in sent]
 
 
-def throttled(world, moments, rate):
+def throttled(harness, moments, rate):
     """Moments at which a throttle hands on what comes at the given moments."""
-    got = []
-    world.listen("/out", Header, lambda message: got.append(message.seq))
-    world.load(Throttle, rate=rate)
-    publisher = world.publisher("/in", Header)
-    now = 0.0
+    got = harness.listen("/out")
+    harness.load(Throttle, ports=BOTH, parameters={"rate": rate})
     for number, moment in enumerate(moments):
-        world.middleware.ticker.seconds += moment - now
-        now = moment
-        publisher.publish(Header(seq=number))
-        world.executor.drain()
-    return [moments[number] for number in got]
+        harness.advance(moment - harness.time)
+        harness.publish("/in", Header(seq=number))
+        harness.drain()
+    return [moments[message.seq] for message in got]
 
 
-def test_throttle_keeps_its_rate_on_messages_that_come_a_little_late(world):
+def test_throttle_keeps_its_rate_on_messages_that_come_a_little_late(nodelet_harness):
     moments = [100.0 + number / 30 + (number % 3) * 0.002 for number in range(3000)]
-    kept = throttled(world, moments, rate=10.0)
+    kept = throttled(nodelet_harness, moments, rate=10.0)
     assert len(kept) == pytest.approx(1000, abs=1)
 
 
 @pytest.mark.parametrize("rate", [0.3, 7.0, 10.0, 29.0])
-def test_throttle_is_never_faster_than_its_rate_over_a_while(world, rate):
+def test_throttle_is_never_faster_than_its_rate_over_a_while(nodelet_harness, rate):
     moments = [5.0 + number * 0.0333 + (number % 7) * 0.004 for number in range(900)]
-    kept = throttled(world, moments, rate)
+    kept = throttled(nodelet_harness, moments, rate)
     for index, begin in enumerate(kept):
         for count, end in enumerate(kept[index:]):
             assert count <= rate * (end - begin) + 1.0001
 
 
-def test_throttle_passes_everything_that_is_slower(world):
+def test_throttle_passes_everything_that_is_slower(nodelet_harness):
     moments = [3.0, 4.5, 5.6, 60.0, 61.1]
-    assert throttled(world, moments, rate=1.0) == moments
+    assert throttled(nodelet_harness, moments, rate=1.0) == moments
 
 
-def test_throttle_begins_anew_when_time_is_set_back(world):
+def test_throttle_begins_again_when_time_is_set_back(nodelet_harness):
     moments = [1000.0, 1000.2, 5.0, 5.2, 6.1]
-    assert throttled(world, moments, rate=1.0) == [1000.0, 5.0, 6.1]
+    assert throttled(nodelet_harness, moments, rate=1.0) == [1000.0, 5.0, 6.1]
 
 
-def test_sink_logs_rate_and_latency(world):
-    world.load(Sink, period=2.0)
-    publisher = world.publisher("/in", Header)
-    publisher.publish(Header())
-    world.advance(0.5)
-    message = Header()
-    message.stamp.secs = 0
-    publisher.publish(message)
-    world.advance(1.5)
-    world.advance(2.0)
-    assert world.middleware.log == [
-        "/nodelet: 2 messages, 1.0 Hz, latency 1250.000 ms on average, 2000.000 ms at most",
-        "/nodelet: 0 messages, 0.0 Hz",
+def test_sink_logs_rate_and_latency(nodelet_harness):
+    nodelet_harness.load(Sink, ports=IN, parameters={"period": 2.0})
+    nodelet_harness.publish("/in", Header())
+    nodelet_harness.advance(0.5)
+    nodelet_harness.publish("/in", Header())
+    nodelet_harness.advance(3.5)
+    assert nodelet_harness.log == [
+        LogEntry(
+            "info",
+            "/nodelet: 2 messages, 1.0 Hz, latency 250.000 ms on average, 500.000 ms at most",
+        ),
+        LogEntry("info", "/nodelet: 0 messages, 0.0 Hz"),
     ]
 
 
-def test_sink_logs_no_latency_of_messages_without_a_stamp(world):
-    world.load(Sink, period=1.0, datatype="std_msgs/String")
-    world.publisher("/in", String).publish("hello")
-    world.advance(1.0)
-    assert world.middleware.log == ["/nodelet: 1 messages, 1.0 Hz"]
+def test_sink_logs_no_latency_of_messages_without_a_stamp(nodelet_harness):
+    nodelet_harness.load(Sink, ports=IN, parameters={"period": 1.0, "datatype": "std_msgs/String"})
+    nodelet_harness.publish("/in", String("hello"))
+    nodelet_harness.advance(1.0)
+    assert nodelet_harness.log == [LogEntry("info", "/nodelet: 1 messages, 1.0 Hz")]

@@ -1,0 +1,24 @@
+"""Tests of your own nodelets: fast and deterministic without a ROS master, or in the real thing.
+
+``NodeletHarness`` runs nodelets in the test's own process, without a ROS master, on time that
+stands still until the test advances it. ``RosHarness`` runs them in a nodelet manager of their
+own process, with a ROS master that belongs to the tests. Both have the same methods to load a
+nodelet, connect its ports, publish and listen.
+
+``dyknow.testing.fixtures`` has both as pytest fixtures; ``NodeletTestCase`` and ``RosTestCase``
+are their counterparts for unittest.
+"""
+
+from dyknow.testing.cases import NodeletTestCase, RosTestCase
+from dyknow.testing.harness import CallbackFailed, NodeletHarness
+from dyknow.testing.middleware import LogEntry
+from dyknow.testing.ros_harness import RosHarness
+
+__all__ = [
+    "CallbackFailed",
+    "LogEntry",
+    "NodeletHarness",
+    "NodeletTestCase",
+    "RosHarness",
+    "RosTestCase",
+]

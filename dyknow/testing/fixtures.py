@@ -1,0 +1,24 @@
+"""The harnesses as fixtures of pytest; a conftest.py has them by its ``pytest_plugins``."""
+
+from __future__ import annotations
+
+from typing import Iterator
+
+import pytest
+
+from dyknow.testing.harness import NodeletHarness
+from dyknow.testing.ros_harness import RosHarness
+
+
+@pytest.fixture
+def nodelet_harness() -> Iterator[NodeletHarness]:
+    """Nodelets in this process, without a ROS master."""
+    with NodeletHarness() as harness:
+        yield harness
+
+
+@pytest.fixture
+def ros_harness() -> Iterator[RosHarness]:
+    """Nodelets in a nodelet manager, with a ROS master of the tests."""
+    with RosHarness() as harness:
+        yield harness

@@ -1,0 +1,292 @@
+"""Nodelets in the test's own process, without a ROS master."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from typing import Any, Dict, List, Mapping, Optional, Sequence, Type, TypeVar
+
+import rospy
+
+from dyknow import names
+from dyknow.nodelet.context import Context, Runtime
+from dyknow.nodelet.handle import NodeHandle, Publisher
+from dyknow.nodelet.loader import Loader
+from dyknow.nodelet.middleware import Handler
+from dyknow.nodelet.nodelet import Nodelet
+from dyknow.nodelet.scheduler import ManualExecutor
+from dyknow.proxy.proxy import NodeletProxy
+from dyknow.testing.load_ports import check_ports, remappings_of_ports
+from dyknow.testing.middleware import HarnessMiddleware, LogEntry
+
+#: Seconds of real time after which another thread is given up.
+_PATIENCE = 10.0
+#: Seconds between two looks whether a service was called.
+_GLANCE = 0.001
+#: Seconds that sums of periods may be wrong by.
+_ROUNDING = 1e-6
+
+NodeletType = TypeVar("NodeletType", bound=Nodelet)
+
+
+class CallbackFailed(AssertionError):
+    """A callback of a nodelet raised; the text has its traceback."""
+
+
+class _Anything:
+    """Fits messages of every type, without serialising them."""
+
+    _type = "*"
+    _md5sum = "*"
+
+
+class NodeletHarness:
+    """Loads nodelets, connects their ports, gives them messages and shows what comes out.
+
+    Everything runs in the test's thread, when it calls ``drain``, ``advance`` or ``call``: no
+    callback runs at any other moment. Time stands still but for ``advance``. Messages pass by
+    reference, as they do in a nodelet manager. A callback that raises fails the test.
+
+    What blocks until something happens elsewhere cannot work in a callback here (``sleep``,
+    ``wait_for_message``); nor can what needs a master. ``RosHarness`` has both.
+
+    Example::
+
+        with NodeletHarness() as harness:
+            harness.load(Doubler, ports={"in": "/numbers", "out": "/doubled"})
+            doubled = harness.listen("/doubled")
+            harness.publish("/numbers", Int32(4))
+            harness.drain()
+            assert doubled == [Int32(8)]
+    """
+
+    def __init__(self) -> None:
+        """Make an empty harness; use it in a ``with`` block, or ``close`` it."""
+        self._middleware = HarnessMiddleware(call_service=self.call)
+        self._ticker = self._middleware.ticker
+        self._executor = ManualExecutor()
+        self._runtime = Runtime.make(self._middleware, self._executor, self._ticker.now)
+        self._classes: Dict[str, Type[Nodelet]] = {}
+        self._loader = Loader(self._runtime, self._classes.__getitem__)
+        self._publishers: Dict[str, Publisher] = {}
+        context = Context(self._runtime, "/harness")
+        context.start()
+        self._handle = NodeHandle(context, "/")
+        self._failures = _FailureLog()
+        self._raised = 0
+
+    def __enter__(self) -> NodeletHarness:
+        """Enter a block that closes the harness at its end."""
+        return self
+
+    def __exit__(self, *unused: object) -> None:
+        """Close the harness."""
+        self.close()
+
+    def close(self) -> None:
+        """Unload every nodelet."""
+        self._loader.close()
+        self._runtime.close()
+        self._failures.close()
+
+    # Nodelets
+
+    def load(
+        self,
+        nodelet_class: Type[NodeletType],
+        name: str = "/nodelet",
+        ports: Optional[Mapping[str, str]] = None,
+        parameters: Optional[Mapping[str, Any]] = None,
+        remappings: Optional[Mapping[str, str]] = None,
+        my_argv: Sequence[str] = (),
+    ) -> NodeletType:
+        """Load a nodelet and return it once its ``on_init`` has returned.
+
+        Args:
+            nodelet_class: what to load.
+            name: global name.
+            ports: topics that ports are connected to from the start; others are disconnected.
+            parameters: private parameters by their names without ``~``.
+            remappings: of names that are not ports, as in a load request.
+            my_argv: arguments for the nodelet.
+
+        Raises:
+            LoadFailed: ``on_init`` raised; ``__cause__`` is what it raised.
+            NameTaken: a nodelet of that name is loaded.
+            UnknownPort: ``ports`` names one that the nodelet does not have.
+        """
+        name, ports = _global(name), ports or {}
+        for key, value in (parameters or {}).items():
+            self.parameters[names.join(name, key.lstrip("~"))] = value
+        table = {_global(key): _global(target) for key, target in (remappings or {}).items()}
+        table.update(remappings_of_ports(name, ports))
+        self._classes[name] = nodelet_class
+        nodelet = self._loader.load(name, name, table, my_argv)
+        assert isinstance(nodelet, nodelet_class)
+        check_ports(ports, self.topics(nodelet))
+        return nodelet
+
+    def unload(self, nodelet: Nodelet) -> None:
+        """Unload a nodelet, ``on_shutdown`` included."""
+        self._loader.unload(nodelet.name)
+        self._raise_failures()
+
+    def topics(self, nodelet: Nodelet) -> Dict[str, str]:
+        """Return the topic of each port of a nodelet, empty where it is disconnected."""
+        return {port.name: port.topic for port in NodeletProxy.of(nodelet.context).get_config()}
+
+    def connect(self, nodelet: Nodelet, ports: Mapping[str, str]) -> None:
+        """Connect ports of a nodelet to topics; an empty topic disconnects.
+
+        The reconfigure callback runs with the next ``drain``.
+
+        Raises:
+            InvalidConfiguration: something is wrong with an entry; nothing was changed.
+        """
+        NodeletProxy.of(nodelet.context).set_config(list(ports.items()))
+
+    # What goes in and comes out
+
+    @property
+    def parameters(self) -> Dict[str, Any]:
+        """The parameter server, by global names."""
+        return self._middleware.parameters
+
+    @property
+    def log(self) -> List[LogEntry]:
+        """What nodelets logged, in order."""
+        return self._middleware.log
+
+    def publish(self, topic: str, message: Any) -> None:
+        """Publish a message; it is received with the next ``drain``."""
+        topic = _global(topic)
+        publisher = self._publishers.get(topic)
+        if publisher is None:
+            publisher = self._handle.Publisher(topic, type(message))
+            self._publishers[topic] = publisher
+        publisher.publish(message)
+
+    def listen(self, topic: str) -> List[Any]:
+        """Return a list to which every message is appended that is published from now on.
+
+        They are the very objects that were published.
+        """
+        received: List[Any] = []
+        self._handle.Subscriber(_global(topic), _Anything, received.append)
+        return received
+
+    def call(self, service: str, request: Any) -> Any:
+        """Call a service of a nodelet and return its response; callbacks run meanwhile.
+
+        What its handler raises is raised here.
+
+        Raises:
+            rospy.ServiceException: nobody offers it, or it has not answered within 10 s.
+        """
+        handler = self._middleware.services.get(_global(service))
+        if handler is None:
+            raise rospy.ServiceException(f"service [{service}] unavailable")
+        answer = _Call(handler, request)
+        deadline = time.monotonic() + _PATIENCE
+        while not answer.done.wait(_GLANCE):
+            self._executor.drain()
+            if time.monotonic() > deadline:
+                raise rospy.ServiceException(f"service [{service}] has not answered")
+        if answer.error is not None:
+            self._raised = self._count_errors()  # it is known by what is raised here
+            raise answer.error
+        return answer.response
+
+    # Time
+
+    @property
+    def time(self) -> float:
+        """Seconds since the harness was made, as nodelets see them."""
+        return self._ticker.now()
+
+    def drain(self) -> None:
+        """Run all callbacks that wait, and those that they cause, but let no time pass.
+
+        Raises:
+            CallbackFailed: a callback raised.
+        """
+        self._ticker.next_due(_PATIENCE)  # what is due has fired
+        self._executor.drain()
+        self._raise_failures()
+
+    def advance(self, seconds: float) -> None:
+        """Let time pass, and every timer and callback run when its time has come.
+
+        Negative seconds set the time back, as simulated time may be.
+
+        Raises:
+            CallbackFailed: a callback raised.
+        """
+        end = self.time + seconds
+        while True:
+            self.drain()
+            due = self._ticker.next_due(_PATIENCE)
+            if due is None or due > end + _ROUNDING:
+                break
+            end = max(end, due)
+            self._ticker.set(due)
+        self._ticker.set(end)
+
+    # Inside
+
+    def _count_errors(self) -> int:
+        return sum(context.callback_errors for context in self._loader.contexts())
+
+    def _raise_failures(self) -> None:
+        texts, count = self._failures.take(), self._count_errors()
+        more, self._raised = count - self._raised, count
+        if texts or more > 0:
+            raise CallbackFailed("\n".join(texts) or f"{more} callbacks raised, as before")
+
+
+class _Call:
+    """One call of a service, on a thread of its own: its handler runs in the test's."""
+
+    def __init__(self, handler: Handler, request: Any) -> None:
+        self.done = threading.Event()
+        self.response: Any = None
+        self.error: Optional[Exception] = None
+        self._handler = handler
+        self._request = request
+        threading.Thread(target=self._run, name="service call", daemon=True).start()
+
+    def _run(self) -> None:
+        try:
+            self.response = self._handler(self._request)
+        except Exception as error:  # the boundary of the thread; raised again where it was called
+            self.error = error
+        self.done.set()
+
+
+class _FailureLog(logging.Handler):
+    """Keeps the errors that the runtime logs: what callbacks raised, with its traceback."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.ERROR)
+        self._texts: List[str] = []
+        self._logger = logging.getLogger("rosout.dyknow")
+        self._logger.addHandler(self)
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Keep an error."""
+        self._texts.append(record.getMessage())
+
+    def take(self) -> List[str]:
+        """Return the errors since the last call."""
+        texts, self._texts = self._texts, []
+        return texts
+
+    def close(self) -> None:
+        """Keep nothing any more."""
+        self._logger.removeHandler(self)
+        super().close()
+
+
+def _global(name: str) -> str:
+    return names.resolve(name, "/", "/")

@@ -1,0 +1,228 @@
+"""Nodelets in a real nodelet manager, with a ROS master that belongs to the tests."""
+
+from __future__ import annotations
+
+import atexit
+import itertools
+import os
+import signal
+import subprocess
+import tempfile
+import time
+from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence
+
+import rosgraph
+import rosmaster.master
+import rospy
+from dyknow_msgs.msg import PortConfig
+from dyknow_msgs.srv import GetConfig, SetConfig
+from nodelet.srv import NodeletList, NodeletLoad, NodeletUnload
+from roslib.packages import find_node
+
+from dyknow import names
+from dyknow.errors import DyKnowError
+from dyknow.testing.load_ports import check_ports, remappings_of_ports
+
+#: Seconds that anything may take on a busy machine.
+_PATIENCE = 30.0
+#: Seconds that the nodelet manager has to end.
+_END_PATIENCE = 10.0
+_GLANCE = 0.01
+#: Bytes of output that are shown.
+_LONGEST_OUTPUT = 1_000_000
+
+_numbers = itertools.count(1)
+
+
+class RosHarness:
+    """Loads declared nodelets in a nodelet manager, connects their ports, and listens to them.
+
+    The first harness of a process starts a ROS master on a free port and makes the process a ROS
+    node, unless it is one already (in a rostest, say); they last until the process ends. Each
+    harness has a nodelet manager of its own.
+
+    Example::
+
+        with RosHarness() as harness:
+            harness.load("my_package/Doubler", ports={"in": "/numbers", "out": "/doubled"})
+            doubled = harness.listen("/doubled", Int32)
+            harness.publish("/numbers", Int32(4))
+            harness.wait_until(lambda: doubled == [Int32(8)])
+    """
+
+    def __init__(self) -> None:
+        """Start a nodelet manager; use the harness in a ``with`` block, or ``close`` it."""
+        _join_ros()
+        #: Name of the nodelet manager.
+        self.manager = f"/nodelet_manager_{os.getpid()}_{next(_numbers)}"
+        self._publishers: Dict[str, rospy.Publisher] = {}
+        self._subscribers: List[rospy.Subscriber] = []
+        self._parameters: List[str] = []
+        self._output = tempfile.TemporaryFile()  # noqa: SIM115
+        self._process = subprocess.Popen(
+            [find_node("dyknow", "nodelet_manager")[0], f"__name:={self.manager[1:]}"],
+            stdin=subprocess.DEVNULL,
+            stdout=self._output,
+            stderr=subprocess.STDOUT,
+        )
+        try:
+            self.wait_until(self._is_up, what=f"{self.manager} is up")
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self) -> RosHarness:
+        """Enter a block that closes the harness at its end."""
+        return self
+
+    def __exit__(self, *unused: object) -> None:
+        """Close the harness."""
+        self.close()
+
+    def close(self) -> None:
+        """End the nodelet manager; delete the parameters that were set for its nodelets."""
+        self._process.send_signal(signal.SIGINT)
+        try:
+            self._process.wait(_END_PATIENCE)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._output.close()
+        for registration in (*self._publishers.values(), *self._subscribers):
+            registration.unregister()
+        for name in self._parameters:
+            if rospy.has_param(name):
+                rospy.delete_param(name)
+
+    # Nodelets
+
+    def load(
+        self,
+        nodelet_type: str,
+        name: str = "/nodelet",
+        ports: Optional[Mapping[str, str]] = None,
+        parameters: Optional[Mapping[str, Any]] = None,
+        remappings: Optional[Mapping[str, str]] = None,
+        my_argv: Sequence[str] = (),
+    ) -> str:
+        """Load a declared nodelet and return its global name once its ``on_init`` has returned.
+
+        Args:
+            nodelet_type: ``package/Class``.
+            name: global name.
+            ports: topics that ports are connected to from the start; others are disconnected.
+            parameters: private parameters by their names without ``~``.
+            remappings: as in a load request.
+            my_argv: arguments for the nodelet.
+
+        Raises:
+            rospy.ServiceException: it could not be loaded; the text says why.
+            UnknownPort: ``ports`` names one that the nodelet does not have.
+        """
+        name, ports = names.resolve(name, "/", "/"), ports or {}
+        for key, value in (parameters or {}).items():
+            parameter = names.join(name, key.lstrip("~"))
+            rospy.set_param(parameter, value)
+            self._parameters.append(parameter)
+        table = {**(remappings or {}), **remappings_of_ports(name, ports)}
+        rospy.ServiceProxy(f"{self.manager}/load_nodelet", NodeletLoad)(
+            name=name,
+            type=nodelet_type,
+            remap_source_args=list(table),
+            remap_target_args=list(table.values()),
+            my_argv=list(my_argv),
+        )
+        if ports:
+            check_ports(ports, self.topics(name))
+        return name
+
+    def unload(self, name: str) -> None:
+        """Unload a nodelet."""
+        rospy.ServiceProxy(f"{self.manager}/unload_nodelet", NodeletUnload)(name)
+
+    def topics(self, name: str) -> Dict[str, str]:
+        """Return the topic of each port of a nodelet, empty where it is disconnected."""
+        answer = rospy.ServiceProxy(f"{name}/get_config", GetConfig)()
+        return {port.name: port.topic for port in answer.ports}
+
+    def connect(self, name: str, ports: Mapping[str, str]) -> None:
+        """Connect ports of a nodelet to topics; an empty topic disconnects.
+
+        Raises:
+            DyKnowError: something is wrong with an entry; nothing was changed.
+        """
+        config = [PortConfig(port, topic) for port, topic in ports.items()]
+        answer = rospy.ServiceProxy(f"{name}/set_config", SetConfig)(config)
+        if not answer.success:
+            raise DyKnowError(answer.message)
+
+    # What goes in and comes out
+
+    def publish(self, topic: str, message: Any) -> None:
+        """Publish a message; the first on a topic waits until somebody is connected.
+
+        Raises:
+            AssertionError: nobody listens to the topic.
+        """
+        publisher = self._publishers.get(topic)
+        if publisher is None:
+            publisher = rospy.Publisher(topic, type(message), queue_size=1000)
+            self._publishers[topic] = publisher
+        connected = publisher.get_num_connections
+        self.wait_until(lambda: connected() > 0, what=f"somebody listens to {topic}")
+        publisher.publish(message)
+
+    def listen(self, topic: str, datatype: Any) -> List[Any]:
+        """Return a list to which every message is appended that arrives from now on.
+
+        Returns:
+            The list, once those are connected who publish on the topic now.
+        """
+        received: List[Any] = []
+        subscriber = rospy.Subscriber(topic, datatype, received.append, queue_size=1000)
+        self._subscribers.append(subscriber)
+        publishers = dict(rosgraph.Master(rospy.get_name()).getSystemState()[0])
+        expected = len(publishers.get(rospy.resolve_name(topic), ()))
+        connected = subscriber.get_num_connections
+        self.wait_until(lambda: connected() >= expected, what=f"{topic} is connected")
+        return received
+
+    def wait_until(
+        self, condition: Callable[[], Any], timeout: float = _PATIENCE, what: str = "it is true"
+    ) -> None:
+        """Wait until ``condition()`` holds.
+
+        Raises:
+            AssertionError: not within ``timeout`` seconds; the text has what the nodelet manager
+                printed.
+        """
+        deadline = time.monotonic() + timeout
+        while not condition():
+            if self._process.poll() is not None or time.monotonic() > deadline:
+                raise AssertionError(f"not within {timeout:g} s: {what}\n{self.output}")
+            time.sleep(_GLANCE)
+
+    @property
+    def output(self) -> str:
+        """What the nodelet manager printed: its log and those of its nodelets."""
+        return os.pread(self._output.fileno(), _LONGEST_OUTPUT, 0).decode(errors="replace")
+
+    def _is_up(self) -> bool:
+        try:
+            rospy.ServiceProxy(f"{self.manager}/list", NodeletList)()
+        except rospy.ServiceException:
+            return False
+        return True
+
+
+def _join_ros() -> None:
+    """Make this process a ROS node, with a master of its own, unless it is one."""
+    if rospy.core.is_initialized():
+        return
+    if "ROS_HOSTNAME" not in os.environ:
+        os.environ["ROS_IP"] = "127.0.0.1"
+    master = rosmaster.master.Master(port=0)
+    master.start()
+    os.environ["ROS_MASTER_URI"] = master.uri
+    rospy.init_node("tests", anonymous=True, disable_signals=True)
+    atexit.register(master.stop)

@@ -1,0 +1,256 @@
+"""The harness without a ROS master, used as authors of nodelets use it."""
+
+from __future__ import annotations
+
+import pytest
+import rospy
+from std_msgs.msg import Int32
+from std_srvs.srv import SetBool, SetBoolRequest, Trigger, TriggerRequest, TriggerResponse
+
+import dyknow
+from dyknow.errors import InvalidConfiguration, LoadFailed, NameTaken, UnknownPort
+from dyknow.testing import CallbackFailed, LogEntry, NodeletHarness, NodeletTestCase
+
+
+class Multiplier(dyknow.Nodelet):
+    def on_init(self):
+        self.nh = dyknow.NodeHandle(self.node_handle)
+        self.factor = self.nh.get_param("~factor", 2)
+        self.topics = []
+        self.ended = False
+        self.pub = self.nh.Publisher("out", Int32, queue_size=10)
+        self.sub = self.nh.Subscriber("in", Int32, self.on_number, queue_size=10)
+        self.nh.set_reconfigure_callback(lambda *maps: self.topics.append(maps))
+        self.nh.Service("~reset", Trigger, self.on_reset)
+        self.nh.Service("~fail", Trigger, lambda request: 1 / 0)
+
+    def on_number(self, number):
+        if number.data < 0:
+            raise ValueError(f"{number.data} is negative")
+        self.pub.publish(number.data * self.factor)
+
+    def on_reset(self, request):
+        self.factor = 1
+        return TriggerResponse(success=True, message="reset")
+
+    def on_shutdown(self):
+        self.ended = True
+
+
+class Ticking(dyknow.Nodelet):
+    """Publishes the time at a rate."""
+
+    def on_init(self):
+        self.times = []
+        self.nh = dyknow.NodeHandle(self.private_node_handle)
+        self.pub = self.nh.Publisher("time", Int32, queue_size=1, latch=True)
+        self.pub.publish(0)
+        self.timer = self.nh.Timer(self.nh.Duration(0.1), self.on_timer)
+
+    def on_timer(self, event):
+        assert event.current_real == self.nh.Time.now()
+        self.times.append(round(self.nh.get_time(), 6))
+
+
+@pytest.fixture(name="harness")
+def _harness():
+    with NodeletHarness() as harness:
+        yield harness
+
+
+class TestMessages:
+    def test_what_is_published_comes_out_after_a_drain(self, harness):
+        harness.load(Multiplier, ports={"in": "/numbers", "out": "/doubled"})
+        got = harness.listen("/doubled")
+        harness.publish("/numbers", Int32(4))
+        assert got == []
+        harness.drain()
+        assert got == [Int32(8)]
+
+    def test_chains_are_drained_whole(self, harness):
+        for number in range(5):
+            ports = {"in": f"/t{number}", "out": f"/t{number + 1}"}
+            harness.load(Multiplier, f"/n{number}", ports)
+        got = harness.listen("/t5")
+        harness.publish("/t0", Int32(1))
+        harness.drain()
+        assert got == [Int32(32)]
+
+    def test_a_callback_that_raises_fails_the_test(self, harness):
+        harness.load(Multiplier, ports={"in": "/numbers"})
+        for _ in range(2):  # the second one, which the log leaves out, too
+            harness.publish("/numbers", Int32(-1))
+            with pytest.raises(CallbackFailed):
+                harness.drain()
+        harness.drain()
+
+    def test_the_failure_has_the_traceback(self, harness):
+        harness.load(Multiplier, ports={"in": "/numbers"})
+        harness.publish("/numbers", Int32(-1))
+        with pytest.raises(CallbackFailed, match=r"(?s)in on_number.*ValueError: -1 is negative"):
+            harness.drain()
+
+
+class TestPorts:
+    def test_ports_start_disconnected(self, harness):
+        nodelet = harness.load(Multiplier)
+        assert harness.topics(nodelet) == {"out": "", "in": ""}
+
+    def test_ports_of_a_private_handle(self, harness):
+        nodelet = harness.load(Ticking, ports={"time": "/time"})
+        assert harness.topics(nodelet) == {"time": "/time"}
+
+    def test_a_port_that_is_not_there(self, harness):
+        with pytest.raises(UnknownPort, match="unknown port 'inn'; known ports: in, out"):
+            harness.load(Multiplier, ports={"inn": "/numbers"})
+
+    def test_connect_moves_them_and_tells_the_nodelet(self, harness):
+        nodelet = harness.load(Multiplier, ports={"in": "/numbers"})
+        harness.connect(nodelet, {"in": "/others", "out": "/doubled"})
+        got = harness.listen("/doubled")
+        harness.publish("/numbers", Int32(1))
+        harness.publish("/others", Int32(2))
+        harness.drain()
+        assert got == [Int32(4)]
+        assert nodelet.topics == [({"in": "/others"}, {"out": "/doubled"})]
+
+    def test_a_bad_connection_is_refused(self, harness):
+        nodelet = harness.load(Multiplier)
+        with pytest.raises(InvalidConfiguration, match="unknown port 'inn'"):
+            harness.connect(nodelet, {"inn": "/numbers"})
+
+
+class TestLife:
+    def test_parameters(self, harness):
+        assert harness.load(Multiplier, parameters={"factor": 3}).factor == 3
+        assert harness.parameters == {"/nodelet/factor": 3}
+
+    def test_parameters_in_namespaces(self, harness):
+        nodelet = harness.load(Multiplier, parameters={"gains/p": 1, "gains/i": 2})
+        assert nodelet.nh.get_param("~gains") == {"p": 1, "i": 2}
+        assert nodelet.nh.has_param("~gains/p")
+        nodelet.nh.delete_param("~gains/p")
+        assert not nodelet.nh.has_param("~gains/p")
+        with pytest.raises(KeyError):
+            nodelet.nh.get_param("~gains/p")
+
+    def test_what_on_init_raises_fails_the_load(self, harness):
+        class Broken(dyknow.Nodelet):
+            def on_init(self):
+                raise ValueError("no camera")
+
+        with pytest.raises(LoadFailed, match="no camera"):
+            harness.load(Broken)
+        harness.load(Multiplier)
+        with pytest.raises(NameTaken):
+            harness.load(Multiplier)
+
+    def test_unload(self, harness):
+        nodelet = harness.load(Multiplier, ports={"in": "/numbers", "out": "/doubled"})
+        harness.unload(nodelet)
+        assert nodelet.ended
+        with pytest.raises(rospy.ROSException):
+            nodelet.pub.publish(1)
+        harness.load(Multiplier)
+
+    def test_the_log(self, harness):
+        nodelet = harness.load(Multiplier)
+        nodelet.nh.logwarn("%s of %d", "one", 2)
+        nodelet.nh.loginfo_throttle(5.0, "again")
+        assert harness.log == [LogEntry("warn", "one of 2"), LogEntry("info", "again")]
+
+    def test_what_it_cannot_do_names_the_other_harness(self, harness):
+        nodelet = harness.load(Multiplier)
+        with pytest.raises(AttributeError, match=r"no 'sleep' without ROS; .* RosHarness"):
+            nodelet.nh.sleep(1.0)
+
+
+class TestServices:
+    def test_a_service_answers(self, harness):
+        nodelet = harness.load(Multiplier, "/twice")
+        answer = harness.call("/twice/reset", TriggerRequest())
+        assert answer == TriggerResponse(success=True, message="reset")
+        assert nodelet.factor == 1
+
+    def test_what_a_handler_raises_is_raised_once(self, harness):
+        harness.load(Multiplier)
+        with pytest.raises(ZeroDivisionError):
+            harness.call("/nodelet/fail", TriggerRequest())
+        harness.drain()
+
+    def test_a_service_that_is_not_there(self, harness):
+        with pytest.raises(rospy.ServiceException, match="unavailable"):
+            harness.call("/nobody", TriggerRequest())
+
+    def test_nodelets_call_each_other(self, harness):
+        class Caller(dyknow.Nodelet):
+            def on_init(self):
+                self.nh = dyknow.NodeHandle(self.node_handle)
+                self.nh.wait_for_service("multiplier/reset")
+                self.reset = self.nh.ServiceProxy("multiplier/reset", Trigger)
+                self.nh.Service("~switch", SetBool, self.on_switch)
+
+            def on_switch(self, request):
+                return request.data, self.reset().message
+
+        harness.load(Multiplier, "/multiplier")
+        harness.load(Caller, "/caller")
+        answer = harness.call("/caller/switch", SetBoolRequest(data=True))
+        assert (answer.success, answer.message) == (True, "reset")
+
+    def test_a_service_that_nobody_offers_is_not_waited_for(self, harness):
+        nodelet = harness.load(Multiplier)
+        with pytest.raises(rospy.ROSException, match="'/nobody' is not offered"):
+            nodelet.nh.wait_for_service("nobody")
+
+
+class TestTime:
+    def test_it_stands_still(self, harness):
+        nodelet = harness.load(Ticking)
+        harness.drain()
+        assert (nodelet.times, harness.time) == ([], 0.0)
+
+    def test_timers_run_when_their_time_has_come(self, harness):
+        nodelet = harness.load(Ticking)
+        harness.advance(1.0)
+        assert nodelet.times == [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0]
+        harness.advance(0.15)
+        assert nodelet.times[10:] == [1.1]
+
+    def test_time_that_is_set_back(self, harness):
+        nodelet = harness.load(Ticking)
+        harness.advance(5.0)
+        harness.advance(-4.0)
+        nodelet.times.clear()
+        harness.advance(0.25)
+        assert nodelet.times == [1.1, 1.2]
+
+    def test_timers_of_a_callback(self, harness):
+        fired = []
+
+        class Later(dyknow.Nodelet):
+            def on_init(self):
+                self.nh = dyknow.NodeHandle(self.node_handle)
+                self.nh.Timer(self.nh.Duration(1.0), self.on_first, oneshot=True)
+
+            def on_first(self, event):
+                self.nh.Timer(self.nh.Duration(2.0), self.on_second, oneshot=True)
+
+            def on_second(self, event):
+                fired.append(self.nh.get_time())
+
+        harness.load(Later)
+        harness.advance(10.0)
+        assert fired == [3.0]
+
+    def test_a_latched_message_of_on_init_reaches_who_listens_later(self, harness):
+        harness.load(Ticking, ports={"time": "/time"})
+        got = harness.listen("/time")
+        harness.drain()
+        assert got == [Int32(0)]
+
+
+class UnittestsHaveIt(NodeletTestCase):
+    def test_each_test_has_a_harness(self):
+        nodelet = self.harness.load(Multiplier)
+        self.assertEqual(self.harness.topics(nodelet), {"out": "", "in": ""})
