@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 from pathlib import Path
 from typing import Sequence
@@ -80,6 +81,10 @@ class Workspace:
         (package / "CMakeLists.txt").write_text(text)
         (package / "main.cpp").write_text(_MAIN.format(name=name))
 
+    def add_copy(self, name: str, package: Path) -> None:
+        """A package of the checkout under a name of its own, as somebody begins with it."""
+        shutil.copytree(package, self.folder / "src" / name)
+
     def make(self, *targets: str) -> None:
         options = ["-DPYTHON_EXECUTABLE=/usr/bin/python3", "-DCMAKE_BUILD_TYPE=Debug"]
         self._run(["catkin_make", "-C", str(self.folder), *targets, *options])
@@ -90,8 +95,15 @@ class Workspace:
             f"rosrun {name} {name}",
             f"/usr/bin/python3 -c '{_PYTHON.format(name=name)}'",
         ):
-            shell = f". {self.folder}/{space}/setup.sh; {command}"
-            assert self._run(["/bin/sh", "-c", shell]) == "2\n"
+            assert self.run_in(space, command) == "2\n"
+
+    def run_in(self, space: str, command: str) -> str:
+        """What a shell command prints in a space of the workspace; it must end with 0."""
+        return self._run(["/bin/sh", "-c", f". {self.folder}/{space}/setup.sh; {command}"])
+
+    def test_results(self) -> str:
+        """The sum of what the tests of its packages came to."""
+        return self._run(["catkin_test_results", str(self.folder / "build")])
 
     def _run(self, command: Sequence[str]) -> str:
         done = subprocess.run(
