@@ -81,7 +81,7 @@ class AcquiredStream:
 
     @property
     def detail(self) -> str:
-        """Why it does not flow, or that no message has come yet; empty: nothing to say."""
+        """Why it does not flow, or that no message has come yet; empty if it flows."""
         return self._view.detail
 
     @property

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import atexit
 import itertools
+import logging
 import os
 import signal
 import subprocess
@@ -221,6 +222,7 @@ def _join_ros() -> None:
         return
     if "ROS_HOSTNAME" not in os.environ:
         os.environ["ROS_IP"] = "127.0.0.1"
+    logging.getLogger("rosmaster").setLevel(logging.WARNING)  # every call would be in the log
     master = rosmaster.master.Master(port=0)
     master.start()
     os.environ["ROS_MASTER_URI"] = master.uri

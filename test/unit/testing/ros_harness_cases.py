@@ -1,4 +1,4 @@
-"""The harness with a ROS master; run by test_ros_harness.py in a process that becomes a node."""
+"""The harness with a ROS master; run by test_harness.py in a process that becomes a node."""
 
 from __future__ import annotations
 
@@ -11,72 +11,78 @@ from std_msgs.msg import Header, String
 
 from dyknow.errors import DyKnowError, UnknownPort
 from dyknow.testing import RosHarness, RosTestCase
-from dyknow.testing.fixtures import ros_harness
-
-__all__ = ["ros_harness"]
 
 BOTH = {"in": "/in", "out": "/out"}
 
 
-def test_messages_pass(ros_harness):
-    name = ros_harness.load("dyknow/Relay", "/relay", BOTH)
-    assert (name, ros_harness.topics(name)) == ("/relay", BOTH)
-    got = ros_harness.listen("/out", Header)
+@pytest.fixture(scope="module", name="harness")
+def _harness():
+    with RosHarness() as harness:
+        yield harness
+
+
+def test_messages_pass(harness):
+    name = harness.load("dyknow/Relay", "/relay", BOTH)
+    assert (name, harness.topics(name)) == ("/relay", BOTH)
+    got = harness.listen("/out", Header)
     for number in range(3):
-        ros_harness.publish("/in", Header(frame_id=str(number)))
-    ros_harness.wait_until(lambda: [each.frame_id for each in got] == ["0", "1", "2"])
+        harness.publish("/in", Header(frame_id=str(number)))
+    harness.wait_until(lambda: [each.frame_id for each in got] == ["0", "1", "2"])
 
 
 def test_parameters_are_set_and_deleted():
     with RosHarness() as harness:
-        harness.load("dyknow/Relay", "/relay", BOTH, {"~datatype": "std_msgs/String"})
-        got = harness.listen("/out", String)
-        harness.publish("/in", String("text"))
-        harness.wait_until(lambda: got == [String("text")])
-    assert not rospy.has_param("/relay/datatype")
+        ports = {"in": "/text", "out": "/texts"}
+        harness.load("dyknow/Relay", "/texts", ports, {"~datatype": "std_msgs/String"})
+        got = harness.listen("/texts", String)
+        harness.publish("/text", String("hello"))
+        harness.wait_until(lambda: got == [String("hello")])
+    assert not rospy.has_param("/texts/datatype")
 
 
-def test_ports_are_connected_elsewhere(ros_harness):
-    name = ros_harness.load("dyknow/Relay", ports=BOTH)
-    ros_harness.connect(name, {"in": "/other", "out": ""})
-    assert ros_harness.topics(name) == {"in": "/other", "out": ""}
+def test_ports_are_connected_elsewhere(harness):
+    name = harness.load("dyknow/Relay", "/moved", ports=BOTH)
+    harness.connect(name, {"in": "/other", "out": ""})
+    assert harness.topics(name) == {"in": "/other", "out": ""}
     with pytest.raises(DyKnowError, match="unknown port 'inn'"):
-        ros_harness.connect(name, {"inn": "/other"})
+        harness.connect(name, {"inn": "/other"})
 
 
-def test_what_cannot_be_loaded_says_why(ros_harness):
+def test_what_cannot_be_loaded_says_why(harness):
     with pytest.raises(rospy.ServiceException, match="nowhere/Nothing"):
-        ros_harness.load("nowhere/Nothing")
+        harness.load("nowhere/Nothing")
     with pytest.raises(UnknownPort):
-        ros_harness.load("dyknow/Relay", ports={"inn": "/in"})
+        harness.load("dyknow/Relay", "/misnamed", ports={"inn": "/in"})
 
 
-def test_what_does_not_come_true_tells_what_the_nodelet_manager_printed(ros_harness):
-    ros_harness.load("dyknow/Sink", ports={"in": "/in"}, parameters={"period": 0.05})
-    ros_harness.wait_until(lambda: "0 messages" in ros_harness.output)
+def test_what_does_not_come_true_tells_what_the_nodelet_manager_printed(harness):
+    harness.load("dyknow/Sink", "/sink", ports={"in": "/in"}, parameters={"period": 0.05})
+    harness.wait_until(lambda: "0 messages" in harness.output)
     with pytest.raises(AssertionError, match=r"(?s)not within 0.1 s: a wonder.*0 messages"):
-        ros_harness.wait_until(lambda: False, 0.1, "a wonder")
+        harness.wait_until(lambda: False, 0.1, "a wonder")
 
 
-def test_a_nodelet_that_is_unloaded_is_gone(ros_harness):
-    name = ros_harness.load("dyknow/Relay", ports=BOTH)
-    ros_harness.unload(name)
-    ros_harness.load("dyknow/Relay", ports=BOTH)
+def test_a_nodelet_that_is_unloaded_is_gone(harness):
+    for _ in range(2):
+        name = harness.load("dyknow/Relay", "/brief", ports=BOTH)
+        harness.unload(name)
 
 
 def test_nothing_is_left_of_a_harness():
     with RosHarness() as first, RosHarness() as second:
         first.load("dyknow/Relay", "/one")
         second.load("dyknow/Relay", "/two")
-        assert first.manager != second.manager
+        assert {first.manager, second.manager} <= _nodes()
+    assert not {"/one", "/two", first.manager, second.manager} & _nodes()
+
+
+def _nodes():
     state = rosgraph.Master(rospy.get_name()).getSystemState()
-    nodes = {node for part in state for _, owners in part for node in owners}
-    assert nodes == {rospy.get_name()}
+    return {node for part in state for _, owners in part for node in owners}
 
 
-def test_the_master_is_the_tests_own():
-    with RosHarness():
-        assert os.environ["ROS_MASTER_URI"] != "http://nobody.invalid:11311"
+def test_the_master_is_the_tests_own(harness):
+    assert os.environ["ROS_MASTER_URI"] != "http://nobody.invalid:11311"
 
 
 class UnittestsHaveIt(RosTestCase):
