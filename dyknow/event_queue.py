@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import threading
 from collections import deque
 from typing import Callable, Deque, Generic, TypeVar
+
+from dyknow.locks import state_lock
 
 News = TypeVar("News")
 
@@ -15,19 +16,19 @@ class EventQueue(Generic[News]):
     def __init__(self, listener: Callable[[News], None]) -> None:
         """Have nothing to tell yet."""
         self.listener = listener
-        self._lock = threading.Lock()
+        self._state_lock = state_lock("event queue")
         self._row: Deque[News] = deque()
         self._telling = False
 
     def add(self, news: News) -> None:
         """Put something at the end of the row; called under the lock that orders it."""
-        with self._lock:
+        with self._state_lock:
             self._row.append(news)
 
     def tell(self) -> None:
         """Tell what is in the row, unless somebody is about to; called under no lock."""
         while True:
-            with self._lock:
+            with self._state_lock:
                 if self._telling or not self._row:
                     return
                 news = self._row.popleft()
@@ -35,5 +36,5 @@ class EventQueue(Generic[News]):
             try:
                 self.listener(news)
             finally:
-                with self._lock:
+                with self._state_lock:
                     self._telling = False

@@ -28,6 +28,7 @@ TURNS: Tuple[str, ...] = (
     "services of C++ nodelets",
     "opening of a stream session",
     "library",
+    "nodelets on disk",
     "claims on disk",
     "records of children",
     "reconfiguration",

@@ -1,38 +1,59 @@
-"""The manager's picture of what runs, and who is changing which part of it.
+"""The manager's picture of what runs, and who changes which part of it.
 
-Who owns what: the graph owns the records and the revision; every record that is to survive the
-manager is written to the store before anybody sees it. A name is *busy* while one operation works
-on its nodelet; others say how long they are willing to wait for it.
+Who owns what: the graph owns the records, the revision and the lifetimes. Every record that has to
+survive the manager is written to the store before anybody sees it. A name is *busy* while one
+operation works on its nodelet; other operations say how long they will wait for it.
 """
 
 from __future__ import annotations
 
 import contextlib
-import threading
+from dataclasses import dataclass
 from typing import Callable, Dict, Iterator, List, Optional, Set
 
 from dyknow.errors import Busy, NameTaken, UnknownNodelet
+from dyknow.locks import state_condition, turn_lock
 from dyknow.manager.record import Record
 from dyknow.manager.store import Store
+from dyknow.model.graph import State
+from dyknow.periodic import STEADY, Clock
 
 #: Revisions that are reserved on disk at a time, so that not every change has to be written.
 _BLOCK = 1000
 
 
-class Graph:
-    """Records by name, with a revision that never goes back."""
+@dataclass(frozen=True)
+class _Life:
+    """When a nodelet came up, and when it was lost; None while it runs."""
 
-    def __init__(self, store: Store) -> None:
-        """Start empty; the revision goes on beyond every one that was ever shown."""
+    begin: float
+    end: Optional[float] = None
+
+
+class Graph:
+    """Records by name, with a revision that never goes back; safe from any thread."""
+
+    def __init__(self, store: Store, clock: Clock = STEADY) -> None:
+        """Start empty, with a revision beyond every one that was ever shown.
+
+        Args:
+            store: where records outlive the manager.
+            clock: steady time.
+        """
         self._store = store
-        self._lock = threading.Condition()
+        self._clock = clock
+        self._turn = turn_lock("nodelets on disk")
+        self._changed = state_condition("records of nodelets")
         self._records: Dict[str, Record] = {}
+        self._lives: Dict[str, _Life] = {}
         self._busy: Set[str] = set()
         self._revision = store.number("revision")
         self._reserved = self._revision
-        #: Called after every change, outside the lock.
+        #: Called after every change, outside the locks.
         self.on_change: Callable[[], None] = lambda: None
-        self._count()
+        with self._turn:
+            self._reserve()
+        self._revision += 1
 
     @property
     def revision(self) -> int:
@@ -41,7 +62,7 @@ class Graph:
 
     def all(self) -> List[Record]:
         """Return every record, by name."""
-        with self._lock:
+        with self._changed:
             return [self._records[name] for name in sorted(self._records)]
 
     def get(self, name: str) -> Record:
@@ -50,7 +71,7 @@ class Graph:
         Raises:
             UnknownNodelet: there is none.
         """
-        with self._lock:
+        with self._changed:
             found = self._records.get(name)
             if found is None:
                 raise UnknownNodelet(name, self._records)
@@ -58,8 +79,16 @@ class Graph:
 
     def find(self, name: str) -> Optional[Record]:
         """Return the record of that name, or None."""
-        with self._lock:
+        with self._changed:
             return self._records.get(name)
+
+    def lifetime(self, name: str) -> float:
+        """Seconds of a nodelet's present life or, if it does not run, of its last one."""
+        with self._changed:
+            life = self._lives.get(name)
+            if life is None:
+                return 0.0
+            return (self._clock.now() if life.end is None else life.end) - life.begin
 
     def is_busy(self, name: str) -> bool:
         """Whether an operation works on it now."""
@@ -69,20 +98,24 @@ class Graph:
     def changing(
         self, name: str, new: bool = False, patience: float = 0.0
     ) -> Iterator[Optional[Record]]:
-        """Keep others off a name; gives its record.
+        """Keep other operations off a name; yields its record, or None.
 
         Args:
             name: of the nodelet.
-            new: it must not be there yet.
-            patience: seconds to wait for another operation to end, such as a look.
+            new: whether the name must not be taken yet.
+            patience: seconds to wait for another operation, such as a look, to end.
 
         Raises:
             Busy: another operation works on it.
-            NameTaken: it is to be ``new`` and is there.
+            NameTaken: it has to be ``new``, and is taken.
         """
-        with self._lock:
-            if not self._lock.wait_for(lambda: name not in self._busy, patience):
-                raise NameTaken(name) if new else Busy(name)
+        with self._changed:
+            deadline = self._clock.now() + patience
+            while name in self._busy:
+                left = deadline - self._clock.now()
+                if left <= 0.0:
+                    raise NameTaken(name) if new else Busy(name)
+                self._clock.wait(self._changed, left)
             if new and name in self._records:
                 raise NameTaken(name)
             self._busy.add(name)
@@ -90,35 +123,56 @@ class Graph:
         try:
             yield record
         finally:
-            with self._lock:
+            with self._changed:
                 self._busy.discard(name)
-                self._lock.notify_all()
+                self._changed.notify_all()
 
     def put(self, *records: Record, durable: bool = True) -> None:
-        """Show records, all in one step, after they were written if they are to be durable."""
-        with self._lock:
-            new = [each for each in records if self._records.get(each.name) != each]
-        if not new:
-            return
-        if durable:
-            for record in new:
-                self._store.put_nodelet(record)
-        with self._lock:
-            self._records.update((record.name, record) for record in new)
-            self._count()
+        """Show records, all in one step, after they were written if they are ``durable``."""
+        with self._turn:
+            new = [each for each in records if self.find(each.name) != each]
+            if not new:
+                return
+            if durable:
+                for record in new:
+                    self._store.put_nodelet(record)
+            self._reserve()
+            with self._changed:
+                for record in new:
+                    self._note_life(record)
+                    self._records[record.name] = record
+                self._revision += 1
         self.on_change()
 
     def remove(self, name: str) -> None:
         """Forget a record, on disk first."""
-        self._store.remove_nodelet(name)
-        with self._lock:
-            if self._records.pop(name, None) is None:
+        with self._turn:
+            self._store.remove_nodelet(name)
+            if self.find(name) is None:
                 return
-            self._count()
+            self._reserve()
+            with self._changed:
+                del self._records[name]
+                self._lives.pop(name, None)
+                self._revision += 1
         self.on_change()
 
-    def _count(self) -> None:
-        self._revision += 1
-        if self._revision > self._reserved:
-            self._reserved = self._revision + _BLOCK
-            self._store.set_number("revision", self._reserved)
+    def _reserve(self) -> None:
+        """Write to the disk that the next revision may be shown; in the turn of the disk."""
+        if self._revision == self._reserved:
+            self._store.set_number("revision", self._reserved + _BLOCK)
+            self._reserved += _BLOCK
+
+    def _note_life(self, record: Record) -> None:
+        before, life = self._records.get(record.name), self._lives.get(record.name)
+        now = self._clock.now()
+        if record.state is not State.RUNNING:
+            if life is not None and life.end is None:
+                self._lives[record.name] = _Life(life.begin, now)
+        elif (
+            life is None
+            or life.end is not None
+            or before is None
+            or before.incarnation != record.incarnation
+        ):
+            self._lives[record.name] = _Life(now)

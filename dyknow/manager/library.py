@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import threading
 from typing import TYPE_CHECKING, Dict, List, Optional, Sequence
 
 from dyknow.errors import LimitExceeded, UnknownTransformation
+from dyknow.locks import state_lock, turn_lock
 from dyknow.manager.specifications.limits import DEFAULT_LIMITS, SpecificationLimits
 from dyknow.manager.specifications.specification import Specifications, parse
 from dyknow.manager.store import Store
@@ -37,7 +37,8 @@ class Library:
         self._store = store
         self._ontology = ontology
         self._limits = limits
-        self._lock = threading.Lock()
+        self._turn = turn_lock("library")
+        self._state_lock = state_lock("transformations")
         self._by_label: Dict[str, Transformation] = {
             each.label: each for each in store.transformations()
         }
@@ -51,12 +52,12 @@ class Library:
 
     def all(self) -> List[Transformation]:
         """Return every transformation, by label."""
-        with self._lock:
+        with self._state_lock:
             return [self._by_label[label] for label in sorted(self._by_label)]
 
     def topics(self) -> List[Transformation]:
         """Return the transformations that are existing topics, by label."""
-        with self._lock:
+        with self._state_lock:
             if self._topics_at != self.revision:
                 found = [each for each in self._by_label.values() if each.type == TOPIC]
                 self._topics = sorted(found, key=lambda each: each.label)
@@ -69,7 +70,7 @@ class Library:
         Raises:
             UnknownTransformation: there is none; similar labels are named.
         """
-        with self._lock:
+        with self._state_lock:
             found = self._by_label.get(label)
             if found is not None:
                 return found
@@ -88,14 +89,15 @@ class Library:
             LimitExceeded: the library would grow beyond its limit; nothing was added.
         """
         specifications = parse(text, file_name, self._ontology, self._limits)
-        with self._lock:
-            new = {each.label: each for each in specifications.transformations}
+        new = {each.label: each for each in specifications.transformations}
+        with self._turn:
             count = len(self._by_label.keys() | new.keys())
             if count > self._limits.transformations:
                 raise LimitExceeded("transformations", count, self._limits.transformations)
             self._store.put_transformations(new.values(), self.revision + 1)
-            self._by_label.update(new)
-            self.revision += 1
+            with self._state_lock:
+                self._by_label.update(new)
+                self.revision += 1
         return specifications
 
     def remove(self, label: str) -> Transformation:
@@ -104,9 +106,10 @@ class Library:
         Raises:
             UnknownTransformation: there is none of that label.
         """
-        found = self.get(label)
-        with self._lock:
+        with self._turn:
+            found = self.get(label)
             self._store.remove_transformation(label, self.revision + 1)
-            self._by_label.pop(label, None)
-            self.revision += 1
+            with self._state_lock:
+                del self._by_label[label]
+                self.revision += 1
         return found

@@ -7,7 +7,6 @@ nodelets through the injected host only.
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, replace
 from typing import Callable, List, Mapping, Optional, Set
 
@@ -25,6 +24,7 @@ from dyknow.manager.store import Store
 from dyknow.manager.suspects import Suspects
 from dyknow.model.graph import SpawnRequest
 from dyknow.model.transformation import Transformation
+from dyknow.periodic import STEADY, Clock
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Manager:
         guards: Guards = NO_GUARDS,
         settings: ManagerOptions = DEFAULT_OPTIONS,
         run: Callable[[Callable[[], None]], None] = at_once,
-        clock: Callable[[], float] = time.monotonic,
+        clock: Clock = STEADY,
     ) -> None:
         """Put the parts together; nothing is touched before ``start``.
 
@@ -66,19 +66,19 @@ class Manager:
             guards: what nobody may do.
             settings: how to behave.
             run: does the work of bringing back what died, which may take its time.
-            clock: seconds, steady.
+            clock: steady time.
         """
         self.library = library
         self.guards = guards
         self.host = host
         self.store = store
         self._settings = settings
-        self.graph = Graph(store)
-        self._suspects = Suspects(clock)
+        self.graph = Graph(store, clock)
+        self._suspects = Suspects(clock.now)
         self.lifecycle = Lifecycle(
             host, self.graph, guards, settings.spawn_timeout, self._suspects
         )
-        self.observer = Observer(host, self.graph, self.lifecycle, self._suspects, clock, run)
+        self.observer = Observer(host, self.graph, self.lifecycle, self._suspects, clock.now, run)
 
     @property
     def on_change(self) -> Callable[[], None]:

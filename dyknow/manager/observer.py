@@ -9,20 +9,24 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import threading
 import time
 from dataclasses import replace
 from typing import Callable, Dict, Iterable, Mapping, Set, Tuple
 
 from dyknow import names
+from dyknow.backoff import Backoff
 from dyknow.errors import Busy, DyKnowError, HostError, NameTaken
+from dyknow.locks import state_lock, turn_lock
 from dyknow.manager.graph import Graph
 from dyknow.manager.host import Crash, Host, ManagerState
 from dyknow.manager.lifecycle import Lifecycle
-from dyknow.manager.patience import Patience
 from dyknow.manager.record import Record, declared_ports, seen_ports, topics_of
 from dyknow.manager.suspects import Suspects
 from dyknow.model.graph import State
+
+#: Seconds of the first pause between two attempts to bring back one nodelet. It is short, since a
+#: stream is interrupted meanwhile.
+_FIRST_PAUSE = 0.25
 
 _log = logging.getLogger("rosout.dyknow")
 
@@ -58,10 +62,10 @@ class Observer:
         self._graph = graph
         self._lifecycle = lifecycle
         self._suspects = suspects
-        self._turn = threading.Lock()  # one look at a time; nobody else waits for it
-        self._patience = Patience(clock)
+        self._turn = turn_lock("look at nodelet managers")
+        self._backoff = Backoff(clock, _FIRST_PAUSE)
         self._run = run
-        self._lock = threading.Lock()
+        self._state_lock = state_lock("nodelets that are brought back")
         self._dead: Set[str] = set()  # found by this look
         self._crashes: Dict[str, Crash] = {}  # told of since the look before it, by manager
         self._returning: Set[str] = set()  # being brought back
@@ -158,6 +162,7 @@ class Observer:
                 why = "; ".join(filter(None, (trouble, current.suspicion)))
                 if current.state is State.RUNNING:
                     _log.warning("%s is lost: %s", current.name, why)
+                    self._backoff.served(current.name, self._graph.lifetime(current.name))
                 lost.append(replace(current, state=State.LOST, detail=why))
             self._graph.put(*lost)
 
@@ -222,21 +227,19 @@ class Observer:
                 _log.info("%s was unloaded by others; it is not brought back", record.name)
                 self._lifecycle.forget(record)
             else:  # it failed, or the manager was killed while it brought it back
-                self._find_dead(record)
+                self._dead.add(record.name)
         elif _has_died(record, state, listed):
             if self._was_being_unloaded(record):
                 _log.info("%s was being unloaded when its process died", record.name)
                 self._lifecycle.forget(record)
             elif record.state is not State.RUNNING:  # else somebody worked on it a moment ago
-                self._find_dead(record)
+                self._dead.add(record.name)
 
     def _follow(self, record: Record, state: ManagerState | None, closely: bool) -> None:
         incarnation = state.incarnation if state is not None else record.incarnation
         came_back = record.state is not State.RUNNING or record.incarnation != incarnation
         if record.state is State.STARTING and not self._complete(record):
             return
-        if came_back:
-            self._patience.came_up(record.name)
         record = replace(
             record, state=State.RUNNING, detail=record.suspicion, incarnation=incarnation
         )
@@ -268,13 +271,11 @@ class Observer:
             return False
         return True
 
-    def _find_dead(self, record: Record) -> None:
-        self._patience.died(record.name)
-        self._dead.add(record.name)
-
     def _bring_back_soon(self, name: str) -> None:
-        with self._lock:
-            if name in self._returning or not self._patience.allows(name):
+        if not self._backoff.allows(name):
+            return
+        with self._state_lock:
+            if name in self._returning:
                 return
             self._returning.add(name)
         self._run(lambda: self._bring_back(name))
@@ -283,19 +284,19 @@ class Observer:
         try:
             with self._graph.changing(name) as record:
                 if record is not None and record.unwanted:
-                    self._patience.attempt(name)
+                    self._backoff.failed(name)
                     self._lifecycle.finish_destroying(record)
                 elif record is not None and record.state is not State.RUNNING:
                     if record.claimed:  # whoever claims a stream decides what takes its place
                         self.on_death(record)
                         self._lifecycle.forget(record)
                         return
-                    self._patience.attempt(name)
+                    self._backoff.failed(name)
                     self._restore(record)
         except Busy:
             return  # somebody works on it; the next look sees the outcome
         finally:
-            with self._lock:
+            with self._state_lock:
                 self._returning.discard(name)
 
     def _restore(self, record: Record) -> None:
@@ -307,7 +308,6 @@ class Observer:
             _log.warning("%s cannot be brought back yet: %s", record.name, error)
             return
         if restored.state is State.RUNNING:
-            self._patience.came_up(record.name)
             _log.info("%s is back", record.name)
         else:
             _log.warning("%s is not back: %s", record.name, restored.detail)

@@ -22,12 +22,12 @@ import os
 import shutil
 import sqlite3
 import tempfile
-import threading
 import time
 from pathlib import Path
 from typing import Callable, Dict, Iterator, Mapping, Optional, Tuple
 
 from dyknow.errors import StoreError
+from dyknow.locks import turn_lock
 
 IN_MEMORY = ":memory:"
 #: Changes with the tables.
@@ -97,13 +97,13 @@ class StateFile:
         #: What was damaged and where it was put; empty if nothing was.
         self.complaint = ""
         self._clock = clock
-        self._lock = threading.Lock()
+        self._turn = turn_lock("state file")
         self._connection: Optional[sqlite3.Connection] = None
         self._rows: Optional[_Rows] = None  # of a file that is not open
         self._damage = ""  # why that file must not be used any more
         self._pending: Dict[Tuple[str, str], Optional[str]] = {}
         self._retry_at = self._remind_at = float("-inf")
-        with self._lock:
+        with self._turn:
             self._start()
 
     def rows(self, table: str) -> Dict[str, str]:
@@ -112,7 +112,7 @@ class StateFile:
         Raises:
             StoreError: it cannot be read.
         """
-        with self._lock:
+        with self._turn:
             rows = self._stored(table)
             for (changed, key), text in self._pending.items():
                 if changed == table:
@@ -131,7 +131,7 @@ class StateFile:
         Raises:
             StoreError: the file is closed.
         """
-        with self._lock:
+        with self._turn:
             if self.trouble and self._clock() < self._retry_at:
                 self._pending.update(changes)
             else:
@@ -139,13 +139,13 @@ class StateFile:
 
     def write_pending(self) -> None:
         """Write what the disk did not take, if there is any and it is time to try again."""
-        with self._lock:
+        with self._turn:
             if self.trouble and self._clock() >= self._retry_at:
                 self._write(self._pending)
 
     def reject(self, table: str, causes: Mapping[str, str]) -> None:
         """Take rows that mean nothing out of the file, and put them beside it, with the causes."""
-        with self._lock:
+        with self._turn:
             known = self._stored(table)
             rejected = [
                 {"table": table, "key": key, "text": known.get(key), "cause": causes[key]}
@@ -164,7 +164,7 @@ class StateFile:
 
     def close(self) -> None:
         """Close the file; what the disk has not taken is lost."""
-        with self._lock:
+        with self._turn:
             if self.trouble:
                 with contextlib.suppress(StoreError):
                     self._write(self._pending)

@@ -10,11 +10,11 @@ which may have another name. So there it is the transformation that is accused a
 
 from __future__ import annotations
 
-import threading
 from dataclasses import dataclass
 from typing import Callable, Dict, Iterable
 
 from dyknow import names
+from dyknow.locks import state_lock
 from dyknow.manager.host import Crash
 from dyknow.manager.record import Record
 
@@ -37,7 +37,7 @@ class Suspects:
     def __init__(self, clock: Callable[[], float]) -> None:
         """Suspect nobody; ``clock`` gives seconds, steady."""
         self._clock = clock
-        self._lock = threading.Lock()
+        self._state_lock = state_lock("suspects")
         self._accounts: Dict[int, _Account] = {}
         #: Transformations of the nodelets that were made for claims, also of those that are gone
         #: when their crash is told; names are used again, so there are not many.
@@ -46,7 +46,7 @@ class Suspects:
     def know(self, record: Record) -> None:
         """Hear of a nodelet before it is first asked about, and before its code runs."""
         mark = names.mark(record.name)
-        with self._lock:
+        with self._state_lock:
             if record.claimed:
                 self._labels[mark] = record.label
             else:
@@ -54,7 +54,7 @@ class Suspects:
 
     def label(self, mark: int) -> str:
         """Return the transformation of what was made for a claim; empty for other nodelets."""
-        with self._lock:
+        with self._state_lock:
             return self._labels.get(mark, "")
 
     def accuse(self, crash: Crash, hosted: Iterable[str]) -> None:
@@ -68,7 +68,7 @@ class Suspects:
         if marks is None:
             marks = frozenset(names.mark(name) for name in hosted)
         now = self._clock()
-        with self._lock:
+        with self._state_lock:
             for mark in {self._accused(mark) for mark in marks}:
                 past = self._recent(mark, now)
                 count = past.accusations if past is not None else 0
@@ -76,7 +76,7 @@ class Suspects:
 
     def verdict(self, name: str) -> str:
         """Return why a nodelet is to have a process of its own; empty if it need not."""
-        with self._lock:
+        with self._state_lock:
             account = self._recent(self._accused(names.mark(name)), self._clock())
         if account is None or account.accusations < ENOUGH:
             return ""
@@ -87,12 +87,12 @@ class Suspects:
 
     def acquit(self, name: str) -> None:
         """Forget what a nodelet is accused of: somebody destroyed it, and may have mended it."""
-        with self._lock:
+        with self._state_lock:
             self._accounts.pop(self._accused(names.mark(name)), None)
 
     def acquit_transformation(self, label: str) -> None:
         """Forget what a transformation is accused of: somebody replaced it."""
-        with self._lock:
+        with self._state_lock:
             self._accounts.pop(_mark_of_label(label), None)
 
     def _accused(self, mark: int) -> int:

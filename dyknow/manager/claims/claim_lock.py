@@ -9,8 +9,9 @@ between could make a second time what the round is about to make.
 from __future__ import annotations
 
 import contextlib
-import threading
 from typing import Iterable, Iterator, Set
+
+from dyknow.locks import turn_lock
 
 
 class ClaimLock:
@@ -18,8 +19,8 @@ class ClaimLock:
 
     def __init__(self) -> None:
         """Nobody has the turn."""
-        self._requests = threading.Lock()
-        self._lock = threading.Lock()
+        self._requests = turn_lock("claim request")
+        self._work = turn_lock("claim work")
         self._may_pause = False
         #: Claim that the present request is about; rounds keep off it.
         self.claim_id = ""
@@ -29,7 +30,7 @@ class ClaimLock:
     @contextlib.contextmanager
     def request(self, claim_id: str = "") -> Iterator[None]:
         """Work on a request, about a claim that is there or about a new one."""
-        with self._requests, self._lock:
+        with self._requests, self._work:
             self.claim_id = claim_id
             self._may_pause = True
             try:
@@ -42,7 +43,7 @@ class ClaimLock:
     @contextlib.contextmanager
     def round(self) -> Iterator[None]:
         """Look at all claims, and mend them."""
-        with self._lock:
+        with self._work:
             yield
 
     def reserve(self, names: Iterable[str]) -> None:
@@ -64,9 +65,9 @@ class ClaimLock:
             yield
             return
         self._may_pause = False
-        self._lock.release()
+        self._work.release()
         try:
             yield
         finally:
-            self._lock.acquire()
+            self._work.acquire()
             self._may_pause = True

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import AbstractSet, Callable, Dict, FrozenSet, Hashable, Iterable, List, Optional
 
+from dyknow.backoff import Backoff
 from dyknow.errors import HostError
 from dyknow.manager.claim import Claim
 from dyknow.manager.claims.claim_lock import ClaimLock
@@ -15,7 +16,6 @@ from dyknow.manager.claims.claim_table import ClaimTable
 from dyknow.manager.claims.connector import Connector
 from dyknow.manager.claims.demands import demand_of, may_share
 from dyknow.manager.claims.diagnosis import is_current
-from dyknow.manager.claims.quarantine import Quarantine
 from dyknow.manager.claims.relay import is_relay
 from dyknow.manager.claims.silence_monitor import SilenceMonitor
 from dyknow.manager.claims.streams import Stream, live_streams
@@ -41,7 +41,7 @@ class ClaimPlanner:
         manager: Manager,
         ontology: Subsumption,
         table: ClaimTable,
-        quarantine: Quarantine,
+        failures: Backoff,
         silence: SilenceMonitor,
         claim_lock: ClaimLock,
         connector: Connector,
@@ -51,7 +51,7 @@ class ClaimPlanner:
         self._manager = manager
         self._ontology = ontology
         self._table = table
-        self._quarantine = quarantine
+        self._failures = failures
         self._silence = silence
         self._claim_lock = claim_lock
         self._connector = connector
@@ -92,7 +92,7 @@ class ClaimPlanner:
             manager.library.revision,
             manager.graph.revision,
             self.published,
-            self._quarantine.names(),
+            self._failures.paused,
             self._silence.unhealthy,
         )
 
@@ -155,14 +155,14 @@ class ClaimPlanner:
         """
         self._update()
         together = self._together(claim)
-        answer = self._plan(together, claim.topic, self._quarantine.names(), avoid)
-        if isinstance(answer, NoPlan) and lenient and self._quarantine.names():
+        answer = self._plan(together, claim.topic, self._failures.paused, avoid)
+        if isinstance(answer, NoPlan) and lenient and self._failures.paused:
             answer = self._plan(together, claim.topic, NO_LABELS, avoid)
         return answer
 
     def is_waiting(self, claim: Claim) -> bool:
         """Whether there would be a plan if nothing had failed lately."""
-        paused = self._quarantine.names()
+        paused = self._failures.paused
         return bool(paused) and isinstance(self._plan([claim], claim.topic, NO_LABELS), Plan)
 
     def plan_anew(self, claim: Claim) -> Answer:
@@ -171,7 +171,7 @@ class ClaimPlanner:
         own = self._saved(claim)
         exclude = frozenset(claim.request.exclude)
         streams = self._origins(self._streams(exclude, frozenset(own.values())))
-        paused = self._quarantine.names() - frozenset(own)
+        paused = self._failures.paused - frozenset(own)
         demand = demand_of(self._together(claim))
         return self._planner.plan(demand, streams, exclude, paused=paused)
 

@@ -6,12 +6,12 @@ that is renewed meanwhile stays renewed. Changes are told in their order.
 
 from __future__ import annotations
 
-import threading
 from dataclasses import replace
 from typing import Any, Callable, Dict, List, Optional, Set
 
 from dyknow.errors import UnknownClaim
 from dyknow.event_queue import EventQueue
+from dyknow.locks import state_lock, turn_lock
 from dyknow.manager.claim import Claim, ClaimEvent
 from dyknow.manager.moment import Moment
 from dyknow.manager.store import MEANINGLESS, Store
@@ -32,8 +32,8 @@ class ClaimTable:
         self._store = store
         self._clock = clock
         self._ended_kept = ended_kept
-        self._writing = threading.Lock()  # the disk has them in the order of the memory
-        self._lock = threading.Lock()
+        self._turn = turn_lock("claims on disk")
+        self._state_lock = state_lock("claims")
         self._claims: Dict[str, Claim] = self._stored()
         self._telling: EventQueue[ClaimEvent] = EventQueue(lambda event: None)
 
@@ -48,7 +48,7 @@ class ClaimTable:
 
     def all(self) -> List[Claim]:
         """Return every claim, those that ended lately too, by id."""
-        with self._lock:
+        with self._state_lock:
             return [self._claims[claim_id] for claim_id in sorted(self._claims)]
 
     def living(self) -> List[Claim]:
@@ -57,7 +57,7 @@ class ClaimTable:
 
     def find(self, claim_id: str) -> Optional[Claim]:
         """Return a claim that has not ended, or None."""
-        with self._lock:
+        with self._state_lock:
             claim = self._claims.get(claim_id)
         return None if claim is None or claim.state.ended else claim
 
@@ -67,7 +67,7 @@ class ClaimTable:
         Raises:
             UnknownClaim: there is none of that id, or it ended.
         """
-        with self._lock:
+        with self._state_lock:
             claim = self._claims.get(claim_id)
         if claim is None or claim.state.ended:
             raise UnknownClaim(claim_id, "" if claim is None else claim.state.name.lower())
@@ -99,7 +99,7 @@ class ClaimTable:
         """Keep a new claim; its lease begins."""
         lease = claim.request.lease
         claim = replace(claim, deadline=self._clock() + lease if lease > 0 else None)
-        with self._writing:
+        with self._turn:
             self._write(claim)
             self._telling.add(ClaimEvent(replace(claim, state=ClaimState.PENDING), claim, reason))
         self._telling.tell()
@@ -107,7 +107,7 @@ class ClaimTable:
 
     def change(self, claim_id: str, reason: str, **changes: Any) -> Optional[Claim]:
         """Change a claim, unless it ended meanwhile: then None is returned."""
-        with self._writing:
+        with self._turn:
             before = self.find(claim_id)
             if before is None:
                 return None
@@ -120,7 +120,7 @@ class ClaimTable:
 
     def report(self, claim_id: str, news: str) -> None:
         """Tell something about a claim that does not change it."""
-        with self._writing:
+        with self._turn:
             claim = self.find(claim_id)
             if claim is not None:
                 self._telling.add(ClaimEvent(claim, claim, news))
@@ -132,7 +132,7 @@ class ClaimTable:
         Raises:
             UnknownClaim: there is none of that id, or it ended.
         """
-        with self._writing:
+        with self._turn:
             deadline = self._clock() + lease if lease > 0 else None
             claim = replace(self.get(claim_id), deadline=deadline)
             self._write(claim)
@@ -140,13 +140,13 @@ class ClaimTable:
 
     def end(self, claim_id: str, state: ClaimState, reason: str) -> None:
         """End a claim; nothing happens to one that ended, or that nobody knows."""
-        with self._writing:
+        with self._turn:
             before = self.find(claim_id)
             if before is None:
                 return
             after = replace(before, state=state, detail=reason)
             self._store.remove_claim(claim_id)
-            with self._lock:
+            with self._state_lock:
                 self._claims.pop(claim_id)
                 self._claims[claim_id] = after  # the latest to end is the last to be forgotten
                 ended = [key for key, claim in self._claims.items() if claim.state.ended]
@@ -185,5 +185,5 @@ class ClaimTable:
 
     def _write(self, claim: Claim) -> None:
         self._store.put_claim(claim.claim_id, claim.body(Moment.now(self._clock)))
-        with self._lock:
+        with self._state_lock:
             self._claims[claim.claim_id] = claim

@@ -6,6 +6,7 @@ import logging
 from functools import partial
 from typing import AbstractSet, Callable, Dict, Iterable, Set, Tuple
 
+from dyknow.backoff import Backoff
 from dyknow.errors import DyKnowError
 from dyknow.manager.claim import Claim
 from dyknow.manager.claims.claim_lock import ClaimLock
@@ -21,9 +22,8 @@ from dyknow.model.transformation import IN, OUT
 
 _log = logging.getLogger("rosout.dyknow")
 
-#: Seconds until something that failed is tried again; the pauses grow.
-_PAUSE = 1.0
-_LONGEST_PAUSE = 30.0
+#: Seconds until what failed is tried again.
+_FIRST_PAUSE = 1.0
 
 Wire = Tuple[str, str, str]
 """A nodelet, its port, and the topic that it is connected to."""
@@ -61,8 +61,8 @@ class GarbageCollector:
         self._linger = linger
         self._clock = clock
         self._idle_since: Dict[str, float] = {}
-        self._not_before: Dict[str, float] = {}
-        self._pauses: Dict[str, float] = {}
+        # A nodelet that does not answer in time is not asked twice in one round.
+        self._failures = Backoff(clock, _FIRST_PAUSE, tolerated=0)
         self._replaced: Set[Wire] = set()
 
     def replaced(self, claim: Claim) -> None:
@@ -169,15 +169,11 @@ class GarbageCollector:
             since = self._idle_since.setdefault(record.name, now)
             linger = 0.0 if record.name in self._silence.unhealthy else self._linger
             reachable = record.state in (State.RUNNING, State.FAILED)
-            if now - since >= linger and reachable and self._may_try(record.name):
+            if now - since >= linger and reachable and self._failures.allows(record.name):
                 self._try(record, partial(self._manager.lifecycle.destroy, record.name))
         present = {record.name for record in self._manager.graph.all()}
-        for table in (self._idle_since, self._not_before, self._pauses):
-            for name in [name for name in table if name not in present]:
-                del table[name]
-
-    def _may_try(self, name: str) -> bool:
-        return self._clock() >= self._not_before.get(name, float("-inf"))
+        for name in [name for name in self._idle_since if name not in present]:
+            del self._idle_since[name]
 
     def _cut(self, record: Record, ports: Iterable[str]) -> bool:
         """Disconnect those of a nodelet's ports that are connected; whether that is done."""
@@ -187,7 +183,7 @@ class GarbageCollector:
             return True
         return (
             self._is_reachable(record)
-            and self._may_try(record.name)
+            and self._failures.allows(record.name)
             and self._try(record, partial(self._connector.connect, record.name, config))
         )
 
@@ -198,12 +194,10 @@ class GarbageCollector:
         try:
             action()
         except DyKnowError as error:
-            pause = self._pauses.get(record.name, _PAUSE)
-            self._pauses[record.name] = min(2 * pause, _LONGEST_PAUSE)
-            self._not_before[record.name] = self._clock() + pause
+            self._failures.failed(record.name)
             _log.warning("%s: %s", record.name, error)
             return False
-        self._pauses.pop(record.name, None)
+        self._failures.forgive(record.name)
         return True
 
 

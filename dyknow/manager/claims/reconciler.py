@@ -16,6 +16,7 @@ import uuid
 from dataclasses import dataclass, replace
 from typing import Callable, List, Mapping, Optional, Tuple
 
+from dyknow.backoff import Backoff
 from dyknow.errors import DyKnowError, NoPlanFound
 from dyknow.manager.claim import Claim, ClaimEvent
 from dyknow.manager.claims.advice import refusal
@@ -29,8 +30,7 @@ from dyknow.manager.claims.demands import demand_of
 from dyknow.manager.claims.first_message import FirstMessageMonitor
 from dyknow.manager.claims.flows import FlowMeter
 from dyknow.manager.claims.garbage_collector import GarbageCollector
-from dyknow.manager.claims.quarantine import Quarantine
-from dyknow.manager.claims.repair import Repair, outcome, with_remarks
+from dyknow.manager.claims.repair import FIRST_PAUSE, Repair, outcome, with_remarks
 from dyknow.manager.claims.silence_monitor import SilenceMonitor
 from dyknow.manager.manager import Manager
 from dyknow.manager.planning.problem import NoPlan, Plan
@@ -108,13 +108,13 @@ class StreamReconciler:
         self._counts = FlowMeter(manager.host, manager.graph, clock)
         self._silence = SilenceMonitor(self._counts, manager.graph)
         self._first_messages = FirstMessageMonitor(self._table, self._counts, manager.graph, clock)
-        quarantine = Quarantine(clock)
+        failures = Backoff(clock, FIRST_PAUSE)
         self._connector = Connector(manager, self._table, ontology, clock)
         self._planner = ClaimPlanner(
             manager,
             ontology,
             self._table,
-            quarantine,
+            failures,
             self._silence,
             self._claim_lock,
             self._connector,
@@ -143,12 +143,11 @@ class StreamReconciler:
             self._planner,
             delivery,
             self._garbage_collector,
-            quarantine,
+            failures,
             self._silence,
             self._counts,
             self._first_messages,
             self._connector,
-            clock,
         )
 
     @property
@@ -265,7 +264,7 @@ class StreamReconciler:
             self._planner.look()
             self._connector.ask()
             self._garbage_collector.disconnect()
-            self._repair.keep_books()
+            self._repair.forget_ended()
             claims = self._table.living()
             came = self._counts.read(
                 self._first_messages.periods(claims), self._silence.periods(claims)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
-from typing import Any, Callable, Dict, Hashable, Mapping, Optional, Tuple
+from typing import Any, Dict, Hashable, Mapping, Optional, Tuple
 
+from dyknow.backoff import Backoff
 from dyknow.errors import DyKnowError, StreamTypeMismatch
 from dyknow.manager.claim import Claim
 from dyknow.manager.claims.assembly import Assembly
@@ -20,7 +21,6 @@ from dyknow.manager.claims.diagnosis import Fault, diagnose
 from dyknow.manager.claims.first_message import FirstMessageMonitor
 from dyknow.manager.claims.flows import FlowMeter
 from dyknow.manager.claims.garbage_collector import GarbageCollector
-from dyknow.manager.claims.quarantine import Quarantine
 from dyknow.manager.claims.silence_monitor import SilenceMonitor
 from dyknow.manager.manager import Manager
 from dyknow.manager.planning.problem import NoPlan, Plan
@@ -28,6 +28,9 @@ from dyknow.manager.record import Record
 from dyknow.model.graph import State
 from dyknow.model.streams import ClaimState
 
+#: Seconds of the first pause after a failure: longer than a round of the reconciler, so that
+#: another way is tried in between.
+FIRST_PAUSE = 1.0
 #: Times that a stream is planned anew because parts went while it was being made.
 _ATTEMPTS = 3
 
@@ -45,12 +48,11 @@ class Repair:
         claim_planner: ClaimPlanner,
         delivery: Delivery,
         garbage_collector: GarbageCollector,
-        quarantine: Quarantine,
+        failures: Backoff,
         silence: SilenceMonitor,
         counts: FlowMeter,
         first_messages: FirstMessageMonitor,
         connector: Connector,
-        clock: Callable[[], float],
     ) -> None:
         """Mend nothing yet; hear of nodelets that die from now on."""
         self._manager = manager
@@ -60,18 +62,16 @@ class Repair:
             manager, table, claim_lock, connector, delivery, self._note_failure
         )
         self._garbage_collector = garbage_collector
-        self._quarantine = quarantine
+        self._failures = failures
         self._silence = silence
         self._counts = counts
         self._first_messages = first_messages
         self._connector = connector
-        self._clock = clock
-        self._born: Dict[str, float] = {}
         self._culprit = ""
         #: Claims of which nothing came when they were planned last, and what there was then.
         self._hopeless: Dict[str, Tuple[Hashable, str]] = {}
         manager.observer.on_death = self._note_death
-        manager.observer.on_crash = quarantine.blame
+        manager.observer.on_crash = failures.failed
 
     def diagnose(self, claim: Claim) -> Optional[Fault]:
         """Say what is wrong with a claim's stream; None if it is whole."""
@@ -169,7 +169,7 @@ class Repair:
             self._hopeless[claim_id] = despair
             self._despair(claim, fault, answer)
             return
-        if not self._quarantine.allows(claim_id):
+        if not self._failures.allows(claim_id):
             return
         if claim.state is ClaimState.ACTIVE and answer.steps:
             changes = {"state": ClaimState.RECOVERING, "detail": fault.what}
@@ -179,11 +179,11 @@ class Repair:
             _, done = self.carry_out(claim, answer)
         except DyKnowError as error:
             if not self._culprit:
-                self._quarantine.blame(claim_id)
+                self._failures.failed(claim_id)
             failed = {"state": ClaimState.FAILED, "detail": str(error)}
             self._table.change(claim_id, fault.what, **failed)
             return
-        self._quarantine.forgive(claim_id)
+        self._failures.forgive(claim_id)
         reason = f"mended: {fault.what}" if claim.is_made else "it can be made now"
         reason = with_remarks(reason, done)
         self._table.change(claim_id, reason, **outcome(done))
@@ -216,28 +216,20 @@ class Repair:
 
     # Failures
 
-    def keep_books(self) -> None:
-        """Remember since when nodelets serve, and forget claims that ended."""
-        now = self._clock()
-        present = set()
-        for record in self._manager.graph.all():
-            if record.state is State.RUNNING:
-                present.add(record.name)
-                self._born.setdefault(record.name, now)
-        for name in [name for name in self._born if name not in present]:
-            del self._born[name]
+    def forget_ended(self) -> None:
+        """Forget claims that ended."""
         for claim_id in [each for each in self._hopeless if self._table.find(each) is None]:
             del self._hopeless[claim_id]
 
     def _note_failure(self, label: str) -> None:
         """Count against a transformation that no nodelet could be made of it."""
         self._culprit = label
-        self._quarantine.blame(label)
+        self._failures.failed(label)
 
     def _note_death(self, record: Record) -> None:
         """Count the death of a nodelet's process against its transformation."""
-        now = self._clock()
-        self._quarantine.blame(record.label, now - self._born.get(record.name, now))
+        self._failures.served(record.label, self._manager.graph.lifetime(record.name))
+        self._failures.failed(record.label)
 
     def blame(self, name: str) -> None:
         """Count the silence of a nodelet or topic against its transformation."""

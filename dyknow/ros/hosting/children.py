@@ -15,9 +15,9 @@ from dataclasses import dataclass, field, replace
 from typing import AbstractSet, Callable, Dict, FrozenSet, List, Optional
 
 from dyknow import names
+from dyknow.backoff import Backoff
 from dyknow.errors import HostError, PeerTimeout
 from dyknow.manager.host import Crash, NodeletKind
-from dyknow.manager.patience import LONG_LIFE, pause
 from dyknow.ros.hosting import child_records
 from dyknow.ros.hosting.child_records import ChildRecord
 from dyknow.ros.hosting.launcher import Launcher
@@ -28,6 +28,8 @@ from dyknow.ros.os_process import ProcessId
 START_TIMEOUT = 20.0
 #: Seconds that a child has to end when it is asked to.
 PATIENCE = 3.0
+#: Seconds before a nodelet manager that died twice is started again.
+_FIRST_PAUSE = 0.25
 _STEP = 0.02
 #: Seconds that a child of an earlier life may take to show itself: it may have just been started.
 _ADOPTION_TIMEOUT = 5.0
@@ -248,7 +250,7 @@ class Children:
 
     def _keep(self, child: Child) -> None:
         """Run one child, life after life."""
-        deaths = 0  # in quick succession
+        deaths = Backoff(time.monotonic, _FIRST_PAUSE)
         while child.wanted:
             begin = time.monotonic()
             try:
@@ -261,9 +263,11 @@ class Children:
                 _log.exception("nodelet manager %s", child.record.name)
             if not child.wanted:
                 break
-            deaths = 1 if time.monotonic() - begin >= LONG_LIFE else deaths + 1
+            deaths.served(child.record.name, time.monotonic() - begin)
+            deaths.failed(child.record.name)
+            pause = deaths.remaining(child.record.name)
             with self._lock:
-                self._lock.wait_for(lambda: not child.wanted, pause(deaths - 1))
+                self._lock.wait_for(lambda: not child.wanted, pause)
         try:
             self._launcher.clean_up(child.record.name)  # while nobody else is given its name
         finally:

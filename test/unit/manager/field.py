@@ -6,6 +6,8 @@ import itertools
 from typing import Any, Dict, List, Mapping, Sequence, Tuple
 from unittest import mock
 
+from unit.manager.hand_clock import HandClock
+
 from dyknow.errors import HostTimeout
 from dyknow.manager.claim import Claim, ClaimEvent
 from dyknow.manager.claims.reconciler import Acquired, StreamReconciler
@@ -119,11 +121,11 @@ class Field:
         library: str = LIBRARY,
         ontology: Subsumption = NO_ONTOLOGY,
     ) -> None:
-        self.host = FakeHost(sources, clock=lambda: self.now)
+        self.clock = HandClock()
+        self.host = FakeHost(sources, clock=self.clock.now)
         self.ontology = ontology
         self.host.topics.add("/joint_states")
         self.path = path
-        self.now = 0.0
         self.by_hand: Dict[str, bool] = {}
         self.moving: set[str] = set()
         self.open()
@@ -134,9 +136,9 @@ class Field:
         """Start a manager on what the store has."""
         self.store = Store(self.path)
         library = Library(self.store)
-        self.manager = Manager(self.host, self.store, library, clock=lambda: self.now)
+        self.manager = Manager(self.host, self.store, library, clock=self.clock)
         self.reconciler = StreamReconciler(
-            self.manager, self.ontology, clock=lambda: self.now, sleep=self.sleep
+            self.manager, self.ontology, clock=self.clock.now, sleep=self.sleep
         )
         self.manager.start()
         self.events: List[ClaimEvent] = []
@@ -147,8 +149,12 @@ class Field:
         self.store.close()
         self.open()
 
+    @property
+    def now(self) -> float:
+        return self.clock.time
+
     def sleep(self, seconds: float) -> None:
-        self.now += seconds
+        self.clock.time += seconds
         self.moving = self.host.flow()
 
     # What users do

@@ -7,6 +7,7 @@ from typing import Iterator
 
 import pytest
 from faulty_disk import full, small_disk
+from unit.manager.hand_clock import HandClock
 from unit.manager.world import World
 
 from dyknow.errors import HostError, NameTaken, SpawnFailed
@@ -78,15 +79,15 @@ def test_an_isolated_spawn_that_fails_leaves_no_process(disk: Path, error: Excep
 
 
 def test_the_disk_is_tried_again_by_looks(disk: Path) -> None:
-    now = [0.0]
-    world = World(str(disk / "state"), clock=lambda: now[0])
+    clock = HandClock()
+    world = World(str(disk / "state"), clock=clock)
     with full(disk):
         for number in range(200):
             world.spawn("camera", f"n{number}")
             if world.store.trouble:
                 break
         assert world.store.trouble
-    now[0] += 10.0
+    clock.time += 10.0
     world.manager.look()
     assert world.store.trouble == "" and world.store.remark == ""
     assert written(world) == world.states()

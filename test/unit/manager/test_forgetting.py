@@ -9,7 +9,6 @@ from unit.manager.field import LIBRARY, Field
 
 from dyknow.errors import NoPlanFound
 from dyknow.manager.claims import claim_planner
-from dyknow.manager.claims.quarantine import LONG_AGO, Quarantine
 from dyknow.model.streams import StreamRequest
 
 
@@ -64,12 +63,3 @@ def test_claims_that_could_not_be_made_and_ended(field: Field) -> None:
         field.reconciler.release(raised.value.claim_id)
         field.tick()
     assert field.reconciler._repair._hopeless == {}
-
-
-def test_failures_of_long_ago() -> None:
-    now = [0.0]
-    quarantine = Quarantine(lambda: now[0])
-    for number in range(100):
-        quarantine.blame(f"claim {number}")
-        now[0] += LONG_AGO / 10
-    assert len(quarantine._failures) < 15

@@ -56,7 +56,7 @@ def test_a_lease_goes_on_while_the_manager_is_dead(tmp_path: Path) -> None:
     assert claim.deadline is not None
     field.settle(4.0)
     field.store.close()
-    field.now += 6.0
+    field.clock.time += 6.0
     field.open()
     assert field.reconciler.claims()[0].deadline == pytest.approx(claim.deadline)
     field.settle(9.0)
@@ -69,7 +69,7 @@ def test_a_lease_that_ended_while_the_manager_was_dead_has_ended(tmp_path: Path)
     field = Field(str(tmp_path / "state"))
     claim = field.acquire(lease=20.0).claim
     field.store.close()
-    field.now += 30.0
+    field.clock.time += 30.0
     field.open()
     field.tick()
     assert field.state(claim.claim_id) is ClaimState.EXPIRED

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from unit.manager.hand_clock import HandClock
 from unit.manager.world import World
 
 from dyknow.errors import (
@@ -26,7 +27,7 @@ from dyknow.model.graph import State
 
 @pytest.fixture
 def world() -> World:
-    return World()
+    return World(clock=HandClock())
 
 
 def nothing_left(world: World, name: str) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from unit.manager.hand_clock import HandClock
 from unit.manager.world import World
 
 from dyknow.errors import HostError
@@ -153,9 +154,9 @@ def test_one_that_cannot_come_back_says_why_and_is_tried_again(world: World) -> 
     assert world.states() == {"/a": "RUNNING"}
 
 
-def test_the_pause_grows_between_attempts(world: World) -> None:
-    now = [0.0]
-    world.manager.observer._patience._clock = lambda: now[0]
+def test_the_pause_grows_between_attempts() -> None:
+    clock = HandClock()
+    world = World(clock=clock)
     world.spawn("camera", "a")
 
     def fail(operation: str, argument: str) -> None:
@@ -169,8 +170,8 @@ def test_the_pause_grows_between_attempts(world: World) -> None:
         before = world.host.calls.count(("load", "/a"))
         world.manager.look()
         if world.host.calls.count(("load", "/a")) > before:
-            times.append(now[0])
-        now[0] += 0.1
+            times.append(clock.time)
+        clock.time += 0.1
     pauses = [later - earlier for earlier, later in zip(times, times[1:])]
     assert len(times) < 12
     assert pauses[-1] > 4 * pauses[1]

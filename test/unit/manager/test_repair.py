@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import threading
 import uuid
 from typing import Any, Iterator
 from unittest import mock
@@ -77,7 +78,9 @@ def reconciling_at_once(field: Field) -> Iterator[None]:
         if asked and not at_work:
             at_work.append("the reconciler")
             asked.clear()
-            field.reconciler.reconcile()
+            reconciling = threading.Thread(target=field.reconciler.reconcile)  # as in the node
+            reconciling.start()
+            reconciling.join()
             at_work.remove("the reconciler")
 
     field.manager.on_change = lambda: asked.append(True)

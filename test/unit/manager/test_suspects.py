@@ -64,7 +64,8 @@ def test_why_it_is_alone_is_still_shown_after_a_restart_of_the_manager(world: Wo
 def test_who_was_killed_is_no_suspect(world: World) -> None:
     for _ in range(5):
         world.host.kill(SHARED)
-        world.manager.observer._patience._pasts.clear()
+        world.manager.observer._backoff.forgive("/bad")
+        world.manager.observer._backoff.forgive("/good")
         world.manager.look()
     assert world.states() == {"/bad": "RUNNING", "/good": "RUNNING"}
     assert not world.manager.graph.get("/bad").isolated

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import time
-from typing import Any, Callable
+from typing import Any
 
 from dyknow.guards import NO_GUARDS, Guards
 from dyknow.manager.fake_host import FakeHost
@@ -11,6 +10,7 @@ from dyknow.manager.library import Library
 from dyknow.manager.manager import Manager
 from dyknow.manager.store import Store
 from dyknow.model.graph import SpawnRequest
+from dyknow.periodic import STEADY, Clock
 
 SOURCES = {
     "pkg/Camera": [("image", "out", "sensor_msgs/Image")],
@@ -70,7 +70,7 @@ class World:
         self,
         path: str = ":memory:",
         guards: Guards = NO_GUARDS,
-        clock: Callable[[], float] = time.monotonic,
+        clock: Clock = STEADY,
     ) -> None:
         self.clock = clock
         self.host = FakeHost(SOURCES)
@@ -82,8 +82,10 @@ class World:
 
     def open(self) -> None:
         """Start a manager on what the store has."""
-        self.store = Store(self.path, self.clock)
-        self.manager = Manager(self.host, self.store, Library(self.store), self.guards)
+        self.store = Store(self.path, self.clock.now)
+        self.manager = Manager(
+            self.host, self.store, Library(self.store), self.guards, clock=self.clock
+        )
         self.manager.start()
 
     def kill_manager(self) -> None:

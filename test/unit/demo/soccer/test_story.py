@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from unit.manager.hand_clock import HandClock
 
 from dyknow.manager.claims.reconciler import StreamReconciler
 from dyknow.manager.fake_host import FakeHost
@@ -28,28 +29,28 @@ class Field:
     def __init__(self) -> None:
         self.ontology = load_ontology([str(EXAMPLES / "ontologies" / "soccer.ttl")])
         made = parse_file(str(SOCCER), self.ontology).transformations
+        self.clock = HandClock()
         self.host = FakeHost(
             {
                 each.source: [(port.name, port.direction, port.datatype) for port in each.ports]
                 for each in made
                 if each.type == "nodelet"
             },
-            clock=lambda: self.now,
+            clock=self.clock.now,
         )
-        self.now = 0.0
         store = Store(":memory:")
         library = Library(store, self.ontology)
-        self.manager = Manager(self.host, store, library, clock=lambda: self.now)
+        self.manager = Manager(self.host, store, library, clock=self.clock)
         self.manager.start()
         self.reconciler = StreamReconciler(
-            self.manager, self.ontology, clock=lambda: self.now, sleep=self.sleep
+            self.manager, self.ontology, clock=self.clock.now, sleep=self.sleep
         )
         self.reasons: list[str] = []
         self.reconciler.on_event = lambda event: self.reasons.append(event.reason)
         self.manager.add_transformation(SOCCER.read_text())
 
     def sleep(self, seconds: float) -> None:
-        self.now += seconds
+        self.clock.time += seconds
         self.host.flow()
 
     def settle(self, seconds: float = 2.0) -> None:

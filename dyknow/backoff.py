@@ -1,0 +1,95 @@
+"""When to try again what failed: after pauses that double from failure to failure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Callable, Dict, FrozenSet
+
+from dyknow.locks import state_lock
+
+#: Seconds of the longest pause.
+LONGEST = 30.0
+#: Seconds of good service after which earlier failures are forgiven.
+FORGIVEN_AFTER = 10.0
+#: Seconds after which a failure is forgotten, whatever came of it.
+MEMORY = 3600.0
+
+_MOST_DOUBLINGS = 16
+
+
+@dataclass(frozen=True)
+class _Failures:
+    """Failures in a row, and when the last one was counted."""
+
+    count: int
+    last: float
+
+
+class Backoff:
+    """Failures by name, with the pause that follows each; safe from any thread."""
+
+    def __init__(
+        self,
+        clock: Callable[[], float],
+        first: float,
+        longest: float = LONGEST,
+        forgiven_after: float = FORGIVEN_AFTER,
+        tolerated: int = 1,
+    ) -> None:
+        """Begin with no failures.
+
+        Args:
+            clock: steady time, in seconds.
+            first: seconds of the first pause; each pause is twice the one before it.
+            longest: seconds that no pause exceeds.
+            forgiven_after: seconds of good service that make up for all earlier failures.
+            tolerated: failures that no pause follows, since they may be chance.
+        """
+        self._clock = clock
+        self._first = first
+        self._longest = longest
+        self._forgiven_after = forgiven_after
+        self._tolerated = tolerated
+        self._state_lock = state_lock("failures")
+        self._failures: Dict[str, _Failures] = {}
+
+    def failed(self, name: str) -> None:
+        """Count a failure, or an attempt that is one unless good service follows it."""
+        now = self._clock()
+        with self._state_lock:
+            kept = {key: each for key, each in self._failures.items() if now - each.last <= MEMORY}
+            count = kept[name].count if name in kept else 0
+            self._failures = {**kept, name: _Failures(count + 1, now)}
+
+    def served(self, name: str, seconds: float) -> None:
+        """Note good service that has ended; the failures before it are forgiven if it was long."""
+        if seconds >= self._forgiven_after:
+            self.forgive(name)
+
+    def forgive(self, name: str) -> None:
+        """Forget the failures of a name."""
+        with self._state_lock:
+            self._failures.pop(name, None)
+
+    def remaining(self, name: str) -> float:
+        """Seconds until the pause of a name is over; 0 if it is."""
+        with self._state_lock:
+            return self._remaining(name)
+
+    def allows(self, name: str) -> bool:
+        """Whether the pause of a name is over."""
+        return self.remaining(name) <= 0.0
+
+    @property
+    def paused(self) -> FrozenSet[str]:
+        """Names whose pause is not over."""
+        with self._state_lock:
+            return frozenset(name for name in self._failures if self._remaining(name) > 0.0)
+
+    def _remaining(self, name: str) -> float:
+        failures = self._failures.get(name)
+        if failures is None or failures.count <= self._tolerated:
+            return 0.0
+        doublings = min(failures.count - self._tolerated - 1, _MOST_DOUBLINGS)
+        pause = min(self._longest, self._first * 2.0**doublings)
+        return max(0.0, failures.last + pause - self._clock())

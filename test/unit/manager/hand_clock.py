@@ -1,0 +1,21 @@
+"""Time that is moved by hand."""
+
+from __future__ import annotations
+
+import threading
+from typing import Optional
+
+from dyknow.periodic import Clock
+
+
+class HandClock(Clock):
+    """A clock on which a wait takes no time, and the time that it would have taken is over."""
+
+    def __init__(self) -> None:
+        self.time = 0.0
+
+    def now(self) -> float:
+        return self.time
+
+    def wait(self, condition: threading.Condition, seconds: Optional[float]) -> None:
+        self.time += seconds or 0.0

@@ -1,0 +1,69 @@
+"""Pauses grow for what fails again and again, and for nothing else."""
+
+from __future__ import annotations
+
+from typing import List
+
+from dyknow.backoff import FORGIVEN_AFTER, LONGEST, MEMORY, Backoff
+
+FIRST = 0.25
+
+
+class Life:
+    """Fails and is tried again, on a clock set by hand."""
+
+    def __init__(self, tolerated: int = 1) -> None:
+        self.now = 100.0
+        self.backoff = Backoff(lambda: self.now, FIRST, tolerated=tolerated)
+
+    def fail(self, served: float = 0.0) -> float:
+        """Fail after some seconds of service; wait for the pause, and return its length."""
+        self.now += served
+        self.backoff.served("/a", served)
+        self.backoff.failed("/a")
+        begin = self.now
+        while not self.backoff.allows("/a"):
+            assert self.backoff.paused == {"/a"}
+            self.now += 0.125
+        assert self.backoff.paused == frozenset()
+        return self.now - begin
+
+    def pauses(self, count: int, served: float = 0.0) -> List[float]:
+        return [self.fail(served) for _ in range(count)]
+
+
+def test_one_failure_is_tolerated_and_then_the_pauses_double() -> None:
+    assert Life().pauses(6) == [0.0, 0.25, 0.5, 1.0, 2.0, 4.0]
+    assert Life(tolerated=0).pauses(3) == [0.25, 0.5, 1.0]
+    assert Life().pauses(14)[-3:] == [LONGEST] * 3
+
+
+def test_a_long_service_is_no_reason_to_wait_however_often_it_ends() -> None:
+    assert Life().pauses(50, FORGIVEN_AFTER) == [0.0] * 50
+
+
+def test_the_pause_itself_is_no_service() -> None:
+    assert Life().pauses(12, FORGIVEN_AFTER / 2)[-3:] == [LONGEST] * 3
+
+
+def test_what_remains_of_a_pause_shrinks() -> None:
+    life = Life(tolerated=0)
+    life.backoff.failed("/a")
+    life.now += 0.125
+    assert life.backoff.remaining("/a") == 0.125
+    assert life.backoff.remaining("/b") == 0.0
+
+
+def test_a_failure_that_was_forgiven_is_the_first_again() -> None:
+    life = Life()
+    life.pauses(5)
+    life.backoff.forgive("/a")
+    assert life.pauses(2) == [0.0, 0.25]
+
+
+def test_failures_of_long_ago_are_not_remembered() -> None:
+    life = Life()
+    for number in range(100):
+        life.backoff.failed(f"/{number}")
+        life.now += MEMORY / 10
+    assert len(life.backoff._failures) < 15
