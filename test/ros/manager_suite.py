@@ -5,6 +5,7 @@ Importing it makes the packages of test/packages known to this process and those
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
@@ -140,9 +141,13 @@ class ManagerProcess:
 
     def destroy(self) -> None:
         """Leave nothing, whatever the test did."""
+        started = []
         if self.process is not None and self.process.poll() is None:
+            self.process.send_signal(signal.SIGSTOP)
+            eventually(lambda: _stat(self.process.pid)[0] == "T", 5.0, "it stands still")
+            started = _children_of(self.process.pid)  # it may not have them on its list yet
             self.kill()
-        for process in self.children().values():
+        for process in [*started, *self.children().values()]:
             process.signal(signal.SIGKILL)
             process.wait(5.0)
         for name in (self.node, CHILD, CHILD + "_2"):
@@ -192,6 +197,20 @@ class Receiver:
         """Wait for further messages; returns how long (s) that took."""
         count = len(self.numbers)
         return eventually(lambda: len(self.numbers) > count + 1, timeout, "messages flow")
+
+
+def _stat(pid: int) -> list[str]:
+    """What the kernel says of a process, from its state on."""
+    return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+
+
+def _children_of(pid: int) -> list[ProcessId]:
+    found = []
+    for each in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):
+            if _stat(int(each.name))[1] == str(pid):
+                found.append(ProcessId.of(int(each.name)))
+    return [process for process in found if process is not None]
 
 
 def registrations(prefix: str) -> list[str]:
