@@ -179,8 +179,7 @@ def start_manager(
     namespace, _, base = name.rpartition("/")
     given = {"state_dir": processes.folder, **parameters}
     arguments = [f"_{key}:={value}" for key, value in given.items()]
-    code = "import sys; from dyknow.ros.manager.manager_node import main; sys.exit(main())"
-    command = [sys.executable, "-c", code, f"__name:={base}", *arguments]
+    command = [sys.executable, "-m", "dyknow.cli.manager", f"__name:={base}", *arguments]
     return processes.start("the manager", command, {"ROS_NAMESPACE": namespace or "/"}, ready)
 
 

@@ -49,7 +49,11 @@ def main(argv: Optional[List[str]] = None) -> int:
     parser = argparse.ArgumentParser(
         prog="dyknow_rqt", description="Shows the computation graph of DyKnow, and changes it."
     )
-    parser.add_argument("--manager", default="dyknow_manager", help="node name of the manager")
+    parser.add_argument(
+        "--manager",
+        default="dyknow_manager",
+        help="node name of the manager (default: %(default)s)",
+    )
     arguments = parser.parse_args(words[1:])
     application = QApplication(words[:1])
     application.setApplicationName("DyKnow")

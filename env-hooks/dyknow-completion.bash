@@ -1,26 +1,12 @@
-# Completion of `dyknow` and `rosrun dyknow dyknow` in bash. Source it; the setup.bash of a catkin
-# workspace that has DyKnow in it does.
-
-# Ask `dyknow complete` what the word at the cursor may become.
-# Arguments: the command line up to the cursor, beginning with the program's name.
-_dyknow_complete_line() {
-  mapfile -t COMPREPLY < <(command dyknow complete -- "$1" 2>/dev/null)
-  if [ "${#COMPREPLY[@]}" -eq 1 ]; then
-    # More is to follow behind a nodelet's colon and behind a folder.
-    case "${COMPREPLY[0]}" in
-      *[:/]) compopt -o nospace 2>/dev/null ;;
-    esac
-  fi
-}
-
-_dyknow() {
-  _dyknow_complete_line "${COMP_LINE:0:COMP_POINT}"
-}
+# Completion of `dyknow` and `rosrun dyknow dyknow` in bash, by argcomplete. Source it; the setup.bash
+# of a catkin workspace that has DyKnow in it does.
 
 _dyknow_rosrun() {
   local line="${COMP_LINE:0:COMP_POINT}"
   if [[ "$line" =~ ^[[:space:]]*rosrun[[:space:]]+dyknow[[:space:]]+(dyknow[[:space:]].*)$ ]]; then
-    _dyknow_complete_line "${BASH_REMATCH[1]}"
+    local COMP_LINE="${BASH_REMATCH[1]}"
+    local COMP_POINT=${#COMP_LINE}
+    _python_argcomplete dyknow
     return
   fi
   if ! declare -F _roscomplete_exe >/dev/null && declare -F _completion_loader >/dev/null; then
@@ -33,5 +19,12 @@ _dyknow_rosrun() {
   fi
 }
 
-complete -F _dyknow dyknow
-complete -F _dyknow_rosrun rosrun
+# Ubuntu 20.04 calls the program register-python-argcomplete3.
+for _dyknow_register in register-python-argcomplete register-python-argcomplete3; do
+  if command -v "$_dyknow_register" >/dev/null; then
+    eval "$("$_dyknow_register" --no-defaults dyknow)"
+    complete -F _dyknow_rosrun rosrun
+    break
+  fi
+done
+unset _dyknow_register

@@ -1,46 +1,18 @@
-"""The arguments of commands: what a word must look like, and how to complete it."""
+"""The arguments of commands: what a word must look like."""
 
 from __future__ import annotations
 
 import argparse
-import enum
 import math
 import os
 import sys
 from dataclasses import dataclass
-from typing import NoReturn, Optional, Tuple, Union
+from typing import NoReturn, Tuple, Union
 
 from dyknow import names
 from dyknow.errors import InvalidName
 
-
-class Kind(enum.Enum):
-    """What an argument names, which tells how to complete it."""
-
-    NODELET = "nodelet"
-    LABEL = "label"
-    SPAWNABLE = "label of a nodelet"
-    STREAM_SOURCE = "out-port or topic"
-    STREAM_TARGET = "in-port or topic"
-    PORT = "port"
-    PORT_OF_LABEL = "port of the label, and topic"
-    TOPIC = "topic"
-    NAMESPACE = "namespace"
-    NODELET_MANAGER = "nodelet manager"
-    MANAGER = "DyKnow manager"
-    CLAIM = "claim of a stream"
-    TAG = "tag that is supplied"
-    FILE = "file"
-
-
-def takes(action: argparse.Action, kind: Kind) -> None:
-    """Note what an argument names."""
-    action.kind = kind  # type: ignore[attr-defined]
-
-
-def kind_of(action: argparse.Action) -> Optional[Kind]:
-    """Tell what an argument names, if that was noted."""
-    return getattr(action, "kind", None)
+DEFAULT_MANAGER = "/dyknow_manager"
 
 
 class Parser(argparse.ArgumentParser):
@@ -79,6 +51,18 @@ def graph_name(text: str) -> str:
 def manager_node(text: str) -> str:
     """Read the name of the manager's node; relative ones begin in ROS_NAMESPACE."""
     return names.resolve(graph_name(text), os.environ.get("ROS_NAMESPACE") or "/", "/")
+
+
+def default_manager() -> str:
+    """Return the node that the environment names as the manager, else the usual one.
+
+    Raises:
+        argparse.ArgumentTypeError: the environment holds no name of a node.
+    """
+    try:
+        return manager_node(os.environ.get("DYKNOW_MANAGER") or DEFAULT_MANAGER)
+    except argparse.ArgumentTypeError as error:
+        raise argparse.ArgumentTypeError(f"$DYKNOW_MANAGER: {error}") from error
 
 
 def namespace(text: str) -> str:

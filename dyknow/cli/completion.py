@@ -1,25 +1,21 @@
-"""What may stand at the cursor of an unfinished command line."""
+"""What TAB offers: argcomplete finds the argument at the cursor, this module its possible values.
+
+Each completer is attached to an argument by `complete_with`. It asks the manager and the master,
+and offers nothing if they do not answer quickly.
+"""
 
 from __future__ import annotations
 
 import argparse
+import functools
 import os
-from dataclasses import dataclass, field
-from typing import (
-    TYPE_CHECKING,
-    Callable,
-    Dict,
-    Iterable,
-    List,
-    Mapping,
-    Optional,
-    Sequence,
-    Tuple,
-)
+import signal
+from typing import TYPE_CHECKING, Any, Callable, Iterable, List, Sequence
 
 from dyknow import names
-from dyknow.cli.arguments import Kind, kind_of
+from dyknow.cli.arguments import PortReference, default_manager
 from dyknow.cli.topics import topics_of
+from dyknow.errors import DyKnowError
 from dyknow.model.transformation import IN, NODELET, OUT
 from dyknow.wiring.ports import types_fit
 
@@ -27,256 +23,236 @@ if TYPE_CHECKING:
     from dyknow.ros.shell_client import ShellClient
     from dyknow.ros.views import NodeletView
 
-Parsers = Tuple[argparse.ArgumentParser, Mapping[str, argparse.ArgumentParser]]
+#: Seconds that each answer may take: nobody waits long after pressing TAB.
+_TIMEOUT = 0.2
+#: Seconds after which completion is given up: a library of 100,000 labels takes longer.
+_LIMIT = 1.0
+
+#: What argcomplete calls, with the keywords `prefix`, `action`, `parser` and `parsed_args`.
+Completer = Callable[..., List[str]]
 
 
-@dataclass
-class Place:
-    """What the words before the cursor ask for.
+def complete_with(action: argparse.Action, completer: Completer) -> None:
+    """Tell argcomplete how to complete the values of an argument."""
+    action.completer = completer  # type: ignore[attr-defined]
 
-    Attributes:
-        parser: of the command, or of `dyknow` itself while the command is to come.
-        action: the argument that stands at the cursor, or None.
-        only: whether nothing but a value of `action` may stand there: no option.
-        given: words that were given to each argument, by its name.
+
+def autocomplete(parser: argparse.ArgumentParser) -> None:
+    """If the shell asks for completions, print them and end the process.
+
+    argcomplete tells by the environment variable `_ARGCOMPLETE` that it does.
     """
+    if "_ARGCOMPLETE" not in os.environ:
+        return
+    import argcomplete
 
-    parser: argparse.ArgumentParser
-    action: Optional[argparse.Action] = None
-    only: bool = False
-    given: Dict[str, List[str]] = field(default_factory=dict)
-
-
-def complete(
-    parsers: Parsers, words: Sequence[str], last: str, client: Callable[[str], ShellClient]
-) -> List[str]:
-    """List what the last word may become.
-
-    Args:
-        parsers: That of the program, and those of its commands by name.
-        words: The words before it, without the program's name.
-        last: What is there of it.
-        client: Makes a client of the manager of that name, empty for the default.
-    """
-    option, equals, value = last.partition("=")
-    if option.startswith("--") and equals:
-        return [f"{option}={each}" for each in complete(parsers, [*words, option], value, client)]
-    program, commands = parsers
-    place = find_place(program, commands, words)
-    if last.startswith("-") and not place.only:
-        found: Iterable[str] = _options(place.parser)
-    elif place.parser is program and place.action is None:
-        found = [name for name in commands if name != "complete"]
-    else:
-        kind = kind_of(place.action) if place.action is not None else None
-        found = _values(kind, place, last, client)
-    return sorted({each for each in found if each.startswith(last)})
+    signal.signal(signal.SIGALRM, lambda *_: os._exit(1))
+    signal.setitimer(signal.ITIMER_REAL, _LIMIT)
+    argcomplete.autocomplete(parser, always_complete_options=False, default_completer=_nothing)
 
 
-def find_place(
-    program: argparse.ArgumentParser,
-    parsers: Mapping[str, argparse.ArgumentParser],
-    words: Sequence[str],
-) -> Place:
-    """Find out which argument follows some words."""
-    place = Place(program)
-    positionals: List[argparse.Action] = []
-    waiting: Optional[argparse.Action] = None
-    needed = 0
-    literal = False
-    for word in words:
-        if ":=" in word:
-            continue
-        if waiting is not None and (needed or literal or not word.startswith("-")):
-            place.given.setdefault(waiting.dest, []).append(word)
-            needed = 0
-            waiting = waiting if waiting.nargs == "+" else None
-        elif word == "--":
-            waiting, literal = None, True
-        elif word.startswith("-") and not literal:
-            waiting, needed = _begin_option(place, word)
-        elif place.parser is program:
-            if word not in parsers:
-                return Place(program, only=True, action=argparse.Action([], "unknown"))
-            place.parser = parsers[word]
-            positionals = [each for each in _actions(place.parser) if not each.option_strings]
-        elif positionals:
-            place.given.setdefault(positionals[0].dest, []).append(word)
-            if positionals[0].nargs not in ("+", "*"):
-                positionals.pop(0)
-    if waiting is not None:
-        place.action, place.only = waiting, bool(needed)
-    elif positionals:
-        place.action = positionals[0]
-    return place
+def connect(manager_node: str) -> ShellClient:
+    """Make a client that answers quickly or not at all."""
+    from dyknow.ros.shell_client import ShellClient
+
+    return ShellClient(manager_node, _TIMEOUT)
 
 
-def _begin_option(place: Place, word: str) -> Tuple[Optional[argparse.Action], int]:
-    """Tell which option waits for values now, and how many it needs at least."""
-    name, equals, value = word.partition("=")
-    action = next((each for each in _actions(place.parser) if name in each.option_strings), None)
-    if action is None or action.nargs == 0:
-        return None, 0
-    if equals:
-        place.given.setdefault(action.dest, []).append(value)
-        return None, 0
-    return action, 0 if action.nargs == "?" else 1
+class _Cursor:
+    """The value at the cursor: what is typed of it, the arguments before it, and the manager."""
 
+    def __init__(self, client: ShellClient, prefix: str, arguments: argparse.Namespace) -> None:
+        self.client = client
+        self.prefix = prefix
+        self._arguments = arguments
 
-def _actions(parser: argparse.ArgumentParser) -> List[argparse.Action]:
-    return parser._actions
+    def given(self, argument: str) -> Any:
+        """The value that an argument has already, or None."""
+        return getattr(self._arguments, argument, None)
 
+    def nodelets(self) -> Sequence[NodeletView]:
+        """The nodelets that run."""
+        return self.client.nodelets().nodelets
 
-def _options(parser: argparse.ArgumentParser) -> List[str]:
-    return [text for action in _actions(parser) for text in action.option_strings if len(text) > 2]
+    def topics(self) -> List[str]:
+        """The topics of nodelets and of ordinary nodes, sorted."""
+        own = {topic.name for topic in topics_of(self.client.nodelets())}
+        return sorted(own | set(self.client.topics()))
 
-
-def _values(
-    kind: Optional[Kind], place: Place, last: str, client: Callable[[str], ShellClient]
-) -> Iterable[str]:
-    if kind is None:
-        return ()
-    if kind is Kind.FILE:
-        return _files(last)
-    nodes = place.given.get("manager_node", [])
-    return _Names(client(nodes[-1] if nodes else ""), place, last).of(kind)
-
-
-def _files(last: str) -> List[str]:
-    folder, _, begin = last.rpartition("/")
-    typed = folder + "/" if "/" in last else ""
-    try:
-        entries = list(os.scandir(os.path.expanduser(typed) or "."))
-    except OSError:
-        return []
-    return [
-        typed + entry.name + ("/" if entry.is_dir() else "")
-        for entry in entries
-        if entry.name.startswith(begin) and (begin or not entry.name.startswith("."))
-    ]
-
-
-class _Names:
-    """Names that the manager and the master know."""
-
-    def __init__(self, client: ShellClient, place: Place, last: str) -> None:
-        self._client = client
-        self._place = place
-        self._last = last
-
-    def of(self, kind: Kind) -> Iterable[str]:
-        """List the names of a kind."""
-        if kind is Kind.NODELET:
-            done = {self._global(word) for word in self._words("names")}
-            found = [each.name for each in self._nodelets() if each.name not in done]
-            return self._as_typed(found)
-        if kind is Kind.NAMESPACE:
-            spaces = {names.parent(each.name) for each in self._nodelets()}
-            return self._as_typed(space for space in spaces if space != "/")
-        if kind is Kind.LABEL:
-            return set(self._labels()) - set(self._words("labels"))
-        if kind is Kind.SPAWNABLE:
-            return self._labels(NODELET)
-        if kind is Kind.TOPIC:
-            return self._as_typed(self._topics())
-        if kind is Kind.NODELET_MANAGER:
-            return self._as_typed(self._client.nodelet_managers())
-        if kind is Kind.MANAGER:
-            return self._client.managers()
-        if kind is Kind.CLAIM:
-            return self._claims()
-        if kind is Kind.TAG:
-            return self._tags()
-        if kind is Kind.PORT_OF_LABEL:
-            return self._ports_of_label()
-        if kind in (Kind.STREAM_SOURCE, Kind.STREAM_TARGET):
-            return self._ends(kind)
-        return self._ports("")
-
-    def _nodelets(self) -> tuple[NodeletView, ...]:
-        return self._client.nodelets().nodelets
-
-    def _words(self, argument: str) -> List[str]:
-        return self._place.given.get(argument, [])
-
-    def _global(self, name: str) -> str:
-        return name if name.startswith("/") else names.join(self._client.namespace, name)
-
-    def _as_typed(self, found: Iterable[str]) -> List[str]:
-        """Leave the manager's namespace out of names if the user has begun so."""
-        if not self._last or self._last.startswith("/"):
-            return list(found)
-        space = self._client.namespace.rstrip("/") + "/"
-        return [name[len(space) :] for name in found if name.startswith(space)]
-
-    def _labels(self, type_: str = "") -> List[str]:
-        transformations = self._client.model().transformations
+    def labels(self, type_: str = "") -> List[str]:
+        """The labels of the library, of one type if it is given."""
+        transformations = self.client.model().transformations
         return [each.label for each in transformations if not type_ or each.type == type_]
 
-    def _topics(self) -> List[str]:
-        own = {topic.name for topic in topics_of(self._client.nodelets())}
-        return sorted(own | set(self._client.topics()))
+    def resolve(self, name: str) -> str:
+        """Make a name global."""
+        return name if name.startswith("/") else names.join(self.client.namespace, name)
 
-    def _claims(self) -> List[str]:
-        named = set(self._words("claims"))
-        streams = self._client.list_streams()
-        return [
-            each.claim_id
-            for each in streams
-            if not each.state.ended and each.claim_id not in named
-        ]
+    def as_typed(self, found: Iterable[str]) -> List[str]:
+        """Leave the manager's namespace out of names if the user has begun so."""
+        if not self.prefix or self.prefix.startswith("/"):
+            return list(found)
+        space = self.client.namespace.rstrip("/") + "/"
+        return [name[len(space) :] for name in found if name.startswith(space)]
 
-    def _tags(self) -> set[str]:
-        return {
-            tag
-            for each in self._client.model().transformations
-            for port in each.ports
-            if port.direction == OUT
-            for tag in port.tags
-        }
+    def ports(self, direction: str = "", datatype: str = "") -> List[str]:
+        """List the ports of the nodelet that is typed, or else the nodelets with such ports.
 
-    def _ports_of_label(self) -> List[str]:
-        port, colon, _ = self._last.partition(":")
-        if colon:
-            return [f"{port}:{topic}" for topic in self._topics()]
-        label = "".join(self._words("label"))
-        return [
-            f"{port.name}:"
-            for each in self._client.model().transformations
-            if each.label == label
-            for port in each.ports
-        ]
-
-    def _ports(self, direction: str) -> List[str]:
-        """Nodelets with such ports, or such ports of the nodelet that is there already."""
-        fitting = self._type_of_source() if direction == IN else ""
-        name, colon, _ = self._last.rpartition(":")
+        Args:
+            direction: of the ports; empty for both.
+            datatype: ROS type that the ports have to fit; empty for any.
+        """
+        name, colon, _ = self.prefix.rpartition(":")
         found = []
-        for nodelet in self._nodelets():
+        for nodelet in self.nodelets():
             ports = [
                 port.name
                 for port in nodelet.ports
-                if direction in ("", port.direction) and types_fit(fitting, port.datatype)
+                if direction in ("", port.direction) and types_fit(datatype, port.datatype)
             ]
             if not colon and ports:
-                found.extend(self._as_typed([nodelet.name + ":"]))
-            elif colon and nodelet.name == self._global(name):
+                found.extend(self.as_typed([nodelet.name + ":"]))
+            elif colon and nodelet.name == self.resolve(name):
                 found.extend(f"{name}:{port}" for port in ports)
         return found
 
-    def _ends(self, kind: Kind) -> Iterable[str]:
-        """Ports, and topics too where the other end is a port or not there yet."""
-        ports = self._ports(OUT if kind is Kind.STREAM_SOURCE else IN)
-        from_topic = bool(self._words("source")) and ":" not in self._words("source")[-1]
-        if ":" in self._last or (kind is Kind.STREAM_TARGET and from_topic):
-            return ports
-        return [*ports, *self._as_typed(self._topics())]
-
-    def _type_of_source(self) -> str:
-        """ROS type of the out-port that is to be connected, empty if that is not known."""
-        name, _, port = "".join(self._words("source")).rpartition(":")
-        for nodelet in self._nodelets():
-            if nodelet.name == self._global(name):
-                found = nodelet.port(port)
-                return found.datatype if found is not None else ""
+    def type_of(self, reference: PortReference) -> str:
+        """ROS type of a port, empty if it is not known."""
+        for nodelet in self.nodelets():
+            if nodelet.name == self.resolve(reference.nodelet):
+                port = nodelet.port(reference.port)
+                return port.datatype if port is not None else ""
         return ""
+
+
+def _completer(find: Callable[[_Cursor], Iterable[str]]) -> Completer:
+    @functools.wraps(find)
+    def complete(prefix: str, parsed_args: argparse.Namespace, **_: object) -> List[str]:
+        node = getattr(parsed_args, "manager_node", None) or default_manager()
+        try:
+            return sorted(set(find(_Cursor(connect(node), prefix, parsed_args))))
+        except DyKnowError:
+            return []
+
+    return complete
+
+
+@_completer
+def nodelets(cursor: _Cursor) -> Iterable[str]:
+    """Names of nodelets that the command line does not name yet."""
+    named = {cursor.resolve(name) for name in cursor.given("names") or ()}
+    return cursor.as_typed(each.name for each in cursor.nodelets() if each.name not in named)
+
+
+@_completer
+def namespaces(cursor: _Cursor) -> Iterable[str]:
+    """Namespaces of nodelets."""
+    spaces = {names.parent(each.name) for each in cursor.nodelets()}
+    return cursor.as_typed(space for space in spaces if space != "/")
+
+
+@_completer
+def labels(cursor: _Cursor) -> Iterable[str]:
+    """Labels of the library that the command line does not name yet."""
+    return set(cursor.labels()) - set(cursor.given("labels") or ())
+
+
+@_completer
+def spawnable_labels(cursor: _Cursor) -> Iterable[str]:
+    """Labels of transformations that nodelets can be made from."""
+    return cursor.labels(NODELET)
+
+
+@_completer
+def topics(cursor: _Cursor) -> Iterable[str]:
+    """Topics."""
+    return cursor.as_typed(cursor.topics())
+
+
+@_completer
+def nodelet_managers(cursor: _Cursor) -> Iterable[str]:
+    """Nodelet managers of this manager."""
+    return cursor.as_typed(cursor.client.nodelet_managers())
+
+
+@_completer
+def managers(cursor: _Cursor) -> Iterable[str]:
+    """DyKnow managers that the master knows."""
+    return cursor.client.managers()
+
+
+@_completer
+def claims(cursor: _Cursor) -> Iterable[str]:
+    """Claims that have not ended and that the command line does not name yet."""
+    named = set(cursor.given("claims") or ())
+    return (
+        each.claim_id
+        for each in cursor.client.list_streams()
+        if not each.state.ended and each.claim_id not in named
+    )
+
+
+@_completer
+def tags(cursor: _Cursor) -> Iterable[str]:
+    """Tags that some transformation supplies."""
+    return (
+        tag
+        for each in cursor.client.model().transformations
+        for port in each.ports
+        if port.direction == OUT
+        for tag in port.tags
+    )
+
+
+@_completer
+def ports(cursor: _Cursor) -> Iterable[str]:
+    """Ports of nodelets, `NODELET:PORT`."""
+    return cursor.ports()
+
+
+@_completer
+def ports_of_label(cursor: _Cursor) -> Iterable[str]:
+    """Ports of the transformation that is to be spawned, and the topic behind it, `PORT:TOPIC`."""
+    port, colon, _ = cursor.prefix.partition(":")
+    if colon:
+        return [f"{port}:{topic}" for topic in cursor.topics()]
+    return (
+        f"{port.name}:"
+        for each in cursor.client.model().transformations
+        if each.label == cursor.given("label")
+        for port in each.ports
+    )
+
+
+@_completer
+def stream_sources(cursor: _Cursor) -> Iterable[str]:
+    """Out-ports, and topics."""
+    return [*cursor.ports(OUT), *_topics_beside_ports(cursor)]
+
+
+@_completer
+def stream_targets(cursor: _Cursor) -> Iterable[str]:
+    """In-ports that fit the source, and topics if the source is a port."""
+    source = cursor.given("source")
+    if isinstance(source, PortReference):
+        return [*cursor.ports(IN, cursor.type_of(source)), *_topics_beside_ports(cursor)]
+    return cursor.ports(IN)
+
+
+def _topics_beside_ports(cursor: _Cursor) -> Iterable[str]:
+    return () if ":" in cursor.prefix else cursor.as_typed(cursor.topics())
+
+
+def files(prefix: str, **details: object) -> List[str]:
+    """Files and folders, hidden ones only behind a dot."""
+    from argcomplete.completers import FilesCompleter
+
+    found = FilesCompleter()(prefix, **details)
+    if os.path.basename(prefix).startswith("."):
+        return list(found)
+    return [each for each in found if not os.path.basename(each.rstrip("/")).startswith(".")]
+
+
+def _nothing(**_: object) -> List[str]:
+    """Offer nothing for an argument that has no completer."""
+    return []

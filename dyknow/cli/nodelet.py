@@ -10,6 +10,7 @@ import signal
 import sys
 from typing import Sequence
 
+from dyknow.cli.node_help import NODELET_MANAGER, asks_for_help
 from dyknow.cli.nodelet_arguments import (
     USAGE,
     Command,
@@ -47,6 +48,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 def manager_main(argv: Sequence[str] | None = None) -> int:
     """Run `nodelet_manager`, which is `nodelet manager`, and return its exit code."""
     argv = list(sys.argv if argv is None else argv)
+    if asks_for_help(argv[1:]):
+        print(NODELET_MANAGER, end="")
+        return DONE
     return main([argv[0], "manager", *argv[1:]])
 
 

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import argparse
-import os
 from typing import Dict, List, Sequence, Tuple
 
 from dyknow import __version__
-from dyknow.cli.arguments import Kind, Parser, manager_node, seconds, takes
+from dyknow.cli import completion
+from dyknow.cli.arguments import (
+    DEFAULT_MANAGER,
+    Parser,
+    default_manager,
+    manager_node,
+    seconds,
+)
 from dyknow.cli.command import Command
 from dyknow.cli.commands import GROUPS
 from dyknow.similar import did_you_mean
-
-DEFAULT_MANAGER = "/dyknow_manager"
 
 #: ROS's words for every node; a command is none, and needs neither.
 _FROM_ROSLAUNCH = ("__name", "__log")
@@ -61,6 +65,7 @@ def parse(words: Sequence[str]) -> argparse.Namespace:
         SystemExit: help was asked for (0), or the usage is wrong (2).
     """
     parser, parsers = build_parser()
+    completion.autocomplete(parser)
     words = _without_ros_words(parser, words)
     if not words:
         parser.error("a command is missing: dyknow COMMAND [ARGUMENT ...]")
@@ -69,10 +74,12 @@ def parse(words: Sequence[str]) -> argparse.Namespace:
     problem = all_commands()[arguments.command].problem(arguments)
     if problem:
         parsers[arguments.command].error(problem)
-    arguments.parsers = parser, parsers
     arguments.json = getattr(arguments, "json", False)
     arguments.timeout = getattr(arguments, "timeout", None)
-    arguments.manager_node = getattr(arguments, "manager_node", None) or _default_manager(parser)
+    try:
+        arguments.manager_node = getattr(arguments, "manager_node", None) or default_manager()
+    except argparse.ArgumentTypeError as error:
+        parser.error(str(error))
     return arguments
 
 
@@ -80,8 +87,6 @@ def _without_ros_words(parser: Parser, words: Sequence[str]) -> List[str]:
     """Leave out what roslaunch gives every program; refuse what would have no effect."""
     own = [word for word in words if ":=" not in word]
     command = next((word for word in own if word in all_commands()), "")
-    if command == "complete":  # the words are somebody's who has not finished them
-        return own
     for word in words:
         if ":=" in word and word.split(":=")[0] not in _FROM_ROSLAUNCH:
             parser.error(f"'{word}' would have no effect: {_instead(command, word)}")
@@ -111,14 +116,6 @@ def _check_command(parser: Parser, words: Sequence[str]) -> None:
     parser.error(f"there is no command '{first}'{did_you_mean(first, known)}")
 
 
-def _default_manager(parser: Parser) -> str:
-    text = os.environ.get("DYKNOW_MANAGER") or DEFAULT_MANAGER
-    try:
-        return manager_node(text)
-    except argparse.ArgumentTypeError as error:
-        parser.error(f"$DYKNOW_MANAGER: {error}")
-
-
 def _add(chosen: argparse._SubParsersAction[Parser], command: Command) -> Parser:
     epilog = "Examples:\n" + "".join(f"  {line}\n" for line in command.examples.splitlines())
     parser = chosen.add_parser(
@@ -143,7 +140,7 @@ def _add_common(parser: argparse.ArgumentParser) -> None:
         default=argparse.SUPPRESS,
         help="print the result as JSON",
     )
-    takes(
+    completion.complete_with(
         group.add_argument(
             "--manager-node",
             metavar="NAME",
@@ -151,7 +148,7 @@ def _add_common(parser: argparse.ArgumentParser) -> None:
             default=argparse.SUPPRESS,
             help=f"the manager's node (default: $DYKNOW_MANAGER, else {DEFAULT_MANAGER})",
         ),
-        Kind.MANAGER,
+        completion.managers,
     )
     group.add_argument(
         "--timeout",
@@ -165,9 +162,8 @@ def _add_common(parser: argparse.ArgumentParser) -> None:
 def _epilog() -> str:
     lines: List[str] = []
     for title, commands in GROUPS:
-        if title:
-            lines.append(f"{title}:")
-            lines.extend(f"  {command.name:<12}{command.summary}" for command in commands)
-            lines.append("")
+        lines.append(f"{title}:")
+        lines.extend(f"  {command.name:<12}{command.summary}" for command in commands)
+        lines.append("")
     lines.append("'dyknow COMMAND --help' shows the arguments of a command, with examples.")
     return "\n".join(lines) + "\n" + _COMMON

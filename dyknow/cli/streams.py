@@ -6,17 +6,17 @@ import argparse
 import os
 import socket
 
-from dyknow.cli.arguments import Kind, takes
+from dyknow.cli import completion
 from dyknow.model.streams import StreamRequest
 
 
 def demand_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what is asked for."""
-    takes(
+    completion.complete_with(
         parser.add_argument(
             "tag", metavar="TAG", help="what it is about, such as 'FieldPosition(ball)'"
         ),
-        Kind.TAG,
+        completion.tags,
     )
     parser.add_argument(
         "--datatype",
@@ -24,7 +24,7 @@ def demand_arguments(parser: argparse.ArgumentParser) -> None:
         default="",
         help="the ROS type that it must have, such as geometry_msgs/PointStamped (default: any)",
     )
-    takes(
+    completion.complete_with(
         parser.add_argument(
             "--exclude",
             metavar="LABEL",
@@ -33,7 +33,7 @@ def demand_arguments(parser: argparse.ArgumentParser) -> None:
             default=[],
             help="transformations that must not be used",
         ),
-        Kind.LABEL,
+        completion.labels,
     )
 
 

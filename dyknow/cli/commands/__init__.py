@@ -8,7 +8,6 @@ from dyknow.cli.command import Command
 from dyknow.cli.commands import (
     acquire,
     check,
-    completion,
     graph,
     inspect,
     library,
@@ -20,7 +19,7 @@ from dyknow.cli.commands import (
     wiring,
 )
 
-#: Titles and commands, in the order of the help; it leaves those without a title out.
+#: Titles and commands, in the order of the help.
 GROUPS: Tuple[Tuple[str, Tuple[Command, ...]], ...] = (
     ("What runs", (*inspect.COMMANDS, *statistics.COMMANDS, *graph.COMMANDS)),
     ("Nodelets", nodelets.COMMANDS),
@@ -28,5 +27,4 @@ GROUPS: Tuple[Tuple[str, Tuple[Command, ...]], ...] = (
     ("Streams on request", (*tags.COMMANDS, *acquire.COMMANDS, *streams.COMMANDS)),
     ("Transformations", (*library.COMMANDS, *check.COMMANDS)),
     ("Whole wirings", save_load.COMMANDS),
-    ("", completion.COMMANDS),
 )

@@ -6,7 +6,7 @@ import argparse
 import sys
 from typing import TYPE_CHECKING, Any, Dict, List, Optional, Sequence, Tuple
 
-from dyknow.cli.arguments import Kind, takes
+from dyknow.cli import completion
 from dyknow.cli.command import Command
 from dyknow.cli.shell import FAILED, Shell
 from dyknow.cli.tables import count
@@ -19,13 +19,13 @@ STDIN = "-"
 
 
 def _check_arguments(parser: argparse.ArgumentParser) -> None:
-    takes(
+    completion.complete_with(
         parser.add_argument(
             "files", nargs="+", metavar="FILE", help=f"specifications; {STDIN} for standard input"
         ),
-        Kind.FILE,
+        completion.files,
     )
-    takes(
+    completion.complete_with(
         parser.add_argument(
             "--ontology",
             metavar="OWL",
@@ -33,7 +33,7 @@ def _check_arguments(parser: argparse.ArgumentParser) -> None:
             default=[],
             help="file in which templates find the individuals of a concept; may be repeated",
         ),
-        Kind.FILE,
+        completion.files,
     )
 
 

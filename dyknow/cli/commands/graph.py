@@ -6,7 +6,8 @@ import argparse
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from dyknow.cli.arguments import Kind, namespace, takes
+from dyknow.cli import completion
+from dyknow.cli.arguments import namespace
 from dyknow.cli.command import Command
 from dyknow.cli.drawing import render, to_dot
 from dyknow.cli.files import write_file
@@ -22,13 +23,13 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     form = parser.add_mutually_exclusive_group()
     form.add_argument("--dot", action="store_true", help="print it in graphviz's DOT language")
     for kind in ("svg", "png"):
-        takes(
+        completion.complete_with(
             form.add_argument(
                 f"--{kind}", metavar="FILE", default=None, help=f"draw it into a file ({kind})"
             ),
-            Kind.FILE,
+            completion.files,
         )
-    takes(
+    completion.complete_with(
         parser.add_argument(
             "--namespace",
             metavar="NS",
@@ -36,7 +37,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
             default=None,
             help="only nodelets of this namespace, with the topics that they are connected to",
         ),
-        Kind.NAMESPACE,
+        completion.namespaces,
     )
 
 

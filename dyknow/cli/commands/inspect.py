@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Dict, Iterator, List, Optional, Sequence, Tuple
 
-from dyknow.cli.arguments import Kind, graph_name, namespace, takes
+from dyknow.cli import completion
+from dyknow.cli.arguments import graph_name, namespace
 from dyknow.cli.command import Command
 from dyknow.cli.json_output import nodelet_json
 from dyknow.cli.shell import FAILED, Shell
@@ -21,11 +22,11 @@ _Ends = Dict[str, List[Tuple[str, str, str]]]
 
 
 def _list_arguments(parser: argparse.ArgumentParser) -> None:
-    takes(
+    completion.complete_with(
         parser.add_argument(
             "namespace", nargs="?", type=namespace, help="list only nodelets of this namespace"
         ),
-        Kind.NAMESPACE,
+        completion.namespaces,
     )
     parser.add_argument(
         "-l", "--long", action="store_true", help="show transformation, state, ports and manager"
@@ -64,9 +65,9 @@ def _long_list(nodelets: Sequence[NodeletView]) -> List[str]:
 
 
 def _info_arguments(parser: argparse.ArgumentParser) -> None:
-    takes(
+    completion.complete_with(
         parser.add_argument("names", nargs="+", metavar="NAME", type=graph_name, help="a nodelet"),
-        Kind.NODELET,
+        completion.nodelets,
     )
 
 

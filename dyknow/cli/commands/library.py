@@ -7,7 +7,7 @@ import re
 import sys
 from typing import Any, Dict, Iterable, List, Optional, Sequence
 
-from dyknow.cli.arguments import Kind, takes
+from dyknow.cli import completion
 from dyknow.cli.command import Command
 from dyknow.cli.files import write_file
 from dyknow.cli.json_output import transformation_json
@@ -22,15 +22,17 @@ STDIN = "-"
 
 
 def _labels(parser: argparse.ArgumentParser, nargs: str, text: str) -> None:
-    takes(parser.add_argument("labels", nargs=nargs, metavar="LABEL", help=text), Kind.LABEL)
+    completion.complete_with(
+        parser.add_argument("labels", nargs=nargs, metavar="LABEL", help=text), completion.labels
+    )
 
 
 def _files(parser: argparse.ArgumentParser) -> None:
-    takes(
+    completion.complete_with(
         parser.add_argument(
             "files", nargs="+", metavar="FILE", help=f"specifications; {STDIN} for standard input"
         ),
-        Kind.FILE,
+        completion.files,
     )
 
 
@@ -119,11 +121,11 @@ def _named(file: str, words: str) -> str:
 
 def _export_arguments(parser: argparse.ArgumentParser) -> None:
     _labels(parser, "*", "what to export (default: all)")
-    takes(
+    completion.complete_with(
         parser.add_argument(
             "-o", "--output", metavar="FILE", default=None, help="write here (default: print)"
         ),
-        Kind.FILE,
+        completion.files,
     )
 
 

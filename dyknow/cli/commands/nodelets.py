@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any, Callable, Dict, List, Optional, Sequence
 
-from dyknow.cli.arguments import Kind, graph_name, port_topic, takes
+from dyknow.cli import completion
+from dyknow.cli.arguments import graph_name, port_topic
 from dyknow.cli.command import Command
 from dyknow.cli.json_output import nodelet_json
 from dyknow.cli.shell import FAILED, Shell
@@ -19,16 +20,16 @@ if TYPE_CHECKING:
 
 
 def _spawn_arguments(parser: argparse.ArgumentParser) -> None:
-    takes(
+    completion.complete_with(
         parser.add_argument("label", metavar="LABEL", help="the transformation to make it from"),
-        Kind.SPAWNABLE,
+        completion.spawnable_labels,
     )
     parser.add_argument("name", metavar="NAME", type=graph_name, help="its name")
     parser.add_argument(
         "--protected", action="store_true", help="let nobody destroy it before 'unprotect'"
     )
     parser.add_argument("--isolated", action="store_true", help="give it a process of its own")
-    takes(
+    completion.complete_with(
         parser.add_argument(
             "--manager",
             metavar="M",
@@ -36,9 +37,9 @@ def _spawn_arguments(parser: argparse.ArgumentParser) -> None:
             default=None,
             help="the nodelet manager to load it into (default: the DyKnow manager's choice)",
         ),
-        Kind.NODELET_MANAGER,
+        completion.nodelet_managers,
     )
-    takes(
+    completion.complete_with(
         parser.add_argument(
             "--connect",
             metavar="PORT:TOPIC",
@@ -48,7 +49,7 @@ def _spawn_arguments(parser: argparse.ArgumentParser) -> None:
             default=[],
             help="connect its ports from the start; relative topics begin in its own namespace",
         ),
-        Kind.PORT_OF_LABEL,
+        completion.ports_of_label,
     )
 
 
@@ -85,9 +86,9 @@ def _runs(model: ModelView, name: str) -> bool:
 
 
 def _names_argument(parser: argparse.ArgumentParser) -> None:
-    takes(
+    completion.complete_with(
         parser.add_argument("names", nargs="+", metavar="NAME", type=graph_name, help="a nodelet"),
-        Kind.NODELET,
+        completion.nodelets,
     )
 
 

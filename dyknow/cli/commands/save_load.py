@@ -6,7 +6,7 @@ import argparse
 import sys
 from typing import Any, Dict, Iterator, List, Optional
 
-from dyknow.cli.arguments import Kind, takes
+from dyknow.cli import completion
 from dyknow.cli.command import Command
 from dyknow.cli.files import write_file
 from dyknow.cli.shell import FAILED, Shell
@@ -22,11 +22,11 @@ STDIO = "-"
 
 
 def _save_arguments(parser: argparse.ArgumentParser) -> None:
-    takes(
+    completion.complete_with(
         parser.add_argument(
             "file", metavar="FILE", help=f"where to write it; {STDIO} for standard output"
         ),
-        Kind.FILE,
+        completion.files,
     )
 
 
@@ -56,11 +56,11 @@ def _save(arguments: argparse.Namespace, shell: Shell) -> None:
 
 
 def _load_arguments(parser: argparse.ArgumentParser) -> None:
-    takes(
+    completion.complete_with(
         parser.add_argument(
             "file", metavar="FILE", help=f"what 'save' wrote; {STDIO} for standard input"
         ),
-        Kind.FILE,
+        completion.files,
     )
     parser.add_argument(
         "--dry-run", action="store_true", help="check, and show what would be changed"

@@ -7,7 +7,8 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Dict, List, Optional, Sequence, Tuple, Union
 
-from dyknow.cli.arguments import Kind, graph_name, positive, seconds, takes
+from dyknow.cli import completion
+from dyknow.cli.arguments import graph_name, positive, seconds
 from dyknow.cli.command import Command
 from dyknow.cli.json_output import statistics_json
 from dyknow.cli.shell import FAILED, Shell
@@ -28,11 +29,11 @@ Answer = Union["Statistics", DyKnowError]
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
-    takes(
+    completion.complete_with(
         parser.add_argument(
             "names", nargs="*", metavar="NAME", type=graph_name, help="nodelets (default: all)"
         ),
-        Kind.NODELET,
+        completion.nodelets,
     )
     parser.add_argument(
         "-w",

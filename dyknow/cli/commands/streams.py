@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any, Dict, List, Optional, Sequence
 
-from dyknow.cli.arguments import Kind, takes
+from dyknow.cli import completion
 from dyknow.cli.command import Command
 from dyknow.cli.json_output import stream_json
 from dyknow.cli.shell import FAILED, Shell
@@ -95,9 +95,9 @@ def _long_list(streams: Sequence[StreamView]) -> List[str]:
 
 
 def _claims_argument(parser: argparse.ArgumentParser) -> None:
-    takes(
+    completion.complete_with(
         parser.add_argument("claims", nargs="+", metavar="ID", help="a claim; see 'streams'"),
-        Kind.CLAIM,
+        completion.claims,
     )
 
 
@@ -124,9 +124,9 @@ def _release(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
 
 
 def _replan_arguments(parser: argparse.ArgumentParser) -> None:
-    takes(
+    completion.complete_with(
         parser.add_argument("claim", metavar="ID", help="a claim; see 'streams'"),
-        Kind.CLAIM,
+        completion.claims,
     )
     parser.add_argument(
         "-n", "--dry-run", action="store_true", help="show the way only, change nothing"

@@ -5,13 +5,12 @@ from __future__ import annotations
 import argparse
 from typing import Dict, List, Optional, Sequence, Union
 
+from dyknow.cli import completion
 from dyknow.cli.arguments import (
-    Kind,
     PortReference,
     graph_name,
     port_or_topic,
     port_reference,
-    takes,
 )
 from dyknow.cli.command import Command
 from dyknow.cli.connecting import (
@@ -29,25 +28,25 @@ from dyknow.model.transformation import IN, OUT
 
 
 def _connect_arguments(parser: argparse.ArgumentParser) -> None:
-    takes(
+    completion.complete_with(
         parser.add_argument(
             "source",
             metavar="FROM",
             type=port_or_topic,
             help="where the stream comes from: an out-port, NODELET:PORT, or a topic",
         ),
-        Kind.STREAM_SOURCE,
+        completion.stream_sources,
     )
-    takes(
+    completion.complete_with(
         parser.add_argument(
             "target",
             metavar="TO",
             type=port_or_topic,
             help="where it goes to: an in-port, NODELET:PORT, or a topic",
         ),
-        Kind.STREAM_TARGET,
+        completion.stream_targets,
     )
-    takes(
+    completion.complete_with(
         parser.add_argument(
             "--topic",
             metavar="T",
@@ -56,7 +55,7 @@ def _connect_arguments(parser: argparse.ArgumentParser) -> None:
             help="the topic between two ports (default: the out-port's, else the in-port's, else "
             "/A/OUT)",
         ),
-        Kind.TOPIC,
+        completion.topics,
     )
 
 
@@ -95,11 +94,11 @@ def _connect(arguments: argparse.Namespace, shell: Shell) -> None:
 
 
 def _disconnect_arguments(parser: argparse.ArgumentParser) -> None:
-    takes(
+    completion.complete_with(
         parser.add_argument(
             "ports", nargs="+", metavar="A:PORT", type=port_reference, help="a port: NODELET:PORT"
         ),
-        Kind.PORT,
+        completion.ports,
     )
 
 

@@ -8,7 +8,6 @@ nodelet managers end too. A manager that is killed leaves them, and its next lif
 
 from __future__ import annotations
 
-import sys
 from typing import TYPE_CHECKING, Dict, List, Optional, Sequence
 
 import rosgraph.names
@@ -228,17 +227,12 @@ def _ontology(paths: Sequence[str]) -> Ontology | None:
     return load_ontology(paths)
 
 
-def main(argv: Sequence[str] = ()) -> int:
-    """Run the node until it is told to end; returns the exit code."""
-    argv = list(argv or sys.argv)
-    for word in argv[1:]:
-        if ":=" not in word:
-            print(
-                f"manager: '{word}' would have no effect; expected ROS's own arguments alone, "
-                "such as __name:=NAME or _PARAMETER:=VALUE",
-                file=sys.stderr,
-            )
-            return FAILED
+def run(argv: Sequence[str]) -> int:
+    """Run the node until it is told to end; returns the exit code.
+
+    Args:
+        argv: the command line, program name first.
+    """
     return FAILED if _is_running(argv) else NodeProcess(_NAME, argv, _start).run()
 
 

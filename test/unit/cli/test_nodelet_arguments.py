@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from dyknow.cli.nodelet import main, manager_main
+from dyknow.cli.nodelet import main
 from dyknow.cli.nodelet_arguments import (
     Help,
     LoadNodelet,
@@ -79,9 +79,8 @@ def test_wrong_usage_shows_the_line_and_the_usage(capsys):
 
 def test_help_is_no_error(capsys):
     assert main(["nodelet", "--help"]) == 0
-    assert manager_main(["nodelet_manager", "--help"]) == 0
     shown = capsys.readouterr()
-    assert shown.out.count("usage: nodelet manager") == 2
+    assert shown.out.startswith("usage: nodelet manager")
     assert shown.err == ""
 
 

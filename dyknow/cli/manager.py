@@ -1,0 +1,36 @@
+"""`rosrun dyknow manager`: the command line of the manager's node."""
+
+from __future__ import annotations
+
+import sys
+from typing import Optional, Sequence
+
+from dyknow.cli.node_help import MANAGER, asks_for_help
+from dyknow.ros.exit_codes import DONE, FAILED
+
+
+def main(argv: Optional[Sequence[str]] = None) -> int:
+    """Run the node until it is told to end; returns the exit code.
+
+    Args:
+        argv: the command line, program name first; by default the process's.
+    """
+    argv = list(sys.argv if argv is None else argv)
+    words = [word for word in argv[1:] if ":=" not in word]
+    if asks_for_help(words):
+        print(MANAGER, end="")
+        return DONE
+    if words:
+        print(
+            f"manager: '{words[0]}' would have no effect; expected ROS's own arguments alone, "
+            "such as __name:=NAME or _PARAMETER:=VALUE (see 'manager --help')",
+            file=sys.stderr,
+        )
+        return FAILED
+    from dyknow.ros.manager.manager_node import run  # after --help, which needs no ROS
+
+    return run(argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,85 @@
+"""What `--help` prints for the nodes: what each is, its parameters, and its services."""
+
+from __future__ import annotations
+
+from typing import Sequence
+
+_ROS_ARGUMENTS = """\
+As everywhere in ROS, _PARAMETER:=VALUE sets a private parameter, __name:=NAME names the
+node, and __ns:=NAMESPACE puts it into a namespace.
+"""
+
+MANAGER = f"""\
+usage: manager [_PARAMETER:=VALUE ...] [__name:=NAME] [__ns:=NAMESPACE]
+
+Run the DyKnow manager: it knows the transformations that can run, makes nodelets from
+them, connects these, keeps the streams that are asked for, and brings back what dies.
+It starts a nodelet manager of its own.
+
+Private parameters (default):
+  ~num_nodelet_managers  nodelet managers of its own (1)
+  ~nodelet_managers      names of further nodelet managers, Python or C++ (none)
+  ~transformations       specification files to add at the start (none)
+  ~ontologies            ontology files for templates and tags (none)
+  ~spawn_timeout         seconds that a nodelet may take to come up (10)
+  ~orphan_timeout        seconds that its nodelet managers go on when it was killed;
+                         0: for ever (300)
+  ~state_dir             folder of the durable state (dyknow in ROS_HOME)
+  ~denied_topics         patterns of topics that no port may be connected to (none)
+  ~read_only             refuse every change (false)
+  ~limits/string_length, ~limits/array_length, ~limits/nodelets, ~limits/text_size,
+  ~limits/transformations
+                         caps on what one request may contain and on what runs
+                         (doc/security.md lists them)
+A list is YAML, or words separated by white space.
+
+Services:
+  ~add_transformation, ~remove_transformation      the library
+  ~spawn, ~destroy, ~set_protection                nodelets
+  ~get_model                                       what runs, and the library
+  ~acquire_stream, ~renew_stream, ~release_stream  streams on request
+  ~replan_stream, ~list_streams
+Topics:
+  ~model          what runs, latched, on every change
+  ~stream_events  every change of a claim, and why
+
+{_ROS_ARGUMENTS}
+Examples:
+  rosrun dyknow manager
+  rosrun dyknow manager _transformations:=library.xml _num_nodelet_managers:=2
+  roslaunch dyknow manager.launch transformations:=/path/to/library.xml
+
+'rosrun dyknow dyknow --help' shows the command line that looks at it and changes it.
+"""
+
+NODELET_MANAGER = f"""\
+usage: nodelet_manager [_PARAMETER:=VALUE ...] [__name:=NAME] [__ns:=NAMESPACE]
+
+Run a nodelet manager: a process that hosts nodelets written in Python on threads, and
+passes messages between them by reference. It is 'nodelet manager'; the stock command
+line 'rosrun nodelet nodelet load PKG/CLASS NAME' works with it.
+
+Private parameters (default):
+  ~num_worker_threads  callbacks that can run at the same time; 0: the number of
+                       cores, at least four (0)
+  ~stuck_after         seconds after which a callback that has not returned is
+                       reported (10)
+  ~switch_interval     seconds that a thread in Python code keeps the interpreter
+                       before others get it (0.0005)
+
+Services:
+  ~load_nodelet, ~unload_nodelet, ~list            as the C++ nodelet manager has them
+  ~get_counts                                      messages of all ports in one call
+  /NODELET/get_config, set_config, get_statistics  the ports of each nodelet
+
+{_ROS_ARGUMENTS}
+Examples:
+  rosrun dyknow nodelet_manager __name:=cameras
+  rosrun dyknow nodelet load dyknow/Throttle cameras __name:=slow in:=/image _rate:=5
+  roslaunch dyknow nodelet_manager.launch name:=cameras
+"""
+
+
+def asks_for_help(words: Sequence[str]) -> bool:
+    """Whether somebody asks what a node is instead of starting it."""
+    return any(word in ("-h", "--help") for word in words)
