@@ -16,8 +16,8 @@ from typing import (
     Tuple,
 )
 
+from dyknow.manager.specifications.findings import shorten
 from dyknow.manager.specifications.values import value_of
-from dyknow.manager.specifications.wording import shorten
 from dyknow.model.transformation import TOPIC, Transformation
 from dyknow.wiring.ports import connections_of, types_fit
 from dyknow.wiring.wiring import WiredNodelet, Wiring

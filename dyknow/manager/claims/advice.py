@@ -7,7 +7,7 @@ from typing import Sequence, Set, Tuple
 from dyknow.errors import UnknownTransformation
 from dyknow.manager.manager import Manager
 from dyknow.manager.planning.problem import NoPlan
-from dyknow.manager.specifications.wording import listed
+from dyknow.manager.specifications.findings import listed
 from dyknow.model.transformation import OUT
 from dyknow.similar import did_you_mean
 

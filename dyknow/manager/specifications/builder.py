@@ -8,11 +8,10 @@ from typing import Dict, List, Optional, Set, Tuple
 
 from dyknow.errors import InvalidTag
 from dyknow.manager.specifications.draft import TransformationDraft
-from dyknow.manager.specifications.findings import EnoughProblems, Findings
+from dyknow.manager.specifications.findings import EnoughProblems, Findings, listed, meant, shorten
 from dyknow.manager.specifications.limits import SpecificationLimits
 from dyknow.manager.specifications.tags import parse_tag
 from dyknow.manager.specifications.values import BadValue, infer_type, parse_value
-from dyknow.manager.specifications.wording import listed, meant, shorten
 from dyknow.model.transformation import NODELET, OUT, TOPIC, Parameter, Port, Transformation
 
 MAX_COST = 2**32 - 1

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from typing import Callable, Iterator, List, NamedTuple, Optional, Tuple
 
-BLANK = " \t\r\n"
-"""XML's white space, which is stripped from both ends of every value and term."""
-
 
 class ArgDraft(NamedTuple):
     """An `<arg>`: a variable of the template and where its terms come from."""

@@ -1,10 +1,20 @@
-"""What a parser has found so far: it goes on after a problem, so that all are told at once."""
+"""What a parser has found: it goes on after a problem, so that all are told at once.
+
+Messages quote what was found; long texts and long lists are cut to what can be read.
+"""
 
 from __future__ import annotations
 
-from typing import Dict, Tuple
+from typing import Collection, Dict, Iterable, Tuple
 
 from dyknow.errors import Problem, SpecificationError
+from dyknow.similar import did_you_mean
+
+#: Characters of a quoted text, names in a quoted list.
+_TEXT = 60
+_NAMES = 20
+#: More known names than these were written by a program, and no suggestion is made.
+_FEW = 100
 
 _MAX_REPETITIONS = 200_000
 """A problem in a template may come once for each of its expansions, at most this often."""
@@ -67,3 +77,20 @@ class Findings:
         """
         if self._problems:
             raise SpecificationError(self.problems, self.warnings)
+
+
+def shorten(text: str) -> str:
+    """Cut a text to what a message can carry."""
+    return text if len(text) <= _TEXT else text[:_TEXT] + "…"
+
+
+def listed(names: Iterable[str]) -> str:
+    """Sort names and write them in a row; `none` if there is none."""
+    known = sorted(names)
+    more = f" and {len(known) - _NAMES} more" if len(known) > _NAMES else ""
+    return (", ".join(shorten(name) for name in known[:_NAMES]) or "none") + more
+
+
+def meant(name: str, known: Collection[str]) -> str:
+    """Suggest what may have been meant."""
+    return did_you_mean(name, known) if len(known) <= _FEW else ""

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
-from typing import Iterator, Optional, Tuple, Union
+from typing import Iterable, Iterator, Optional, Tuple, Union
 
 from dyknow.errors import Problem, SpecificationError
 from dyknow.manager.specifications.builder import Builder
 from dyknow.manager.specifications.draft import TransformationDraft
 from dyknow.manager.specifications.findings import EnoughProblems, Findings
 from dyknow.manager.specifications.limits import DEFAULT_LIMITS, SpecificationLimits
-from dyknow.manager.specifications.reader import read
+from dyknow.manager.specifications.reader import SpecificationReader
 from dyknow.manager.specifications.template import Concepts, Expander
 from dyknow.model.transformation import Transformation
 
@@ -66,7 +66,11 @@ def parse(
     """
     findings = Findings(file_name, limits.problems)
     try:
-        transformations = tuple(_transformations(text, findings, ontology, limits))
+        transformations = tuple(
+            transformations_of(
+                SpecificationReader(findings, limits).drafts(text), findings, ontology, limits
+            )
+        )
     except EnoughProblems:
         transformations = ()
     findings.raise_if_any()
@@ -107,33 +111,32 @@ def check(
     return Report(tuple(t.label for t in found.transformations), (), found.warnings)
 
 
-def _transformations(
-    text: Union[str, bytes],
+def transformations_of(
+    drafts: Iterable[TransformationDraft],
     findings: Findings,
-    ontology: Optional[Concepts],
-    limits: SpecificationLimits,
+    ontology: Optional[Concepts] = None,
+    limits: SpecificationLimits = DEFAULT_LIMITS,
 ) -> Iterator[Transformation]:
+    """Expand the templates among the drafts of one text, and make transformations of all.
+
+    Problems are noted in `findings`; if there are any, the transformations are not to be used.
+    """
     builder = Builder(findings, limits)
-    for draft in _expanded(text, findings, ontology, limits, builder):
+    for draft in _expanded(drafts, Expander(findings, limits, ontology), builder):
         transformation = builder.build(draft)
         if transformation is not None:
             yield transformation
 
 
 def _expanded(
-    text: Union[str, bytes],
-    findings: Findings,
-    ontology: Optional[Concepts],
-    limits: SpecificationLimits,
-    builder: Builder,
+    drafts: Iterable[TransformationDraft], expander: Expander, builder: Builder
 ) -> Iterator[TransformationDraft]:
-    expander = Expander(findings, limits, ontology)
-    for draft in read(text, findings, limits):
+    for draft in drafts:
         if not draft.args and not draft.has_variables:
             yield draft
             continue
-        drafts = expander.expand(draft)
-        if drafts is None:
+        expanded = expander.expand(draft)
+        if expanded is None:
             builder.check_template(draft)
         else:
-            yield from drafts
+            yield from expanded

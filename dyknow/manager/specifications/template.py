@@ -15,10 +15,10 @@ from math import prod
 from typing import Dict, Iterator, List, Optional, Protocol, Sequence, Tuple, Union
 
 from dyknow.errors import OntologyError
-from dyknow.manager.specifications.draft import BLANK, ArgDraft, TransformationDraft
-from dyknow.manager.specifications.findings import Findings
+from dyknow.manager.specifications.draft import ArgDraft, TransformationDraft
+from dyknow.manager.specifications.findings import Findings, listed, meant, shorten
 from dyknow.manager.specifications.limits import SpecificationLimits
-from dyknow.manager.specifications.wording import listed, meant, shorten
+from dyknow.manager.specifications.xml_reader import BLANK
 
 _VARIABLE = re.compile(r"\$\$\{|\$\{([^{}]*)\}|\$\{")
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_.-]*\Z")

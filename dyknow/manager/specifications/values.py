@@ -12,8 +12,8 @@ from typing import Any, Dict, List, Union
 
 import yaml
 
+from dyknow.manager.specifications.findings import shorten
 from dyknow.manager.specifications.limits import DEFAULT_LIMITS, SpecificationLimits
-from dyknow.manager.specifications.wording import shorten
 from dyknow.model.transformation import Parameter
 
 Value = Union[str, int, float, bool, List[Any], Dict[str, Any]]

@@ -8,7 +8,6 @@ from xml.parsers.expat import errors
 
 from dyknow.manager.specifications.limits import SpecificationLimits
 
-_ROOT = "expected <transformation> or <transformations>"
 _UNFINISHED = (
     errors.XML_ERROR_TAG_MISMATCH,
     errors.XML_ERROR_NO_ELEMENTS,
@@ -16,10 +15,10 @@ _UNFINISHED = (
     errors.XML_ERROR_UNCLOSED_CDATA_SECTION,
 )
 _REASONS = {
-    errors.XML_ERROR_NO_ELEMENTS: f"no element; {_ROOT}",
-    errors.XML_ERROR_SYNTAX: f"no XML; {_ROOT}",
+    errors.XML_ERROR_NO_ELEMENTS: "no element; expected {roots}",
+    errors.XML_ERROR_SYNTAX: "no XML; expected {roots}",
     errors.XML_ERROR_JUNK_AFTER_DOC_ELEMENT: (
-        "text after the root element; expected the end, or <transformations> around all"
+        "text after the root element; expected the end: one root element, {roots}"
     ),
     errors.XML_ERROR_UNDEFINED_ENTITY: (
         "an entity is refused; expected none but &lt; &gt; &amp; &quot; and &apos;"
@@ -72,7 +71,11 @@ def _check_size(size: int, limits: SpecificationLimits) -> None:
 
 
 def explain(
-    error: expat.ExpatError, data: bytes, position: int, open_elements: List[Tuple[str, int]]
+    error: expat.ExpatError,
+    data: bytes,
+    position: int,
+    open_elements: List[Tuple[str, int]],
+    roots: str,
 ) -> Unreadable:
     """Turn expat's error into one that says what was expected.
 
@@ -81,6 +84,7 @@ def explain(
         data: The whole text.
         position: Where in `data` expat stopped.
         open_elements: Names and lines of the elements that were open, outermost first.
+        roots: The elements that the text may start with, in words.
     """
     reason = errors.messages[error.code]
     if reason == errors.XML_ERROR_INVALID_TOKEN:
@@ -89,7 +93,7 @@ def explain(
         name, line = open_elements[-1]
         reason += f"; expected the end </{name}> of the element in line {line}"
     else:
-        reason = _REASONS.get(reason, reason)
+        reason = _REASONS.get(reason, reason).format(roots=roots)
     return Unreadable(error.lineno, reason)
 
 
