@@ -382,7 +382,7 @@ def test_a_wiring_that_cannot_be_loaded_changes_nothing(
     path.write_text('<wiring version="1"><nodelets><nodelet name="/x"/></nodelets></wiring>')
     monkeypatch.setattr(QFileDialog, "getOpenFileName", lambda *unused: (str(path), ""))
     click(qtbot, window.graph.bar.load)
-    assert "wiring.xml:1: <nodelet> without transformation" in window.line.text
+    assert "wiring.xml:1: <nodelet> has no attribute transformation" in window.line.text
     files.save(str(path))
     until(qtbot, lambda: "saved" in window.line.text)
     remote.destroy("/field/tracker")
