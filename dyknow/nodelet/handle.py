@@ -51,7 +51,7 @@ class Publisher:
             raise state.closed()
 
         self.publish = refuse
-        state.unregister(self)
+        state.unregister()
 
 
 class Subscriber:
@@ -82,7 +82,7 @@ class Subscriber:
 
     def unregister(self) -> None:
         """Stop receiving; messages that wait are dropped."""
-        self._state.unregister(self)
+        self._state.unregister()
 
 
 class NodeHandle:
@@ -92,6 +92,9 @@ class NodeHandle:
     with names or queues (``Time``, ``Duration``, ``Rate``, ``loginfo``, ``ROSException`` …) is
     rospy's own.
     """
+
+    #: Where messages come, in errors.
+    _place = "on"
 
     def __init__(self, context: Context, namespace: str, concurrent: bool = False) -> None:
         """Make a handle.
@@ -151,11 +154,10 @@ class NodeHandle:
         queue_size: Optional[int] = None,
     ) -> Publisher:
         """Publish on a topic; the arguments are those of ``rospy.Publisher``."""
-        topic = self.resolve_name(names.check(name, "topic name"))
         options = _given(tcp_nodelay=tcp_nodelay, headers=headers)
-        publication = self.context.publication(name, data_class, latch, queue_size, **options)
-        state = PublisherState(self.context, name, publication, subscriber_listener)
-        self._connect(state, publication, topic)
+        state = self._make_publisher(
+            name, data_class, latch, queue_size, subscriber_listener, **options
+        )
         return Publisher(state)
 
     def Subscriber(  # noqa: N802
@@ -169,18 +171,11 @@ class NodeHandle:
         tcp_nodelay: bool = False,
     ) -> Subscriber:
         """Subscribe to a topic; the arguments are those of ``rospy.Subscriber``."""
-        topic = self.resolve_name(names.check(name, "topic name"))
-        state = SubscriberState(
-            self.context,
-            name,
-            data_class,
-            callback,
-            callback_args,
-            queue_size,
-            self.context.new_strand(name) if self.concurrent else self.context.strand,
-            **_given(buff_size=buff_size if buff_size != DEFAULT_BUFF_SIZE else None),
+        strand = self.context.new_strand(name) if self.concurrent else self.context.strand
+        options = _given(buff_size=buff_size if buff_size != DEFAULT_BUFF_SIZE else None)
+        state = self._subscribe(
+            name, data_class, callback, callback_args, queue_size, strand, **options
         )
-        self._connect(state, state.subscription, topic)
         return Subscriber(state)
 
     def wait_for_message(
@@ -192,21 +187,52 @@ class NodeHandle:
             ROSException: nothing came within ``timeout`` seconds.
             ROSInterruptException: the nodelet was unloaded meanwhile.
         """
-        resolved = self.resolve_name(names.check(topic, "topic name"))
         inbox = Inbox(self.context)
         strand = self.context.new_strand(topic, at_once=True)
-        state = SubscriberState(self.context, topic, topic_type, inbox.put, None, 1, strand)
-        self._connect(state, state.subscription, resolved)
+        state = self._subscribe(topic, topic_type, inbox.put, None, 1, strand)
         try:
-            return inbox.get(f"a message on '{topic}'", timeout)
+            return inbox.get(f"a message {self._place} '{topic}'", timeout)
         finally:
-            state.unregister(self)
+            state.unregister()
+
+    def _subscribe(self, name: str, datatype: Any, *args: Any, **options: Any) -> SubscriberState:
+        """Make a subscriber; the last of ``args`` is its strand, which goes with it."""
+        try:
+            return self._make_subscriber(name, datatype, *args, **options)
+        except BaseException:
+            self.context.drop_strand(args[-1])
+            raise
+
+    # What is on topics here, and on ports in ``dyknow.proxy``.
+
+    def _make_publisher(
+        self,
+        name: str,
+        datatype: Any,
+        latch: bool,
+        queue_size: Optional[int],
+        listener: Any,
+        **options: Any,
+    ) -> PublisherState:
+        topic = self.resolve_name(names.check(name, "topic name"))
+        publication = self.context.publication(name, datatype, latch, queue_size, **options)
+        state = PublisherState(self.context, name, publication, listener)
+        self._connect(state, publication, topic)
+        return state
+
+    def _make_subscriber(
+        self, name: str, datatype: Any, *args: Any, **options: Any
+    ) -> SubscriberState:
+        topic = self.resolve_name(names.check(name, "topic name"))
+        state = SubscriberState(self.context, name, datatype, *args, **options)
+        self._connect(state, state.subscription, topic)
+        return state
 
     def _connect(self, state: Any, endpoint: Endpoint, topic: str) -> None:
         try:
             self.context.runtime.bus.rewire([(endpoint, topic)])
         except BaseException:
-            state.unregister(self)
+            state.unregister()
             raise
 
     # Services, parameters, time

@@ -41,7 +41,7 @@ class PublisherState:
         what = f"publisher '{self.name}' of {self.context.name}"
         return self.context.runtime.middleware.closed(what)
 
-    def unregister(self, handle: object) -> None:
+    def unregister(self) -> None:
         """Withdraw the publication."""
         self.stop_telling()
         self.context.release(self.publication)
@@ -113,7 +113,7 @@ class SubscriberState:
         for raised in errors:
             self.subscription.failed(raised)
 
-    def unregister(self, handle: object) -> None:
+    def unregister(self) -> None:
         """Stop receiving."""
         self.context.release(self.subscription)
         self.context.drop_strand(self._strand)

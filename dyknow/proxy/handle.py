@@ -2,112 +2,36 @@
 
 from __future__ import annotations
 
-from typing import Any, Callable, Dict, Optional
+from typing import Any, Optional
 
-from dyknow.nodelet.handle import DEFAULT_BUFF_SIZE, Inbox, Publisher, Subscriber
 from dyknow.nodelet.handle import NodeHandle as PlainNodeHandle
+from dyknow.proxy.port import PortPublisher, PortSubscriber
 from dyknow.proxy.proxy import NodeletProxy, ProxyStatistics, ReconfigureCallback
 
 
-class NodeHandle:
-    """Wraps a plain handle of a nodelet; everything but topics is handed on to it.
+class NodeHandle(PlainNodeHandle):
+    """A handle whose publishers and subscribers are ports; everything else is as on topics.
 
-    All handles of one nodelet share one proxy, so a port is the same port in each of them.
+    All handles of one nodelet share one proxy, so a port is the same port in each of them. A port
+    starts disconnected unless the load request remaps its name.
     """
 
+    _place = "at port"
+
     def __init__(self, node_handle: PlainNodeHandle) -> None:
-        """Wrap one of the nodelet's own handles, such as ``self.node_handle``."""
-        if not isinstance(node_handle, PlainNodeHandle):
+        """Take the place of one of the nodelet's own handles, such as ``self.node_handle``."""
+        if not isinstance(node_handle, PlainNodeHandle) or isinstance(node_handle, NodeHandle):
             raise TypeError(
                 "dyknow.NodeHandle expects a handle of the nodelet, such as self.node_handle, "
                 f"not {type(node_handle).__name__}"
             )
-        self._plain = node_handle
+        super().__init__(node_handle.context, node_handle.namespace, node_handle.concurrent)
         self._proxy = NodeletProxy.of(node_handle.context)
 
-    def __getattr__(self, name: str) -> Any:
-        """Hand everything else on to the plain handle."""
-        if name.startswith("__") or name == "_plain":
-            raise AttributeError(name)
-        return getattr(self._plain, name)
-
-    def Publisher(  # noqa: N802
-        self,
-        name: str,
-        data_class: Any,
-        subscriber_listener: Any = None,
-        tcp_nodelay: bool = False,
-        latch: bool = False,
-        headers: Any = None,
-        queue_size: Optional[int] = None,
-    ) -> Publisher:
-        """Declare the out-port ``name``; the arguments are those of ``rospy.Publisher``.
-
-        It starts disconnected unless the load request remaps its name.
-        """
-        given: Dict[str, Any] = {}
-        if headers:
-            given["headers"] = headers
-        if tcp_nodelay:
-            given["tcp_nodelay"] = True
-        state = self._proxy.publisher(
-            self._plain, name, data_class, latch, queue_size, subscriber_listener, **given
-        )
-        return Publisher(state)
-
-    def Subscriber(  # noqa: N802
-        self,
-        name: str,
-        data_class: Any,
-        callback: Optional[Callable[..., Any]] = None,
-        callback_args: Any = None,
-        queue_size: Optional[int] = None,
-        buff_size: int = DEFAULT_BUFF_SIZE,
-        tcp_nodelay: bool = False,
-    ) -> Subscriber:
-        """Declare the in-port ``name``; the arguments are those of ``rospy.Subscriber``.
-
-        It starts disconnected unless the load request remaps its name.
-        """
-        given: Dict[str, Any] = {}
-        if buff_size != DEFAULT_BUFF_SIZE:
-            given["buff_size"] = buff_size
-        state = self._proxy.subscriber(
-            self._plain,
-            name,
-            data_class,
-            callback,
-            callback_args,
-            queue_size,
-            self._plain.concurrent,
-            **given,
-        )
-        return Subscriber(state)
-
-    def wait_for_message(
-        self, topic: str, topic_type: Any, timeout: Optional[float] = None
-    ) -> Any:
-        """Block until a message arrives at the in-port ``topic``.
-
-        The nodelet's queue is not needed for it.
-
-        Raises:
-            ROSException: nothing came within ``timeout`` seconds.
-            ROSInterruptException: the nodelet was unloaded meanwhile.
-        """
-        inbox = Inbox(self._plain.context)
-        state = self._proxy.subscriber(
-            self._plain, topic, topic_type, inbox.put, None, 1, concurrent=True, at_once=True
-        )
-        try:
-            return inbox.get(f"a message at port '{topic}'", timeout)
-        finally:
-            state.unregister(self)
-
     def get_statistics(self) -> ProxyStatistics:
-        """What the nodelet and its ports have done since it was loaded.
+        """Return what the nodelet and its ports have done since it was loaded.
 
-        ``get_statistics`` tells the same to others: ``uptime``, ``reconfigurations``,
+        The service ``get_statistics`` answers the same: ``uptime``, ``reconfigurations``,
         ``callback_errors``, and for each of ``ports`` its ``port`` and its ``traffic``.
         """
         return self._proxy.get_statistics()
@@ -121,3 +45,13 @@ class NodeHandle:
         and does not undo the switch.
         """
         self._proxy.set_reconfigure_callback(callback)
+
+    def _make_publisher(
+        self, name: str, datatype: Any, *args: Any, **options: Any
+    ) -> PortPublisher:
+        return self._proxy.publisher(self, name, datatype, *args, **options)
+
+    def _make_subscriber(
+        self, name: str, datatype: Any, *args: Any, **options: Any
+    ) -> PortSubscriber:
+        return self._proxy.subscriber(self, name, datatype, *args, **options)

@@ -146,7 +146,7 @@ class PortPublisher(PublisherState):
             port.publication = publication
             port.count(publication)
 
-    def unregister(self, handle: object) -> None:
+    def unregister(self) -> None:
         """Withdraw the publication with the last handle; the port stays."""
         self.stop_telling()
         port, last = self._port, None
@@ -169,12 +169,12 @@ class PortSubscriber(SubscriberState):
         port.handles.append(self)
         port.count(self.subscription)
 
-    def unregister(self, handle: object) -> None:
+    def unregister(self) -> None:
         """Stop receiving; the port stays."""
         joined = self in self._port.handles
         if joined:
             self._port.handles.remove(self)
-        super().unregister(handle)
+        super().unregister()
         if joined:
             self._port.leave(self.subscription)
 

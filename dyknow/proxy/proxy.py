@@ -26,6 +26,7 @@ from dyknow.locks import turn_lock
 from dyknow.nodelet.bus import Endpoint
 from dyknow.nodelet.context import Context, check_message_class
 from dyknow.nodelet.handle import NodeHandle
+from dyknow.nodelet.scheduler import Strand
 from dyknow.proxy.port import (
     IN,
     InPort,
@@ -136,7 +137,7 @@ class NodeletProxy:
         datatype: Any,
         latch: bool,
         queue_size: Optional[int],
-        listener: Any = None,
+        listener: Any,
         **options: Any,
     ) -> PortPublisher:
         """Declare an out-port, or share one that is there.
@@ -171,29 +172,24 @@ class NodeletProxy:
         callback: Optional[Callable[..., Any]],
         callback_args: Any,
         queue_size: Optional[int],
-        concurrent: bool,
-        at_once: bool = False,
+        strand: Strand,
         **options: Any,
     ) -> PortSubscriber:
-        """Declare an in-port, or share one that is there.
-
-        The callback is run on a strand of its own if ``concurrent``, and during ``on_init`` too
-        if ``at_once``.
+        """Declare an in-port, or share one that is there; ``strand`` runs the callback.
 
         Raises:
             PortConflict: the port exists as an out-port, or with another type.
         """
         with self._turn:
             port = self._declare(InPort, handle, name, datatype)
-            context = self._context
             state = PortSubscriber(
-                context,
+                self._context,
                 name,
                 datatype,
                 callback,
                 callback_args,
                 queue_size,
-                context.new_strand(name, at_once) if concurrent else context.strand,
+                strand,
                 **options,
             )
             state.join(port)
@@ -221,7 +217,7 @@ class NodeletProxy:
         try:
             self._context.runtime.bus.rewire([(endpoint, port.topic)])
         except BaseException:
-            state.unregister(self)
+            state.unregister()
             raise
         self._ports[port.name] = port
 
