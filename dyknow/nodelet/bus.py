@@ -25,7 +25,7 @@ from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple, Union
 from dyknow.errors import HandleClosed, TypeMismatch
 from dyknow.locks import state_lock
 from dyknow.nodelet.endpoints import NOTHING, Connection, Publication, Subscription
-from dyknow.nodelet.middleware import Middleware, OutsidePublisher, OutsideSubscriber
+from dyknow.nodelet.middleware import OutsidePublisher, OutsideSubscriber, Transport
 from dyknow.nodelet.scheduler import Clock
 
 #: Seconds that a registration outlives a switch at most, while its messages are being sent.
@@ -67,8 +67,8 @@ class _Plan:
 class Bus:
     """Delivers by reference between the endpoints of one process."""
 
-    def __init__(self, middleware: Middleware, clock: Clock = time.monotonic) -> None:
-        self._middleware = middleware
+    def __init__(self, transport: Transport, clock: Clock = time.monotonic) -> None:
+        self._transport = transport
         self._clock = clock
         self._lock = state_lock("bus")
         self._topics: Dict[str, _Topic] = {}
@@ -81,7 +81,7 @@ class Bus:
             present = self._topics.get(topic)
             if present is not None and present.datatype._type != "*":
                 return str(present.datatype._type)
-        return self._middleware.datatype_of(topic)
+        return self._transport.datatype_of(topic)
 
     def rewire(
         self,
@@ -265,7 +265,7 @@ class Bus:
     def _registration(self, plan: _Plan) -> Union[OutsidePublisher, OutsideSubscriber]:
         endpoint = plan.endpoint
         if isinstance(endpoint, Publication):
-            return self._middleware.advertise(
+            return self._transport.advertise(
                 plan.topic,
                 endpoint.datatype,
                 endpoint.latch,
@@ -273,7 +273,7 @@ class Bus:
                 endpoint.options,
             )
         assert plan.link is not None
-        return self._middleware.subscribe(
+        return self._transport.subscribe(
             plan.topic, endpoint.datatype, plan.link.push, endpoint.options
         )
 

@@ -18,7 +18,7 @@ from dyknow.guards import NO_GUARDS, Guards
 from dyknow.locks import state_lock
 from dyknow.nodelet.bus import Bus, Endpoint
 from dyknow.nodelet.endpoints import Publication, Subscription
-from dyknow.nodelet.middleware import Closable, Middleware
+from dyknow.nodelet.middleware import Closable, Middleware, Node, Services, Transport
 from dyknow.nodelet.scheduler import Clock, Executor, Strand
 from dyknow.nodelet.timers import Timer, TimerQueue
 
@@ -42,7 +42,9 @@ def check_message_class(what: str, datatype: Any) -> None:
 class Runtime:
     """The parts of the process that all nodelets share."""
 
-    middleware: Middleware
+    node: Node
+    services: Services
+    transport: Transport
     bus: Bus
     executor: Executor
     timers: TimerQueue
@@ -59,8 +61,11 @@ class Runtime:
         guards: Callable[[], Guards] = lambda: NO_GUARDS,
     ) -> Runtime:
         """Put a runtime together."""
-        bus = Bus(middleware, clock)
-        return cls(middleware, bus, executor, TimerQueue(middleware), clock, guards)
+        transport, timers = middleware.transport, TimerQueue(middleware.ticker)
+        bus = Bus(transport, clock)
+        return cls(
+            middleware.node, middleware.services, transport, bus, executor, timers, clock, guards
+        )
 
     def close(self) -> None:
         """End the threads."""
@@ -164,9 +169,9 @@ class Context:
             datatype,
             latch,
             queue_size,
-            self.runtime.middleware,
+            self.runtime.transport.build,
             self.runtime.clock,
-            f"publisher '{what}' of {self.name}",
+            lambda: self.runtime.node.closed(f"publisher '{what}' of {self.name}"),
             options,
         )
         self._own(publication)
@@ -185,7 +190,7 @@ class Context:
         check_message_class(what, datatype)
         subscription = Subscription(
             datatype,
-            self.runtime.middleware.adapt(datatype, receive),
+            self.runtime.transport.adapt(datatype, receive),
             queue_size,
             strand,
             lambda error: self.failed(f"'{what}'", error),
@@ -216,7 +221,7 @@ class Context:
     def _own(self, endpoint: Endpoint) -> None:
         with self._lock:
             if self.closed:
-                raise self.runtime.middleware.closed(f"nodelet {self.name}")
+                raise self.runtime.node.closed(f"nodelet {self.name}")
             self._endpoints.append(endpoint)
 
     def release(self, *endpoints: Endpoint) -> None:

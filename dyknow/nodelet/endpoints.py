@@ -13,12 +13,11 @@ from __future__ import annotations
 
 import collections
 import threading
-from typing import Any, Callable, Deque, Dict, Optional, Tuple
+from typing import Any, Callable, Deque, Dict, Optional, Sequence, Tuple
 
 from dyknow.nodelet.locking import message_lock
 from dyknow.nodelet.middleware import (
     HERE,
-    Middleware,
     OutsidePublisher,
     OutsideSubscriber,
     Receive,
@@ -188,17 +187,17 @@ class Publication:
     """
 
     __slots__ = (
+        "_build",
         "_closed",
-        "_middleware",
         "_outside",
         "_route",
         "_watchers",
-        "_what",
         "datatype",
         "latch",
         "latched",
         "options",
         "queue_size",
+        "refusal",
         "topic",
         "traffic",
     )
@@ -208,9 +207,9 @@ class Publication:
         datatype: Any,
         latch: bool,
         queue_size: Optional[int],
-        middleware: Middleware,
+        build: Callable[[Any, Sequence[Any], Dict[str, Any]], Any],
         clock: Clock,
-        what: str,
+        refusal: Callable[[], Exception],
         options: Optional[Dict[str, Any]] = None,
     ) -> None:
         """Describe a publication.
@@ -219,9 +218,9 @@ class Publication:
             datatype: message class.
             latch: keep the last message for subscriptions that come later.
             queue_size: bound for each slow subscriber outside.
-            middleware: builds messages from fields and makes the exceptions.
+            build: makes a message from its class and fields, as ``Transport.build``.
             clock: steady seconds, for the statistics.
-            what: names this publication in errors.
+            refusal: makes the exception that a publish raises after the end.
             options: further arguments for the outside half.
         """
         self.datatype = datatype
@@ -231,8 +230,8 @@ class Publication:
         self.topic = ""
         self.traffic = Traffic(clock)
         self.latched = NOTHING
-        self._middleware = middleware
-        self._what = what
+        self._build = build
+        self.refusal = refusal
         self._route: Optional[Tuple[Connection, ...]] = None
         self._outside: Optional[OutsidePublisher] = None
         self._closed = False
@@ -248,7 +247,7 @@ class Publication:
         if message.__class__ is not self.datatype or fields or named:
             if message is not NOTHING:
                 fields = (message, *fields)
-            message = self._middleware.build(self.datatype, fields, named)
+            message = self._build(self.datatype, fields, named)
         if not _attempt(False):
             _wait()
         try:
@@ -284,7 +283,7 @@ class Publication:
 
     def _unrouted(self, message: Any) -> None:
         if self._closed:
-            raise self._middleware.closed(self._what)
+            raise self.refusal()
         self.traffic.dropped += 1
         if self.latch:
             self.latched = message

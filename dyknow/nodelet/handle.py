@@ -112,7 +112,7 @@ class NodeHandle:
         """Hand on to ROS what DyKnow adds nothing to."""
         if name.startswith("__"):
             raise AttributeError(name)
-        return self.context.runtime.middleware.member(name, self)
+        return self.context.runtime.node.member(name, self)
 
     # Names
 
@@ -129,7 +129,7 @@ class NodeHandle:
             return resolved
         if resolved in self.context.remappings:
             return self.context.remappings[resolved]
-        return self.context.runtime.middleware.process_remap(resolved)
+        return self.context.runtime.node.remap(resolved)
 
     def get_name(self) -> str:
         """Global name of the nodelet."""
@@ -266,14 +266,14 @@ class NodeHandle:
         ``reset`` says.
         """
         strand = self.context.new_strand("timer") if self.concurrent else self.context.strand
-        seconds = self.context.runtime.middleware.period(period)
+        seconds = self.context.runtime.timers.ticker.seconds_of(period)
         return self.context.timer(seconds, callback, strand, oneshot)
 
     # Life
 
     def is_shutdown(self) -> bool:
         """Whether the nodelet is unloaded or the process ends."""
-        return self.context.closed or self.context.runtime.middleware.is_shutdown()
+        return self.context.closed or self.context.runtime.node.is_shutdown()
 
     def on_shutdown(self, hook: Callable[[], None]) -> None:
         """Call ``hook`` when the nodelet is unloaded."""
@@ -301,16 +301,16 @@ class Inbox(Closable):
 
     def get(self, what: str, timeout: Optional[float]) -> Any:
         """Wait for the message."""
-        middleware = self._context.runtime.middleware
+        node = self._context.runtime.node
         self._context.own(self)
         try:
             entry = self._queue.get(timeout=timeout)
         except queue.Empty:
-            raise middleware.timed_out(f"{what} did not come within {timeout:g} s") from None
+            raise node.timed_out(f"{what} did not come within {timeout:g} s") from None
         finally:
             self._context.disown(self)
         if entry is None:
-            raise middleware.interrupted(f"{what}: nodelet {self._context.name} was unloaded")
+            raise node.interrupted(f"{what}: nodelet {self._context.name} was unloaded")
         return entry[0]
 
 

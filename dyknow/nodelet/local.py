@@ -1,7 +1,7 @@
 """A middleware without ROS: everything stays in this process.
 
 The public fake beside the real one: runs nodelets in tests and wherever there is no roscore. Its
-time is set by hand, its "outside" is a list that can be looked at.
+time is set by hand, its "outside" are lists that a test looks at.
 """
 
 from __future__ import annotations
@@ -9,17 +9,30 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
-from dyknow.errors import DyKnowError, HandleClosed
 from dyknow.locks import assert_no_state_lock, state_condition
 from dyknow.nodelet.middleware import (
     Closable,
     Handler,
     Middleware,
+    Node,
     OutsidePublisher,
     OutsideSubscriber,
     Receive,
+    Services,
     Ticker,
+    Transport,
 )
+
+
+@dataclass(frozen=True)
+class LocalTimerEvent:
+    """What a timer callback is told, in seconds; the field names are rospy's."""
+
+    last_expected: Optional[float]
+    last_real: Optional[float]
+    current_expected: float
+    current_real: float
+    last_duration: Optional[float]
 
 
 class ManualTicker(Ticker):
@@ -54,18 +67,28 @@ class ManualTicker(Ticker):
             self._woken = True
             self._changed.notify_all()
 
+    def event(self, last: Any, expected: float, real: float, duration: Any) -> Any:
+        """Make an event in plain seconds."""
+        return LocalTimerEvent(
+            last.current_expected if last else None,
+            last.current_real if last else None,
+            expected,
+            real,
+            duration,
+        )
+
 
 class LocalPublisher(OutsidePublisher):
-    """Hands what goes out to those who ``LocalMiddleware.listen``."""
+    """Hands what goes out to those who ``LocalTransport.listen``."""
 
-    def __init__(self, middleware: LocalMiddleware, topic: str, datatype: Any) -> None:
-        self.middleware = middleware
+    def __init__(self, transport: LocalTransport, topic: str, datatype: Any) -> None:
+        self.transport = transport
         self.topic = topic
         self.datatype = datatype
-        self.connections: List[Callable[[Any], None]] = middleware.listeners.setdefault(topic, [])
+        self.connections: List[Callable[[Any], None]] = transport.listeners.setdefault(topic, [])
         self.open = True
         self.in_flight = 0
-        middleware.publishers.append(self)
+        transport.publishers.append(self)
         self.changed: Optional[Callable[[], None]] = None
 
     @property
@@ -103,22 +126,22 @@ class LocalPublisher(OutsidePublisher):
         assert_no_state_lock(f"withdrawing {self.topic}")
         if self.open:
             self.open = False
-            self.middleware.publishers.remove(self)
-            self.middleware.registrations.remove(("publisher", self.topic))
+            self.transport.publishers.remove(self)
+            self.transport.registrations.remove(("publisher", self.topic))
 
 
 class LocalSubscriber(OutsideSubscriber):
-    """Receives what ``LocalMiddleware.send`` sends."""
+    """Receives what ``LocalTransport.send`` sends."""
 
     def __init__(
-        self, middleware: LocalMiddleware, topic: str, datatype: Any, receive: Receive
+        self, transport: LocalTransport, topic: str, datatype: Any, receive: Receive
     ) -> None:
-        self.middleware = middleware
+        self.transport = transport
         self.topic = topic
         self.datatype = datatype
         self.receive = receive
         self.open = True
-        middleware.subscribers.append(self)
+        transport.subscribers.append(self)
 
     def publishers(self) -> int:
         """Nobody outside is known before it sends."""
@@ -132,59 +155,27 @@ class LocalSubscriber(OutsideSubscriber):
         assert_no_state_lock(f"withdrawing {self.topic}")
         if self.open:
             self.open = False
-            self.middleware.subscribers.remove(self)
-            self.middleware.registrations.remove(("subscriber", self.topic))
+            self.transport.subscribers.remove(self)
+            self.transport.registrations.remove(("subscriber", self.topic))
 
 
-@dataclass
-class LocalService(Closable):
-    """One offered service."""
-
-    middleware: LocalMiddleware
-    name: str
-    handler: Handler
-
-    def close(self) -> None:
-        """Withdraw it."""
-        assert_no_state_lock(f"withdrawing {self.name}")
-        self.middleware.services.pop(self.name, None)
-
-
-@dataclass(frozen=True)
-class LocalTimerEvent:
-    """What a timer callback is told, in seconds; the field names are rospy's."""
-
-    last_expected: Optional[float]
-    last_real: Optional[float]
-    current_expected: float
-    current_real: float
-    last_duration: Optional[float]
-
-
-@dataclass
-class LocalMiddleware(Middleware):
-    """Everything ROS would do, done with dictionaries.
+class LocalTransport(Transport):
+    """Topics of one process, and an outside that tests play.
 
     Attributes:
-        ticker: time for timers, moved by hand.
-        parameters: the parameter server.
-        services: handlers by global name.
         listeners: who listens outside, by topic.
         publishers: registered publishers.
         subscribers: registered subscribers.
-        registrations: every registration that is not withdrawn, as (kind, name).
+        registrations: every registration that is not withdrawn, as (kind, topic).
         types: topics that live outside, with their types.
     """
 
-    ticker: ManualTicker = field(default_factory=ManualTicker)
-    parameters: Dict[str, Any] = field(default_factory=dict)
-    services: Dict[str, Handler] = field(default_factory=dict)
-    listeners: Dict[str, List[Callable[[Any], None]]] = field(default_factory=dict)
-    publishers: List[LocalPublisher] = field(default_factory=list)
-    subscribers: List[LocalSubscriber] = field(default_factory=list)
-    registrations: List[Any] = field(default_factory=list)
-    types: Dict[str, str] = field(default_factory=dict)
-    remappings: Dict[str, str] = field(default_factory=dict)
+    def __init__(self) -> None:
+        self.listeners: Dict[str, List[Callable[[Any], None]]] = {}
+        self.publishers: List[LocalPublisher] = []
+        self.subscribers: List[LocalSubscriber] = []
+        self.registrations: List[Tuple[str, str]] = []
+        self.types: Dict[str, str] = {}
 
     def send(self, topic: str, message: Any) -> None:
         """Publish from outside."""
@@ -198,7 +189,7 @@ class LocalMiddleware(Middleware):
         self._tell_publishers(topic)
 
     def stop_listening(self, topic: str, listener: Callable[[Any], None]) -> None:
-        """Take back a ``listen``."""
+        """End a subscription that ``listen`` made."""
         self.listeners[topic].remove(listener)
         self._tell_publishers(topic)
 
@@ -206,10 +197,6 @@ class LocalMiddleware(Middleware):
         for publisher in list(self.publishers):
             if publisher.topic == topic and publisher.changed is not None:
                 publisher.changed()
-
-    def call(self, service: str, request: Any) -> Any:
-        """Call a service from outside."""
-        return self.services[service](request)
 
     def advertise(
         self,
@@ -243,49 +230,60 @@ class LocalMiddleware(Middleware):
             return args[0]
         return datatype(*args, **kwds)
 
-    def adapt(self, datatype: Any, receive: Receive) -> Receive:
-        """Messages need no adapting here."""
-        return receive
 
-    def closed(self, what: str) -> Exception:
-        """Make the plain exception."""
-        return HandleClosed(what)
+@dataclass
+class LocalService(Closable):
+    """One offered service."""
+
+    services: LocalServices
+    name: str
+
+    def close(self) -> None:
+        """Withdraw it."""
+        assert_no_state_lock(f"withdrawing {self.name}")
+        self.services.handlers.pop(self.name, None)
+
+
+class LocalServices(Services):
+    """Services that ``call`` asks.
+
+    Attributes:
+        handlers: what answers, by global name.
+    """
+
+    def __init__(self) -> None:
+        self.handlers: Dict[str, Handler] = {}
+
+    def call(self, service: str, request: Any) -> Any:
+        """Call a service from outside."""
+        return self.handlers[service](request)
 
     def offer(
         self, service: str, service_class: Any, handler: Handler, options: Dict[str, Any]
     ) -> LocalService:
         """Offer a service to ``call``."""
         assert_no_state_lock(f"offering {service}")
-        self.services[service] = handler
-        return LocalService(self, service, handler)
+        self.handlers[service] = handler
+        return LocalService(self, service)
 
-    def interrupted(self, what: str) -> Exception:
-        """Make the plain exception."""
-        return DyKnowError(what)
 
-    def timed_out(self, what: str) -> Exception:
-        """Make the plain exception."""
-        return DyKnowError(what)
+class LocalNode(Node):
+    """A process that goes on.
+
+    Attributes:
+        parameters: the parameter server.
+        remappings: of the command line, global names.
+    """
+
+    def __init__(self) -> None:
+        self.parameters: Dict[str, Any] = {}
+        self.remappings: Dict[str, str] = {}
 
     def is_shutdown(self) -> bool:
         """The process goes on."""
         return False
 
-    def timer_event(self, last: Any, expected: float, real: float, duration: Any) -> Any:
-        """Make an event in plain seconds."""
-        return LocalTimerEvent(
-            last.current_expected if last else None,
-            last.current_real if last else None,
-            expected,
-            real,
-            duration,
-        )
-
-    def period(self, duration: Any) -> float:
-        """Durations are plain seconds here."""
-        return float(duration)
-
-    def process_remap(self, name: str) -> str:
+    def remap(self, name: str) -> str:
         """Apply ``remappings``."""
         return self.remappings.get(name, name)
 
@@ -300,3 +298,13 @@ class LocalMiddleware(Middleware):
         if name not in members:
             raise AttributeError(f"the local middleware has no '{name}'")
         return members[name]
+
+
+@dataclass(frozen=True)
+class LocalMiddleware(Middleware):
+    """Everything that ROS would do, done with dictionaries."""
+
+    transport: LocalTransport = field(default_factory=LocalTransport)
+    services: LocalServices = field(default_factory=LocalServices)
+    ticker: ManualTicker = field(default_factory=ManualTicker)
+    node: LocalNode = field(default_factory=LocalNode)

@@ -1,17 +1,22 @@
 """The seam between the runtime and ROS.
 
-The runtime calls nothing of ROS itself: it is given a ``Middleware``. The real one is
-``dyknow.ros.transport.middleware.RospyMiddleware``, the public fake beside it
+The runtime calls nothing of ROS itself: it is given a ``Middleware``, which is a transport for
+topics, services, a ticker for timers, and a node. The real one is made by
+``dyknow.ros.transport.middleware.rospy_middleware``, the public fake beside it is
 ``dyknow.nodelet.local``.
 
 "Outside" means other processes, and ordinary rospy handles in this one: everything that the bus
-does not reach by reference.
+does not reach by reference. A *registration* is an ordinary publisher or subscriber of ROS through
+which the bus reaches the outside.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any, Callable, Dict, Optional, Sequence, Tuple
+from dataclasses import dataclass
+from typing import Any, Callable, Dict, Optional, Sequence, Tuple, Type
+
+from dyknow.errors import DyKnowError, HandleClosed
 
 Receive = Callable[[Any], None]
 Handler = Callable[[Any], Any]
@@ -93,26 +98,8 @@ class Closable(ABC):
         """Withdraw it."""
 
 
-class Ticker(ABC):
-    """Source of time for timers: waits that follow ROS time."""
-
-    @abstractmethod
-    def now(self) -> float:
-        """Seconds; steady, or simulated time when the system runs on it."""
-
-    @abstractmethod
-    def wait(self, until: Optional[float]) -> None:
-        """Return at ``until`` (None: never), after ``wake``, or earlier for no reason."""
-
-    @abstractmethod
-    def wake(self) -> None:
-        """End the present or the next ``wait``."""
-
-
-class Middleware(ABC):
-    """Everything that a nodelet gets from ROS and that is not done in this process."""
-
-    ticker: Ticker
+class Transport(ABC):
+    """Topics outside, and the messages that travel on them."""
 
     @abstractmethod
     def advertise(
@@ -147,16 +134,16 @@ class Middleware(ABC):
     def build(self, datatype: Any, args: Sequence[Any], kwds: Dict[str, Any]) -> Any:
         """Make a message from what was given to ``publish``, with rospy's rules and errors."""
 
-    @abstractmethod
     def adapt(self, datatype: Any, receive: Receive) -> Receive:
         """Wrap ``receive`` so that it can be given any message of this process.
 
         The same function comes back unless ``datatype`` stands for "any type".
         """
+        return receive
 
-    @abstractmethod
-    def closed(self, what: str) -> Exception:
-        """Make the exception that a closed handle raises."""
+
+class Services(ABC):
+    """Services that nodelets offer."""
 
     @abstractmethod
     def offer(
@@ -164,35 +151,55 @@ class Middleware(ABC):
     ) -> Closable:
         """Offer a service under a global name; ``handler`` is called on any thread."""
 
-    @abstractmethod
-    def interrupted(self, what: str) -> Exception:
-        """Make the exception for a service call that its nodelet can no longer answer."""
+
+class Ticker(ABC):
+    """The time that timers follow."""
 
     @abstractmethod
-    def timed_out(self, what: str) -> Exception:
-        """Make the exception for a message that did not come in time."""
+    def now(self) -> float:
+        """Seconds; steady, or simulated time when the system runs on it."""
+
+    @abstractmethod
+    def wait(self, until: Optional[float]) -> None:
+        """Return at ``until`` (None: never), after ``wake``, or earlier for no reason."""
+
+    @abstractmethod
+    def wake(self) -> None:
+        """End the present or the next ``wait``."""
+
+    @staticmethod
+    def seconds_of(duration: Any) -> float:
+        """Seconds of a ``rospy.Duration``; plain numbers are seconds already."""
+        return float(duration.to_sec() if hasattr(duration, "to_sec") else duration)
+
+    @abstractmethod
+    def event(self, last: Any, expected: float, real: float, duration: Any) -> Any:
+        """Make the event that a timer callback gets.
+
+        Args:
+            last: the event before, None at the first.
+            expected: when the callback was due, on the scale of ``now``.
+            real: when it is called.
+            duration: seconds that the callback before took, None at the first.
+        """
+
+
+class Node(ABC):
+    """The node of ROS that this process is."""
+
+    #: What a closed handle raises; all three are made of a text that says what it is about.
+    closed: Type[Exception] = HandleClosed
+    #: What a wait or a service call raises when its nodelet is unloaded.
+    interrupted: Type[Exception] = DyKnowError
+    #: What a wait for a message raises when none came in time.
+    timed_out: Type[Exception] = DyKnowError
 
     @abstractmethod
     def is_shutdown(self) -> bool:
         """Whether the whole process is to end."""
 
     @abstractmethod
-    def timer_event(self, last: Any, expected: float, real: float, duration: Any) -> Any:
-        """Make the event that a timer callback gets.
-
-        Args:
-            last: the event before, None at the first.
-            expected: when the callback was due, on the ticker's scale.
-            real: when it is called.
-            duration: seconds that the callback before took, None at the first.
-        """
-
-    @abstractmethod
-    def period(self, duration: Any) -> float:
-        """Seconds of a duration as nodelets give it."""
-
-    @abstractmethod
-    def process_remap(self, name: str) -> str:
+    def remap(self, name: str) -> str:
         """Apply the remappings of the process's command line to a global name."""
 
     @abstractmethod
@@ -202,3 +209,13 @@ class Middleware(ABC):
         Raises:
             AttributeError: ROS has no such thing, or a nodelet must not use it.
         """
+
+
+@dataclass(frozen=True)
+class Middleware:
+    """Everything that nodelets get from ROS and that is not done in this process."""
+
+    transport: Transport
+    services: Services
+    ticker: Ticker
+    node: Node

@@ -39,7 +39,7 @@ class Service(Closable):
         self._context = context
         self._concurrent = concurrent
         self._waiting: Set[queue.SimpleQueue[Optional[_Reply]]] = set()
-        self._offered = context.runtime.middleware.offer(
+        self._offered = context.runtime.services.offer(
             resolved_name, service_class, self._ask, options
         )
         context.own(self)
@@ -68,7 +68,7 @@ class Service(Closable):
             if self._concurrent:
                 context.drop_strand(strand)
         if outcome is None:
-            raise context.runtime.middleware.interrupted(
+            raise context.runtime.node.interrupted(
                 f"service '{self.resolved_name}': nodelet {context.name} was unloaded"
             )
         response, error = outcome

@@ -39,7 +39,7 @@ class PublisherState:
     def closed(self) -> Exception:
         """Make the exception for a use after ``unregister``."""
         what = f"publisher '{self.name}' of {self.context.name}"
-        return self.context.runtime.middleware.closed(what)
+        return self.context.runtime.node.closed(what)
 
     def unregister(self) -> None:
         """Withdraw the publication."""
@@ -99,7 +99,7 @@ class SubscriberState:
     def add_callback(self, callback: Callback, args: Tuple[Any, ...]) -> int:
         """Call back with the message and ``args`` too; returns the number of the callback."""
         self._callbacks = (*self._callbacks, (callback, args))
-        adapt = self.context.runtime.middleware.adapt
+        adapt = self.context.runtime.transport.adapt
         self.subscription.receive = adapt(self.datatype, self._spread)
         return len(self._callbacks) - 1
 

@@ -15,7 +15,7 @@ import threading
 from typing import Any, Callable, List, Optional, Tuple
 
 from dyknow.locks import state_lock
-from dyknow.nodelet.middleware import Middleware
+from dyknow.nodelet.middleware import Ticker
 from dyknow.nodelet.scheduler import Strand
 
 _log = logging.getLogger("rosout.dyknow")
@@ -68,9 +68,9 @@ class Timer:
         self._pending.release()
         if self._done:
             return
-        middleware, now = self._queue.middleware, self._queue.now
-        start = now()
-        event = middleware.timer_event(self._last, due, start, self._took)
+        ticker = self._queue.ticker
+        start = ticker.now()
+        event = ticker.event(self._last, due, start, self._took)
         self._last = event
         if self.oneshot:
             self._done = True
@@ -78,16 +78,14 @@ class Timer:
             self._callback(event)
         except BaseException as error:  # the boundary, as for subscriptions
             self._failed(error)
-        self._took = now() - start
+        self._took = ticker.now() - start
 
 
 class TimerQueue:
     """All timers, soonest first; its thread starts with the first timer."""
 
-    def __init__(self, middleware: Middleware) -> None:
-        self.middleware = middleware
-        self.now = middleware.ticker.now
-        self._ticker = middleware.ticker
+    def __init__(self, ticker: Ticker) -> None:
+        self.ticker = ticker
         self._lock = state_lock("timers")
         self._order = itertools.count()
         self._heap: List[Tuple[float, int, Timer]] = []
@@ -112,7 +110,7 @@ class TimerQueue:
         if not period > 0.0:
             raise ValueError(f"the period of a timer must be positive, not {period}")
         timer = Timer(self, period, callback, strand, oneshot, failed)
-        now = self.now()
+        now = self.ticker.now()
         with self._lock:
             self._latest = max(self._latest, now)
             heapq.heappush(self._heap, (now + period, next(self._order), timer))
@@ -122,7 +120,7 @@ class TimerQueue:
                     target=self._run, name="dyknow-timers", daemon=True
                 )
                 self._thread.start()
-        self._ticker.wake()
+        self.ticker.wake()
         return timer
 
     def discard(self, timer: Timer) -> None:
@@ -131,18 +129,18 @@ class TimerQueue:
             self._heap = [entry for entry in self._heap if entry[2] is not timer]
             heapq.heapify(self._heap)
             self._pause = min([_PAUSE, *(_pause(entry[2]) for entry in self._heap)])
-        self._ticker.wake()
+        self.ticker.wake()
 
     def close(self) -> None:
         """Forget all timers and end the thread."""
         with self._lock:
             self._closed = True
             self._heap = []
-        self._ticker.wake()
+        self.ticker.wake()
 
     def tick(self) -> Optional[float]:
         """Fire what is due; returns when the next timer is."""
-        now = self.now()
+        now = self.ticker.now()
         fired: List[Tuple[Timer, float]] = []
         with self._lock:
             if now < self._latest:
@@ -172,7 +170,7 @@ class TimerQueue:
     def _run(self) -> None:
         while not self._closed:
             try:
-                self._ticker.wait(self.tick())
+                self.ticker.wait(self.tick())
             except Exception:  # the boundary of the thread: timers of others must go on
                 _log.exception("the timer thread goes on after an error")
 

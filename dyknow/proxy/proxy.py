@@ -254,7 +254,7 @@ class NodeletProxy:
         topic = names.resolve(text, names.parent(self.name), self.name, "topic name")
         if topic == "/" or topic.endswith("/"):
             raise InvalidName(text, "topic name")
-        target = self._context.runtime.middleware.process_remap(topic)
+        target = self._context.runtime.node.remap(topic)
         if target != topic:
             raise RemappedTopic(topic, target)
         return topic

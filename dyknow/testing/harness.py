@@ -13,12 +13,13 @@ from dyknow import names
 from dyknow.nodelet.context import Context, Runtime
 from dyknow.nodelet.handle import NodeHandle, Publisher
 from dyknow.nodelet.loader import Loader
-from dyknow.nodelet.middleware import Handler
+from dyknow.nodelet.middleware import Handler, Middleware
 from dyknow.nodelet.nodelet import Nodelet
 from dyknow.nodelet.scheduler import ManualExecutor
 from dyknow.proxy.proxy import NodeletProxy
 from dyknow.testing.load_ports import check_ports, remappings_of_ports
-from dyknow.testing.middleware import HarnessMiddleware, LogEntry
+from dyknow.testing.middleware import HarnessNode, HarnessServices, HarnessTransport, LogEntry
+from dyknow.testing.stepped_time import SteppedTicker
 
 #: Seconds of real time after which another thread is given up.
 _PATIENCE = 10.0
@@ -63,10 +64,12 @@ class NodeletHarness:
 
     def __init__(self) -> None:
         """Make an empty harness; use it in a ``with`` block, or ``close`` it."""
-        self._middleware = HarnessMiddleware(call_service=self.call)
-        self._ticker = self._middleware.ticker
+        self._ticker = SteppedTicker()
+        self._services = HarnessServices()
+        self._node = HarnessNode(self._ticker, self._services, self.call)
         self._executor = ManualExecutor()
-        self._runtime = Runtime.make(self._middleware, self._executor, self._ticker.now)
+        middleware = Middleware(HarnessTransport(), self._services, self._ticker, self._node)
+        self._runtime = Runtime.make(middleware, self._executor, self._ticker.now)
         self._classes: Dict[str, Type[Nodelet]] = {}
         self._loader = Loader(self._runtime, self._classes.__getitem__)
         self._publishers: Dict[str, Publisher] = {}
@@ -151,12 +154,12 @@ class NodeletHarness:
     @property
     def parameters(self) -> Dict[str, Any]:
         """The parameter server, by global names."""
-        return self._middleware.parameters
+        return self._node.parameters
 
     @property
     def log(self) -> List[LogEntry]:
         """What nodelets logged, in order."""
-        return self._middleware.log
+        return self._node.log
 
     def publish(self, topic: str, message: Any) -> None:
         """Publish a message; it is received with the next ``drain``."""
@@ -184,7 +187,7 @@ class NodeletHarness:
         Raises:
             rospy.ServiceException: nobody offers it, or it has not answered within 10 s.
         """
-        handler = self._middleware.services.get(_global(service))
+        handler = self._services.handlers.get(_global(service))
         if handler is None:
             raise rospy.ServiceException(f"service [{service}] unavailable")
         answer = _Call(handler, request)

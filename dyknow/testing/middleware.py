@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Callable, Dict, List, Optional, Sequence
 
 import rospy
 import rospy.msg
-import rospy.timer
 from rospy.impl.tcpros_service import convert_return_to_response
 
-from dyknow.nodelet.local import LocalMiddleware, LocalService
+from dyknow.nodelet.local import LocalNode, LocalService, LocalServices, LocalTransport
 from dyknow.nodelet.middleware import Handler
 from dyknow.ros.errors import ClosedHandle, Interrupted, MessageTimeout
 from dyknow.testing.stepped_time import SteppedTicker
@@ -44,19 +43,53 @@ class LogEntry:
     text: str
 
 
-@dataclass
-class HarnessMiddleware(LocalMiddleware):
-    """The local middleware with rospy's types and exceptions, on the time of a stepped ticker.
+class HarnessTransport(LocalTransport):
+    """The local transport, with messages made as rospy makes them."""
+
+    def build(self, datatype: Any, args: Sequence[Any], kwds: Dict[str, Any]) -> Any:
+        """Make a message as ``rospy.Publisher.publish`` does."""
+        return rospy.msg.args_kwds_to_message(datatype, tuple(args), kwds)
+
+
+class HarnessServices(LocalServices):
+    """The local services, whose handlers may return whatever rospy makes a response of."""
+
+    def offer(
+        self, service: str, service_class: Any, handler: Handler, options: Dict[str, Any]
+    ) -> LocalService:
+        """Offer a service."""
+
+        def answer(request: Any) -> Any:
+            return convert_return_to_response(handler(request), service_class._response_class)
+
+        return super().offer(service, service_class, answer, options)
+
+
+class HarnessNode(LocalNode):
+    """The local node with rospy's types and exceptions.
 
     Attributes:
         ticker: the time.
+        services: those that nodelets offer.
         call_service: calls a service by its global name with a request.
         log: what nodelets logged, in order.
     """
 
-    ticker: SteppedTicker = field(default_factory=SteppedTicker)  # type: ignore[assignment]
-    call_service: Callable[[str, Any], Any] = lambda name, request: None
-    log: List[LogEntry] = field(default_factory=list)
+    closed = ClosedHandle
+    interrupted = Interrupted
+    timed_out = MessageTimeout
+
+    def __init__(
+        self,
+        ticker: SteppedTicker,
+        services: HarnessServices,
+        call_service: Callable[[str, Any], Any],
+    ) -> None:
+        super().__init__()
+        self.ticker = ticker
+        self.services = services
+        self.call_service = call_service
+        self.log: List[LogEntry] = []
 
     def member(self, name: str, handle: Any) -> Any:
         """Return rospy's own where that needs no master, else what does the same here."""
@@ -74,46 +107,6 @@ class HarnessMiddleware(LocalMiddleware):
             )
         return getattr(members, name)
 
-    def build(self, datatype: Any, args: Sequence[Any], kwds: Dict[str, Any]) -> Any:
-        """Make a message as ``rospy.Publisher.publish`` does."""
-        return rospy.msg.args_kwds_to_message(datatype, tuple(args), kwds)
-
-    def closed(self, what: str) -> Exception:
-        """Make an exception that is a ``rospy.ROSException`` too."""
-        return ClosedHandle(what)
-
-    def interrupted(self, what: str) -> Exception:
-        """Make an exception that is rospy's for interrupted waits and for failed services."""
-        return Interrupted(what)
-
-    def timed_out(self, what: str) -> Exception:
-        """Make an exception that is a ``rospy.ROSException`` too."""
-        return MessageTimeout(what)
-
-    def offer(
-        self, service: str, service_class: Any, handler: Handler, options: Dict[str, Any]
-    ) -> LocalService:
-        """Offer a service; its handler may return whatever rospy makes a response of."""
-
-        def answer(request: Any) -> Any:
-            return convert_return_to_response(handler(request), service_class._response_class)
-
-        return super().offer(service, service_class, answer, options)
-
-    def timer_event(self, last: Any, expected: float, real: float, duration: Any) -> Any:
-        """Make a ``rospy.timer.TimerEvent``."""
-        return rospy.timer.TimerEvent(
-            last.current_expected if last is not None else None,
-            last.current_real if last is not None else None,
-            rospy.Time.from_sec(expected),
-            rospy.Time.from_sec(real),
-            duration,
-        )
-
-    def period(self, duration: Any) -> float:
-        """Seconds of a ``rospy.Duration``; plain numbers are seconds already."""
-        return float(duration.to_sec() if hasattr(duration, "to_sec") else duration)
-
     def _log(self, level: str, text: Any, *args: Any, **options: Any) -> None:
         self.log.append(LogEntry(level, str(text) % args if args else str(text)))
 
@@ -125,13 +118,13 @@ class HarnessMiddleware(LocalMiddleware):
 class _Members:
     """What of rospy depends on names, time or a master, under rospy's names."""
 
-    def __init__(self, middleware: HarnessMiddleware, resolve: Callable[[str], str]) -> None:
-        self._middleware = middleware
+    def __init__(self, node: HarnessNode, resolve: Callable[[str], str]) -> None:
+        self._node = node
         self._resolve = resolve
 
     @property
     def Time(self) -> Any:  # noqa: N802
-        ticker = self._middleware.ticker
+        ticker = self._node.ticker
 
         class Time(rospy.Time):  # type: ignore[misc]
             """``rospy.Time`` whose present is the harness's."""
@@ -143,14 +136,14 @@ class _Members:
         return Time
 
     def get_time(self) -> float:
-        return self._middleware.ticker.now()
+        return self._node.ticker.now()
 
     def get_rostime(self) -> Any:
         return rospy.Time.from_sec(self.get_time())
 
     def get_param(self, param_name: str, default: Any = _REQUIRED) -> Any:
         name = self._resolve(param_name)
-        parameters = self._middleware.parameters
+        parameters = self._node.parameters
         if name in parameters:
             return parameters[name]
         prefix = name.rstrip("/") + "/"
@@ -168,44 +161,44 @@ class _Members:
     get_param_cached = get_param
 
     def set_param(self, param_name: str, param_value: Any) -> None:
-        self._middleware.parameters[self._resolve(param_name)] = param_value
+        self._node.parameters[self._resolve(param_name)] = param_value
 
     def has_param(self, param_name: str) -> bool:
         return self.get_param(param_name, None) is not None
 
     def delete_param(self, param_name: str) -> None:
-        del self._middleware.parameters[self._resolve(param_name)]
+        del self._node.parameters[self._resolve(param_name)]
 
     def ServiceProxy(  # noqa: N802
         self, name: str, service_class: Any, persistent: bool = False, headers: Any = None
     ) -> LocalServiceProxy:
-        return LocalServiceProxy(self._middleware, self._resolve(name), service_class)
+        return LocalServiceProxy(self._node, self._resolve(name), service_class)
 
     def wait_for_service(self, service: str, timeout: Any = None) -> None:
         """Return if it is offered: nobody can come to offer it while the test's thread waits."""
         name = self._resolve(service)
-        if name not in self._middleware.services:
+        if name not in self._node.services.handlers:
             raise rospy.ROSException(f"service '{name}' is not offered in the harness")
 
 
 class LocalServiceProxy:
     """Calls a service of the harness; use it as a ``rospy.ServiceProxy``."""
 
-    def __init__(self, middleware: HarnessMiddleware, name: str, service_class: Any) -> None:
-        self._middleware = middleware
+    def __init__(self, node: HarnessNode, name: str, service_class: Any) -> None:
+        self._node = node
         self.resolved_name = name
         self.request_class = service_class._request_class
 
     def __call__(self, *args: Any, **kwds: Any) -> Any:
         """Call it with a request or its fields."""
         request = rospy.msg.args_kwds_to_message(self.request_class, args, kwds)
-        return self._middleware.call_service(self.resolved_name, request)
+        return self._node.call_service(self.resolved_name, request)
 
     call = __call__
 
     def wait_for_service(self, timeout: Optional[float] = None) -> None:
         """Return if it is offered."""
-        if self.resolved_name not in self._middleware.services:
+        if self.resolved_name not in self._node.services.handlers:
             raise rospy.ROSException(f"service '{self.resolved_name}' is not offered")
 
     def close(self) -> None:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-import threading
-from typing import Optional
+from typing import Any, Optional
 
+import rospy
+import rospy.timer
+
+from dyknow.locks import state_condition
 from dyknow.nodelet.middleware import Ticker
 
 
@@ -16,7 +19,7 @@ class SteppedTicker(Ticker):
     """
 
     def __init__(self) -> None:
-        self._changed = threading.Condition()
+        self._changed = state_condition("stepped ticker")
         self._seconds = 0.0
         self._used = False  # there was a timer, so the queue's thread runs
         self._waiting = False
@@ -59,6 +62,16 @@ class SteppedTicker(Ticker):
         with self._changed:
             self._used = self._woken = True
             self._changed.notify_all()
+
+    def event(self, last: Any, expected: float, real: float, duration: Any) -> Any:
+        """Make a ``rospy.timer.TimerEvent``."""
+        return rospy.timer.TimerEvent(
+            last.current_expected if last is not None else None,
+            last.current_real if last is not None else None,
+            rospy.Time.from_sec(expected),
+            rospy.Time.from_sec(real),
+            duration,
+        )
 
     def _is_due(self) -> bool:
         return self._due is not None and self._seconds >= self._due

@@ -45,7 +45,7 @@ from dyknow.ros.nodelets.owner import end_when_orphaned
 from dyknow.ros.nodelets.packages import plugin_files
 from dyknow.ros.nodelets.proxy_services import ProxyServices
 from dyknow.ros.process import NodeProcess
-from dyknow.ros.transport.middleware import RospyMiddleware
+from dyknow.ros.transport.middleware import rospy_middleware
 
 #: Seconds, at the end, for clients that end at the same time.
 CLIENTS_PATIENCE = 0.5
@@ -100,7 +100,7 @@ class NodeletManager(Closable):
         self._record = _crash_record()
         pool = WorkerPool(settings.workers, settings.stuck_after, record=self._record)
         self._guards = GuardParameters()
-        self._runtime = Runtime.make(RospyMiddleware(pool), pool, guards=self._guards.current)
+        self._runtime = Runtime.make(rospy_middleware(pool), pool, guards=self._guards.current)
         self._bonds = Bonds(names.join(rospy.get_name(), "bond"))
         self._bonded: Dict[str, str] = {}
         self._bond_ended = state_condition("bonded nodelets")

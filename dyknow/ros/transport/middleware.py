@@ -9,11 +9,18 @@ from typing import Any, Dict, Optional, Sequence
 
 import rospy
 import rospy.msg
-import rospy.timer
 
 from dyknow.errors import PeerTimeout
 from dyknow.locks import assert_no_state_lock
-from dyknow.nodelet.middleware import Closable, Handler, Middleware, Receive
+from dyknow.nodelet.middleware import (
+    Closable,
+    Handler,
+    Middleware,
+    Node,
+    Receive,
+    Services,
+    Transport,
+)
 from dyknow.nodelet.scheduler import Executor
 from dyknow.ros.errors import ClosedHandle, Interrupted, MessageTimeout
 from dyknow.ros.master import Master
@@ -27,12 +34,20 @@ from dyknow.ros.transport.topics import RospyPublisher, RospySubscriber
 _log = logging.getLogger("dyknow.master")
 
 
-class RospyMiddleware(Middleware):
-    """ROS as the nodelets of this process see it; the node must be initialised."""
+def rospy_middleware(executor: Executor) -> Middleware:
+    """Make the middleware of this process; the node must be initialised.
+
+    Args:
+        executor: runs callbacks of ordinary rospy subscribers.
+    """
+    return Middleware(RospyTransport(executor), RospyServices(), make_ticker(), RospyNode())
+
+
+class RospyTransport(Transport):
+    """Topics, as the nodelets of this process see them."""
 
     def __init__(self, executor: Executor) -> None:
         """Install the in-process hook; ``executor`` runs callbacks of ordinary subscribers."""
-        self.ticker = make_ticker()
         self._intraprocess = IntraProcess(executor)
         self._registrar = Registrar()
 
@@ -80,21 +95,9 @@ class RospyMiddleware(Middleware):
 
         return receive_any
 
-    def closed(self, what: str) -> Exception:
-        """Make an exception that is a ``rospy.ROSException`` too."""
-        return ClosedHandle(what)
 
-    def interrupted(self, what: str) -> Exception:
-        """Make an exception that is rospy's for interrupted waits and for failed services."""
-        return Interrupted(what)
-
-    def timed_out(self, what: str) -> Exception:
-        """Make an exception that is a ``rospy.ROSException`` too."""
-        return MessageTimeout(what)
-
-    def is_shutdown(self) -> bool:
-        """Whether rospy was told to end."""
-        return bool(rospy.is_shutdown())
+class RospyServices(Services):
+    """Services, offered by rospy."""
 
     def offer(
         self, service: str, service_class: Any, handler: Handler, options: Dict[str, Any]
@@ -103,24 +106,19 @@ class RospyMiddleware(Middleware):
         assert_no_state_lock(f"offering {service}")
         return RospyService(service, service_class, handler, options)
 
-    def timer_event(self, last: Any, expected: float, real: float, duration: Any) -> Any:
-        """Make a ``rospy.timer.TimerEvent``, on the scale of ROS time."""
-        now = rospy.Time.now()
-        late = rospy.Duration.from_sec(max(0.0, real - expected))
-        due = now - late if now.to_sec() > late.to_sec() else rospy.Time()
-        return rospy.timer.TimerEvent(
-            last.current_expected if last is not None else None,
-            last.current_real if last is not None else None,
-            due,
-            now,
-            duration,
-        )
 
-    def period(self, duration: Any) -> float:
-        """Seconds of a ``rospy.Duration``; plain numbers are seconds already."""
-        return float(duration.to_sec() if hasattr(duration, "to_sec") else duration)
+class RospyNode(Node):
+    """rospy's node, with exceptions that are rospy's too."""
 
-    def process_remap(self, name: str) -> str:
+    closed = ClosedHandle
+    interrupted = Interrupted
+    timed_out = MessageTimeout
+
+    def is_shutdown(self) -> bool:
+        """Whether rospy was told to end."""
+        return bool(rospy.is_shutdown())
+
+    def remap(self, name: str) -> str:
         """Apply the remappings of the command line."""
         return str(rospy.resolve_name(name))
 

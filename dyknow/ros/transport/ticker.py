@@ -5,15 +5,33 @@ from __future__ import annotations
 import contextlib
 import threading
 import time
-from typing import Optional
+from typing import Any, Optional
 
 import rospy
 import rospy.rostime
+import rospy.timer
 
 from dyknow.nodelet.middleware import Ticker
 
 
-class SteadyTicker(Ticker):
+class RospyTicker(Ticker):
+    """What all tickers of ROS share: rospy's events."""
+
+    def event(self, last: Any, expected: float, real: float, duration: Any) -> Any:
+        """Make a ``rospy.timer.TimerEvent``, on the scale of ROS time."""
+        now = rospy.Time.now()
+        late = rospy.Duration.from_sec(max(0.0, real - expected))
+        due = now - late if now.to_sec() > late.to_sec() else rospy.Time()
+        return rospy.timer.TimerEvent(
+            last.current_expected if last is not None else None,
+            last.current_real if last is not None else None,
+            due,
+            now,
+            duration,
+        )
+
+
+class SteadyTicker(RospyTicker):
     """Steady time; sleeps until the next timer is due."""
 
     def __init__(self) -> None:
@@ -38,7 +56,7 @@ class SteadyTicker(Ticker):
             self._call.release()
 
 
-class ClockTicker(Ticker):
+class ClockTicker(RospyTicker):
     """Simulated time; looks again with every message on /clock."""
 
     def __init__(self) -> None:

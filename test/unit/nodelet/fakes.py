@@ -10,7 +10,12 @@ import dyknow
 from dyknow.nodelet.context import Context, Runtime
 from dyknow.nodelet.handle import NodeHandle
 from dyknow.nodelet.loader import Loader
-from dyknow.nodelet.local import LocalMiddleware, LocalPublisher, LocalSubscriber
+from dyknow.nodelet.local import (
+    LocalMiddleware,
+    LocalPublisher,
+    LocalSubscriber,
+    LocalTransport,
+)
 from dyknow.nodelet.scheduler import Executor, ManualExecutor, WorkerPool
 
 #: Seconds after which a test gives up on another thread; far more than any of them needs.
@@ -54,26 +59,26 @@ class FakeClock:
         return self.seconds
 
 
-class RecordingMiddleware(LocalMiddleware):
-    """Also records halves in the order they were made, and can refuse or pause at a topic."""
+class RecordingTransport(LocalTransport):
+    """Records registrations in the order of their making, and can refuse or pause at a topic."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.halves: List[Any] = []
+        self.made: List[Any] = []
         self.refused: Dict[str, Exception] = {}
         self.on_register: Callable[[str], None] = lambda topic: None
 
     def advertise(self, topic: str, *args: Any) -> LocalPublisher:
         self._look(topic)
-        half = super().advertise(topic, *args)
-        self.halves.append(half)
-        return half
+        registration = super().advertise(topic, *args)
+        self.made.append(registration)
+        return registration
 
     def subscribe(self, topic: str, *args: Any) -> LocalSubscriber:
         self._look(topic)
-        half = super().subscribe(topic, *args)
-        self.halves.append(half)
-        return half
+        registration = super().subscribe(topic, *args)
+        self.made.append(registration)
+        return registration
 
     def _look(self, topic: str) -> None:
         if topic in self.refused:
@@ -86,8 +91,14 @@ class World:
 
     def __init__(self, executor: Optional[Executor] = None, clock: Any = time.monotonic) -> None:
         self.executor = executor or ManualExecutor()
-        self.middleware = RecordingMiddleware()
-        self.runtime = Runtime.make(self.middleware, self.executor, clock)
+        self.transport = RecordingTransport()
+        middleware = LocalMiddleware(self.transport)
+        self.services, self.ticker, self.node = (
+            middleware.services,
+            middleware.ticker,
+            middleware.node,
+        )
+        self.runtime = Runtime.make(middleware, self.executor, clock)
         self.bus = self.runtime.bus
 
     def context(self, name: str = "/probe", **options: Any) -> Context:
@@ -111,7 +122,7 @@ class World:
     @property
     def registrations(self) -> List[Any]:
         """What is registered outside, sorted."""
-        return sorted(self.middleware.registrations)
+        return sorted(self.transport.registrations)
 
     def close(self) -> None:
         """End the threads."""

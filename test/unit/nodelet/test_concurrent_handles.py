@@ -53,7 +53,7 @@ def test_a_subscription_overlaps_with_a_timer(world):
     nh.Subscriber("t", Message, meet)
     nh.Timer(1.0, meet, oneshot=True)
     nh.Publisher("t", Message).publish()
-    world.middleware.ticker.advance(1.0)
+    world.ticker.advance(1.0)
     world.drain()
     wait_until(lambda: len(met) == 2)
 
@@ -134,7 +134,7 @@ def test_an_unregistered_subscriber_takes_its_strand_with_it(world, caplog):
 def test_a_refused_subscriber_takes_its_strand_with_it(world):
     nh = world.handle(concurrent=True)
     before = len(nh.context._strands)
-    world.middleware.refused["/t"] = RuntimeError("no")
+    world.transport.refused["/t"] = RuntimeError("no")
     with pytest.raises(RuntimeError):
         nh.Subscriber("t", Message, print)
     assert len(nh.context._strands) == before

@@ -261,14 +261,14 @@ class TestTypes:
     def test_a_refused_type_does_not_become_that_of_a_topic_of_any(self, world):
         nh = world.handle()
         nh.Subscriber("t", AnyMessage, print)
-        world.middleware.refused["/t"] = RuntimeError("no")
+        world.transport.refused["/t"] = RuntimeError("no")
         with pytest.raises(RuntimeError):
             nh.Publisher("t", Message, queue_size=1)
-        del world.middleware.refused["/t"]
+        del world.transport.refused["/t"]
         nh.Publisher("t", OtherMessage, queue_size=1)
 
     def test_the_type_of_a_topic_outside_is_asked_for(self, world):
-        world.middleware.types["/t"] = "test/Outside"
+        world.transport.types["/t"] = "test/Outside"
         assert world.bus.datatype_of("/t") == "test/Outside"
 
 

@@ -166,7 +166,7 @@ class TestNames:
         assert nh.context._endpoints == []
 
     def test_of_the_load_request_go_before_those_of_the_process(self, world):
-        world.middleware.remappings.update({"/a": "/process", "/b": "/process_b", "/c": "/d"})
+        world.node.remappings.update({"/a": "/process", "/b": "/process_b", "/c": "/d"})
         nh = NodeHandle(world.context("/n", remappings={"/a": "/c", "/n/x": "/y"}), "/")
         assert nh.resolve_name("a") == "/c", "remapped once, not on and on"
         assert nh.resolve_name("b") == "/process_b"
@@ -183,7 +183,7 @@ class TestParameters:
     def test_private_ones_are_the_nodelets(self, world):
         nh = world.handle("/nodelet")
         nh.set_param("~rate", 5)
-        assert world.middleware.parameters == {"/nodelet/rate": 5}
+        assert world.node.parameters == {"/nodelet/rate": 5}
         assert nh.get_param("~rate") == 5
         assert nh.has_param("~rate") and not nh.has_param("rate")
         assert nh.get_param("~other", 7) == 7
@@ -245,7 +245,7 @@ class TestWaitForMessage:
     def test_returns_the_first_message_and_leaves_nothing(self, pool):
         nh, got = pool.handle(), []
         thread = in_thread(lambda: got.append(nh.wait_for_message("t", Message)))
-        wait_until(lambda: pool.middleware.subscribers)
+        wait_until(lambda: pool.transport.subscribers)
         publisher = pool.handle("/other").Publisher("/t", Message)
         publisher.publish(7)
         join(thread)
@@ -267,7 +267,7 @@ class TestWaitForMessage:
             raised.append(caught.value)
 
         thread = in_thread(wait)
-        wait_until(lambda: pool.middleware.subscribers)
+        wait_until(lambda: pool.transport.subscribers)
         wait_until(lambda: nh.context._closables)
         nh.context.close()
         join(thread)

@@ -108,7 +108,7 @@ def test_what_comes_during_on_init_is_called_back_after_it(world, gate, concurre
     wait_for(gate.entered)
     message = Message()
     world.handle().Publisher("/in", Message).publish(message)
-    world.middleware.ticker.advance(1.0)
+    world.ticker.advance(1.0)
     wait_until(lambda: not world.runtime.timers._heap)
     # Whatever could run by now has been given to the workers before this one.
     others = [world.context(f"/other{n}").strand for n in range(20)]
@@ -217,7 +217,7 @@ class TestFailure:
         assert caught.value.__cause__ is error
         assert loader.list() == []
         assert world.registrations == []
-        assert world.middleware.services == {}
+        assert world.services.handlers == {}
         assert world.runtime.timers._heap == []
         assert world.bus._topics == {}
         loader.load("/n", "idle")

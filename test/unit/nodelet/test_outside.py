@@ -57,9 +57,9 @@ def test_moves_leave_one_registration_for_each_endpoint(world):
 def test_an_endpoint_that_is_there_already_keeps_its_registration(world):
     nh = world.handle()
     publisher = nh.Publisher("a", Message, queue_size=1)
-    before = list(world.middleware.halves)
+    before = list(world.transport.made)
     world.bus.rewire([(publication_of(publisher), "/a")])
-    assert world.middleware.halves == before
+    assert world.transport.made == before
 
 
 def test_a_new_connection_is_made_before_the_old_one_is_broken(world):
@@ -67,7 +67,7 @@ def test_a_new_connection_is_made_before_the_old_one_is_broken(world):
     publisher = nh.Publisher("a", Message, queue_size=1)
     subscriber = nh.Subscriber("x", Message, print)
     seen = []
-    world.middleware.on_register = lambda topic: seen.append((topic, world.registrations))
+    world.transport.on_register = lambda topic: seen.append((topic, world.registrations))
     world.bus.rewire([(publication_of(publisher), "/b"), (subscription_of(subscriber), "/y")])
     both = [("publisher", "/a"), ("subscriber", "/x")]
     assert seen[0] == ("/b", both)
@@ -77,7 +77,7 @@ def test_a_new_connection_is_made_before_the_old_one_is_broken(world):
 def test_a_message_goes_out_only_if_somebody_listens(world):
     nh = world.handle()
     publisher = nh.Publisher("t", Message, queue_size=1)
-    (half,) = world.middleware.halves
+    (half,) = world.transport.made
     sent = []
     half.publish = sent.append
     publisher.publish(1)
@@ -94,7 +94,7 @@ def test_it_goes_out_once_however_many_listen_inside(world):
     for _ in range(3):
         nh.Subscriber("t", Message, got.append)
     publisher = nh.Publisher("t", Message, queue_size=1)
-    world.middleware.listeners["/t"].append(outside.append)
+    world.transport.listeners["/t"].append(outside.append)
     publisher.publish(1)
     world.drain()
     assert numbers(outside) == [1]
@@ -106,7 +106,7 @@ def test_messages_from_outside_reach_each_subscriber_once(world):
     nh = world.handle()
     nh.Subscriber("t", Message, got.append)
     nh.Subscriber("t", Message, got.append)
-    world.middleware.send("/t", Message(1))
+    world.transport.send("/t", Message(1))
     assert got == []
     world.drain()
     assert numbers(got) == [1, 1]
@@ -116,21 +116,21 @@ def test_messages_from_outside_that_come_during_the_switch_follow_the_old_ones(w
     got = []
     nh = world.handle()
     subscriber = nh.Subscriber("old", Message, got.append)
-    world.middleware.send("/old", Message("old"))
+    world.transport.send("/old", Message("old"))
 
-    class Early(type(world.middleware.halves[0])):
+    class Early(type(world.transport.made[0])):
         def wait(self, arrived, seconds):
             self.receive(Message("new"))
             assert arrived(0.0)
 
-    subscribe = world.middleware.subscribe
+    subscribe = world.transport.subscribe
 
     def early_subscribe(topic, datatype, receive, options):
         half = subscribe(topic, datatype, receive, options)
         half.__class__ = Early
         return half
 
-    world.middleware.subscribe = early_subscribe
+    world.transport.subscribe = early_subscribe
     world.bus.rewire(
         [(subscription_of(subscriber), "/new")],
         between=lambda: nh.context.strand.post(lambda: got.append(Message("between"))),
@@ -144,7 +144,7 @@ def test_what_comes_late_through_an_old_registration_is_not_delivered(world):
     got = []
     nh = world.handle()
     subscriber = nh.Subscriber("old", Message, got.append)
-    (old,) = world.middleware.halves
+    (old,) = world.transport.made
     world.bus.rewire([(subscription_of(subscriber), "/new")])
     old.receive(Message("late"))
     world.drain()
@@ -156,7 +156,7 @@ def test_a_latched_message_is_handed_to_the_half_that_comes_later(world):
     nh.Subscriber("new", Message, print)  # so that the switch goes before the registration
     publisher = nh.Publisher("old", Message, latch=True, queue_size=1)
     publisher.publish(1)
-    outside = world.middleware.listeners.setdefault("/new", [])
+    outside = world.transport.listeners.setdefault("/new", [])
     got = []
     outside.append(got.append)
     world.bus.rewire([(publication_of(publisher), "/new")])
@@ -178,7 +178,7 @@ def test_what_is_published_during_a_latched_switch_is_the_last_word_outside(worl
             publisher.publish(2)
             got.append(message)
 
-    world.middleware.listeners.setdefault("/new", []).append(listen)
+    world.transport.listeners.setdefault("/new", []).append(listen)
     world.bus.rewire([(publication_of(publisher), "/new")])
     assert numbers(got)[0] == 1
     assert numbers(got)[-1] == 2
@@ -187,7 +187,7 @@ def test_what_is_published_during_a_latched_switch_is_the_last_word_outside(worl
 def test_a_refused_registration_leaves_nothing_of_a_handle(world):
     nh = world.handle()
     error = RuntimeError("the master is gone")
-    world.middleware.refused["/t"] = error
+    world.transport.refused["/t"] = error
     for make in (nh.Publisher, nh.Subscriber):
         with pytest.raises(RuntimeError, match="the master is gone"):
             make("t", Message)
@@ -199,7 +199,7 @@ def test_a_refused_registration_leaves_nothing_of_a_handle(world):
 def test_a_refused_registration_on_a_topic_that_is_alive_leaves_nothing(world):
     nh = world.handle()
     publisher = nh.Publisher("t", Message, queue_size=1)
-    world.middleware.refused["/t"] = RuntimeError("no")
+    world.transport.refused["/t"] = RuntimeError("no")
     got = []
     with pytest.raises(RuntimeError):
         nh.Subscriber("t", Message, got.append)
@@ -215,7 +215,7 @@ def test_a_refused_registration_undoes_the_whole_switch(world):
     publisher = nh.Publisher("a", Message, queue_size=1)
     subscriber = nh.Subscriber("a", Message, got.append)
     before = world.registrations
-    world.middleware.refused["/c"] = RuntimeError("no")
+    world.transport.refused["/c"] = RuntimeError("no")
     told = []
     with pytest.raises(RuntimeError):
         world.bus.rewire(
@@ -238,7 +238,7 @@ def test_a_refused_registration_of_a_live_topic_leaves_no_old_ones(world):
     other.Subscriber("/b", Message, got.append)
     other.Subscriber("/d", Message, got.append)
     first, second = (nh.Publisher(topic, Message, queue_size=1) for topic in ("a", "c"))
-    world.middleware.refused["/b"] = RuntimeError("no")
+    world.transport.refused["/b"] = RuntimeError("no")
     with pytest.raises(RuntimeError, match="no"):
         world.bus.rewire([(publication_of(first), "/b"), (publication_of(second), "/d")])
     assert (first.name, second.name) == ("/b", "/d")
@@ -265,14 +265,14 @@ def test_nothing_is_registered_after_an_unload_while_peers_are_waited_for(world)
             join(in_thread(nh.context.close))
             seen.append(world.registrations)
 
-    advertise = world.middleware.advertise
+    advertise = world.transport.advertise
 
     def slow_advertise(*args):
         half = advertise(*args)
         half.__class__ = Slow
         return half
 
-    world.middleware.advertise = slow_advertise
+    world.transport.advertise = slow_advertise
     moves = [(publication_of(publisher), "/b"), (subscription_of(subscriber), "/c")]
     with pytest.raises(HandleClosed):
         world.bus.rewire(moves, patience=1.0)
@@ -285,7 +285,7 @@ def test_nothing_is_registered_after_an_unload_while_peers_are_waited_for(world)
 def test_a_nodelet_unloaded_while_its_topic_is_registered_leaves_nothing(world):
     nh = world.handle()
     publisher = nh.Publisher("a", Message, queue_size=1)
-    world.middleware.on_register = lambda topic: join(in_thread(nh.context.close))
+    world.transport.on_register = lambda topic: join(in_thread(nh.context.close))
     with pytest.raises(HandleClosed):
         world.bus.rewire([(publication_of(publisher), "/b")])
     assert world.registrations == []
@@ -295,15 +295,15 @@ def test_a_nodelet_unloaded_while_its_topic_is_registered_leaves_nothing(world):
 def test_nobody_waits_for_the_peers_of_a_nodelet_that_was_unloaded(world):
     nh = world.handle()
     publisher = nh.Publisher("a", Message, queue_size=1)
-    world.middleware.on_register = lambda topic: join(in_thread(nh.context.close))
-    advertise, waited = world.middleware.advertise, []
+    world.transport.on_register = lambda topic: join(in_thread(nh.context.close))
+    advertise, waited = world.transport.advertise, []
 
     def impatient_advertise(*args):
         half = advertise(*args)
         half.wait = waited.append
         return half
 
-    world.middleware.advertise = impatient_advertise
+    world.transport.advertise = impatient_advertise
     with pytest.raises(HandleClosed):
         world.bus.rewire([(publication_of(publisher), "/b")], patience=1.0)
     assert waited == []
@@ -314,7 +314,7 @@ def test_a_nodelet_unloaded_while_a_live_topic_is_registered_leaves_nothing(worl
     world.handle("/other").Subscriber("/b", Message, print)
     nh = world.handle()
     publisher = nh.Publisher("a", Message, queue_size=1)
-    world.middleware.on_register = lambda topic: join(in_thread(nh.context.close))
+    world.transport.on_register = lambda topic: join(in_thread(nh.context.close))
     world.bus.rewire([(publication_of(publisher), "/b")])
     assert world.registrations == [("subscriber", "/b")]
     with pytest.raises(HandleClosed):
@@ -323,7 +323,7 @@ def test_a_nodelet_unloaded_while_a_live_topic_is_registered_leaves_nothing(worl
 
 def test_a_handle_being_made_while_its_nodelet_is_unloaded_leaves_nothing(world):
     nh = world.handle()
-    world.middleware.on_register = lambda topic: join(in_thread(nh.context.close))
+    world.transport.on_register = lambda topic: join(in_thread(nh.context.close))
     with pytest.raises(HandleClosed):
         nh.Publisher("a", Message, queue_size=1)
     assert world.registrations == []
@@ -336,5 +336,5 @@ def test_connections_are_counted_as_in_roscpp(world):
     nh.Subscriber("t", Message, print)
     nh.Subscriber("t", Message, print)
     assert publisher.get_num_connections() == 1
-    world.middleware.listeners["/t"].extend([print, print])
+    world.transport.listeners["/t"].extend([print, print])
     assert publisher.get_num_connections() == 3

@@ -33,7 +33,7 @@ class Caller:
 
     def __init__(self, world, service, request=None):
         self.response, self.error = None, None
-        self._call = lambda: world.middleware.call(service, request)
+        self._call = lambda: world.services.call(service, request)
         self.thread = in_thread(self._run)
 
     def _run(self):
@@ -47,7 +47,7 @@ def test_a_service_answers_under_its_resolved_name(world):
     nh = NodeHandle(world.context("/ns/nodelet"), "/ns")
     service = nh.Service("~double", object, lambda request: request * 2)
     assert service.resolved_name == "/ns/nodelet/double"
-    assert world.middleware.call("/ns/nodelet/double", 21) == 42
+    assert world.services.call("/ns/nodelet/double", 21) == 42
 
 
 def test_calls_and_callbacks_of_one_nodelet_never_overlap(world):
@@ -70,7 +70,7 @@ def test_calls_and_callbacks_of_one_nodelet_never_overlap(world):
 
     def call(service):
         for _ in range(100):
-            assert world.middleware.call(service, None) == "done"
+            assert world.services.call(service, None) == "done"
 
     threads = [in_thread(lambda s=s: call(s)) for s in ("/s", "/s", "/s2")]
     for _ in range(300):
@@ -89,7 +89,7 @@ def test_what_a_handler_raises_is_raised_to_the_caller_and_counted(world):
 
     nh.Service("s", object, fail)
     with pytest.raises(ValueError, match="no luck"):
-        world.middleware.call("/s", "luck")
+        world.services.call("/s", "luck")
     assert nh.context.callback_errors == 1
 
 
@@ -137,14 +137,14 @@ def test_an_unload_ends_the_waits_of_callers(world, concurrent):
         join(caller.thread)
         assert isinstance(caller.error, DyKnowError)
         assert "/going was unloaded" in str(caller.error)
-    assert world.middleware.services == {}
+    assert world.services.handlers == {}
     release.set()
 
 
 def test_a_call_that_comes_too_late_is_refused(world):
     nh = world.handle("/gone")
     nh.Service("s", object, lambda request: "answer")
-    handler = world.middleware.services["/s"]
+    handler = world.services.handlers["/s"]
     nh.context.close()
     outcome = []
 
@@ -174,10 +174,10 @@ def test_shutdown_withdraws_one_service(world):
     first = nh.Service("a", object, lambda request: "a")
     nh.Service("b", object, lambda request: "b")
     first.shutdown("enough")
-    assert sorted(world.middleware.services) == ["/b"]
-    assert world.middleware.call("/b", None) == "b"
+    assert sorted(world.services.handlers) == ["/b"]
+    assert world.services.call("/b", None) == "b"
     nh.context.close()
-    assert world.middleware.services == {}
+    assert world.services.handlers == {}
 
 
 def test_a_handler_may_unload_its_own_nodelet(world):
@@ -203,7 +203,7 @@ def test_calls_of_a_concurrent_handle_leave_nothing_behind(world, caplog):
     nh.Service("s", object, lambda request: request)
     before = len(nh.context._strands)
     for number in range(200):
-        assert world.middleware.call("/s", number) == number
+        assert world.services.call("/s", number) == number
     world.drain()
     assert len(nh.context._strands) == before
     assert "unload" not in caplog.text, "nothing was unloaded"

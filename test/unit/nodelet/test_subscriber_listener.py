@@ -84,7 +84,7 @@ def test_subscribers_of_the_process_are_one_peer(world, nh, listener):
 
 def test_subscribers_that_were_there_before(world, nh, listener):
     nh.Subscriber("t", Message, print)
-    world.middleware.listen("/t", print)
+    world.transport.listen("/t", print)
     advertise(nh, listener)
     world.drain()
     assert listener.notes == [("subscribe", "/t", 2)] * 2
@@ -94,12 +94,12 @@ def test_inside_and_outside_are_counted_together(world, nh, listener):
     advertise(nh, listener)
     sub = nh.Subscriber("t", Message, print)
     world.drain()
-    world.middleware.listen("/t", print)
+    world.transport.listen("/t", print)
     world.drain()
     assert listener.notes == [("subscribe", "/t", 1), ("subscribe", "/t", 2)]
     sub.unregister()
     world.drain()
-    world.middleware.stop_listening("/t", print)
+    world.transport.stop_listening("/t", print)
     world.drain()
     assert listener.notes[2:] == [("unsubscribe", "/t", 1), ("unsubscribe", "/t", 0)]
 
@@ -109,9 +109,9 @@ def test_one_peer_alone_can_be_sent_something(world, nh, listener):
     advertise(nh, listener)
     nh.Subscriber("t", Message, inside.append)
     world.drain()
-    world.middleware.listen("/t", outside.append)
+    world.transport.listen("/t", outside.append)
     world.drain()
-    world.middleware.listen("/t", other.append)
+    world.transport.listen("/t", other.append)
     world.drain()
     for number, to_peer in enumerate(listener.to_peer):
         to_peer(Message(number))
@@ -122,9 +122,9 @@ def test_one_peer_alone_can_be_sent_something(world, nh, listener):
 def test_a_peer_that_has_left_is_sent_nothing(world, nh, listener):
     got = []
     advertise(nh, listener)
-    world.middleware.listen("/t", got.append)
+    world.transport.listen("/t", got.append)
     world.drain()
-    world.middleware.stop_listening("/t", got.append)
+    world.transport.stop_listening("/t", got.append)
     listener.to_peer[0](Message(1))
     assert got == []
 
@@ -298,10 +298,10 @@ def test_the_listener_and_the_count_agree_after_any_changes(moves):
             NodeletProxy.of(handles[what].context).set_config([(what, topic)])
         elif what == "drain":
             world.drain()
-        elif world.middleware.listeners.get(topic):
-            world.middleware.stop_listening(topic, print)
+        elif world.transport.listeners.get(topic):
+            world.transport.stop_listening(topic, print)
         else:
-            world.middleware.listen(topic, print)
+            world.transport.listen(topic, print)
     world.drain()
     count = 0
     for kind, _, number in listener.notes:

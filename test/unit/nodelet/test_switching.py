@@ -67,7 +67,7 @@ class Bench:
 
     def outside(self, topic):
         self._expect(topic)
-        self.world.middleware.send(topic, Message(self.count))
+        self.world.transport.send(topic, Message(self.count))
 
     def _expect(self, topic):
         self.count += 1

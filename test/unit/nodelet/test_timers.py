@@ -26,12 +26,12 @@ class StillQueue(TimerQueue):
 @pytest.fixture(name="world")
 def _world():
     world = World()
-    object.__setattr__(world.runtime, "timers", StillQueue(world.middleware))
+    object.__setattr__(world.runtime, "timers", StillQueue(world.ticker))
     return world
 
 
 def advance(world, seconds):
-    world.middleware.ticker.advance(seconds)
+    world.ticker.advance(seconds)
     for _ in range(3):  # as the thread does, which looks again when something is due already
         world.runtime.timers.tick()
         world.drain()
@@ -83,7 +83,7 @@ def test_calls_do_not_pile_up_while_the_nodelet_is_busy(world):
     fired = []
     world.handle().Timer(1.0, fired.append)
     for _ in range(5):
-        world.middleware.ticker.advance(1.0)
+        world.ticker.advance(1.0)
         world.runtime.timers.tick()
     world.drain()
     assert len(fired) == 1
@@ -97,7 +97,7 @@ def test_a_call_due_while_the_callback_runs_is_made_after_it(world):
     def slow(event):
         fired.append(event)
         if len(fired) == 1:
-            world.middleware.ticker.advance(1.0)
+            world.ticker.advance(1.0)
             world.runtime.timers.tick()
 
     world.handle().Timer(1.0, slow)
@@ -137,7 +137,7 @@ def test_a_timer_can_be_shut_down_in_its_callback(world):
 def test_a_call_that_waits_is_dropped_by_shutdown(world):
     fired = []
     timer = world.handle().Timer(1.0, fired.append)
-    world.middleware.ticker.advance(1.0)
+    world.ticker.advance(1.0)
     world.runtime.timers.tick()
     timer.shutdown()
     world.drain()
@@ -217,7 +217,7 @@ def test_the_timer_thread_sleeps_until_something_is_due_and_ends():
         world.handle().Timer(10.0, lambda event: fired.release())
         world.handle("/sooner").Timer(1.0, lambda event: fired.release())
         for _ in range(10):
-            world.middleware.ticker.advance(1.0)
+            world.ticker.advance(1.0)
             assert fired.acquire(timeout=PATIENCE)
         assert fired.acquire(timeout=PATIENCE)
     finally:
@@ -228,8 +228,7 @@ def test_the_timer_thread_sleeps_until_something_is_due_and_ends():
 def test_a_failing_ticker_does_not_end_the_timers_of_others(caplog):
     ticker = ManualTicker()
     world = make_pool_world(1)
-    world.middleware.ticker = ticker
-    timers = TimerQueue(world.middleware)
+    timers = TimerQueue(ticker)
     fired, calls = threading.Event(), []
     wait = ticker.wait
 
@@ -276,16 +275,16 @@ def test_a_tick_works_for_what_is_due_however_many_timers_there_are(world):
         return count
 
     assert steps() < 50
-    world.middleware.ticker.advance(100.5)
+    world.ticker.advance(100.5)
     assert steps() < 100
 
 
 def test_a_timer_that_is_made_just_before_a_jump_back_does_not_wait_for_the_old_future(world):
     fired = []
     advance(world, 1.0)
-    world.middleware.ticker.advance(99.0)
+    world.ticker.advance(99.0)
     world.handle().Timer(1.0, lambda event: fired.append(event.current_real))
-    world.middleware.ticker.advance(-98.0)  # the queue has not seen any of it
+    world.ticker.advance(-98.0)  # the queue has not seen any of it
     advance(world, 0.0)
     advance(world, 1.0)
     assert fired == [3.0]
@@ -296,7 +295,7 @@ def test_timers_that_are_due_shortly_after_each_other_are_fired_together(world):
         world.handle(f"/n{number}").Timer(0.1 + number * 1e-4, lambda event: None)
     queue = world.runtime.timers
     assert queue.tick() == pytest.approx(0.1), "the first is not late"
-    world.middleware.ticker.advance(0.1)
+    world.ticker.advance(0.1)
     assert queue.tick() == pytest.approx(0.102), "the others are late by two milliseconds"
     fast = world.handle("/fast").Timer(0.0005, lambda event: None)
     assert queue.tick() == pytest.approx(0.1001), "every call of a fast one is due"

@@ -66,7 +66,7 @@ def test_everything_is_unregistered_before_it_returns(world):
     assert len(world.registrations) == 4
     loader.unload("/n")
     assert world.registrations == []
-    assert world.middleware.services == {}
+    assert world.services.handlers == {}
     assert world.runtime.timers._heap == []
     assert told == ["/n"]
     assert loader.list() == []
@@ -84,7 +84,7 @@ def test_a_failure_while_closing_leaves_nothing_else_behind(world, caplog):
     offered = loader.get("/n").context._closables[1]._offered
     offered.close = lambda: 1 / 0
     loader.unload("/n")
-    assert sorted(world.middleware.services) == ["/b"]
+    assert sorted(world.services.handlers) == ["/b"]
     assert world.registrations == []
     assert "ZeroDivisionError" in caplog.text
     loader.load("/n", "full")
@@ -149,9 +149,9 @@ def test_a_callback_may_unload_its_own_nodelet(world, how):
     loader = world.loader(suicidal=Suicidal)
     loader.load("/n", "suicidal")
     if how == "timer":
-        world.middleware.ticker.advance(1.0)
+        world.ticker.advance(1.0)
     elif how == "service":
-        call = world.middleware.services["/end"]
+        call = world.services.handlers["/end"]
         in_thread(lambda: pytest.raises(Exception, call, None))
     else:
         world.handle().Publisher("/in", Message).publish()

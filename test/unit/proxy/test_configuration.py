@@ -110,10 +110,10 @@ def test_an_empty_topic_disconnects(bench):
 
 def test_ports_that_are_not_named_stay(bench):
     bench.proxy.set_config([("in", "/a"), ("out", "/b")])
-    halves = list(bench.world.middleware.halves)
+    halves = list(bench.world.transport.made)
     bench.proxy.set_config([("in", "/c")])
     assert bench.topics()["out"] == "/b"
-    assert len(bench.world.middleware.halves) == len(halves) + 1
+    assert len(bench.world.transport.made) == len(halves) + 1
 
 
 def test_a_configuration_that_changes_nothing_is_none(bench):
@@ -157,7 +157,7 @@ class TestRefusals:
         assert "port 'in'" in str(problem)
 
     def test_a_topic_of_another_type_outside(self, bench):
-        bench.world.middleware.types["/a"] = "test/Third"
+        bench.world.transport.types["/a"] = "test/Third"
         (problem,) = bench.refuse([("in", "/a")])
         assert isinstance(problem, TypeMismatch)
 
@@ -168,7 +168,7 @@ class TestRefusals:
         assert isinstance(other, UnknownPort)
 
     def test_a_port_of_any_type_does_not_hide_the_type_of_a_topic(self, bench):
-        bench.world.middleware.types["/a"] = "test/Third"
+        bench.world.transport.types["/a"] = "test/Third"
         for config in ([("any", "/a"), ("in", "/a")], [("in", "/a"), ("any", "/a")]):
             (problem,) = bench.refuse(config)
             assert isinstance(problem, TypeMismatch)
@@ -178,12 +178,12 @@ class TestRefusals:
         assert isinstance(problem, TypeMismatch)
 
     def test_a_topic_that_the_process_remaps(self, bench):
-        bench.world.middleware.remappings["/a"] = "/b"
+        bench.world.node.remappings["/a"] = "/b"
         (problem,) = bench.refuse([("in", "/a")])
         assert isinstance(problem, RemappedTopic)
 
     def test_all_that_is_wrong_is_told_at_once(self, bench):
-        bench.world.middleware.types["/t"] = "test/Third"
+        bench.world.transport.types["/t"] = "test/Third"
         problems = bench.refuse(
             [
                 ("in", "/t"),
@@ -205,19 +205,19 @@ class TestRefusals:
         refused = []
 
         def come_up(topic):
-            bench.world.middleware.on_register = lambda topic: None
+            bench.world.transport.on_register = lambda topic: None
             with pytest.raises(TypeMismatch):
                 bench.probe.Publisher("/b", OtherMessage)
             refused.append(topic)
 
-        bench.world.middleware.on_register = come_up
+        bench.world.transport.on_register = come_up
         bench.proxy.set_config([("in", "/a"), ("out", "/b")])
         assert refused == ["/a"]
         assert bench.world.registrations == [("publisher", "/b"), ("subscriber", "/a")]
 
     def test_a_registration_that_fails(self, bench):
         bench.proxy.set_config([("in", "/a"), ("out", "/b")])
-        bench.world.middleware.refused["/bad"] = PeerTimeout("the master", 1.0)
+        bench.world.transport.refused["/bad"] = PeerTimeout("the master", 1.0)
         told = []
         bench.nh.set_reconfigure_callback(lambda *maps: told.append(maps))
         with pytest.raises(PeerTimeout):
@@ -234,7 +234,7 @@ class TestRefusals:
         bench.probe.Subscriber("/bad", Message, print)
         bench.probe.Publisher("/good", Message)
         bench.proxy.set_config([("in", "/a"), ("out", "/b")])
-        bench.world.middleware.refused["/bad"] = ValueError("headers")
+        bench.world.transport.refused["/bad"] = ValueError("headers")
         changes = []
         bench.proxy.on_change = lambda: changes.append(bench.topics()["out"])
         with pytest.raises(ValueError, match="headers"):
@@ -267,7 +267,7 @@ class TestTypes:
 
 class TestUnload:
     def test_while_the_outside_is_asked(self, bench):
-        bench.world.middleware.on_register = lambda topic: join(in_thread(bench.context.close))
+        bench.world.transport.on_register = lambda topic: join(in_thread(bench.context.close))
         with pytest.raises(UnloadedMeanwhile, match="/ns/nodelet"):
             bench.proxy.set_config([("in", "/a")])
         assert bench.world.registrations == []
@@ -291,7 +291,7 @@ class TestUnload:
             if once:
                 join(in_thread(once.pop().unregister))
 
-        bench.world.middleware.on_register = unregister
+        bench.world.transport.on_register = unregister
         bench.proxy.set_config([("in", "/a"), ("out", "/b")])
         assert bench.topics()["in"] == bench.sub.name == "/a"
         assert bench.world.registrations == [("publisher", "/b"), ("subscriber", "/a")]

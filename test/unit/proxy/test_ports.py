@@ -67,7 +67,7 @@ class TestDeclaration:
         assert numbers(got) == [5]
 
     def test_a_remapping_of_the_process_does_not(self, bench):
-        bench.world.middleware.remappings["/ns/out"] = "/result"
+        bench.world.node.remappings["/ns/out"] = "/result"
         bench.nh.Publisher("out", Message)
         assert bench.topics() == {"out": ""}
 
@@ -107,13 +107,13 @@ class TestDeclaration:
         bench = Bench(remappings={"/ns/in": "/t"})
         got = []
         bench.nh.Subscriber("in", Message, got.append)
-        bench.world.middleware.refused["/t"] = RuntimeError("no")
+        bench.world.transport.refused["/t"] = RuntimeError("no")
         concurrent = dyknow.NodeHandle(NodeHandle(bench.context, "/ns", concurrent=True))
         strands = len(bench.context._strands)
         with pytest.raises(RuntimeError):
             concurrent.Subscriber("in", Message, got.append)
         assert len(bench.context._strands) == strands
-        bench.world.middleware.send("/t", Message(1))
+        bench.world.transport.send("/t", Message(1))
         bench.world.drain()
         assert numbers(got) == [1]
         assert bench.topics() == {"in": "/t"}

@@ -32,7 +32,7 @@ def _bench():
 
 def test_uptime_is_steady_time_since_the_load(bench):
     bench.clock.seconds += 12.5
-    bench.world.middleware.ticker.advance(1000.0)
+    bench.world.ticker.advance(1000.0)
     assert bench.proxy.get_statistics().uptime == 12.5
 
 
