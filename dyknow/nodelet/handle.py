@@ -1,88 +1,23 @@
 """The plain NodeHandle: rospy's API in the name and on the queue of one nodelet, on topics.
 
-Handles hold no state of their own: what they do is done by the state behind them. The same
-``Publisher`` and ``Subscriber`` classes serve topics here and ports in ``dyknow.proxy``.
+It declares topics here; derived from it, the one of ``dyknow.proxy`` declares ports.
 """
 
 from __future__ import annotations
 
 import queue
-from typing import Any, Callable, Optional
+from typing import Any, Callable, Optional, Union
 
 from dyknow import names
+from dyknow.nodelet import pubsub
 from dyknow.nodelet.bus import Endpoint
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.middleware import Closable
 from dyknow.nodelet.service import Service
-from dyknow.nodelet.states import PublisherState, SubscriberState
 from dyknow.nodelet.timers import Timer
 
 #: rospy's default, in bytes.
 DEFAULT_BUFF_SIZE = 65536
-
-
-class Publisher:
-    """What a nodelet publishes through; use it as a ``rospy.Publisher``."""
-
-    def __init__(self, state: PublisherState) -> None:
-        self._state = state
-        #: Publish a message or its fields. It is the state's own method: no call in between.
-        self.publish: Callable[..., None] = state.publication.publish
-        self.data_class = state.publication.datatype
-        self.type = self.data_class._type
-        self.md5sum = self.data_class._md5sum
-
-    @property
-    def name(self) -> str:
-        """Global name of the topic; of a port, the topic that it is connected to now."""
-        return self._state.publication.topic
-
-    resolved_name = name
-
-    def get_num_connections(self) -> int:
-        """Count who listens: one for each node outside, one for this process."""
-        return self._state.publication.get_num_connections()
-
-    def unregister(self) -> None:
-        """Withdraw it; publishing raises ``rospy.ROSException`` afterwards."""
-        state = self._state
-
-        def refuse(*args: Any, **kwds: Any) -> None:
-            raise state.closed()
-
-        self.publish = refuse
-        state.unregister()
-
-
-class Subscriber:
-    """What a nodelet receives through; use it as a ``rospy.Subscriber``."""
-
-    def __init__(self, state: SubscriberState) -> None:
-        self._state = state
-        self.data_class = state.datatype
-        self.type = self.data_class._type
-        self.md5sum = self.data_class._md5sum
-
-    @property
-    def name(self) -> str:
-        """Global name of the topic; of a port, the topic that it is connected to now."""
-        return self._state.subscription.topic
-
-    resolved_name = name
-
-    def get_num_connections(self) -> int:
-        """Count the publishers that are connected; all of this process are one."""
-        connection = self._state.subscription.connection
-        outside = connection.outside if connection is not None else None
-        return outside.publishers() if outside is not None else 0
-
-    def registerCallback(self, callback: Callable[..., Any], *args: Any) -> int:  # noqa: N802
-        """Call back with each message too, as message_filters expects of its inputs."""
-        return self._state.add_callback(callback, args)
-
-    def unregister(self) -> None:
-        """Stop receiving; messages that wait are dropped."""
-        self._state.unregister()
 
 
 class NodeHandle:
@@ -152,13 +87,12 @@ class NodeHandle:
         latch: bool = False,
         headers: Any = None,
         queue_size: Optional[int] = None,
-    ) -> Publisher:
+    ) -> pubsub.Publisher:
         """Publish on a topic; the arguments are those of ``rospy.Publisher``."""
         options = _given(tcp_nodelay=tcp_nodelay, headers=headers)
-        state = self._make_publisher(
+        return self._make_publisher(
             name, data_class, latch, queue_size, subscriber_listener, **options
         )
-        return Publisher(state)
 
     def Subscriber(  # noqa: N802
         self,
@@ -169,14 +103,13 @@ class NodeHandle:
         queue_size: Optional[int] = None,
         buff_size: int = DEFAULT_BUFF_SIZE,
         tcp_nodelay: bool = False,
-    ) -> Subscriber:
+    ) -> pubsub.Subscriber:
         """Subscribe to a topic; the arguments are those of ``rospy.Subscriber``."""
         strand = self.context.new_strand(name) if self.concurrent else self.context.strand
         options = _given(buff_size=buff_size if buff_size != DEFAULT_BUFF_SIZE else None)
-        state = self._subscribe(
+        return self._subscribe(
             name, data_class, callback, callback_args, queue_size, strand, **options
         )
-        return Subscriber(state)
 
     def wait_for_message(
         self, topic: str, topic_type: Any, timeout: Optional[float] = None
@@ -189,13 +122,15 @@ class NodeHandle:
         """
         inbox = Inbox(self.context)
         strand = self.context.new_strand(topic, at_once=True)
-        state = self._subscribe(topic, topic_type, inbox.put, None, 1, strand)
+        subscriber = self._subscribe(topic, topic_type, inbox.put, None, 1, strand)
         try:
             return inbox.get(f"a message {self._place} '{topic}'", timeout)
         finally:
-            state.unregister()
+            subscriber.unregister()
 
-    def _subscribe(self, name: str, datatype: Any, *args: Any, **options: Any) -> SubscriberState:
+    def _subscribe(
+        self, name: str, datatype: Any, *args: Any, **options: Any
+    ) -> pubsub.Subscriber:
         """Make a subscriber; the last of ``args`` is its strand, which goes with it."""
         try:
             return self._make_subscriber(name, datatype, *args, **options)
@@ -213,26 +148,28 @@ class NodeHandle:
         queue_size: Optional[int],
         listener: Any,
         **options: Any,
-    ) -> PublisherState:
+    ) -> pubsub.Publisher:
         topic = self.resolve_name(names.check(name, "topic name"))
         publication = self.context.publication(name, datatype, latch, queue_size, **options)
-        state = PublisherState(self.context, name, publication, listener)
-        self._connect(state, publication, topic)
-        return state
+        publisher = pubsub.Publisher(self.context, name, publication, listener)
+        self._connect(publisher, publication, topic)
+        return publisher
 
     def _make_subscriber(
         self, name: str, datatype: Any, *args: Any, **options: Any
-    ) -> SubscriberState:
+    ) -> pubsub.Subscriber:
         topic = self.resolve_name(names.check(name, "topic name"))
-        state = SubscriberState(self.context, name, datatype, *args, **options)
-        self._connect(state, state.subscription, topic)
-        return state
+        subscriber = pubsub.Subscriber(self.context, name, datatype, *args, **options)
+        self._connect(subscriber, subscriber.subscription, topic)
+        return subscriber
 
-    def _connect(self, state: Any, endpoint: Endpoint, topic: str) -> None:
+    def _connect(
+        self, handle: Union[pubsub.Publisher, pubsub.Subscriber], endpoint: Endpoint, topic: str
+    ) -> None:
         try:
             self.context.runtime.bus.rewire([(endpoint, topic)])
         except BaseException:
-            state.unregister()
+            handle.unregister()
             raise
 
     # Services, parameters, time

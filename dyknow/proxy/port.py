@@ -13,7 +13,7 @@ from dyknow.locks import state_lock
 from dyknow.nodelet.bus import Endpoint
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.endpoints import NOTHING, Publication
-from dyknow.nodelet.states import PublisherState, SubscriberState
+from dyknow.nodelet.pubsub import Publisher, Subscriber
 from dyknow.nodelet.traffic import Traffic, TrafficSnapshot
 
 IN, OUT = "in", "out"
@@ -133,8 +133,8 @@ class InPort(Port):
         return tuple(handle.subscription for handle in self.handles)
 
 
-class PortPublisher(PublisherState):
-    """One handle's share of an out-port."""
+class PortPublisher(Publisher):
+    """A handle on an out-port."""
 
     def __init__(
         self, context: Context, port: OutPort, publication: Publication, listener: Any = None
@@ -146,9 +146,8 @@ class PortPublisher(PublisherState):
             port.publication = publication
             port.count(publication)
 
-    def unregister(self) -> None:
+    def _withdraw(self) -> None:
         """Withdraw the publication with the last handle; the port stays."""
-        self.stop_telling()
         port, last = self._port, None
         with port.lock:
             if self in port.handles:
@@ -156,12 +155,12 @@ class PortPublisher(PublisherState):
                 if not port.handles:
                     last, port.publication = port.publication, None
         if last is not None:
-            self.context.release(last)
+            self._context.release(last)
             port.leave(last)
 
 
-class PortSubscriber(SubscriberState):
-    """One handle's share of an in-port."""
+class PortSubscriber(Subscriber):
+    """A handle on an in-port."""
 
     def join(self, port: InPort) -> None:
         """Receive what the port receives."""

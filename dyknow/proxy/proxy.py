@@ -7,7 +7,7 @@ turns; nothing else waits for that turn, and it waits for no callback.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple, Union
 
 from dyknow import names
 from dyknow.errors import (
@@ -159,10 +159,10 @@ class NodeletProxy:
                 elif publication.latch != latch:
                     wanted = "latched" if latch else "not latched"
                     raise PortConflict(name, port.kind, wanted)
-                state = PortPublisher(self._context, port, publication, listener)
-            self._place(port, state, publication)
+                publisher = PortPublisher(self._context, port, publication, listener)
+            self._place(port, publisher, publication)
         self.on_change()
-        return state
+        return publisher
 
     def subscriber(
         self,
@@ -182,7 +182,7 @@ class NodeletProxy:
         """
         with self._turn:
             port = self._declare(InPort, handle, name, datatype)
-            state = PortSubscriber(
+            subscriber = PortSubscriber(
                 self._context,
                 name,
                 datatype,
@@ -192,10 +192,10 @@ class NodeletProxy:
                 strand,
                 **options,
             )
-            state.join(port)
-            self._place(port, state, state.subscription)
+            subscriber.join(port)
+            self._place(port, subscriber, subscriber.subscription)
         self.on_change()
-        return state
+        return subscriber
 
     # Inside
 
@@ -213,11 +213,13 @@ class NodeletProxy:
             raise PortConflict(name, port.kind, f"{kind.direction}-port of type {datatype._type}")
         return port
 
-    def _place(self, port: Port, state: Any, endpoint: Endpoint) -> None:
+    def _place(
+        self, port: Port, share: Union[PortPublisher, PortSubscriber], endpoint: Endpoint
+    ) -> None:
         try:
             self._context.runtime.bus.rewire([(endpoint, port.topic)])
         except BaseException:
-            state.unregister()
+            share.unregister()
             raise
         self._ports[port.name] = port
 

@@ -61,7 +61,7 @@ def test_a_full_queue_drops_the_oldest_and_counts_it(world):
     publisher.publish(5)
     world.drain()
     assert numbers(got) == [3, 4, 5]
-    traffic = subscriber._state.subscription.traffic.snapshot()
+    traffic = subscriber.subscription.traffic.snapshot()
     assert (traffic.messages, traffic.dropped) == (3, 3)
 
 
@@ -175,7 +175,7 @@ class TestLatch:
         nh.Subscriber("new", Message, there.append)
         publisher = nh.Publisher("old", Message, latch=True, queue_size=1)
         publisher.publish(1)
-        world.bus.rewire([(publisher._state.publication, "/new")])
+        world.bus.rewire([(publisher.publication, "/new")])
         world.drain()
         assert numbers(here) == numbers(there) == [1]
 
@@ -187,8 +187,8 @@ class TestLatch:
         publisher.publish(1)
         world.drain()
         moves = [
-            (subscriber._state.subscription, "/new"),
-            (publisher._state.publication, "/new"),
+            (subscriber.subscription, "/new"),
+            (publisher.publication, "/new"),
         ]
         world.bus.rewire(moves)
         world.drain()

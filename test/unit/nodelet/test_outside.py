@@ -15,11 +15,11 @@ def _world():
 
 
 def publication_of(publisher):
-    return publisher._state.publication
+    return publisher.publication
 
 
 def subscription_of(subscriber):
-    return subscriber._state.subscription
+    return subscriber.subscription
 
 
 def test_topics_are_registered_and_withdrawn(world):

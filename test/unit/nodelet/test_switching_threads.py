@@ -17,7 +17,7 @@ class Stream:
     def __init__(self, world, name, topic):
         self.handle = world.handle(name)
         self.publisher = self.handle.Publisher(topic, Message, queue_size=1)
-        self.end = self.publisher._state.publication
+        self.end = self.publisher.publication
         self.sent = 0
         self.received = 0
         self.going = True
@@ -69,7 +69,7 @@ def test_both_ends_move_together_and_lose_double_and_swap_nothing(world):
     faults = []
     stream = Stream(world, "/source", "t0")
     subscriber = world.handle("/sink").Subscriber("/t0", Message, watcher(faults))
-    ends = [stream.end, subscriber._state.subscription]
+    ends = [stream.end, subscriber.subscription]
     thread = in_thread(stream.run)
     for number in switches(stream):
         order = ends if number % 2 else ends[::-1]
@@ -120,7 +120,7 @@ def test_a_subscriber_that_moves_gets_a_gapless_piece_of_each_topic(world):
     threads = [in_thread(stream.run) for stream in streams.values()]
     for number in switches(*streams.values()):
         world.bus.rewire(
-            [(subscriber._state.subscription, "/" + "ba"[number % 2])],
+            [(subscriber.subscription, "/" + "ba"[number % 2])],
             between=lambda: sink.context.strand.post(lambda: visits.append([])),
         )
     for stream in streams.values():
@@ -166,7 +166,7 @@ def test_switching_threads_do_not_get_in_each_others_way(world):
     for n in range(4):
         stream = Stream(world, f"/source{n}", f"t{n}")
         sink = world.handle(f"/sink{n}").Subscriber(f"/t{n}", Message, watcher(faults))
-        pairs.append((stream, sink._state.subscription))
+        pairs.append((stream, sink.subscription))
 
     def switch(n, stream, subscription):
         for number in range(SWITCHES // 4):

@@ -1,4 +1,9 @@
-"""The state behind ``Publisher`` and ``Subscriber`` handles."""
+"""``Publisher`` and ``Subscriber``: what a nodelet holds of its streams.
+
+They are handles: what a switch changes, the topic and the registrations, belongs to the
+publication or subscription behind them. The same classes serve topics here and, derived, ports
+in ``dyknow.proxy``.
+"""
 
 from __future__ import annotations
 
@@ -12,13 +17,13 @@ from dyknow.nodelet.subscriber_events import SubscriberEvents
 Callback = Callable[..., Any]
 
 
-class PublisherState:
-    """A publication that belongs to one handle."""
+class Publisher:
+    """What a nodelet publishes through; use it as a ``rospy.Publisher``."""
 
     def __init__(
         self, context: Context, name: str, publication: Publication, listener: Any = None
     ) -> None:
-        """Make the state of one handle.
+        """Make a handle on a publication.
 
         Args:
             context: the owner.
@@ -26,8 +31,12 @@ class PublisherState:
             publication: what the handle publishes through.
             listener: told who listens, as rospy's ``subscriber_listener``; None for nobody.
         """
-        self.context = context
-        self.name = name
+        #: Publish a message or its fields. It is the publication's own method: no call in between.
+        self.publish: Callable[..., None] = publication.publish
+        self.data_class = publication.datatype
+        self.type = self.data_class._type
+        self.md5sum = self.data_class._md5sum
+        self._context = context
         self.publication = publication
         self._events: Optional[SubscriberEvents] = None
         if listener is not None:
@@ -36,24 +45,35 @@ class PublisherState:
                 publication, listener, context.strand, lambda error: context.failed(what, error)
             )
 
-    def closed(self) -> Exception:
-        """Make the exception for a use after ``unregister``."""
-        what = f"publisher '{self.name}' of {self.context.name}"
-        return self.context.runtime.node.closed(what)
+    @property
+    def name(self) -> str:
+        """Global name of the topic; of a port, the topic that it is connected to now."""
+        return self.publication.topic
+
+    resolved_name = name
+
+    def get_num_connections(self) -> int:
+        """Count who listens: one for each node outside, one for this process."""
+        return self.publication.get_num_connections()
 
     def unregister(self) -> None:
-        """Withdraw the publication."""
-        self.stop_telling()
-        self.context.release(self.publication)
+        """Withdraw it; publishing raises ``rospy.ROSException`` afterwards."""
+        refusal = self.publication.refusal
 
-    def stop_telling(self) -> None:
-        """Leave the subscriber listener alone from now on."""
+        def refuse(*args: Any, **kwds: Any) -> None:
+            raise refusal()
+
+        self.publish = refuse
         if self._events is not None:
             self._events.close()
+        self._withdraw()
+
+    def _withdraw(self) -> None:
+        self._context.release(self.publication)
 
 
-class SubscriberState:
-    """A subscription and the callbacks that it feeds."""
+class Subscriber:
+    """What a nodelet receives through; use it as a ``rospy.Subscriber``."""
 
     def __init__(
         self,
@@ -66,7 +86,7 @@ class SubscriberState:
         strand: Strand,
         **options: Any,
     ) -> None:
-        """Make a subscription that is not connected yet.
+        """Make a handle with a subscription of its own, which is not connected yet.
 
         Args:
             context: the owner.
@@ -76,11 +96,9 @@ class SubscriberState:
             callback_args: given to ``callback`` after the message, unless None, as in rospy.
             queue_size: messages that wait at most.
             strand: where the callbacks run; one of its own goes with the subscription.
-            options: for the outside half.
+            options: for the registration outside.
         """
-        self.context = context
-        self.name = name
-        self.datatype = datatype
+        self._context = context
         self._strand = strand
         self._callbacks: Tuple[Tuple[Callback, Tuple[Any, ...]], ...] = ()
         if callback is not None:
@@ -95,13 +113,38 @@ class SubscriberState:
             strand,
             **options,
         )
+        self.data_class = datatype
+        self.type = datatype._type
+        self.md5sum = datatype._md5sum
 
-    def add_callback(self, callback: Callback, args: Tuple[Any, ...]) -> int:
-        """Call back with the message and ``args`` too; returns the number of the callback."""
+    @property
+    def name(self) -> str:
+        """Global name of the topic; of a port, the topic that it is connected to now."""
+        return self.subscription.topic
+
+    resolved_name = name
+
+    def get_num_connections(self) -> int:
+        """Count the publishers that are connected; all of this process are one."""
+        connection = self.subscription.connection
+        outside = connection.outside if connection is not None else None
+        return outside.publishers() if outside is not None else 0
+
+    def registerCallback(self, callback: Callback, *args: Any) -> int:  # noqa: N802
+        """Call back with each message and ``args`` too, as message_filters expects of its inputs.
+
+        Returns:
+            The number of the callback.
+        """
         self._callbacks = (*self._callbacks, (callback, args))
-        adapt = self.context.runtime.transport.adapt
-        self.subscription.receive = adapt(self.datatype, self._spread)
+        adapt = self._context.runtime.transport.adapt
+        self.subscription.receive = adapt(self.data_class, self._spread)
         return len(self._callbacks) - 1
+
+    def unregister(self) -> None:
+        """Stop receiving; messages that wait are dropped."""
+        self._context.release(self.subscription)
+        self._context.drop_strand(self._strand)
 
     def _spread(self, message: Any) -> None:
         errors: List[BaseException] = []
@@ -112,8 +155,3 @@ class SubscriberState:
                 errors.append(error)
         for raised in errors:
             self.subscription.failed(raised)
-
-    def unregister(self) -> None:
-        """Stop receiving."""
-        self.context.release(self.subscription)
-        self.context.drop_strand(self._strand)
