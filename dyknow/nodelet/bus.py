@@ -1,23 +1,22 @@
 """The in-process bus: which publications and connections meet on which topic.
 
-The bus owns the table of topics and is the only one that changes it. All changes of the table
-and of routes happen under its lock and touch memory only; everything that talks to ROS happens
-before (make) or after (break), never under the lock.
+The bus owns the table of topics; nothing else changes it. The table and the routes change under
+the lock of the bus, in memory only. Everything that talks to ROS happens before (make) or after
+(break) that, without the lock.
 
 A switch (``rewire``) goes through four steps:
 
-1. make: new connections are linked, held, and where only the outside can feed or hear a topic,
-   its registration is made and waited for;
+1. make: new connections are linked, held. Where a topic has nobody else in this process, its
+   registration is made now, and its peers outside are waited for;
 2. switch: publications get their new route in one store each, old connections close, the marker
    goes into the strand, new connections open;
-3. register: topics that are alive in this process switched at once; their registrations in ROS
-   follow now;
-4. break: what is left of the old topics is drained and withdrawn.
+3. register: topics with others in this process have switched already; their registrations in ROS
+   are made now;
+4. break: the registrations of the old topics are drained and withdrawn.
 """
 
 from __future__ import annotations
 
-import threading
 import time
 from dataclasses import dataclass, field
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple, Union
@@ -27,17 +26,19 @@ from dyknow.locks import state_lock
 from dyknow.nodelet.endpoints import NOTHING, Connection, Publication, Subscription
 from dyknow.nodelet.middleware import OutsidePublisher, OutsideSubscriber, Transport
 from dyknow.nodelet.scheduler import Clock
+from dyknow.periodic import in_background
 
-#: Seconds that a registration outlives a switch at most, while its messages are being sent.
+#: Seconds that the registration of an old topic stays at most while its messages are being sent.
 _LONGEST_DRAIN = 30.0
 
 Endpoint = Union[Publication, Subscription]
+Registration = Union[OutsidePublisher, OutsideSubscriber]
 Move = Tuple[Endpoint, str]
 
 
 @dataclass
 class _Topic:
-    """Who is on a topic in this process."""
+    """The ends of a topic in this process."""
 
     datatype: Any
     publications: List[Publication] = field(default_factory=list)
@@ -54,14 +55,23 @@ class _Topic:
 
 @dataclass(eq=False)
 class _Plan:
-    """One endpoint's part in a switch, filled in as the steps are taken."""
+    """One endpoint's part in a switch, filled in as the steps are taken.
+
+    Attributes:
+        endpoint: what moves.
+        topic: where to; empty for nowhere.
+        link: the new connection of a subscription.
+        registration: on the new topic.
+        register_after: whether that is made after the switch.
+        old: registration on the topic that the endpoint leaves.
+    """
 
     endpoint: Endpoint
     topic: str
     link: Optional[Connection] = None
-    half: Union[OutsidePublisher, OutsideSubscriber, None] = None
-    late: bool = False
-    old: Union[OutsidePublisher, OutsideSubscriber, None] = None
+    registration: Optional[Registration] = None
+    register_after: bool = False
+    old: Optional[Registration] = None
 
 
 class Bus:
@@ -92,9 +102,10 @@ class Bus:
         """Connect every endpoint to its new topic (empty: to none), all in one switch.
 
         Args:
-            moves: endpoint and global topic name; endpoints that are there already stay untouched.
+            moves: endpoint and global topic name; an endpoint that is on its topic already
+                stays untouched.
             between: called at the switch, after the last old and before the first new message
-                can be queued; it must only queue something.
+                can be queued. The lock of the bus is held: it may only queue something.
             patience: seconds to wait, in all, for peers outside.
 
         Raises:
@@ -117,25 +128,25 @@ class Bus:
 
     def release(self, endpoints: Sequence[Endpoint]) -> None:
         """Take endpoints off the bus for good: queued messages are dropped, registrations end."""
-        halves: List[Union[OutsidePublisher, OutsideSubscriber, None]] = []
+        made: List[Optional[Registration]] = []
         with self._lock:
-            halves += [plan.half for plan in self._making if plan.endpoint in endpoints]
-            halves += [half for endpoint, half in self._leaving if endpoint in endpoints]
+            made += [plan.registration for plan in self._making if plan.endpoint in endpoints]
+            made += [old for endpoint, old in self._leaving if endpoint in endpoints]
             self._leaving = [each for each in self._leaving if each[0] not in endpoints]
             for endpoint in endpoints:
                 if isinstance(endpoint, Publication):
-                    halves.append(endpoint.outside)
+                    made.append(endpoint.outside)
                     self._leave(endpoint)
                     endpoint.disconnect(closed=True)
                 else:
                     endpoint.closed = True
                     connection, endpoint.connection = endpoint.connection, None
                     if connection is not None:
-                        halves.append(connection.outside)
+                        made.append(connection.outside)
                         self._unlink(connection, discard=True)
-        for half in halves:
-            if half is not None:
-                half.close()
+        for registration in made:
+            if registration is not None:
+                registration.close()
 
     # The four steps of a switch.
 
@@ -146,22 +157,22 @@ class Bus:
                     continue
                 topic = self._topic(plan.topic, plan.endpoint.datatype)
                 if isinstance(plan.endpoint, Subscription):
-                    plan.late = bool(topic.publications)
+                    plan.register_after = bool(topic.publications)
                     plan.link = Connection(plan.endpoint, plan.topic)
                     self._link(topic, plan.link)
                 else:
-                    plan.late = bool(topic.connections)
+                    plan.register_after = bool(topic.connections)
             self._making += plans
-        early = [plan for plan in plans if plan.topic and not plan.late]
+        early = [plan for plan in plans if plan.topic and not plan.register_after]
         for plan in early:
-            plan.half = self._registration(plan)
-            self._check_open(plan)  # who released it before did not know of this registration
+            plan.registration = self._make_registration(plan)
+            self._check_open(plan)  # a release before this did not know of the registration
         for plan in early:
-            seconds = max(0.0, deadline - self._clock())
-            if seconds and isinstance(plan.half, OutsidePublisher):
-                plan.half.wait(seconds)
-            elif seconds and isinstance(plan.half, OutsideSubscriber) and plan.link is not None:
-                plan.half.wait(plan.link.arrived, seconds)
+            registration, seconds = plan.registration, max(0.0, deadline - self._clock())
+            if seconds and isinstance(registration, OutsidePublisher):
+                registration.wait(seconds)
+            elif seconds and isinstance(registration, OutsideSubscriber) and plan.link is not None:
+                registration.wait(plan.link.arrived, seconds)
 
     def _switch(self, plans: List[_Plan], between: Optional[Callable[[], None]]) -> None:
         with self._lock:
@@ -175,8 +186,8 @@ class Bus:
             for plan in plans:
                 if isinstance(plan.endpoint, Subscription):
                     old, plan.endpoint.connection = plan.endpoint.connection, plan.link
-                    if plan.link is not None and isinstance(plan.half, OutsideSubscriber):
-                        plan.link.outside = plan.half
+                    if plan.link is not None and isinstance(plan.registration, OutsideSubscriber):
+                        plan.link.outside = plan.registration
                     if old is not None:
                         plan.old = old.outside
                         self._unlink(old, discard=False)
@@ -191,26 +202,26 @@ class Bus:
         failures: List[BaseException] = []
         for plan in plans:
             try:
-                if plan.late:
-                    plan.half = self._registration(plan)
+                if plan.register_after:
+                    plan.registration = self._make_registration(plan)
             except BaseException as error:  # the others are switched too and need theirs
                 failures.append(error)
-            half, endpoint = plan.half, plan.endpoint
+            registration, endpoint = plan.registration, plan.endpoint
             owed = NOTHING
             with self._lock:
                 if isinstance(endpoint, Publication):
                     current = endpoint.topic == plan.topic and not endpoint.closed
-                    if current and isinstance(half, OutsidePublisher):
-                        owed = endpoint.attend(half)
+                    if current and isinstance(registration, OutsidePublisher):
+                        owed = endpoint.set_outside(registration)
                 else:
                     current = endpoint.connection is plan.link
-                    if plan.link is not None and isinstance(half, OutsideSubscriber):
-                        plan.link.outside = half
-            if half is not None and not current:  # released or moved on meanwhile
-                half.close()
-            elif isinstance(endpoint, Publication) and isinstance(half, OutsidePublisher):
+                    if plan.link is not None and isinstance(registration, OutsideSubscriber):
+                        plan.link.outside = registration
+            if registration is not None and not current:  # released or moved on meanwhile
+                registration.close()
+            elif isinstance(endpoint, Publication) and isinstance(registration, OutsidePublisher):
                 while owed is not NOTHING:
-                    half.latch(owed)
+                    registration.latch(owed)
                     # What was published meanwhile may have overtaken it: the last is to stay.
                     owed = NOTHING if endpoint.latched is owed else endpoint.latched
         if failures:
@@ -224,21 +235,21 @@ class Bus:
             elif plan.old is not None:
                 plan.old.close()
 
-    def _leave_later(self, endpoint: Endpoint, half: OutsidePublisher) -> None:
-        """Withdraw a registration once a slow network has taken what was published there."""
-        leaving = (endpoint, half)
+    def _leave_later(self, endpoint: Endpoint, registration: OutsidePublisher) -> None:
+        """Withdraw a registration once a slow network has taken all that was published on it."""
+        leaving = (endpoint, registration)
         with self._lock:
             self._leaving.append(leaving)
 
         def leave() -> None:
-            half.drain(_LONGEST_DRAIN)
+            registration.drain(_LONGEST_DRAIN)
             with self._lock:
                 if leaving not in self._leaving:
                     return  # the endpoint was released, and this with it
                 self._leaving.remove(leaving)
-            half.close()
+            registration.close()
 
-        threading.Thread(target=leave, name="dyknow-drain", daemon=True).start()
+        in_background("dyknow-drain", leave)
 
     def _undo(self, plans: List[_Plan]) -> None:
         with self._lock:
@@ -249,20 +260,20 @@ class Bus:
             for plan in plans:
                 self._forget(plan.topic)
         for plan in plans:
-            if plan.half is not None:
-                plan.half.close()
+            if plan.registration is not None:
+                plan.registration.close()
 
     @staticmethod
     def _check_open(plan: _Plan) -> None:
         if plan.endpoint.closed:
             raise HandleClosed(f"an endpoint of topic '{plan.topic}'")
 
-    # The table; every method below is called with the lock held, except ``_registration``.
+    # The table; every method below is called with the lock held, except ``_make_registration``.
 
     def _made(self, plans: List[_Plan]) -> None:
         self._making = [plan for plan in self._making if plan not in plans]
 
-    def _registration(self, plan: _Plan) -> Union[OutsidePublisher, OutsideSubscriber]:
+    def _make_registration(self, plan: _Plan) -> Registration:
         endpoint = plan.endpoint
         if isinstance(endpoint, Publication):
             return self._transport.advertise(
@@ -288,7 +299,7 @@ class Bus:
         return topic
 
     def _forget(self, name: str) -> None:
-        # Somebody left: the topic may be gone, or only ends of any type be left on it.
+        # An end has left: the topic may be gone, or have only ends of any type now.
         topic = self._topics.get(name)
         if topic is None:
             return
@@ -326,5 +337,6 @@ class Bus:
             return
         topic = self._topic(plan.topic, publication.datatype)
         topic.publications.append(publication)
-        half = plan.half if isinstance(plan.half, OutsidePublisher) else None
-        publication.connect(plan.topic, half, topic.route)
+        made = plan.registration
+        outside = made if isinstance(made, OutsidePublisher) else None
+        publication.connect(plan.topic, outside, topic.route)

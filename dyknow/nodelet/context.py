@@ -174,7 +174,7 @@ class Context:
             lambda: self.runtime.node.closed(f"publisher '{what}' of {self.name}"),
             options,
         )
-        self._own(publication)
+        self._keep(publication)
         return publication
 
     def subscription(
@@ -197,7 +197,7 @@ class Context:
             self.runtime.clock,
             options,
         )
-        self._own(subscription)
+        self._keep(subscription)
         return subscription
 
     def timer(
@@ -218,7 +218,7 @@ class Context:
             timer.shutdown()
         return timer
 
-    def _own(self, endpoint: Endpoint) -> None:
+    def _keep(self, endpoint: Endpoint) -> None:
         with self._lock:
             if self.closed:
                 raise self.runtime.node.closed(f"nodelet {self.name}")
@@ -230,7 +230,7 @@ class Context:
             self._endpoints = [each for each in self._endpoints if each not in endpoints]
         self.runtime.bus.release(endpoints)
 
-    def own(self, closable: Closable) -> None:
+    def close_with(self, closable: Closable) -> None:
         """Close this together with the nodelet."""
         with self._lock:
             late = self.closed
@@ -239,7 +239,7 @@ class Context:
         if late:
             closable.close()
 
-    def disown(self, closable: Closable) -> None:
+    def forget(self, closable: Closable) -> None:
         """Forget what was closed before."""
         with self._lock:
             if closable in self._closables:
@@ -257,7 +257,7 @@ class Context:
                 part = self.attached = kind(self)
         opened = self.on_attach(self, part) if is_new else None
         if opened is not None:
-            self.own(opened)
+            self.close_with(opened)
         return part
 
     @property

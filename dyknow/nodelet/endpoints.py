@@ -160,7 +160,7 @@ class Subscription:
             strand: where ``receive`` is run.
             failed: told what ``receive`` raises.
             clock: steady seconds, for the statistics.
-            options: further arguments for the outside half.
+            options: further arguments for the registration outside.
         """
         self.datatype = datatype
         self.receive = receive
@@ -221,7 +221,7 @@ class Publication:
             build: makes a message from its class and fields, as ``Transport.build``.
             clock: steady seconds, for the statistics.
             refusal: makes the exception that a publish raises after the end.
-            options: further arguments for the outside half.
+            options: further arguments for the registration outside.
         """
         self.datatype = datatype
         self.latch = latch
@@ -298,10 +298,10 @@ class Publication:
         """Whether it was unregistered."""
         return self._closed
 
-    def attend(self, outside: Optional[OutsidePublisher]) -> Any:
+    def set_outside(self, outside: Optional[OutsidePublisher]) -> Any:
         """Publish to these listeners outside too; returns the latched message they are owed."""
         with message_lock:
-            self._attend(outside)
+            self._set_outside(outside)
             owed = self.latched
         self._changed()
         return owed
@@ -312,7 +312,7 @@ class Publication:
         """Publish on another topic from now on, to all of its connections."""
         with message_lock:
             self.topic = topic
-            self._attend(outside)
+            self._set_outside(outside)
             self._reroute(route, newcomers=route)
         self._changed()
 
@@ -329,7 +329,7 @@ class Publication:
         with message_lock:
             self._route = None
             self._closed = self._closed or closed
-            self._attend(None)
+            self._set_outside(None)
             self.topic = ""
         self._changed()
 
@@ -360,7 +360,7 @@ class Publication:
 
     # Under the lock:
 
-    def _attend(self, outside: Optional[OutsidePublisher]) -> None:
+    def _set_outside(self, outside: Optional[OutsidePublisher]) -> None:
         if self._outside is not None:
             self._outside.changed = None
         self._outside = outside

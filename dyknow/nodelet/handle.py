@@ -239,13 +239,13 @@ class Inbox(Closable):
     def get(self, what: str, timeout: Optional[float]) -> Any:
         """Wait for the message."""
         node = self._context.runtime.node
-        self._context.own(self)
+        self._context.close_with(self)
         try:
             entry = self._queue.get(timeout=timeout)
         except queue.Empty:
             raise node.timed_out(f"{what} did not come within {timeout:g} s") from None
         finally:
-            self._context.disown(self)
+            self._context.forget(self)
         if entry is None:
             raise node.interrupted(f"{what}: nodelet {self._context.name} was unloaded")
         return entry[0]

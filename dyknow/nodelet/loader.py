@@ -147,7 +147,7 @@ class Loader:
             if context.closed:
                 raise UnloadedMeanwhile(name, "load")
             run = _Run(lambda: self._start(entry, nodelet_class), f"{name} on_init")
-            context.own(_Signal(run.done))  # an unload ends the wait
+            context.close_with(_Signal(run.done))  # an unload ends the wait
             run.done.wait()
             if run.error is not None and not context.closed:
                 raise LoadFailed(name, type_name, run.error) from run.error

@@ -26,7 +26,7 @@ HERE: Any = object()
 
 
 class OutsidePublisher(ABC):
-    """The outside half of one publication on one topic: an ordinary registration in ROS."""
+    """The registration of one publication on one topic."""
 
     __slots__ = ("changed", "in_flight")
 
@@ -70,7 +70,7 @@ class OutsidePublisher(ABC):
 
 
 class OutsideSubscriber(ABC):
-    """The outside half of one connection: an ordinary registration in ROS."""
+    """The registration of one connection."""
 
     @abstractmethod
     def publishers(self) -> int:

@@ -130,7 +130,7 @@ class Strand:
             self._noted = False
             _log.info("%s: the callback that ran at the unload has ended", self.name)
 
-    def rest(self) -> bool:
+    def try_idle(self) -> bool:
         """Be idle from now on; False if there is more to do."""
         if self._tasks:
             if self.alive:
@@ -181,7 +181,7 @@ class ManualExecutor(Executor):
         if task is not None:
             strand.run(task)
         with message_lock:
-            if not strand.rest():
+            if not strand.try_idle():
                 self.ready(strand)
         return True
 
@@ -199,7 +199,7 @@ class _Worker:
         strand: what it works on; None while it waits.
         turns: tasks that it has begun.
         replaced: whether it is to end as soon as it can, since another was hired in its place.
-        call: released by who calls it.
+        wake: a lock as a signal: taken while it sleeps, released to wake it.
         word: its index in the crash record.
     """
 
@@ -209,8 +209,8 @@ class _Worker:
         self.turns = 0
         self.replaced = False
         self.thread: Optional[threading.Thread] = None
-        self.call = threading.Lock()
-        self.call.acquire()
+        self.wake = threading.Lock()
+        self.wake.acquire()
 
 
 class WorkerPool(Executor):
@@ -238,7 +238,7 @@ class WorkerPool(Executor):
         self._clock = clock
         self._queue: Deque[Strand] = collections.deque()
         self._idle: Deque[_Worker] = collections.deque()
-        self._called = 0  # workers that have not noticed yet
+        self._woken = 0  # workers that have not noticed yet
         self._workers: List[_Worker] = []
         self._quiet = state_condition("worker pool")
         self._drainers = 0
@@ -258,13 +258,13 @@ class WorkerPool(Executor):
     def ready(self, strand: Strand) -> None:
         """Queue the strand, and call a worker unless enough of them are on their way."""
         self._queue.append(strand)
-        if len(self._queue) > self._called:
-            self._call()
+        if len(self._queue) > self._woken:
+            self._wake_one()
 
-    def _call(self) -> None:
+    def _wake_one(self) -> None:
         if self._idle:
-            self._called += 1
-            self._idle.pop().call.release()
+            self._woken += 1
+            self._idle.pop().wake.release()
 
     def drain(self, timeout: float = 10.0) -> bool:
         """Wait until no strand has anything to do."""
@@ -282,7 +282,7 @@ class WorkerPool(Executor):
         with message_lock:
             self._closed = True
             while self._idle:
-                self._call()
+                self._wake_one()
         self._awake.set()
 
     def _hire(self) -> None:
@@ -301,12 +301,12 @@ class WorkerPool(Executor):
             if not _attempt(False):
                 _wait()
             try:
-                if strand is not None and not strand.rest():
+                if strand is not None and not strand.try_idle():
                     self._queue.append(strand)
                 strand = task = None
                 if self._closed or worker.replaced:
                     if self._queue:
-                        self._call()  # in place of this one
+                        self._wake_one()  # in place of this one
                     break
                 if self._queue:
                     strand = self._queue.popleft()
@@ -329,9 +329,9 @@ class WorkerPool(Executor):
                 if self._drainers:
                     with self._quiet:
                         self._quiet.notify_all()
-                worker.call.acquire()
+                worker.wake.acquire()
                 with message_lock:
-                    self._called -= 1
+                    self._woken -= 1
                 line_up = self._idle.appendleft  # unless it finds something to do now
         worker.strand = None
         self.record.give_back(word)

@@ -42,11 +42,11 @@ class Service(Closable):
         self._offered = context.runtime.services.offer(
             resolved_name, service_class, self._ask, options
         )
-        context.own(self)
+        context.close_with(self)
 
     def shutdown(self, reason: str = "") -> None:
         """Withdraw the service; callers that still wait get an error."""
-        self._context.disown(self)
+        self._context.forget(self)
         self.close()
 
     def close(self) -> None:

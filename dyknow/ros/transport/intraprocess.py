@@ -64,7 +64,7 @@ class IntraProcessTransport(Transport):
             self._closed()
 
 
-def twin(message: Any) -> Any:
+def copy_by_wire(message: Any) -> Any:
     """Copy a message the way the network does."""
     buffer = BytesIO()
     message.serialize(buffer)
@@ -79,7 +79,7 @@ class LocalTopic:
     ) -> None:
         self.name = name
         self._address = address
-        self.halves: Set[Any] = set()
+        self.registrations: Set[Any] = set()
         self.backlog = Backlog()
         #: What was latched last, by publication; under None what ordinary publishers latched.
         self._latches: Dict[Any, Any] = {}
@@ -97,14 +97,14 @@ class LocalTopic:
             return []
         return [each for each in list(implementation.callbacks) if not _ours(each[0])]
 
-    def latch(self, half: Any, message: Any) -> None:
+    def latch(self, registration: Any, message: Any) -> None:
         """Keep what a publication has latched, the latest last."""
-        self._latches.pop(half, None)
-        self._latches[half] = message
+        self._latches.pop(registration, None)
+        self._latches[registration] = message
 
-    def unlatch(self, half: Any) -> Any:
+    def unlatch(self, registration: Any) -> Any:
         """Forget a publication's message; returns what rospy is to latch instead, or None."""
-        self._latches.pop(half, None)
+        self._latches.pop(registration, None)
         latest = (list(self._latches) or [None])[-1]
         return self._latches.get(None) if latest is None else latest.sent
 
@@ -131,8 +131,8 @@ class LocalTopic:
 
         def add_connection(connection: Any) -> Any:
             with self._refreshing:
-                for half in list(self.halves):
-                    half.heard = True  # first: whoever sees the connection is heard already
+                for each in list(self.registrations):
+                    each.heard = True  # first: a peer that sees the connection is heard already
             address = self._address(connection.endpoint_id) if self.backlog.open else ""
             implementation.acquire()  # nothing is published between what was missed and the rest
             try:
@@ -195,9 +195,9 @@ class LocalTopic:
                 or self.backlog.waiting()
                 or (self._adopted and self._adopted.connections)
             )
-            for half in list(self.halves):
-                half.heard = heard
-                changed = half.changed
+            for registration in list(self.registrations):
+                registration.heard = heard
+                changed = registration.changed
                 if changed is not None:
                     changed()
 
@@ -239,7 +239,7 @@ class LocalTopic:
         callbacks = list(subscriber.callbacks) if subscriber is not None else []
         if not (callbacks or latching):
             return
-        message = twin(message)
+        message = copy_by_wire(message)
         if latching:
             self.latch(None, message)
         self._hand_over(message, callbacks)
@@ -252,8 +252,8 @@ class LocalTopic:
         message = self._latches.get(None, NOTHING)
         if ordinary and message is not NOTHING:
             self._hand_over(message, [each for each in newcomers if _ours(each[0])])
-        half, message = (list(self._latches.items()) or [(None, NOTHING)])[-1]
-        if message is not NOTHING and (ordinary or half is not None):
+        registration, message = (list(self._latches.items()) or [(None, NOTHING)])[-1]
+        if message is not NOTHING and (ordinary or registration is not None):
             self._hand_over(message, [each for each in newcomers if not _ours(each[0])])
 
     def _hand_over(self, message: Any, callbacks: List[Callback]) -> None:
@@ -315,7 +315,7 @@ class IntraProcess:
             return
         with self._lock:
             local = self._topics.get(topic)
-            if local is None or local.halves:
+            if local is None or local.registrations:
                 return
             del self._topics[topic]
         local.unlink()

@@ -1,4 +1,4 @@
-"""The outside halves of the bus: ordinary registrations of rospy."""
+"""Registrations of the bus: ordinary publishers and subscribers of rospy."""
 
 from __future__ import annotations
 
@@ -76,13 +76,13 @@ class RospyPublisher(OutsidePublisher):
         self.sent: Any = None
         self._intraprocess = intraprocess
         self._local = intraprocess.publishing(topic)
-        self._local.halves.add(self)
+        self._local.registrations.add(self)
         try:
             self._publisher = rospy.Publisher(
                 topic, datatype, latch=latch, queue_size=queue_size, **options
             )
         except BaseException:
-            self._local.halves.discard(self)
+            self._local.registrations.discard(self)
             intraprocess.retire(topic)
             raise
         self._implementation = self._publisher.impl
@@ -144,7 +144,7 @@ class RospyPublisher(OutsidePublisher):
         if self._closed:
             return
         self._closed = True
-        self._local.halves.discard(self)
+        self._local.registrations.discard(self)
         successor = self._local.unlatch(self)
         if self.sent is not None and self._implementation.latch is self.sent:
             self._implementation.latch = successor

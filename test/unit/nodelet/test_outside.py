@@ -1,4 +1,4 @@
-"""The outside halves: when they are made, fed, and withdrawn."""
+"""Registrations outside: when they are made, fed, and withdrawn."""
 
 from __future__ import annotations
 
@@ -77,12 +77,12 @@ def test_a_new_connection_is_made_before_the_old_one_is_broken(world):
 def test_a_message_goes_out_only_if_somebody_listens(world):
     nh = world.handle()
     publisher = nh.Publisher("t", Message, queue_size=1)
-    (half,) = world.transport.made
+    (registration,) = world.transport.made
     sent = []
-    half.publish = sent.append
+    registration.publish = sent.append
     publisher.publish(1)
     assert sent == []
-    half.connections.append(print)
+    registration.connections.append(print)
     message = Message(2)
     publisher.publish(message)
     assert sent == [message]
@@ -126,9 +126,9 @@ def test_messages_from_outside_that_come_during_the_switch_follow_the_old_ones(w
     subscribe = world.transport.subscribe
 
     def early_subscribe(topic, datatype, receive, options):
-        half = subscribe(topic, datatype, receive, options)
-        half.__class__ = Early
-        return half
+        registration = subscribe(topic, datatype, receive, options)
+        registration.__class__ = Early
+        return registration
 
     world.transport.subscribe = early_subscribe
     world.bus.rewire(
@@ -268,9 +268,9 @@ def test_nothing_is_registered_after_an_unload_while_peers_are_waited_for(world)
     advertise = world.transport.advertise
 
     def slow_advertise(*args):
-        half = advertise(*args)
-        half.__class__ = Slow
-        return half
+        registration = advertise(*args)
+        registration.__class__ = Slow
+        return registration
 
     world.transport.advertise = slow_advertise
     moves = [(publication_of(publisher), "/b"), (subscription_of(subscriber), "/c")]
@@ -299,9 +299,9 @@ def test_nobody_waits_for_the_peers_of_a_nodelet_that_was_unloaded(world):
     advertise, waited = world.transport.advertise, []
 
     def impatient_advertise(*args):
-        half = advertise(*args)
-        half.wait = waited.append
-        return half
+        registration = advertise(*args)
+        registration.wait = waited.append
+        return registration
 
     world.transport.advertise = impatient_advertise
     with pytest.raises(HandleClosed):

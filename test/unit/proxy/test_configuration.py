@@ -110,10 +110,10 @@ def test_an_empty_topic_disconnects(bench):
 
 def test_ports_that_are_not_named_stay(bench):
     bench.proxy.set_config([("in", "/a"), ("out", "/b")])
-    halves = list(bench.world.transport.made)
+    registrations = list(bench.world.transport.made)
     bench.proxy.set_config([("in", "/c")])
     assert bench.topics()["out"] == "/b"
-    assert len(bench.world.transport.made) == len(halves) + 1
+    assert len(bench.world.transport.made) == len(registrations) + 1
 
 
 def test_a_configuration_that_changes_nothing_is_none(bench):
