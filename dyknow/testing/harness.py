@@ -11,10 +11,11 @@ import rospy
 
 from dyknow import names
 from dyknow.nodelet.context import Context, Runtime
-from dyknow.nodelet.handle import NodeHandle, Publisher
+from dyknow.nodelet.handle import NodeHandle
 from dyknow.nodelet.loader import Loader
 from dyknow.nodelet.middleware import Handler, Middleware
 from dyknow.nodelet.nodelet import Nodelet
+from dyknow.nodelet.pubsub import Publisher
 from dyknow.nodelet.scheduler import ManualExecutor
 from dyknow.proxy.proxy import NodeletProxy
 from dyknow.testing.load_ports import check_ports, remappings_of_ports
