@@ -2,6 +2,11 @@
 
 The names below are loaded when they are first used, so that ``import dyknow`` alone imports
 neither rospy nor a message.
+
+DyKnow implements the framework of Daniel de Leng and Fredrik Heintz, "DyKnow: A Dynamically
+Reconfigurable Stream Reasoning Framework as an Extension to the Robot Operating System", IEEE
+International Conference on Simulation, Modeling, and Programming for Autonomous Robots (SIMPAR),
+2016, pages 55-60.
 """
 
 from __future__ import annotations
