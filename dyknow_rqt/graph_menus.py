@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import partial
 from typing import Any, Callable, Optional
 
+from python_qt_binding.QtCore import QObject, Signal
 from python_qt_binding.QtGui import QGuiApplication
 from python_qt_binding.QtWidgets import QMenu, QWidget
 
@@ -16,24 +17,23 @@ from dyknow_rqt.graph.figure import VertexKind
 from dyknow_rqt.graph.snapshot import PortRef, Snapshot
 
 
-class GraphActions:
-    """What menus can have done; the graph panel fills it in."""
+class GraphActions(QObject):
+    """What the user asks for in the graph; the parts of the window that can do it connect."""
 
-    def __init__(self) -> None:
-        """Begin with actions that do nothing."""
-        self.destroy: Callable[..., Any] = _nothing
-        self.protect: Callable[..., Any] = _nothing
-        self.disconnect: Callable[..., Any] = _nothing
-        self.begin_connection: Callable[..., Any] = _nothing
-        self.create: Callable[..., Any] = _nothing
-        self.refresh: Callable[..., Any] = _nothing
-        self.fit: Callable[..., Any] = _nothing
-        self.tidy: Callable[..., Any] = _nothing
-        self.find: Callable[..., Any] = _nothing
-
-
-def _nothing(*args: Any) -> None:
-    """What is done as long as nobody says what to do."""
+    #: Connect a port; the nodelet, and the port or an empty text.
+    connection_wanted = Signal(str, str)
+    #: Make a nodelet; the label of its transformation, or an empty text.
+    create_wanted = Signal(str)
+    #: Destroy nodelets; their names.
+    destroy_wanted = Signal(object)
+    #: Disconnect ports; a tuple of ``PortRef``.
+    disconnect_wanted = Signal(object)
+    #: Protect a nodelet, or release it; its name.
+    protect_wanted = Signal(str, bool)
+    find_wanted = Signal()
+    fit_wanted = Signal()
+    refresh_wanted = Signal()
+    tidy_wanted = Signal()
 
 
 def menu_for(
@@ -46,17 +46,17 @@ def menu_for(
     elif isinstance(item, EdgeItem):
         refs = edge_refs(item.edge)
         for ref in refs:
-            _add(menu, f"&Disconnect {ref}", partial(actions.disconnect, (ref,)))
+            _add(menu, f"&Disconnect {ref}", partial(actions.disconnect_wanted.emit, (ref,)))
         _add_copy(menu, item.edge.topic)
     elif isinstance(item, VertexItem):
         _add_vertex(menu, item, snapshot, actions)
     else:
-        _add(menu, "&Create nodelet …", actions.create)
-        _add(menu, "&Find …", actions.find)
+        _add(menu, "&Create nodelet …", partial(actions.create_wanted.emit, ""))
+        _add(menu, "&Find …", actions.find_wanted.emit)
         menu.addSeparator()
-        _add(menu, "&Fit in view", actions.fit)
-        _add(menu, "&Tidy up", actions.tidy)
-        _add(menu, "&Refresh", actions.refresh)
+        _add(menu, "&Fit in view", actions.fit_wanted.emit)
+        _add(menu, "&Tidy up", actions.tidy_wanted.emit)
+        _add(menu, "&Refresh", actions.refresh_wanted.emit)
     return menu
 
 
@@ -65,28 +65,32 @@ def _add_vertex(menu: QMenu, item: VertexItem, snapshot: Snapshot, actions: Grap
     nodelet = snapshot.nodelet(name) if item.vertex.kind is VertexKind.NODELET else None
     if nodelet is not None:
         connected = tuple(PortRef(name, port.name) for port in nodelet.ports if port.topic)
-        _add(menu, "&Connect …", lambda: actions.begin_connection(name))
-        action = _add(menu, "&Disconnect all ports", lambda: actions.disconnect(connected))
+        _add(menu, "&Connect …", partial(actions.connection_wanted.emit, name, ""))
+        action = _add(
+            menu, "&Disconnect all ports", partial(actions.disconnect_wanted.emit, connected)
+        )
         action.setEnabled(bool(connected))
         protected = nodelet.is_protected
         _add(
             menu,
             "&Release from protection" if protected else "&Protect",
-            lambda: actions.protect(name, not protected),
+            partial(actions.protect_wanted.emit, name, not protected),
         )
-        _add(menu, "D&estroy …", lambda: actions.destroy((name,))).setEnabled(not protected)
+        _add(menu, "D&estroy …", partial(actions.destroy_wanted.emit, (name,))).setEnabled(
+            not protected
+        )
     elif item.vertex.kind is VertexKind.TOPIC:
         topic = snapshot.topics().get(name)
         refs = topic.sources + topic.sinks if topic is not None else ()
-        action = _add(menu, "&Disconnect all ports", lambda: actions.disconnect(refs))
+        action = _add(menu, "&Disconnect all ports", partial(actions.disconnect_wanted.emit, refs))
         action.setEnabled(bool(refs))
     _add_copy(menu, name)
 
 
 def _add_port(menu: QMenu, ref: PortRef, snapshot: Snapshot, actions: GraphActions) -> None:
     port = snapshot.port(ref)
-    _add(menu, "&Connect …", lambda: actions.begin_connection(ref.nodelet, ref.port))
-    action = _add(menu, "&Disconnect", lambda: actions.disconnect((ref,)))
+    _add(menu, "&Connect …", partial(actions.connection_wanted.emit, ref.nodelet, ref.port))
+    action = _add(menu, "&Disconnect", partial(actions.disconnect_wanted.emit, (ref,)))
     action.setEnabled(port is not None and bool(port.topic))
     _add_copy(menu, str(ref))
 

@@ -36,12 +36,10 @@ class GraphPanel(QWidget):
     #: It is no longer so.
     mended = Signal(str)
 
-    def __init__(
-        self, monitor: Monitor, actions: GraphActions, parent: Optional[QWidget] = None
-    ) -> None:
+    def __init__(self, monitor: Monitor, parent: Optional[QWidget] = None) -> None:
         super().__init__(parent)
         self._monitor = monitor
-        self._actions = actions
+        self.graph_actions = GraphActions(self)
         self._figure = Figure()
         self._has_fitted = self._wants_tidy = False
         self.bar = GraphBar()
@@ -181,14 +179,15 @@ class GraphPanel(QWidget):
         if refs:
             self._disconnect(refs)
         elif scene.selected_nodelets():
-            self._actions.destroy(tuple(scene.selected_nodelets()))
+            self.graph_actions.destroy_wanted.emit(tuple(scene.selected_nodelets()))
 
+    @qt_slot
     def _disconnect(self, refs: Tuple[PortRef, ...]) -> None:
         self._monitor.do(disconnect(self._monitor.snapshot, refs))
 
     @qt_slot
     def _show_menu(self, item: Optional[Item], place: QPoint) -> None:
-        menu = menu_for(item, self._monitor.snapshot, self._actions, self)
+        menu = menu_for(item, self._monitor.snapshot, self.graph_actions, self)
         menu.setAttribute(Qt.WA_DeleteOnClose)
         menu.popup(place)
 
@@ -260,11 +259,15 @@ class GraphPanel(QWidget):
         for edit in (bar.nodelets, bar.topics):
             edit.refused.connect(self.failed)
             edit.mended.connect(self.mended)
-        self._actions.disconnect = self._disconnect
-        self._actions.protect = self._protect
-        self._actions.refresh, self._actions.fit = self._refresh, view.fit
-        self._actions.tidy, self._actions.find = self.tidy, self.find
+        actions = self.graph_actions
+        actions.disconnect_wanted.connect(self._disconnect)
+        actions.protect_wanted.connect(self._protect)
+        actions.refresh_wanted.connect(self._refresh)
+        actions.fit_wanted.connect(view.fit)
+        actions.tidy_wanted.connect(self.tidy)
+        actions.find_wanted.connect(self.find)
 
+    @qt_slot
     def _protect(self, name: str, on: bool) -> None:
         self._monitor.do(Protect(name, on))
 

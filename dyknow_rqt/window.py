@@ -7,7 +7,6 @@ from typing import Any, Dict, List, Optional
 from python_qt_binding.QtCore import Qt
 from python_qt_binding.QtWidgets import QSplitter, QTabWidget, QVBoxLayout, QWidget
 
-from dyknow_rqt.graph_menus import GraphActions
 from dyknow_rqt.graph_panel import GraphPanel
 from dyknow_rqt.monitor import Monitor
 from dyknow_rqt.panels.active import ActivePanel
@@ -33,8 +32,7 @@ class DyKnowWidget(QWidget):
         self.monitor = Monitor(remote)
         self.line = StatusLine()
         self.report = self.line.report
-        self._actions = GraphActions()
-        self.graph = GraphPanel(self.monitor, self._actions)
+        self.graph = GraphPanel(self.monitor)
         self.active = ActivePanel(self.monitor, self.line)
         self.library = LibraryPanel(self.monitor, self.line)
         self.create_ = CreatePanel(self.monitor, self.line)
@@ -95,16 +93,18 @@ class DyKnowWidget(QWidget):
         self.streams.chosen.connect(self._show_chosen)
         self.library.create_wanted.connect(self._begin_create)
         self.addActions(list(self.graph.actions_of()))
-        self._actions.destroy = self.active.ask_to_destroy
-        self._actions.create = lambda: self._begin_create("")
-        self._actions.begin_connection = self._begin_connection
+        actions = self.graph.graph_actions
+        actions.destroy_wanted.connect(self.active.ask_to_destroy)
+        actions.create_wanted.connect(self._begin_create)
+        actions.connection_wanted.connect(self._begin_connection)
 
     @qt_slot
     def _begin_create(self, label: str) -> None:
         self.tabs.setCurrentWidget(self.create_)
         self.create_.begin(label)
 
-    def _begin_connection(self, nodelet: str, port: str = "") -> None:
+    @qt_slot
+    def _begin_connection(self, nodelet: str, port: str) -> None:
         self.tabs.setCurrentWidget(self.connect_)
         self.connect_.begin(nodelet, port)
 

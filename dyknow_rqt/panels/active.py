@@ -49,6 +49,7 @@ class ActivePanel(QWidget):
         self.table.on_delete(self._destroy_chosen)
         self._follow_selection()
 
+    @qt_slot
     def ask_to_destroy(self, names: Sequence[str]) -> None:
         """Ask whether nodelets are to be destroyed, and do so if yes."""
         what = names[0] if len(names) == 1 else f"{len(names)} nodelets ({', '.join(names)})"
