@@ -1,0 +1,110 @@
+"""What hands and eyes do with the window."""
+
+from __future__ import annotations
+
+import time
+
+from python_qt_binding.QtCore import QEvent, QPoint, QPointF, Qt, QTimer
+from python_qt_binding.QtGui import QMouseEvent
+from python_qt_binding.QtWidgets import (
+    QAbstractButton,
+    QApplication,
+    QLabel,
+    QMenu,
+    QMessageBox,
+)
+
+from dyknow_rqt.graph.changes import SpawnNodelet
+from dyknow_rqt.graph.snapshot import PortRef
+
+CEILING = PortRef("/field/ceiling_camera", "field_position")
+TRACKER = PortRef("/field/tracker", "position")
+HSV_IN = PortRef("/nao1/line_detector", "hsv")
+
+
+def until(qtbot, condition):
+    """Wait for something, as long as a busy machine may need."""
+    qtbot.waitUntil(condition, timeout=20_000)
+
+
+def topic(remote, ref):
+    nodelet = remote.graph().nodelet(ref.nodelet)
+    return nodelet.port(ref.port).topic
+
+
+def drag(view, start, end):
+    """Press, move and release, as a hand does."""
+    port = view.viewport()
+    for kind, place, button, buttons in (
+        (QEvent.MouseButtonPress, start, Qt.LeftButton, Qt.LeftButton),
+        (QEvent.MouseMove, (start + end) / 2, Qt.NoButton, Qt.LeftButton),
+        (QEvent.MouseMove, end, Qt.NoButton, Qt.LeftButton),
+        (QEvent.MouseButtonRelease, end, Qt.LeftButton, Qt.NoButton),
+    ):
+        event = QMouseEvent(
+            kind, QPointF(place), QPointF(port.mapToGlobal(place)), button, buttons, Qt.NoModifier
+        )
+        QApplication.sendEvent(port, event)
+
+
+def create(qtbot, window, name):
+    """Make a nodelet, and wait until the window knows it."""
+    window.monitor.do(SpawnNodelet("tracker", name))
+    until(qtbot, lambda: not window.monitor.is_changing)
+    until(qtbot, lambda: window.monitor.snapshot.nodelet(name) is not None)
+
+
+def centre_of(view, key):
+    return view.mapFromScene(view.scene().vertices[key].pos())
+
+
+def click(qtbot, button):
+    assert button.isEnabled()
+    qtbot.mouseClick(button, Qt.LeftButton)
+
+
+def no_boxes():
+    return not [w for w in QApplication.topLevelWidgets() if isinstance(w, QMessageBox)]
+
+
+def vertex_keys(window):
+    return set(window.graph.view.scene().vertices)
+
+
+def cells_of(table, row):
+    model = table.model()
+    return [model.index(row, column).data() for column in range(model.columnCount())]
+
+
+def texts_of(widget):
+    kinds = (QAbstractButton, QLabel)
+    return [each.text() for kind in kinds for each in widget.findChildren(kind)]
+
+
+def description_of(widget):
+    return type(widget).__name__, widget.accessibleName(), getattr(widget, "text", str)()
+
+
+def wiring_of(nodelets):
+    return [(n.name, n.transformation, [(p.name, p.topic) for p in n.ports]) for n in nodelets]
+
+
+def context_menu(qtbot, window, item):
+    window.graph.view.menu_wanted.emit(item, QPoint(50, 50))
+    menu = next(menu for menu in window.graph.findChildren(QMenu) if menu.isVisible())
+    entries = {action.text(): action for action in menu.actions()}
+    menu.hide()
+    return entries
+
+
+def pauses(qtbot, most, until=lambda: False):
+    """Pauses (s) between ticks of the window's own clock, for some time (ms)."""
+    ticks = [time.monotonic()]
+    timer = QTimer()
+    timer.timeout.connect(lambda: ticks.append(time.monotonic()))
+    timer.start(10)
+    end = time.monotonic() + most / 1000
+    while time.monotonic() < end and not until():
+        qtbot.wait(20)
+    timer.stop()
+    return [b - a for a, b in zip(ticks, ticks[1:])]

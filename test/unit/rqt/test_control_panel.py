@@ -1,0 +1,127 @@
+"""The tabs Active, Library, Create and Connect."""
+
+from __future__ import annotations
+
+import time
+
+from python_qt_binding.QtCore import QPoint, Qt
+from unit.rqt.hands import (
+    TRACKER,
+    click,
+    no_boxes,
+    topic,
+    until,
+    vertex_keys,
+)
+
+
+def test_active_lists_and_destroys(qtbot, window, remote):
+    table = window.active.table
+    assert table.names() == sorted(each.name for each in remote.graph().nodelets)
+    row = table.names().index("/nao1/subsampler")
+    cells = [table.model().index(row, column).data() for column in range(6)]
+    assert cells[1:5] == ["subsampler(nao1, bottom)", "1", "3", "running"]
+    table.choose(["/nao1/bottom_camera"])
+    assert not window.active.destroy.isEnabled()
+    click(qtbot, window.active.protect)
+    until(qtbot, window.active.destroy.isEnabled)
+    click(qtbot, window.active.destroy)
+    click(qtbot, window.line.yes)
+    until(qtbot, lambda: "/nao1/bottom_camera" not in table.names())
+
+
+def test_active_keeps_the_selection_while_things_change(qtbot, window, remote):
+    window.active.table.choose(["/nao1/resize"])
+    remote.spawn("tracker", "/a_first_one")
+    until(qtbot, lambda: "/a_first_one" in window.active.table.names())
+    assert window.active.table.chosen() == ["/nao1/resize"]
+
+
+def test_library_shows_imports_exports_and_deletes(qtbot, window, remote, tmp_path):
+    panel = window.library
+    window.tabs.setCurrentWidget(panel)
+    panel.table.choose(["tracker"])
+    assert "<label>tracker</label>" in panel.specification.toPlainText()
+    path = tmp_path / "out.xml"
+    panel.export_file(str(path))
+    click(qtbot, panel.delete)
+    assert window.line.text == "Delete tracker from the library?"
+    click(qtbot, window.line.yes)
+    until(qtbot, lambda: "tracker" not in panel.table.names())
+    panel.import_file(str(path))
+    until(qtbot, lambda: "tracker" in panel.table.names())
+    qtbot.keyClicks(panel.search, "CAM")
+    assert panel.table.names() == ["camera(nao1, bottom)", "camera(nao1, top)", "ceiling_camera"]
+
+
+def test_a_library_of_a_hundred_thousand_does_not_hold_up_the_window(qtbot, window):
+    from dyknow.model.transformation import Transformation
+
+    library = {f"t{i}": Transformation(f"t{i}", "p/C") for i in range(100_000)}
+    window.tabs.setCurrentWidget(window.library)
+    start = time.monotonic()
+    window.monitor.library = library
+    window.monitor.library_changed.emit(library)
+    qtbot.wait(1)
+    qtbot.keyClicks(window.library.search, "t99999")
+    assert window.library.table.names() == ["t99999"]
+    assert time.monotonic() - start < 10.0
+
+
+def test_a_refused_import_shows_the_words_of_the_manager(qtbot, window, tmp_path):
+    path = tmp_path / "bad.xml"
+    path.write_text("<transformation>\n<label>x</label>\n<sauce>p/C</sauce></transformation>")
+    window.library.import_file(str(path))
+    until(qtbot, lambda: bool(window.line.text))
+    assert window.line.text.startswith("import bad.xml: specification:")
+    assert no_boxes()
+    click(qtbot, window.line.dismiss)
+    assert window.line.text == ""
+
+
+def test_create_makes_a_nodelet(qtbot, window, remote):
+    window.tabs.setCurrentWidget(window.create_)
+    panel = window.create_
+    assert not panel.create.isEnabled()
+    panel.begin("tracker")
+    assert panel.name.text() == "/tracker"
+    panel.name.clear()
+    qtbot.keyClicks(panel.name, "/field/second")
+    qtbot.mouseClick(panel.is_protected, Qt.LeftButton, pos=QPoint(8, 8))
+    qtbot.keyClick(panel.name, Qt.Key_Return)
+    until(qtbot, lambda: "n_/field/second" in vertex_keys(window))
+    assert remote.graph().nodelet("/field/second").is_protected
+    panel.begin("tracker")
+    panel.name.setText("/field/second")
+    click(qtbot, panel.create)
+    until(qtbot, lambda: "a nodelet named '/field/second' is already" in window.line.text)
+    panel.name.setText("no name")
+    click(qtbot, panel.create)
+    assert "'no name' is not a valid" in window.line.text
+
+
+def test_connect_offers_only_what_fits(qtbot, window, remote):
+    window.tabs.setCurrentWidget(window.connect_)
+    panel = window.connect_
+    panel.source.nodelet.setCurrentText("/field/ceiling_camera")
+    sinks = {panel.sink.nodelet.itemText(i) for i in range(panel.sink.nodelet.count())}
+    assert sinks == {"/field/tracker", "/nao1/localization"}
+    panel.sink.nodelet.setCurrentText("/field/tracker")
+    assert panel.topic_chosen.text() == "/field/ceiling_camera/field_position"
+    click(qtbot, panel.connect)
+    until(qtbot, lambda: topic(remote, TRACKER) == "/field/ceiling_camera/field_position")
+    until(qtbot, lambda: "connected already" in panel.topic_chosen.text())
+    assert not panel.connect.isEnabled()
+
+
+def test_connect_takes_a_topic_by_name(qtbot, window, remote):
+    window.tabs.setCurrentWidget(window.connect_)
+    panel = window.connect_
+    panel.begin("/field/tracker", "position")
+    assert panel.now.text() == "/field/ball"
+    click(qtbot, panel.disconnect_port)
+    until(qtbot, lambda: panel.now.text() == "not connected")
+    qtbot.keyClicks(panel.topic, "/somewhere")
+    click(qtbot, panel.connect_topic)
+    until(qtbot, lambda: panel.now.text() == "/somewhere")
+    assert topic(remote, TRACKER) == "/somewhere"

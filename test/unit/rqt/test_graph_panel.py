@@ -1,0 +1,219 @@
+"""The graph, used as a person uses it: pointer, wheel, filters, search, and what is drawn."""
+
+from __future__ import annotations
+
+import pydot
+import pytest
+from python_qt_binding.QtCore import QPoint, QPointF, Qt, QTimer
+from python_qt_binding.QtGui import QImage, QWheelEvent
+from python_qt_binding.QtWidgets import (
+    QApplication,
+    QFileDialog,
+    QLineEdit,
+)
+from unit.rqt.hands import (
+    centre_of,
+    drag,
+    until,
+    vertex_keys,
+)
+
+from dyknow_rqt.graph.snapshot import PortRef
+
+
+def test_hovering_lights_up_the_neighbours(qtbot, window):
+    scene = window.graph.view.scene()
+    qtbot.mouseMove(window.graph.view.viewport(), centre_of(window.graph.view, "n_/nao1/resize"))
+    until(qtbot, lambda: scene.vertices["n_/nao1/resize"].tone.value == "self")
+    assert scene.vertices["t_/nao1/top_camera/yuv"].tone.value == "in"
+    assert scene.vertices["t_/nao1/preview"].tone.value == "out"
+    assert scene.vertices["n_/nao1/recorder"].tone.value == "none"
+
+
+def test_what_is_before_and_behind_is_teal(qtbot, window, remote):
+    remote.set_config("/nao1/resize", {"resized": "/nao1/top_camera/yuv"})
+    scene = window.graph.view.scene()
+    until(qtbot, lambda: "t_/nao1/preview" in scene.vertices)
+    until(
+        qtbot,
+        lambda: any(
+            e.tail == "n_/nao1/resize" and e.head == "t_/nao1/top_camera/yuv" for e in scene.edges
+        ),
+    )
+    scene.highlight("n_/nao1/resize")
+    assert scene.vertices["t_/nao1/top_camera/yuv"].tone.value == "both"
+
+
+def test_the_wheel_zooms_where_the_pointer_is(qtbot, window):
+    view = window.graph.view
+    place = centre_of(view, "n_/nao1/localization")
+    qtbot.mouseMove(view.viewport(), place)
+    before, zoom = view.mapToScene(place), view.zoom
+    turn = QWheelEvent(
+        QPointF(place),
+        QPointF(view.viewport().mapToGlobal(place)),
+        QPoint(0, 0),
+        QPoint(0, 240),
+        Qt.NoButton,
+        Qt.NoModifier,
+        Qt.NoScrollPhase,
+        False,
+    )
+    QApplication.sendEvent(view.viewport(), turn)
+    assert view.zoom > zoom * 1.3
+    after = view.mapToScene(place)
+    assert abs(after.x() - before.x()) < 3 and abs(after.y() - before.y()) < 3
+
+
+def test_a_drag_on_the_ground_moves_the_view(qtbot, window):
+    view = window.graph.view
+    ground = QPoint(20, view.viewport().height() - 20)
+    before = view.mapToScene(0, 0)
+    drag(view, ground, ground + QPoint(60, -40))
+    after = view.mapToScene(0, 0)
+    assert after.x() < before.x() and after.y() > before.y()
+
+
+def test_filters_hide_and_complain(qtbot, window):
+    edit = window.graph.bar.nodelets
+    qtbot.keyClicks(edit, "/nao1, -/nao1/.*camera")
+    until(qtbot, lambda: "n_/field/tracker" not in vertex_keys(window))
+    assert "n_/nao1/resize" in vertex_keys(window) and "n_/nao1/top_camera" not in vertex_keys(
+        window
+    )
+    edit.clear()
+    until(qtbot, lambda: "n_/field/tracker" in vertex_keys(window))
+    qtbot.keyClicks(edit, "/nao[")
+    assert "filter '/nao[' is not a regular expression" in window.line.text
+    assert "n_/field/tracker" in vertex_keys(window)
+    qtbot.keyClicks(edit, "12]")
+    assert window.line.text == ""
+    until(qtbot, lambda: "n_/field/tracker" not in vertex_keys(window))
+
+
+def test_options_change_what_is_drawn(qtbot, window, remote):
+    bar, readers = window.graph.bar, remote.subscribers
+    remote.subscribers = {}
+    bar.dead_sinks.setChecked(True)
+    until(qtbot, lambda: "t_/field/tracker/track" not in vertex_keys(window))
+    remote.subscribers = readers  # with its reader the topic is no dead sink
+    bar.nodes.setChecked(True)
+    until(qtbot, lambda: "p_/team_view" in vertex_keys(window))
+    bar.mode.setCurrentIndex(1)
+    until(qtbot, lambda: not any(key.startswith("t_") for key in vertex_keys(window)))
+    bar.depth.setValue(0)
+    until(qtbot, lambda: window.graph.drawn.groups() == [])
+
+
+def test_find_selects_one_after_the_other(qtbot, window):
+    window.active.table.setFocus()
+    qtbot.keyClick(window.active.table, Qt.Key_F, Qt.ControlModifier)
+    edit = window.graph.bar.search
+    until(qtbot, edit.hasFocus)
+    qtbot.keyClicks(edit, "CAMERA")
+    assert window.graph.bar.hits.text() == "5 found"
+    found = []
+    for _ in range(5):
+        qtbot.keyClick(edit, Qt.Key_Return)
+        found += [item.vertex.name for item in window.graph.view.scene().selectedItems()]
+    assert sorted(set(found)) == sorted(found) and len(found) == 5
+
+
+def test_arrow_keys_walk_through_the_graph(qtbot, window):
+    view = window.graph.view
+    view.select(view.scene().vertices["n_/nao1/top_camera"])
+    seen = []
+    for _ in range(2):
+        qtbot.keyClick(view, Qt.Key_Right)
+        seen += [item.vertex.name for item in view.scene().selectedItems()]
+    assert seen == ["/nao1/top_camera/yuv", "/nao1/resize"]
+
+
+def test_the_drawing_can_be_saved(window, tmp_path):
+    for name in ("graph.dot", "graph.svg", "graph.png"):
+        window.graph.save(str(tmp_path / name))
+    (graph,) = pydot.graph_from_dot_file(str(tmp_path / "graph.dot"))
+    assert {box.get_name() for box in graph.get_subgraphs()} == {
+        '"cluster_/field"',
+        '"cluster_/nao1"',
+    }
+    assert len(graph.get_edges()) == len(window.graph.drawn.edges)
+    assert (
+        "ball_detector" in (tmp_path / "graph.svg").read_text()
+        or "<path" in (tmp_path / "graph.svg").read_text()
+    )
+    image = QImage(str(tmp_path / "graph.png"))
+    assert image.width() > image.height() > 100
+    with pytest.raises(OSError):
+        window.graph.save(str(tmp_path / "nowhere" / "graph.png"))
+
+
+def test_a_name_without_an_ending_gets_that_of_what_was_chosen(qtbot, window, tmp_path):
+    def answer():
+        found = window.findChildren(QFileDialog)
+        found[0].findChild(QLineEdit).setText(str(tmp_path / "graph"))
+        found[0].accept()
+
+    QTimer.singleShot(300, answer)
+    next(a for a in window.graph.bar.save_menu.actions() if "PNG" in a.text()).trigger()
+    assert [path.name for path in tmp_path.iterdir()] == ["graph.png"]
+    assert not QImage(str(tmp_path / "graph.png")).isNull()
+
+
+def test_rates_stand_on_the_arrows_and_drops_are_red(qtbot, window):
+    scene = window.graph.view.scene()
+    arrow = next(e for e in scene.edges if e.head_port == "channels")
+    until(qtbot, lambda: "−" in scene.edges[arrow].label)
+    assert "Hz" in scene.edges[arrow].label
+    port = scene.port_item(PortRef("/nao1/subsampler", "hsv"))
+    assert "sensor_msgs/Image" in port.toolTip() and "HSV(nao1, bottom)" in port.toolTip()
+
+
+def test_states_are_told_apart(window):
+    vertices = window.graph.view.scene().vertices
+    badges = {
+        key: vertices[f"n_{key}"]._badge()
+        for key in (
+            "/nao1/bottom_camera",
+            "/nao1/resize",
+            "/nao1/recorder",
+            "/field/ceiling_camera",
+            "/field/tracker",
+        )
+    }
+    assert list(badges.values()) == ["protected", "C++", "lost", "failed", ""]
+    assert "no device /dev/video4" in vertices["n_/field/ceiling_camera"].toolTip()
+
+
+def test_the_view_does_not_jump_when_something_comes(qtbot, window, remote):
+    view = window.graph.view
+    before = {key: item.pos() for key, item in view.scene().vertices.items()}
+    corner, zoom = view.mapToScene(0, 0), view.zoom
+    remote.spawn("tracker", "/nao1/second_tracker", {"position": "/nao1/ball_detector/ball"})
+    until(qtbot, lambda: "n_/nao1/second_tracker" in vertex_keys(window))
+    after = view.scene().vertices
+    moved = [k for k, place in before.items() if (after[k].pos() - place).manhattanLength() > 16]
+    assert len(moved) <= 4
+    assert (view.mapToScene(0, 0) - corner).manhattanLength() < 2 and view.zoom == zoom
+
+
+def test_what_comes_is_seen_until_hands_choose_the_view(qtbot, window, remote):
+    view = window.graph.view
+
+    def is_seen():
+        seen = view.mapToScene(view.viewport().rect()).boundingRect()
+        return seen.contains(view.scene().drawing_area())
+
+    for number in range(12):
+        remote.spawn("tracker", f"/more{number}")
+    until(qtbot, lambda: "n_/more11" in vertex_keys(window) and is_seen())
+    qtbot.keyClick(view, Qt.Key_Plus)
+    corner = view.mapToScene(0, 0)
+    for number in range(12, 40):
+        remote.spawn("tracker", f"/more{number}")
+    until(qtbot, lambda: "n_/more39" in vertex_keys(window))
+    assert (view.mapToScene(0, 0) - corner).manhattanLength() < 2
+    assert not is_seen()
+    view.fit()
+    window.resize(900, 600)
+    until(qtbot, is_seen)

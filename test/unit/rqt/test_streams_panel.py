@@ -1,0 +1,81 @@
+"""The tab Streams."""
+
+from __future__ import annotations
+
+from python_qt_binding.QtCore import Qt
+from unit.rqt.hands import (
+    cells_of,
+    click,
+    no_boxes,
+    until,
+    vertex_keys,
+)
+
+
+def _ask_for(qtbot, window, tag):
+    panel = window.streams
+    window.tabs.setCurrentWidget(panel)
+    panel.tag.clear()
+    qtbot.keyClicks(panel.tag, tag)
+    return panel
+
+
+def test_a_stream_is_previewed_acquired_and_released(qtbot, window, remote):
+    panel = _ask_for(qtbot, window, "Track(ball)")
+    before = remote.graph().nodelets
+    qtbot.keyClick(panel.tag, Qt.Key_Return)
+    until(qtbot, lambda: "cost 0" in panel.plan.toPlainText())
+    panel.exclude.setText("tracker ; localization(nao1)")
+    click(qtbot, panel.preview)
+    until(qtbot, lambda: "nothing supplies Track(ball)" in panel.plan.toPlainText())
+    panel.exclude.clear()
+    assert remote.graph().nodelets == before and not panel.table.names()
+
+    click(qtbot, panel.acquire)
+    until(qtbot, lambda: panel.table.names() == ["claim-1"])
+    assert cells_of(panel.table, 0)[1:4] == ["Track(ball)", "active", "/field/tracker/track"]
+    assert "Track(ball): active (requested)" in panel.events.toPlainText()
+    until(qtbot, lambda: "done: acquire Track(ball): on /field/tracker/track" in window.line.text)
+    panel.table.choose(["claim-1"])
+    chosen = {item.vertex.name for item in window.graph.view.scene().selectedItems()}
+    assert chosen == {"/field/tracker"}
+    click(qtbot, panel.release)
+    until(qtbot, lambda: not panel.table.names())
+    panel.ended.setChecked(True)
+    assert cells_of(panel.table, 0)[2] == "released" and not panel.release.isEnabled()
+    assert "active → released" in panel.events.toPlainText()
+
+
+def test_a_stream_that_needs_new_nodelets_brings_them(qtbot, window, remote):
+    remote.destroy("/field/tracker")
+    panel = _ask_for(qtbot, window, "Track(ball)")
+    click(qtbot, panel.preview)
+    until(qtbot, lambda: "tracker.track (new, cost 1)" in panel.plan.toPlainText())
+    click(qtbot, panel.acquire)
+    until(qtbot, lambda: "n_/tracker" in vertex_keys(window))
+    until(qtbot, window.graph.bar.undo.isEnabled)
+    click(qtbot, window.graph.bar.undo)
+    until(qtbot, lambda: remote.streams()[0].state.name == "RELEASED")
+
+
+def test_a_stream_that_is_not_possible_waits_and_says_for_what(qtbot, window, remote):
+    panel = _ask_for(qtbot, window, "Weather(today)")
+    click(qtbot, panel.acquire)
+    until(qtbot, lambda: panel.table.names() == ["claim-1"])
+    assert cells_of(panel.table, 0)[2] == "pending"
+    until(qtbot, lambda: "waits, no plan for Weather(today)" in window.line.text)
+    panel = _ask_for(qtbot, window, "no term(")
+    click(qtbot, panel.acquire)
+    until(qtbot, lambda: "acquire no term(: " in window.line.text)
+    assert panel.table.names() == ["claim-1"] and no_boxes()
+
+
+def test_the_cheapest_way_is_taken_after_asking(qtbot, window, remote):
+    panel = _ask_for(qtbot, window, "Track(ball)")
+    click(qtbot, panel.acquire)
+    until(qtbot, lambda: bool(panel.table.names()) and not window.monitor.is_changing)
+    panel.table.choose(["claim-1"])
+    click(qtbot, panel.replan)
+    until(qtbot, lambda: "Take this way for Track(ball), at a cost of 0?" in window.line.text)
+    click(qtbot, window.line.yes)
+    until(qtbot, lambda: window.line.text == "done: replan Track(ball)")
