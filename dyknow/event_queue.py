@@ -1,4 +1,4 @@
-"""Tells news in their order, one after the other, outside the locks under which they arise."""
+"""Passes events to a listener one at a time, in their order, outside the locks that order them."""
 
 from __future__ import annotations
 
@@ -7,34 +7,38 @@ from typing import Callable, Deque, Generic, TypeVar
 
 from dyknow.locks import state_lock
 
-News = TypeVar("News")
+Event = TypeVar("Event")
 
 
-class EventQueue(Generic[News]):
-    """A row of news; who adds to it while another thread tells leaves the telling to it."""
+class EventQueue(Generic[Event]):
+    """Events on their way to one listener; safe from any thread."""
 
-    def __init__(self, listener: Callable[[News], None]) -> None:
-        """Have nothing to tell yet."""
+    def __init__(self, listener: Callable[[Event], None]) -> None:
+        """Begin empty.
+
+        Args:
+            listener: called with each event.
+        """
         self.listener = listener
         self._state_lock = state_lock("event queue")
-        self._row: Deque[News] = deque()
-        self._telling = False
+        self._events: Deque[Event] = deque()
+        self._delivering = False
 
-    def add(self, news: News) -> None:
-        """Put something at the end of the row; called under the lock that orders it."""
+    def add(self, event: Event) -> None:
+        """Append an event; called under the lock that decides the order."""
         with self._state_lock:
-            self._row.append(news)
+            self._events.append(event)
 
-    def tell(self) -> None:
-        """Tell what is in the row, unless somebody is about to; called under no lock."""
+    def deliver(self) -> None:
+        """Pass all events to the listener, unless another thread does; called under no lock."""
         while True:
             with self._state_lock:
-                if self._telling or not self._row:
+                if self._delivering or not self._events:
                     return
-                news = self._row.popleft()
-                self._telling = True
+                event = self._events.popleft()
+                self._delivering = True
             try:
-                self.listener(news)
+                self.listener(event)
             finally:
                 with self._state_lock:
-                    self._telling = False
+                    self._delivering = False

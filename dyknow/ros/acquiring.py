@@ -148,14 +148,14 @@ class AcquiredStream:
             if not self._view.state.ended:
                 self._events += 1
                 self._put(event)
-        self._telling.tell()
+        self._telling.deliver()
 
     def note_view(self, view: StreamView, events: int) -> None:
         """Take in what the claim was like after so many changes; news if one was missed."""
         with self._condition:
             if events == self._events:
                 self._take(view, view.detail or "an earlier event was missed")
-        self._telling.tell()
+        self._telling.deliver()
 
     def note_end(self, why: str) -> None:
         """Take in that the manager knows the claim no more."""
@@ -164,7 +164,7 @@ class AcquiredStream:
     def _change(self, reason: str, **changes: Any) -> None:
         with self._condition:
             self._take(replace(self._view, **changes), reason)
-        self._telling.tell()
+        self._telling.deliver()
 
     def _take(self, view: StreamView, reason: str) -> None:
         before = self._view

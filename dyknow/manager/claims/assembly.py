@@ -1,127 +1,155 @@
-"""Turns a plan into running nodelets: all of it, or nothing.
+"""Carries a plan out: all of it, or nothing.
 
 Topics get the names of the out-ports that publish on them (``/NODELET/port``), except for the
-goal, which publishes where the client listens. A nodelet of the claim that is healthy is re-wired
-instead of being made again. Who takes something over has to deliver first: a replacement publishes
-on a topic of its own until its first message has been sent, then it takes the place of the old.
+goal, which publishes where the client listens. A healthy nodelet of the claim is connected
+elsewhere instead of being made again. What replaces a part has to deliver first: a replacement
+publishes on a topic of its own until it has sent its first message, then it takes over.
 """
 
 from __future__ import annotations
 
-from typing import Callable, Dict, Iterable, Mapping
+import contextlib
+from typing import Callable, Dict, Iterable, List, Mapping, Optional
 
 from dyknow.errors import DyKnowError, NameTaken, SpawnFailed, StreamTypeMismatch
-from dyknow.manager.claims.assembly_request import AssemblyRequest, AssemblyResult
-from dyknow.manager.claims.claim_lock import ClaimLock
-from dyknow.manager.claims.claim_table import ClaimTable
-from dyknow.manager.claims.connector import Connector
-from dyknow.manager.claims.delivery import Delivery, Handover
-from dyknow.manager.claims.feeders import with_feeders
-from dyknow.manager.claims.free_names import free_names
-from dyknow.manager.claims.plan_context import ANY, PlanContext, default_topic
+from dyknow.manager.claims.context import ClaimContext
+from dyknow.manager.claims.plan_context import (
+    ANY,
+    AssemblyRequest,
+    AssemblyResult,
+    PlanContext,
+    default_topic,
+)
 from dyknow.manager.claims.relay import relay
+from dyknow.manager.claims.streams import with_feeders
 from dyknow.manager.claims.transaction import Transaction
-from dyknow.manager.host import NodeletKind
-from dyknow.manager.manager import Manager
+from dyknow.manager.host import Count, Host, NodeletKind
 from dyknow.manager.planning.problem import Live, New, PlanStep, Source
+from dyknow.manager.record import Record
 from dyknow.manager.specifications.tags import read_tags
 from dyknow.model.graph import SpawnRequest, State
 from dyknow.model.transformation import OUT, Transformation
 
+#: Seconds between two looks for the first message of a replacement.
+_STEP = 0.02
 
-class Assembly:
-    """Carries plans out."""
+
+class Handover:
+    """The waits of one plan for the first messages of its replacements."""
 
     def __init__(
         self,
-        manager: Manager,
-        table: ClaimTable,
-        claim_lock: ClaimLock,
-        connector: Connector,
-        delivery: Delivery,
-        on_failure: Callable[[str], None],
+        host: Host,
+        seconds: float,
+        clock: Callable[[], float],
+        sleep: Callable[[float], None],
     ) -> None:
-        """Make nodelets in the namespace of the manager.
+        """Prepare; the time runs from the first wait on.
 
         Args:
-            manager: makes them.
-            table: knows what other claims have.
-            claim_lock: is passed on while a nodelet comes up, if it may be.
-            connector: connects what they are made of.
-            delivery: waits for first messages.
-            on_failure: called with the label of which no nodelet could be made.
+            host: counts messages.
+            seconds: what all replacements of the plan together may take to deliver.
+            clock: steady time, in seconds.
+            sleep: waits that many seconds.
         """
-        self._manager = manager
-        self._table = table
-        self._claim_lock = claim_lock
-        self._connector = connector
-        self._delivery = delivery
-        self._on_failure = on_failure
+        self._host = host
+        self._seconds = seconds
+        self._clock = clock
+        self._sleep = sleep
+        self._deadline: Optional[float] = None
+        #: What did not go as it should, in words.
+        self.remarks: List[str] = []
 
-    def carry_out(self, request: AssemblyRequest) -> AssemblyResult:
-        """Make what a plan says.
+    def wait(self, record: Record, port: str) -> None:
+        """Wait until an out-port has sent a message, or until the time is over."""
+        if self._deadline is None:
+            self._deadline = self._clock() + self._seconds
+        with contextlib.ExitStack() as closing:
+            count = self._counter(record, port, closing)
+            begin = self._clock()  # earlier answers are about earlier nodelets of the name
+            while not _shows_messages(count(), begin):
+                if self._clock() >= self._deadline:
+                    late = f"though it sent nothing within {self._seconds:g} s"
+                    self.remarks.append(f"{record.name} took over {late}")
+                    return
+                self._sleep(_STEP)
 
-        Raises:
-            StreamTypeMismatch: what was made carries another type than was needed.
-            DyKnowError: a step failed.
-
-        Whatever it raises, what was made is undone.
-        """
-        parts = (
-            self._manager,
-            self._table,
-            self._claim_lock,
-            self._connector,
-            self._delivery.begin(),
-        )
-        work = _Work(*parts, self._on_failure, request)
-        try:
-            return work.do()
-        except BaseException:
-            work.transaction.undo(self._table.needed())
-            raise
+    def _counter(
+        self, record: Record, port: str, closing: contextlib.ExitStack
+    ) -> Callable[[], Optional[Count]]:
+        """Return a function that counts the messages of an out-port."""
+        if record.rewired_by_reload:
+            listening = self._host.listen(record.topics.get(port, ""))
+            closing.callback(listening.close)
+            return listening.count
+        wanted = {record.manager: (record.name,)}
+        return lambda: (self._host.counts(wanted).get(record.name) or {}).get(port)
 
 
-class _Work:
-    """One plan being carried out."""
+def _shows_messages(count: Optional[Count], since: float) -> bool:
+    return count is not None and count.asked >= since and count.messages > 0
+
+
+class Assembly:
+    """One plan that is carried out."""
 
     def __init__(
-        self,
-        manager: Manager,
-        table: ClaimTable,
-        claim_lock: ClaimLock,
-        connector: Connector,
-        handover: Handover,
-        on_failure: Callable[[str], None],
-        request: AssemblyRequest,
+        self, context: ClaimContext, request: AssemblyRequest, handover: Handover
     ) -> None:
-        self._manager = manager
-        self._graph = manager.graph
-        self._claim_lock = claim_lock
-        self._connector = connector
-        self._handover = handover
-        self._on_failure = on_failure
-        self._request = request
-        self._done = AssemblyResult()
-        self.transaction = Transaction(manager, connector, request.unresponsive)
-        self._context = PlanContext(manager, table, request, self.transaction.spawned)
+        """Prepare; ``carry_out`` does it.
 
-    def do(self) -> AssemblyResult:
-        done = self._done
-        self._claim_lock.reserve(self._request.own.values())
-        used = {live.nodelet for live in self._request.plan.live if live.nodelet}
-        fed_by: Dict[str, Dict[str, str]] = {name: {} for name in used}
-        with_feeders(self._graph.all(), self._request.ordinary, fed_by, set(), used)
-        self._claim_lock.reserve(fed_by)
-        for step in self._request.plan.steps:
+        Args:
+            context: what the parts of the reconciler share.
+            request: what has to be made.
+            handover: waits for replacements.
+        """
+        self._manager = context.manager
+        self._graph = context.manager.graph
+        self._table = context.table
+        self._lock = context.lock
+        self._connector = context.connector
+        self._request = request
+        self._handover = handover
+        self._transaction = Transaction(context.manager, context.connector, request.unresponsive)
+        self._plan = PlanContext(
+            context.manager, context.table, request, self._transaction.spawned
+        )
+        self._result = AssemblyResult()
+        #: Label of the transformation of which no nodelet could be made; empty if there is none.
+        self.culprit = ""
+
+    def carry_out(self) -> AssemblyResult:
+        """Make what the plan says; whatever this raises, what was made is undone.
+
+        Raises:
+            StreamTypeMismatch: what was made carries another type than is needed.
+            DyKnowError: a step failed.
+        """
+        try:
+            return self._carry_out()
+        except BaseException:
+            self._transaction.undo(self._table.needed())
+            raise
+
+    def _carry_out(self) -> AssemblyResult:
+        result, request = self._result, self._request
+        self._reserve()
+        for step in request.plan.steps:
             self._take(step)
-        self._publish(self._request.plan.goal)
-        ordinary = self._request.ordinary
-        with_feeders(self._graph.all(), ordinary, done.wiring, done.sources, done.reused)
-        done.spawned = list(self.transaction.spawned)
-        done.reused -= set(done.spawned)
-        done.remarks = self._handover.remarks
-        return done
+        self._publish(request.plan.goal)
+        records = self._graph.all()
+        with_feeders(records, request.ordinary, result.wiring, result.sources, result.reused)
+        result.spawned = list(self._transaction.spawned)
+        result.reused -= set(result.spawned)
+        result.remarks = self._handover.remarks
+        return result
+
+    def _reserve(self) -> None:
+        """Keep the nodelets that the plan counts on, and their feeders, from being destroyed."""
+        used = {live.nodelet for live in self._request.plan.live if live.nodelet}
+        fed: Dict[str, Dict[str, str]] = {name: {} for name in used}
+        with_feeders(self._graph.all(), self._request.ordinary, fed, set(), used)
+        self._lock.reserve([*self._request.own.values(), *fed])
 
     # Steps
 
@@ -130,16 +158,15 @@ class _Work:
         inputs = self._inputs(step)
         name = self._request.own.get(label, "")
         if name:
-            self._done.reused.add(name)
-            self._context.check_types(self._graph.get(name), step)
+            self._result.reused.add(name)
+            self._plan.check_types(self._graph.get(name), step)
             for port, source in step.inputs:
                 self._await(source, self._graph.get(name).topics.get(port, ""), inputs[port])
         else:
-            name = self._spawn(
-                self._manager.library.get(label), inputs, self._context.outputs(label)
-            )
-            self._context.check_types(self._graph.get(name), step)
-        self._context.made[label] = name
+            transformation = self._manager.library.get(label)
+            name = self._spawn(transformation, inputs, self._plan.outputs(label))
+            self._plan.check_types(self._graph.get(name), step)
+        self._plan.made[label] = name
         self._connect(name, self._inputs(step))
 
     def _inputs(self, step: PlanStep) -> Dict[str, str]:
@@ -148,46 +175,47 @@ class _Work:
 
     def _publish(self, goal: Source) -> None:
         """Let the goal be published where the client listens."""
-        done, place = self._done, self._request.topic
+        result, place = self._result, self._request.topic
         present = self._topic_of(goal)
-        datatype = self._context.type_of(goal)
+        datatype = self._plan.type_of(goal)
         wanted = self._request.datatype
         if wanted not in ANY and datatype not in (*ANY, wanted):
             raise StreamTypeMismatch(self._request.tag, wanted, datatype, goal.label)
-        done.topic, done.datatype = place or present, datatype or wanted
-        name, port = self._context.name_of(goal), goal.port
-        if not place and present in self._context.taken() and datatype not in ANY:
-            # Clients listen there who want something else: what they get may change.
+        result.topic, result.datatype = place or present, datatype or wanted
+        name, port = self._plan.name_of(goal), goal.port
+        if not place and present in self._plan.taken_topics() and datatype not in ANY:
+            # The clients there want something else, and what they receive may change.
             name, port = self._relay(goal, present), "out"
-            done.topic = self._graph.get(name).topics[port]
-        elif present != done.topic:
-            if not name or not self._context.may_move(name, present):
-                name, port = self._relay(goal, present, done.topic), "out"
+            result.topic = self._graph.get(name).topics[port]
+        elif present != result.topic:
+            if not name or not self._plan.may_move(name, present):
+                name, port = self._relay(goal, present, result.topic), "out"
             else:
-                self._await(goal, done.topic, present)
-                self._connect(name, {port: done.topic})
-            self._clear(done.topic, name)
-        done.goal = (name, port) if name else ("", "")
+                self._await(goal, result.topic, present)
+                self._connect(name, {port: result.topic})
+            self._clear(result.topic, name)
+        result.goal = (name, port) if name else ("", "")
 
     def _relay(self, goal: Source, present: str, topic: str = "") -> str:
-        """Bring a stream that must stay where it is to where the client listens.
+        """Bring a stream that has to stay where it is to ``topic``, or to a new one.
 
-        Without a topic it is brought to a new one, the relay's own.
+        Returns:
+            Name of the relay.
         """
         topology = self._connector.topology()
         tags = tuple(
             tag
-            for tag in self._context.tags_of(goal)
-            if topology.common_tags(present, read_tags((tag,)))  # and not only of this sender
+            for tag in self._plan.tags_of(goal)
+            if topology.common_tags(present, read_tags((tag,)))  # true of all that is sent there
         )
-        made = relay(present, self._context.type_of(goal), tags)
+        made = relay(present, self._plan.type_of(goal), tags)
         name = self._spawn(made, {"in": present}, () if topic else ("out",))
         out = {"out": topic} if topic else {}
         self._connect(name, {"in": self._topic_of(goal), **out})
         return name
 
     def _clear(self, topic: str, publisher: str) -> None:
-        """Take everybody else off the client's topic: whoever was replaced goes."""
+        """Disconnect every other publisher of the client's topic: it was replaced."""
         for record in self._graph.all():
             if record.name == publisher or record.transformation is None:
                 continue
@@ -196,75 +224,61 @@ class _Work:
                 for port in record.ports
                 if port.direction == OUT and port.topic == topic
             }
-            reachable = (
-                record.state is State.RUNNING and record.name not in self._request.unresponsive
-            )
-            if ports and reachable:
-                self.transaction.connect(record.name, ports)
+            is_unresponsive = record.name in self._request.unresponsive
+            if ports and record.state is State.RUNNING and not is_unresponsive:
+                self._transaction.connect(record.name, ports)
 
     # Parts of a step
 
     def _await(self, source: Source, old: str, new: str) -> None:
-        """Wait for a new supplier to deliver, if something flows that it is to replace."""
-        name = self._context.name_of(source)
-        if (
-            old in ("", new)
-            or name not in self.transaction.spawned
-            or not self._context.flows(old)
-        ):
-            return
-        self._handover.wait(self._graph.get(name), source.port)
+        """Wait for a new supplier to deliver, if it replaces one that still delivers."""
+        name = self._plan.name_of(source)
+        is_new = name in self._transaction.spawned
+        if is_new and old not in ("", new) and self._plan.flows(old):
+            self._handover.wait(self._graph.get(name), source.port)
 
     def _topic_of(self, source: Source) -> str:
-        """Name the topic of a supplier; an out-port that has none is given one."""
-        name = self._context.name_of(source)
+        """Return the topic of a supplier; an out-port that has none is connected to one."""
+        name = self._plan.name_of(source)
         if not name:
             assert isinstance(source, Live)
-            self._done.sources.add(source.topic)
+            self._result.sources.add(source.topic)
             return source.topic
         if isinstance(source, Live):
-            self._done.reused.add(name)
+            self._result.reused.add(name)
         topic = self._graph.get(name).topics.get(source.port, "")
         if topic in self._request.ordinary:
-            self._done.sources.add(topic)
+            self._result.sources.add(topic)
         if not topic or (isinstance(source, New) and self._is_mixed(source, topic)):
-            topic = self._context.free_topic(name, source.port)
+            topic = self._plan.free_topic(name, source.port)
         self._connect(name, {source.port: topic})
         return topic
 
     def _is_mixed(self, source: New, topic: str) -> bool:
-        """Whether something else is sent there as well, such as by somebody who was re-wired."""
-        tags = tuple(tag for tag in read_tags(self._context.tags_of(source)) if tag.is_ground)
+        """Whether something else may be sent on a supplier's topic as well."""
+        tags = tuple(tag for tag in read_tags(self._plan.tags_of(source)) if tag.is_ground)
         return self._connector.topology().common_tags(topic, tags) != tags
 
     def _connect(self, name: str, config: Mapping[str, str]) -> None:
-        self.transaction.connect(name, config)
-        self._done.wiring.setdefault(name, {}).update(config)
+        self._transaction.connect(name, config)
+        self._result.wiring.setdefault(name, {}).update(config)
 
     def _spawn(
         self, transformation: Transformation, inputs: Mapping[str, str], outputs: Iterable[str]
     ) -> str:
-        records = self._graph.all()
-        spoken_for = {topic for record in records for topic in record.topics.values()}
-        spoken_for |= self._context.taken() | {self._request.topic}
-        for candidate in free_names(transformation.label):
-            name = self._manager.resolve(candidate)
-            if self._graph.is_busy(name) or any(
-                topic.startswith(name + "/") for topic in spoken_for
-            ):
-                continue
+        for name in self._plan.free_names(transformation.label):
             wiring = {**inputs, **{port: default_topic(name, port) for port in outputs}}
-            self._claim_lock.reserve([name])  # nobody takes it for one that is not needed
+            self._lock.reserve([name])
             try:
                 is_plain = self._manager.host.kind_of(transformation.source) is NodeletKind.CPP
                 request = SpawnRequest(transformation.label, name, wiring if is_plain else {})
-                with self._claim_lock.pause():
-                    self.transaction.spawn(transformation, request, inputs.values())
+                with self._lock.pause():
+                    self._transaction.spawn(transformation, request, inputs.values())
             except NameTaken:
                 continue
             except DyKnowError:
-                self._on_failure(transformation.label)
+                self.culprit = transformation.label
                 raise
             self._connect(name, {port: wiring[port] for port in outputs})
             return name
-        raise SpawnFailed(transformation.label, "there are too many of its name")
+        raise SpawnFailed(transformation.label, "all names for it are taken")

@@ -1,4 +1,4 @@
-"""What can be had now: plans for claims from what is there at the moment.
+"""Plans for claims, from what exists at the moment.
 
 Claims whose clients listen on the same topic are planned together, since one publisher has to
 satisfy them all.
@@ -6,98 +6,94 @@ satisfy them all.
 
 from __future__ import annotations
 
-from typing import AbstractSet, Callable, Dict, FrozenSet, Hashable, Iterable, List, Optional
+from typing import AbstractSet, Dict, FrozenSet, Hashable, Iterable, List, Optional
 
 from dyknow.backoff import Backoff
-from dyknow.errors import HostError
+from dyknow.errors import HostError, UnknownTransformation
 from dyknow.manager.claim import Claim
-from dyknow.manager.claims.claim_lock import ClaimLock
-from dyknow.manager.claims.claim_table import ClaimTable
-from dyknow.manager.claims.connector import Connector
-from dyknow.manager.claims.demands import demand_of, may_share
-from dyknow.manager.claims.diagnosis import is_current
+from dyknow.manager.claims.context import ClaimContext
 from dyknow.manager.claims.relay import is_relay
-from dyknow.manager.claims.silence_monitor import SilenceMonitor
-from dyknow.manager.claims.streams import Stream, live_streams
-from dyknow.manager.manager import Manager
+from dyknow.manager.claims.streams import TaggedStream, live_streams
+from dyknow.manager.claims.topology import demand_of, may_share
+from dyknow.manager.library import Library
 from dyknow.manager.planning.planner import Planner
 from dyknow.manager.planning.problem import NO_LABELS, Answer, Live, NoPlan, Plan
 from dyknow.manager.planning.supply import Demand, Supply
+from dyknow.manager.record import Record
 from dyknow.manager.specifications.tags import Subsumption
 from dyknow.model.graph import State
 from dyknow.model.transformation import Transformation
 
 #: Seconds for which the answer to "which topics are published?" is good enough.
 _FRESH = 0.5
-#: How much the planner may remember in vain, if that is more than the library has.
+#: Outdated terms that the planner may keep, if the library has fewer transformations.
 _WASTE = 1_000
+#: Seconds of the first pause of a transformation that failed: longer than a round of the
+#: reconciler, so that another way is tried in between.
+_FIRST_PAUSE = 1.0
 
 
 class ClaimPlanner:
-    """Plans with what there is; one call at a time."""
+    """Plans with what exists; used under the lock of the claims."""
 
-    def __init__(
-        self,
-        manager: Manager,
-        ontology: Subsumption,
-        table: ClaimTable,
-        failures: Backoff,
-        silence: SilenceMonitor,
-        claim_lock: ClaimLock,
-        connector: Connector,
-        clock: Callable[[], float],
-    ) -> None:
-        """Know nothing yet."""
-        self._manager = manager
+    def __init__(self, context: ClaimContext, ontology: Subsumption) -> None:
+        """Begin without a look at the topics.
+
+        Args:
+            context: what the parts of the reconciler share.
+            ontology: what is a kind of what.
+        """
+        self._manager = context.manager
+        self._table = context.table
+        self._lock = context.lock
+        self._connector = context.connector
+        self._monitor = context.monitor
+        self._clock = context.clock
         self._ontology = ontology
-        self._table = table
-        self._failures = failures
-        self._silence = silence
-        self._claim_lock = claim_lock
-        self._connector = connector
-        self._clock = clock
         self._planner = Planner(ontology)
         self._known: Dict[str, Transformation] = {}
         self._known_revision = -1
-        self._asked = float("-inf")
+        self._looked = float("-inf")
+        #: Failures of transformations, by label.
+        self.failures = Backoff(context.clock, _FIRST_PAUSE)
         #: Topics of ordinary nodes that had a publisher at the last look.
         self.published: FrozenSet[str] = frozenset()
 
-    # What is there
+    # What exists
 
     def look(self, at_once: bool = False) -> None:
-        """Ask which topics of ordinary nodes are published, now and then or at once.
+        """Ask which topics of ordinary nodes are published: now and then, or ``at_once``.
 
-        While nobody can tell, the last answer holds.
+        The last answer holds until there is another one.
         """
         now = self._clock()
-        if now - self._asked < _FRESH and not at_once:
+        if now - self._looked < _FRESH and not at_once:
             return
-        self._asked = now
+        self._looked = now
         wanted = {each.source for each in self._manager.existing_topics()}
         wanted.update(topic for claim in self._table.living() for topic in claim.sources)
         try:
             self.published = self._manager.host.published(sorted(wanted))
         except HostError:
-            return  # the master is away; what flows flows on
+            return  # the ROS master is away, which interrupts no stream
 
     def ordinary(self) -> FrozenSet[str]:
-        """Topics on which ordinary nodes send what the library says."""
+        """Topics on which ordinary nodes publish what the library describes."""
         return self.published & {each.source for each in self._manager.existing_topics()}
 
     def signature(self) -> Hashable:
-        """Differs when a plan that could not be made may be possible now."""
+        """Return a value that differs when a plan may have become possible."""
         manager = self._manager
         return (
             manager.library.revision,
             manager.graph.revision,
             self.published,
-            self._failures.paused,
-            self._silence.unhealthy,
+            self.failures.paused,
+            self._monitor.unhealthy,
         )
 
     def offers(self) -> Hashable:
-        """Differs when something new is offered: a reason to look for cheaper ways."""
+        """Return a value that differs when a plan may have become cheaper."""
         others = frozenset(
             record.name
             for record in self._manager.graph.all()
@@ -106,13 +102,14 @@ class ClaimPlanner:
         return self._manager.library.revision, self.published, others
 
     def own(self, claim: Claim) -> Dict[str, str]:
-        """Healthy nodelets of a claim, and such as no claim needs, by label: they can be re-wired.
+        """Healthy nodelets that can be connected elsewhere for a claim, by label.
 
-        Parts that other claims share are among them, unless these exclude what this one does not:
-        whatever suits their in-ports, their out-ports supply the same.
+        These are the claim's own nodelets and those that no claim needs. Parts that other claims
+        share are among them, unless these claims exclude what this one does not: whatever suits
+        the in-ports of a part, its out-ports supply the same.
         """
         sharing = [each for each in self._table.living() if each.claim_id != claim.claim_id]
-        needed = self._table.needed() | self._claim_lock.reserved
+        needed = self._table.needed() | self._lock.reserved
         idle = [record.name for record in self._manager.graph.all() if record.name not in needed]
         found: Dict[str, str] = {}
         for name in (*idle, *claim.nodelets):
@@ -121,7 +118,7 @@ class ClaimPlanner:
                 record is not None
                 and record.claimed
                 and record.state is State.RUNNING
-                and name not in self._silence.unhealthy
+                and name not in self._monitor.unhealthy
                 and record.transformation == self._current(record.label)
                 and all(
                     set(each.request.exclude) <= set(claim.request.exclude)
@@ -133,50 +130,52 @@ class ClaimPlanner:
         return found
 
     def price(self, claim: Claim) -> int:
-        """What would be saved if a claim's stream were not there."""
+        """Return what would be saved if a claim's stream did not exist."""
         return sum(self._known[label].cost for label in self._saved(claim))
 
     # Plans
 
     def common_topic(self, claim: Claim) -> str:
-        """Where another client listens that wants the same; empty if there is none."""
+        """Return where another client listens whose stream will do for a claim; empty for none."""
         sharing = [each for each in self._table.living() if each.topic and may_share(claim, each)]
         return sharing[0].topic if sharing else ""
 
     def plan(
         self, claim: Claim, lenient: bool = False, avoid: FrozenSet[str] = NO_LABELS
     ) -> Answer:
-        """Plan a claim's stream, with its own nodelets re-wired at no cost.
+        """Plan a claim's stream; its own nodelets cost nothing.
 
         Args:
             claim: whose stream it is.
-            lenient: use what failed lately too, if there is no other way.
-            avoid: labels that will not do, as has turned out.
+            lenient: use transformations that failed lately too, if there is no other way.
+            avoid: labels that turned out to be of no use.
         """
         self._update()
         together = self._together(claim)
-        answer = self._plan(together, claim.topic, self._failures.paused, avoid)
-        if isinstance(answer, NoPlan) and lenient and self._failures.paused:
+        paused = self.failures.paused
+        answer = self._plan(together, claim.topic, paused, avoid)
+        if isinstance(answer, NoPlan) and lenient and paused:
             answer = self._plan(together, claim.topic, NO_LABELS, avoid)
         return answer
 
     def is_waiting(self, claim: Claim) -> bool:
         """Whether there would be a plan if nothing had failed lately."""
-        paused = self._failures.paused
-        return bool(paused) and isinstance(self._plan([claim], claim.topic, NO_LABELS), Plan)
+        return bool(self.failures.paused) and isinstance(
+            self._plan([claim], claim.topic, NO_LABELS), Plan
+        )
 
-    def plan_anew(self, claim: Claim) -> Answer:
-        """Plan a claim's stream as if the nodelets were not there that only it needs."""
+    def plan_from_scratch(self, claim: Claim) -> Answer:
+        """Plan a claim's stream as if the nodelets that it alone needs did not exist."""
         self._update()
         own = self._saved(claim)
         exclude = frozenset(claim.request.exclude)
-        streams = self._origins(self._streams(exclude, frozenset(own.values())))
-        paused = self._failures.paused - frozenset(own)
+        streams = self._without_relays(self._streams(exclude, frozenset(own.values())))
+        paused = self.failures.paused - frozenset(own)
         demand = demand_of(self._together(claim))
         return self._planner.plan(demand, streams, exclude, paused=paused)
 
     def with_own(self, plan: Plan, own: Dict[str, str]) -> Plan:
-        """Take the nodelets that are there out of a plan's price."""
+        """Return a plan in which nodelets that exist cost nothing."""
         steps = tuple(
             step._replace(action=step.action._replace(cost=0))
             if step.action.label in own
@@ -193,7 +192,7 @@ class ClaimPlanner:
         return [claim, *(each for each in others if each.topic and each.topic == claim.topic)]
 
     def _saved(self, claim: Claim) -> Dict[str, str]:
-        """Nodelets, by label, that would go if the stream of these clients were not needed."""
+        """Nodelets, by label, that nothing would need if these clients needed no stream."""
         together = {each.claim_id for each in self._together(claim)}
         kept = {
             name
@@ -219,18 +218,19 @@ class ClaimPlanner:
         present = self._present(demand, streams, topic)
         if present is not None:
             return Plan(demand, present, (), 0)
-        return self._planner.plan(
-            demand, self._origins(streams), exclude, own, paused=paused - own
-        )
+        streams = self._without_relays(streams)
+        return self._planner.plan(demand, streams, exclude, own, paused=paused - own)
 
-    def _origins(self, streams: Iterable[Stream]) -> List[Stream]:
-        """Leave relays out: who needs what they bring takes it where they have it from."""
+    def _without_relays(self, streams: Iterable[TaggedStream]) -> List[TaggedStream]:
+        """Leave out what relays publish: a plan takes it from where they receive it."""
         relays = {
             record.name for record in self._manager.graph.all() if is_relay(record.transformation)
         }
         return [each for each in streams if each[0].nodelet not in relays]
 
-    def _present(self, demand: Demand, streams: Iterable[Stream], topic: str) -> Optional[Live]:
+    def _present(
+        self, demand: Demand, streams: Iterable[TaggedStream], topic: str
+    ) -> Optional[Live]:
         """Find a stream that will do and is where the client listens already."""
         there: Supply[Live] = Supply(self._ontology)
         for stream, terms in streams:
@@ -240,12 +240,12 @@ class ClaimPlanner:
 
     def _streams(
         self, exclude: AbstractSet[str], without: AbstractSet[str] = frozenset()
-    ) -> List[Stream]:
+    ) -> List[TaggedStream]:
         """List the streams that can be relied on.
 
         Args:
-            exclude: labels that must not have a part in them, directly or further up.
-            without: nodelets that must not have a part in them.
+            exclude: labels that must have no part in them, directly or further up.
+            without: nodelets that must have no part in them.
         """
         manager = self._manager
         published = [
@@ -253,7 +253,7 @@ class ClaimPlanner:
             for each in manager.existing_topics()
             if each.label not in exclude
             and each.source in self.published
-            and each.source not in self._silence.silent
+            and each.source not in self._monitor.silent
         ]
         records = manager.graph.all()
         excluded = {
@@ -262,8 +262,9 @@ class ClaimPlanner:
             if record.label in exclude
             or (record.claimed and not is_current(manager.library, record))
         }
-        unfit = without | excluded | self._silence.unhealthy
-        return live_streams(records, published, self._connector.topology(), self._ontology, unfit)
+        unfit = without | excluded | self._monitor.unhealthy
+        topology = self._connector.topology()
+        return live_streams(records, published, topology, self._ontology, unfit)
 
     def _current(self, label: str) -> Optional[Transformation]:
         self._update()
@@ -284,3 +285,14 @@ class ClaimPlanner:
         known = self._known
         self._planner.add(each for each in present.values() if known.get(each.label) != each)
         self._known = present
+
+
+def is_current(library: Library, record: Record) -> bool:
+    """Whether the library still has what a nodelet was made from, perhaps in a newer version."""
+    if is_relay(record.transformation):
+        return True
+    try:
+        library.get(record.label)
+    except UnknownTransformation:
+        return False
+    return True

@@ -1,7 +1,7 @@
-"""The claims that are kept: in memory for everybody to see, on disk first.
+"""The claims: written to disk first, then shown.
 
-A claim that ended stays ended, whatever somebody who still works for it writes afterwards; a lease
-that is renewed meanwhile stays renewed. Changes are told in their order.
+A claim that has ended stays ended, whatever a repair that was still at work writes afterwards, and
+a lease that was renewed meanwhile stays renewed. Events come in the order of the changes.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from dyknow.model.streams import ClaimState, StreamRequest
 
 
 class ClaimTable:
-    """Claims by id; every method is safe from any thread."""
+    """Claims by id; safe from any thread."""
 
     def __init__(self, store: Store, clock: Callable[[], float], ended_kept: int) -> None:
         """Take up the claims that the store has.
 
         Args:
             store: where they outlive the manager.
-            clock: seconds, steady.
-            ended_kept: claims that ended and can still be asked about.
+            clock: steady time, in seconds.
+            ended_kept: ended claims that are still shown.
         """
         self._store = store
         self._clock = clock
@@ -35,19 +35,19 @@ class ClaimTable:
         self._turn = turn_lock("claims on disk")
         self._state_lock = state_lock("claims")
         self._claims: Dict[str, Claim] = self._stored()
-        self._telling: EventQueue[ClaimEvent] = EventQueue(lambda event: None)
+        self._events: EventQueue[ClaimEvent] = EventQueue(lambda event: None)
 
     @property
     def on_event(self) -> Callable[[ClaimEvent], None]:
-        """Called with every change, in their order, one at a time and outside the locks."""
-        return self._telling.listener
+        """Called with every change, in the order of the changes, outside the locks."""
+        return self._events.listener
 
     @on_event.setter
     def on_event(self, listener: Callable[[ClaimEvent], None]) -> None:
-        self._telling.listener = listener
+        self._events.listener = listener
 
     def all(self) -> List[Claim]:
-        """Return every claim, those that ended lately too, by id."""
+        """Return every claim, those that ended lately included, by id."""
         with self._state_lock:
             return [self._claims[claim_id] for claim_id in sorted(self._claims)]
 
@@ -74,7 +74,7 @@ class ClaimTable:
         return claim
 
     def same(self, request: StreamRequest) -> Optional[Claim]:
-        """Return the living claim of an earlier copy of a request, if it is one that tells."""
+        """Return the living claim of an earlier copy of a request; None without a request id."""
         if not request.request_id:
             return None
         wanted = (request.client_id, request.request_id)
@@ -91,7 +91,7 @@ class ClaimTable:
                 names.update(claim.nodelets)
         return names
 
-    def taken(self, but: str = "") -> Set[str]:
+    def taken_topics(self, but: str = "") -> Set[str]:
         """Topics on which clients of living claims, ``but`` one, listen."""
         return {claim.topic for claim in self.living() if claim.topic and claim.claim_id != but}
 
@@ -101,12 +101,12 @@ class ClaimTable:
         claim = replace(claim, deadline=self._clock() + lease if lease > 0 else None)
         with self._turn:
             self._write(claim)
-            self._telling.add(ClaimEvent(replace(claim, state=ClaimState.PENDING), claim, reason))
-        self._telling.tell()
+            self._events.add(ClaimEvent(replace(claim, state=ClaimState.PENDING), claim, reason))
+        self._events.deliver()
         return claim
 
     def change(self, claim_id: str, reason: str, **changes: Any) -> Optional[Claim]:
-        """Change a claim, unless it ended meanwhile: then None is returned."""
+        """Change a claim and return it; None if it has ended."""
         with self._turn:
             before = self.find(claim_id)
             if before is None:
@@ -114,17 +114,17 @@ class ClaimTable:
             after = replace(before, **changes)
             if after != before:
                 self._write(after)
-                self._telling.add(ClaimEvent(before, after, reason))
-        self._telling.tell()
+                self._events.add(ClaimEvent(before, after, reason))
+        self._events.deliver()
         return after
 
     def report(self, claim_id: str, news: str) -> None:
-        """Tell something about a claim that does not change it."""
+        """Send an event about a claim that does not change it."""
         with self._turn:
             claim = self.find(claim_id)
             if claim is not None:
-                self._telling.add(ClaimEvent(claim, claim, news))
-        self._telling.tell()
+                self._events.add(ClaimEvent(claim, claim, news))
+        self._events.deliver()
 
     def renew(self, claim_id: str, lease: float) -> Claim:
         """Let a claim live for so many seconds from now (0: until it is released).
@@ -139,7 +139,7 @@ class ClaimTable:
         return claim
 
     def end(self, claim_id: str, state: ClaimState, reason: str) -> None:
-        """End a claim; nothing happens to one that ended, or that nobody knows."""
+        """End a claim; one that has ended, or is unknown, is left as it is."""
         with self._turn:
             before = self.find(claim_id)
             if before is None:
@@ -148,21 +148,21 @@ class ClaimTable:
             self._store.remove_claim(claim_id)
             with self._state_lock:
                 self._claims.pop(claim_id)
-                self._claims[claim_id] = after  # the latest to end is the last to be forgotten
+                self._claims[claim_id] = after  # now the last one to be forgotten
                 ended = [key for key, claim in self._claims.items() if claim.state.ended]
                 for key in ended[: max(0, len(ended) - self._ended_kept)]:
                     del self._claims[key]
-            self._telling.add(ClaimEvent(before, after, reason))
-        self._telling.tell()
+            self._events.add(ClaimEvent(before, after, reason))
+        self._events.deliver()
 
-    def end_late(self) -> None:
+    def expire_late(self) -> None:
         """End the claims whose lease is over."""
         now = self._clock()
         for claim in self.living():
             if claim.deadline is not None and now >= claim.deadline:
-                self._end_if_late(claim.claim_id, now)
+                self._expire_if_late(claim.claim_id, now)
 
-    def _end_if_late(self, claim_id: str, now: float) -> None:
+    def _expire_if_late(self, claim_id: str, now: float) -> None:
         claim = self.find(claim_id)
         if claim is not None and claim.deadline is not None and now >= claim.deadline:
             self.end(claim_id, ClaimState.EXPIRED, "its lease ended")

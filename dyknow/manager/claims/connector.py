@@ -1,11 +1,11 @@
-"""Connects ports for claims: the one place that sees to it that nobody hears what does not fit.
+"""Connects ports for claims, so that no consumer receives what it does not demand.
 
-Before a sender comes to a topic, listeners there whose demand it does not meet are cut off; a
-listener never comes to a topic with a sender that does not meet its demand. Who cannot be asked
-counts as being wherever it may be.
+Before a producer comes to a topic, consumers there whose demand it does not meet are disconnected.
+A consumer never comes to a topic with a producer that does not meet its demand. A nodelet that
+cannot be asked counts on each topic on which it may be.
 
 A connection that was not answered in time may be made later. Its nodelet is asked until it
-answers, and its ports count as being where they were sent for a while after that.
+answers, and for a while after that its ports count on the topics that they were sent to.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Callable, Dict, List, Mapping, Optional, Set, Tuple
 
 from dyknow.errors import Busy, DyKnowError, HostError, HostTimeout, WrongStream
 from dyknow.manager.claims.claim_table import ClaimTable
-from dyknow.manager.claims.topology import Consumer, Producer, Topology
+from dyknow.manager.claims.topology import Consumer, NodeletEnds, Producer, Topology, ends_of
 from dyknow.manager.manager import Manager
 from dyknow.manager.record import Record, seen_ports, topics_of
 from dyknow.manager.specifications.tags import Subsumption
@@ -29,10 +29,11 @@ _LATE = 30.0
 _PAUSE = 1.0
 
 Config = Mapping[str, str]
+"""Topics by port; an empty topic disconnects."""
 
 
 class Connector:
-    """Knows who may hear whom, and connects ports accordingly."""
+    """Connects ports, and knows the topology that results."""
 
     def __init__(
         self,
@@ -41,51 +42,54 @@ class Connector:
         ontology: Subsumption,
         clock: Callable[[], float],
     ) -> None:
-        """Connect nothing yet; what is brought back from now on is not connected wrongly.
+        """Decide from now on how nodelets that are brought back are connected.
 
         Args:
             manager: knows the nodelets.
             table: knows the clients.
             ontology: what is a kind of what.
-            clock: seconds, steady.
+            clock: steady time, in seconds.
         """
         self._manager = manager
         self._graph = manager.graph
         self._table = table
         self._ontology = ontology
         self._clock = clock
+        self._read: Dict[str, Tuple[Record, NodeletEnds]] = {}
+        #: Topics that a port was sent to without an answer, and until when it may arrive there.
         self._late: Dict[Tuple[str, str], Dict[str, float]] = {}
-        self._unknown: Dict[str, float] = {}  # nodelets to be asked, and when
+        #: Nodelets whose connections are not known, and when to ask them.
+        self._unknown: Dict[str, float] = {}
         manager.lifecycle.fitting = self.fitting
 
-    # Who hears whom
+    # The topology
 
     def topology(self, changed: Optional[Record] = None) -> Topology:
-        """Look at who may be where.
+        """Return the topology of this moment.
 
         Args:
-            changed: a nodelet as it is to be; it counts beside what it is.
+            changed: a nodelet as it would be; it counts besides what it is.
         """
-        records = self._acting()
+        nodelets = self._nodelets()
         if changed is not None:
-            records.append(changed)
+            nodelets.append(ends_of(changed))
         return Topology(
-            records,
+            nodelets,
             self._manager.existing_topics(),
             [claim for claim in self._table.living() if claim.topic],
-            lambda name, port: self._late.get((name, port), ()),
+            dict(self._late),
             self._ontology,
         )
 
     def fitting(self, record: Record) -> Dict[str, str]:
-        """Return a nodelet's connections, without those that must not be made as things are."""
+        """Return a nodelet's connections, without those that must not be made at present."""
         topics = dict(record.topics)
         made = {each.name for each in self._graph.all() if each.claimed}
         mismatches = self.topology(record).mismatches(set(topics.values()) - {""})
-        for topic, sender, listener in mismatches:
-            for end, other in ((sender, listener), (listener, sender)):
-                # What people made by hand and connected with each other is their own affair.
-                is_client = other is listener and not listener.nodelet
+        for topic, producer, consumer in mismatches:
+            for end, other in ((producer, consumer), (consumer, producer)):
+                # What people spawned and connected with each other is their own affair.
+                is_client = other is consumer and not consumer.nodelet
                 concerns_claims = record.claimed or is_client or other.nodelet in made
                 if concerns_claims and _is_at(end, record.name, record.topics, topic):
                     topics[end.port] = ""
@@ -95,7 +99,7 @@ class Connector:
         """List what has to be disconnected before a nodelet's ports may be connected so.
 
         Returns:
-            For each nodelet its ports, each with no topic.
+            For each nodelet its ports, each with an empty topic.
 
         Raises:
             WrongStream: it must not be connected so, whatever is disconnected before.
@@ -103,22 +107,22 @@ class Connector:
         changed = replace(record, topics={**record.topics, **config})
         cut: Dict[str, Dict[str, str]] = {}
         topics = set(config.values()) - {""}
-        for topic, sender, listener in self.topology(changed).mismatches(topics):
-            if _is_at(listener, record.name, config, topic) or (
-                not listener.nodelet and _is_at(sender, record.name, config, topic)
+        for topic, producer, consumer in self.topology(changed).mismatches(topics):
+            if _is_at(consumer, record.name, config, topic) or (
+                not consumer.nodelet and _is_at(producer, record.name, config, topic)
             ):
-                raise WrongStream(topic, sender.nodelet, listener.nodelet)
-            if _is_at(sender, record.name, config, topic):
-                cut.setdefault(listener.nodelet, {})[listener.port] = ""
+                raise WrongStream(topic, producer.nodelet, consumer.nodelet)
+            if _is_at(producer, record.name, config, topic):
+                cut.setdefault(consumer.nodelet, {})[consumer.port] = ""
         return cut
 
     # Connecting
 
     def connect(self, name: str, config: Config) -> None:
-        """Connect ports of a nodelet, and let the graph know at once.
+        """Connect ports of a nodelet, and show it in the graph at once.
 
         Raises:
-            DyKnowError: the nodelet refused, or nobody knows what became of it.
+            DyKnowError: the nodelet refused, or did not answer.
         """
         for topic in config.values():
             self._manager.guards.check_topic(topic)
@@ -135,14 +139,14 @@ class Connector:
         except HostError:
             self._unknown[name] = self._clock()
             raise
-        self._follow(name, config)
+        self._show(name, config)
 
     def is_known(self, name: str) -> bool:
         """Whether it is known how a nodelet is connected."""
         return name not in self._unknown
 
     def ask(self) -> None:
-        """Ask nodelets of which nobody knows how they are connected; the graph follows."""
+        """Ask the nodelets whose connections are not known, and show these in the graph."""
         now = self._clock()
         hanging: Set[str] = set()
         for name in sorted(self._unknown):
@@ -156,30 +160,41 @@ class Connector:
             ):
                 self._unknown[name] = now + _PAUSE
                 try:
-                    self._see(name)
+                    self._ask(name)
                 except HostTimeout:
                     hanging.add(record.manager)
                 except DyKnowError:
-                    continue  # next time
+                    continue  # it is asked again
                 else:
-                    self._settle(name)
+                    self._note_answer(name)
 
     # Inside
 
+    def _nodelets(self) -> List[NodeletEnds]:
+        """Read the nodelets that may send or receive; a record is read again when it changed."""
+        read: Dict[str, Tuple[Record, NodeletEnds]] = {}
+        for record in self._acting():
+            known = self._read.get(record.name)
+            if known is None or known[0] is not record:
+                known = (record, ends_of(record))
+            read[record.name] = known
+        self._read = read
+        return [ends for _, ends in read.values()]
+
     def _acting(self) -> List[Record]:
-        """Nodelets that may send or receive: those that run, and those of which nobody knows."""
+        """Nodelets that run, and those that may run though nobody has seen it."""
         records = [each for each in self._graph.all() if each.state is not State.FAILED]
         if any(record.state is State.LOST for record in records):
-            there = {state.name: state.incarnation for state in self._manager.host.managers()}
+            incarnations = {each.name: each.incarnation for each in self._manager.host.managers()}
             return [
                 record
                 for record in records
                 if record.state is not State.LOST
-                or there.get(record.manager) == record.incarnation
+                or incarnations.get(record.manager) == record.incarnation
             ]
         return records
 
-    def _follow(self, name: str, config: Config) -> None:
+    def _show(self, name: str, config: Config) -> None:
         try:
             with self._graph.changing(name, patience=_PATIENCE) as record:
                 if record is not None:
@@ -195,7 +210,7 @@ class Connector:
             self._unknown[name] = self._clock()
             raise
 
-    def _see(self, name: str) -> None:
+    def _ask(self, name: str) -> None:
         ports = self._manager.host.ports(name)
         with self._graph.changing(name) as record:
             if record is not None and record.state is State.RUNNING:
@@ -205,8 +220,8 @@ class Connector:
                     durable=record.transformation is not None,
                 )
 
-    def _settle(self, name: str) -> None:
-        """It answered: it is known, once nothing can come late any more."""
+    def _note_answer(self, name: str) -> None:
+        """A nodelet answered: its connections are known once none can arrive late any more."""
         now = self._clock()
         for place in [place for place in self._late if place[0] == name]:
             left = {topic: until for topic, until in self._late[place].items() if until > now}

@@ -1,9 +1,9 @@
-"""How many messages the parts of streams have sent, and between which moments none came.
+"""How many messages the parts of streams have sent, and in which spans of time they sent none.
 
-Nodelets are asked for the counts of their out-ports; topics of ordinary nodes and of plain C++
-nodelets, whose publishers cannot be asked, are listened to. A count that could not be read says
-nothing. One that was read holds for a moment between question and answer; whatever is concluded
-here holds whichever moment it was, so a slow network makes the conclusions late, but not wrong.
+Nodelets are asked for the counts of their out-ports. Topics of ordinary nodes, and of plain C++
+nodelets, whose publishers cannot be asked, are listened to. A count holds for one moment between
+the question and the answer. Every conclusion drawn here holds for any such moment, so a slow
+network makes conclusions late, but not wrong. A count that could not be read allows none.
 """
 
 from __future__ import annotations
@@ -15,28 +15,28 @@ from dyknow.manager.graph import Graph
 from dyknow.manager.host import Count, Host, Listening
 from dyknow.model.graph import State
 
-#: Seconds without an answer after which a nodelet counts as one that does not answer.
+#: Seconds without an answer after which a nodelet is unresponsive.
 UNANSWERED = 2.0
-#: Seconds between two questions to the nodelets that have stopped answering.
-_AGAIN = 0.5
+#: Seconds between two questions to an unresponsive nodelet.
+_RETRY = 0.5
 
 Place = Tuple[str, str]
-"""A nodelet and its out-port; or no nodelet and a topic."""
+"""A nodelet and its out-port, or an empty name and a topic."""
 
 _NEVER = float("-inf")
 
 
 @dataclass
 class Flow:
-    """What is known of the messages of one place; moments are seconds of a steady clock.
+    """The messages of one place; moments are seconds of a steady clock.
 
     Attributes:
-        messages: how many were counted last.
-        quiet_from: the last of them had come by then.
+        messages: the latest count.
+        quiet_from: the last message had come by then.
         quiet_until: no other had come until then.
-        came_after: one was seen to come, and came after this moment.
-        begun: whether any has come at all.
-        latched: whether one is kept for whoever connects later.
+        came_after: a message that was noticed came after this moment.
+        begun: whether any message has come.
+        latched: whether one is kept for subscribers that connect later.
     """
 
     messages: int
@@ -48,22 +48,28 @@ class Flow:
 
     @property
     def silence(self) -> float:
-        """Seconds for which certainly nothing came."""
+        """Seconds for which certainly no message came."""
         return self.quiet_until - self.quiet_from
 
 
 class FlowMeter:
-    """Reads the counts of the places that it is told, and remembers what follows from them."""
+    """Counts messages at the places that it is given, and keeps a flow for each."""
 
     def __init__(self, host: Host, graph: Graph, clock: Callable[[], float]) -> None:
-        """Count nothing yet."""
+        """Begin without any place.
+
+        Args:
+            host: counts messages.
+            graph: the nodelets.
+            clock: steady time, in seconds.
+        """
         self._host = host
         self._graph = graph
         self._clock = clock
         self._flows: Dict[Place, Flow] = {}
         self._listening: Dict[str, Listening] = {}
         self._asked: Dict[str, float] = {}
-        self._waiting_since: Dict[str, float] = {}
+        self._unanswered_since: Dict[str, float] = {}
         self._unresponsive: Dict[str, List[Place]] = {}
 
     @property
@@ -73,26 +79,26 @@ class FlowMeter:
 
     @property
     def flows(self) -> Mapping[Place, Flow]:
-        """What is known of each place."""
+        """The flow of each place that was counted."""
         return self._flows
 
     def has_come(self, place: Place, since: float) -> bool:
-        """Whether a message has come since then for certain, or is kept for who connects."""
+        """Whether a message has certainly come since then, or a latched one is kept."""
         flow = self._flows.get(place)
         return flow is not None and (flow.latched or flow.came_after >= since)
 
-    def excuse(self, names: Iterable[str]) -> None:
-        """Let the silence of nodelets that were re-wired just now begin anew."""
+    def restart_silence(self, names: Iterable[str]) -> None:
+        """Let the silence of nodelets begin now, since they were connected elsewhere."""
         names = set(names)
         for (name, _), flow in self._flows.items():
             if name in names:
                 flow.quiet_from = self._clock()
 
     def read(self, *periods: Mapping[Place, float]) -> Set[Place]:
-        """Count once more; what is not among these places is forgotten.
+        """Count where a count is due; flows of places that are not named are forgotten.
 
         Args:
-            periods: seconds between two counts, by place; the shortest counts.
+            periods: seconds between two counts, by place; the shortest one is used.
 
         Returns:
             The places where messages have come.
@@ -102,8 +108,8 @@ class FlowMeter:
         self._unresponsive = {
             name: places for name, places in self._unresponsive.items() if name in running
         }
-        # Those that do not answer are asked on until they do, whether a claim needs them or not.
-        wanted = {place: _AGAIN for places in self._unresponsive.values() for place in places}
+        # An unresponsive nodelet is asked until it answers, whether a claim needs it or not.
+        wanted = {place: _RETRY for places in self._unresponsive.values() for place in places}
         for place, period in [each for one in periods for each in one.items()]:
             wanted[place] = min(wanted.get(place, period), period)
         topics: Dict[str, List[Place]] = {}
@@ -122,8 +128,6 @@ class FlowMeter:
         for place in [place for place in self._flows if place not in wanted]:
             del self._flows[place]
         return self._listen(topics) | self._ask(asked, wanted)
-
-    # Inside
 
     def _listen(self, topics: Mapping[str, List[Place]]) -> Set[Place]:
         for topic in [topic for topic in self._listening if topic not in topics]:
@@ -155,28 +159,27 @@ class FlowMeter:
         for name, places in [each for manager in due for each in asked[manager].items()]:
             counts = answers.get(name)
             if counts is None:
-                gone = name in answers
-                if gone or self._clock() - self._waiting_since.setdefault(name, now) >= UNANSWERED:
+                since = self._unanswered_since.setdefault(name, now)
+                is_gone = name in answers
+                if is_gone or self._clock() - since >= UNANSWERED:
                     self._unresponsive[name] = places
                 continue
-            self._waiting_since.pop(name, None)
-            if self._unresponsive.pop(
-                name, None
-            ):  # it may have been stopped: its time begins anew
+            self._unanswered_since.pop(name, None)
+            if self._unresponsive.pop(name, None):  # it may have been stopped: its time restarts
                 for place in places:
                     self._flows.pop(place, None)
             for place in places:
                 if place[1] in counts and self._note(place, counts[place[1]]):
                     came.add(place)
         known = {name for names in asked.values() for name in names}
-        for name in [name for name in self._waiting_since if name not in known]:
-            del self._waiting_since[name]
+        for name in [name for name in self._unanswered_since if name not in known]:
+            del self._unanswered_since[name]
         return came
 
     def _note(self, place: Place, count: Count) -> bool:
-        """Take a count in; returns whether messages have come since the last."""
+        """Take a count in; returns whether messages have come since the last one."""
         flow = self._flows.get(place)
-        if flow is None or count.messages < flow.messages:  # it was loaded anew
+        if flow is None or count.messages < flow.messages:  # the nodelet was loaded again
             flow = Flow(count.messages, count.answered, count.asked, begun=count.messages > 0)
             self._flows[place] = flow
         came = count.messages > flow.messages

@@ -1,4 +1,4 @@
-"""Clears away what claims leave behind: nodelets that none needs, and second publishers."""
+"""Disconnects and destroys what claims leave behind: unneeded nodelets, and second publishers."""
 
 from __future__ import annotations
 
@@ -9,12 +9,8 @@ from typing import AbstractSet, Callable, Dict, Iterable, Set, Tuple
 from dyknow.backoff import Backoff
 from dyknow.errors import DyKnowError
 from dyknow.manager.claim import Claim
-from dyknow.manager.claims.claim_lock import ClaimLock
-from dyknow.manager.claims.claim_table import ClaimTable
-from dyknow.manager.claims.connector import Connector
-from dyknow.manager.claims.silence_monitor import SilenceMonitor
+from dyknow.manager.claims.context import ClaimContext
 from dyknow.manager.claims.topology import Consumer, Producer
-from dyknow.manager.manager import Manager
 from dyknow.manager.record import Record
 from dyknow.model.graph import State
 from dyknow.model.streams import ClaimState
@@ -22,7 +18,7 @@ from dyknow.model.transformation import IN, OUT
 
 _log = logging.getLogger("rosout.dyknow")
 
-#: Seconds until what failed is tried again.
+#: Seconds of the first pause after a nodelet could not be disconnected or destroyed.
 _FIRST_PAUSE = 1.0
 
 Wire = Tuple[str, str, str]
@@ -30,116 +26,103 @@ Wire = Tuple[str, str, str]
 
 
 class GarbageCollector:
-    """Works after the claims were mended; never touches what is protected or made by hand."""
+    """Collects garbage; nodelets that people spawned or protected are never destroyed."""
 
-    def __init__(
-        self,
-        manager: Manager,
-        table: ClaimTable,
-        claim_lock: ClaimLock,
-        silence: SilenceMonitor,
-        connector: Connector,
-        linger: float,
-        clock: Callable[[], float],
-    ) -> None:
-        """Prepare.
+    def __init__(self, context: ClaimContext, linger: float) -> None:
+        """Begin without garbage.
 
         Args:
-            manager: destroys nodelets.
-            table: the claims.
-            claim_lock: knows what a request that waits counts on.
-            silence: knows which nodelets do not answer.
-            connector: knows who hears whom.
-            linger: seconds that a nodelet that no claim needs any more is kept.
-            clock: seconds, steady.
+            context: what the parts of the reconciler share.
+            linger: seconds that a nodelet is kept after the last claim needed it.
         """
-        self._manager = manager
-        self._table = table
-        self._claim_lock = claim_lock
-        self._silence = silence
-        self._connector = connector
+        self._graph = context.manager.graph
+        self._lifecycle = context.manager.lifecycle
+        self._table = context.table
+        self._lock = context.lock
+        self._connector = context.connector
+        self._monitor = context.monitor
+        self._clock = context.clock
         self._linger = linger
-        self._clock = clock
         self._idle_since: Dict[str, float] = {}
-        # A nodelet that does not answer in time is not asked twice in one round.
-        self._failures = Backoff(clock, _FIRST_PAUSE, tolerated=0)
+        # No failure is tolerated: a nodelet that hangs is not called twice in one round.
+        self._failures = Backoff(context.clock, _FIRST_PAUSE, tolerated=0)
         self._replaced: Set[Wire] = set()
 
-    def replaced(self, claim: Claim) -> None:
-        """Remember who published for a claim and could not be told that it was replaced.
+    def note_replaced(self, claim: Claim) -> None:
+        """Remember the publishers of a claim that were replaced while they could not be reached.
 
-        When it is back, it leaves the topic to its successor.
+        They are disconnected from the claim's topic when they are back.
         """
-        for record in self._manager.graph.all():
+        for record in self._graph.all():
             if record.name != claim.goal[0] and record.state is not State.RUNNING:
                 for port, topic in record.topics.items():
                     if topic == claim.topic:
                         self._replaced.add((record.name, port, topic))
 
     def disconnect(self) -> None:
-        """Disconnect what was made for claims that need it no more, and whoever does not fit."""
+        """Disconnect ports that no claim needs connected, and those that do not fit together."""
         claims = self._table.living()
         needed, wires = self._table.needed(), _wires(claims)
         topology = self._connector.topology()
         sources = {topic for claim in claims for topic in claim.sources}
-        unknown = {topic for topic in sources if not topology.is_described(topic)}
-        for record in self._manager.graph.all():
+        undescribed = {topic for topic in sources if not topology.is_described(topic)}
+        for record in self._graph.all():
             if not record.claimed:
                 continue
-            reserved, in_use = record.name in self._claim_lock.reserved, record.name in needed
-            listening = [port for port in record.ports if port.direction == IN and port.tags]
-            ports = {port.name for port in listening if port.topic in unknown}
-            if not reserved:
+            tagged = [port for port in record.ports if port.direction == IN and port.tags]
+            ports = {port.name for port in tagged if port.topic in undescribed}
+            if record.name not in self._lock.reserved:
                 ports.update(
                     port.name
-                    for port in (listening if in_use else record.ports)
+                    for port in (tagged if record.name in needed else record.ports)
                     if (record.name, port.name, port.topic) not in wires
                 )
-            # All at once: a plain nodelet comes up again with those that stay.
-            self._cut(record, ports)
-        for topic, sender, listener in self._connector.topology().mismatches():
-            self._separate(topic, sender, listener, wires)
+            # In one call, since a plain C++ nodelet is loaded again by each.
+            self._disconnect(record, ports)
+        for topic, producer, consumer in self._connector.topology().mismatches():
+            self._separate(topic, producer, consumer, wires)
 
     def _separate(
-        self, topic: str, sender: Producer, listener: Consumer, wires: AbstractSet[Wire]
+        self, topic: str, producer: Producer, consumer: Consumer, wires: AbstractSet[Wire]
     ) -> None:
-        """Part two that do not fit: a claim's listener stays where the claim has it."""
-        hearer = self._manager.graph.find(listener.nodelet)
-        speaker = self._manager.graph.find(sender.nodelet)
-        if hearer is not None and not hearer.claimed:
+        """Part two that do not fit; a consumer stays where a claim needs it."""
+        receiver = self._graph.find(consumer.nodelet)
+        sender = self._graph.find(producer.nodelet)
+        if receiver is not None and not receiver.claimed:
             return  # people connected it so
-        stays = hearer is None or (hearer.name, listener.port, topic) in wires
-        if speaker is not None:
-            here = [port.name for port in speaker.ports if port.topic == topic]
-            if sender.port not in here:
-                return  # it may come here, and has not yet
-            if stays and self._cut(speaker, [sender.port]):
+        stays = receiver is None or (receiver.name, consumer.port, topic) in wires
+        if sender is not None:
+            here = [port.name for port in sender.ports if port.topic == topic]
+            if producer.port not in here:
+                return  # it may come here, but has not yet
+            if stays and self._disconnect(sender, [producer.port]):
                 return
-        if hearer is not None:
-            self._cut(hearer, [listener.port])
+        if receiver is not None:
+            self._disconnect(receiver, [consumer.port])
 
     def take_apart(self, claim: Claim) -> bool:
-        """Disconnect what only a claim needs, and those whose clients listen where its does.
+        """Disconnect what only a claim needs, and the claims whose clients listen on its topic.
 
         Returns:
-            Whether nothing of it can send any more; what hangs sends nothing.
+            Whether none of it can send any more; a nodelet that hangs sends nothing.
         """
         done = True
         others = [each for each in self._table.living() if each.topic != claim.topic]
         wires = _wires(others)
         for name, topics in sorted(claim.wiring.items()):
-            record = self._manager.graph.find(name)
-            if record is not None and record.claimed and name not in self._claim_lock.reserved:
+            record = self._graph.find(name)
+            if record is not None and record.claimed and name not in self._lock.reserved:
                 ports = [
                     port
                     for port in topics
                     if (name, port) == claim.goal or (name, port, topics[port]) not in wires
                 ]
-                done = (self._cut(record, ports) or not self._is_reachable(record)) and done
+                is_silenced = self._disconnect(record, ports) or not self._is_reachable(record)
+                done = done and is_silenced
         return done
 
     def clear_topics(self) -> None:
-        """Leave one publisher on each claimed topic, and none where nothing can be published."""
+        """Leave one publisher on the topic of each claim that is made, and none on the others."""
         claims = self._table.living()
         goals = {claim.topic: "" for claim in claims if claim.topic and not claim.is_made}
         goals.update(
@@ -148,7 +131,7 @@ class GarbageCollector:
             if claim.state is ClaimState.ACTIVE and claim.goal[0]
         )
         self._replaced = {each for each in self._replaced if each[2] in goals}
-        for record in self._manager.graph.all():
+        for record in self._graph.all():
             ports = [
                 port.name
                 for port in record.ports
@@ -156,41 +139,40 @@ class GarbageCollector:
                 and goals.get(port.topic, record.name) != record.name
                 and (record.claimed or (record.name, port.name, port.topic) in self._replaced)
             ]
-            self._cut(record, ports)
+            self._disconnect(record, ports)
 
     def collect(self) -> None:
-        """Destroy what was made for claims and no claim needs, after a while."""
+        """Destroy nodelets that were made for claims and that no claim has needed for a while."""
         now = self._clock()
-        needed = self._table.needed() | self._claim_lock.reserved
-        for record in reversed(self._manager.graph.all()):
+        needed = self._table.needed() | self._lock.reserved
+        for record in reversed(self._graph.all()):
             if not record.claimed or record.is_protected or record.name in needed:
                 self._idle_since.pop(record.name, None)
                 continue
             since = self._idle_since.setdefault(record.name, now)
-            linger = 0.0 if record.name in self._silence.unhealthy else self._linger
-            reachable = record.state in (State.RUNNING, State.FAILED)
-            if now - since >= linger and reachable and self._failures.allows(record.name):
-                self._try(record, partial(self._manager.lifecycle.destroy, record.name))
-        present = {record.name for record in self._manager.graph.all()}
+            linger = 0.0 if record.name in self._monitor.unhealthy else self._linger
+            if now - since >= linger and record.state in (State.RUNNING, State.FAILED):
+                self._try(record, partial(self._lifecycle.destroy, record.name))
+        present = {record.name for record in self._graph.all()}
         for name in [name for name in self._idle_since if name not in present]:
             del self._idle_since[name]
 
-    def _cut(self, record: Record, ports: Iterable[str]) -> bool:
-        """Disconnect those of a nodelet's ports that are connected; whether that is done."""
+    def _disconnect(self, record: Record, ports: Iterable[str]) -> bool:
+        """Disconnect those of a nodelet's ports that are connected; whether none is any more."""
         connected = {port.name for port in record.ports if port.topic}
         config = {port: "" for port in ports if port in connected}
         if not config:
             return True
-        return (
-            self._is_reachable(record)
-            and self._failures.allows(record.name)
-            and self._try(record, partial(self._connector.connect, record.name, config))
-        )
+        action = partial(self._connector.connect, record.name, config)
+        return self._is_reachable(record) and self._try(record, action)
 
     def _is_reachable(self, record: Record) -> bool:
-        return record.state is State.RUNNING and record.name not in self._silence.unresponsive
+        return record.state is State.RUNNING and record.name not in self._monitor.unresponsive
 
     def _try(self, record: Record, action: Callable[[], None]) -> bool:
+        """Do something with a nodelet, unless its pause is not over; whether it was done."""
+        if not self._failures.allows(record.name):
+            return False
         try:
             action()
         except DyKnowError as error:
@@ -202,7 +184,7 @@ class GarbageCollector:
 
 
 def _wires(claims: Iterable[Claim]) -> Set[Wire]:
-    """List what claims need connected."""
+    """List the connections that claims need."""
     return {
         (name, port, topic)
         for claim in claims

@@ -1,43 +1,104 @@
-"""What is known of the parts of a plan while it is carried out."""
+"""A plan that is carried out: the request, its result, and what is known meanwhile."""
 
 from __future__ import annotations
 
-from typing import Dict, List, Sequence, Set, Tuple
+import re
+from dataclasses import dataclass, field
+from typing import AbstractSet, Dict, Iterator, List, Mapping, Sequence, Set, Tuple
 
 from dyknow import names
 from dyknow.errors import StreamTypeMismatch
-from dyknow.manager.claims.assembly_request import AssemblyRequest
 from dyknow.manager.claims.claim_table import ClaimTable
 from dyknow.manager.manager import Manager
-from dyknow.manager.planning.problem import Live, New, PlanStep, Source
+from dyknow.manager.planning.problem import Live, New, Plan, PlanStep, Source
 from dyknow.manager.record import Record
 from dyknow.model.graph import State
 from dyknow.model.transformation import IN, OUT
 
 #: Types that go with every other.
 ANY = ("", "*")
+#: Names that are tried for one transformation.
+_MOST_NAMES = 10_000
+
+
+@dataclass(frozen=True)
+class AssemblyRequest:
+    """What has to be made, and around what.
+
+    Attributes:
+        plan: how.
+        tag: what was asked for, for error messages.
+        topic: where the client listens; empty for wherever the stream is.
+        datatype: ROS type that was asked for; empty for any.
+        own: healthy nodelets of the claim that can be connected elsewhere, by label.
+        unhealthy: nodelets that are not to be relied on.
+        unresponsive: nodelets that do not answer.
+        claim_id: whose stream it is.
+        ordinary: topics on which ordinary nodes publish what the library describes.
+    """
+
+    plan: Plan
+    tag: str = ""
+    topic: str = ""
+    datatype: str = ""
+    own: Mapping[str, str] = field(default_factory=dict)
+    unhealthy: AbstractSet[str] = frozenset()
+    unresponsive: AbstractSet[str] = frozenset()
+    claim_id: str = ""
+    ordinary: AbstractSet[str] = frozenset()
+
+
+@dataclass
+class AssemblyResult:
+    """What became of a plan.
+
+    Attributes:
+        topic: where the stream is published.
+        datatype: its type.
+        goal: nodelet and out-port; empty for a topic of ordinary nodes.
+        wiring: for each nodelet of the stream the topics that its ports need.
+        sources: topics of ordinary nodes.
+        spawned: names of new nodelets.
+        reused: names of nodelets that existed before.
+        remarks: what did not go as it should, in words.
+        detail: what there is to say about the stream as it is now.
+    """
+
+    topic: str = ""
+    datatype: str = ""
+    goal: Tuple[str, str] = ("", "")
+    wiring: Dict[str, Dict[str, str]] = field(default_factory=dict)
+    sources: Set[str] = field(default_factory=set)
+    spawned: List[str] = field(default_factory=list)
+    reused: Set[str] = field(default_factory=set)
+    remarks: List[str] = field(default_factory=list)
+    detail: str = ""
 
 
 class PlanContext:
-    """Names, topics and types of suppliers, live and new ones alike."""
+    """Names, topics and types of the suppliers of a plan, live and new ones alike."""
 
     def __init__(
-        self, manager: Manager, table: ClaimTable, request: AssemblyRequest, spawned: Sequence[str]
+        self,
+        manager: Manager,
+        table: ClaimTable,
+        request: AssemblyRequest,
+        spawned: Sequence[str],
     ) -> None:
-        """Look at the parts of an order.
+        """Begin before the first step of the plan.
 
         Args:
             manager: knows the nodelets.
             table: knows where clients listen.
-            request: what is being made.
-            spawned: names of the nodelets that were made for it so far; grows.
+            request: what has to be made.
+            spawned: names of the nodelets that were made for it; grows.
         """
         self._manager = manager
         self._graph = manager.graph
         self._table = table
         self._request = request
         self.spawned = spawned
-        #: Nodelets of the plan's transformations, by label.
+        #: Nodelets of the plan's transformations, by label; grows.
         self.made: Dict[str, str] = {}
 
     def outputs(self, label: str) -> List[str]:
@@ -49,11 +110,11 @@ class PlanContext:
         )
 
     def name_of(self, source: Source) -> str:
-        """Name the nodelet of a supplier; empty for a topic of ordinary nodes."""
+        """Name of a supplier's nodelet; empty for a topic of ordinary nodes."""
         return source.nodelet if isinstance(source, Live) else self.made[source.label]
 
     def type_of(self, source: Source) -> str:
-        """Tell the type of a supplier's messages; empty while nobody knows."""
+        """ROS type of a supplier's messages; empty while it is not known."""
         name = self.name_of(source)
         if not name:
             assert isinstance(source, Live)
@@ -65,7 +126,7 @@ class PlanContext:
         return next((each for name, each in known if name == source.port and each not in ANY), "")
 
     def tags_of(self, source: Source) -> Tuple[str, ...]:
-        """Tell what a supplier says of its stream."""
+        """Tags of a supplier's stream."""
         name = self.name_of(source)
         if name:
             transformation = self._graph.get(name).transformation
@@ -87,14 +148,14 @@ class PlanContext:
                 what = f"for port '{port}' of transformation '{step.action.label}'"
                 raise StreamTypeMismatch(what, wanted, found, source.label)
 
-    def taken(self) -> Set[str]:
-        """Topics that are spoken for: clients of other claims listen there."""
-        return self._table.taken(but=self._request.claim_id)
+    def taken_topics(self) -> Set[str]:
+        """Topics on which the clients of other claims listen."""
+        return self._table.taken_topics(but=self._request.claim_id)
 
     def free_topic(self, name: str, port: str) -> str:
-        """Name a topic after an out-port; one that has passed to a successor is passed over."""
-        spoken_for = self.taken() | {self._request.topic}
-        spoken_for |= {
+        """Name a topic after an out-port, but none that a successor has taken over."""
+        taken = self.taken_topics() | {self._request.topic}
+        taken |= {
             each.topic
             for record in self._graph.all()
             for each in record.ports
@@ -102,7 +163,7 @@ class PlanContext:
         }
         topic = default = default_topic(name, port)
         number = 1
-        while topic in spoken_for:
+        while topic in taken:
             number += 1
             topic = f"{default}_{number}"
         return topic
@@ -117,10 +178,10 @@ class PlanContext:
         )
 
     def may_move(self, name: str, topic: str) -> bool:
-        """Whether nobody else listens on the topic that an out-port publishes on now."""
+        """Whether a nodelet may leave the topic that it publishes on: no other part needs it."""
         if name in self.spawned or not topic:
             return True
-        if not self._graph.get(name).claimed or topic in self.taken():
+        if not self._graph.get(name).claimed or topic in self.taken_topics():
             return False
         own = {*self._request.own.values(), *self.spawned}
         return not any(
@@ -130,7 +191,27 @@ class PlanContext:
             for port in record.ports
         )
 
+    def free_names(self, label: str) -> Iterator[str]:
+        """Yield global names for a new nodelet of a transformation."""
+        records = self._graph.all()
+        taken = {topic for record in records for topic in record.topics.values()}
+        taken |= self.taken_topics() | {self._request.topic}
+        for relative in _names(label):
+            name = self._manager.resolve(relative)
+            has_left_topics = any(topic.startswith(name + "/") for topic in taken)
+            if not has_left_topics and not self._graph.is_busy(name):
+                yield name
+
 
 def default_topic(name: str, port: str) -> str:
     """Name a topic after an out-port."""
     return names.join(name, port.lstrip("~/"))
+
+
+def _names(label: str) -> Iterator[str]:
+    """Name nodelets of a transformation: bottom_camera_1, _2 ... for ``bottom camera``."""
+    stem = re.sub(r"[^A-Za-z0-9_]+", "_", label).strip("_")
+    if not stem[:1].isalpha():
+        stem = f"nodelet_{stem}".rstrip("_")
+    for number in range(1, _MOST_NAMES):
+        yield f"{stem}_{number}"

@@ -1,11 +1,10 @@
 """Keeps requested streams alive: the reconciler of claims.
 
-Desired are the claims, observed is the graph. Whatever happened, the reconciler asks of each
-claim the same question, what is wrong with its stream, and if something is makes a new plan with
-what is there now. The client's topic stays.
+The claims are the desired state, the graph is the observed one. Whatever has happened, each round
+asks the same question of each claim: what is wrong with its stream? If anything is, the stream is
+planned and made from what exists now. The client's topic stays.
 
-One change of claims at a time (``turn``); looking at them, renewing and ending them waits for
-nobody.
+One change of claims at a time (``ClaimLock``). Listing, renewing and ending claims waits for none.
 """
 
 from __future__ import annotations
@@ -16,22 +15,19 @@ import uuid
 from dataclasses import dataclass, replace
 from typing import Callable, List, Mapping, Optional, Tuple
 
-from dyknow.backoff import Backoff
 from dyknow.errors import DyKnowError, NoPlanFound
 from dyknow.manager.claim import Claim, ClaimEvent
-from dyknow.manager.claims.advice import refusal
-from dyknow.manager.claims.cheaper_plans import CheaperPlans
-from dyknow.manager.claims.claim_lock import ClaimLock
+from dyknow.manager.claims.advice import CheaperPlans, refusal
+from dyknow.manager.claims.assembly import Handover
 from dyknow.manager.claims.claim_planner import ClaimPlanner
 from dyknow.manager.claims.claim_table import ClaimTable
 from dyknow.manager.claims.connector import Connector
-from dyknow.manager.claims.delivery import Delivery
-from dyknow.manager.claims.demands import demand_of
-from dyknow.manager.claims.first_message import FirstMessageMonitor
-from dyknow.manager.claims.flows import FlowMeter
+from dyknow.manager.claims.context import ClaimContext, ClaimLock
 from dyknow.manager.claims.garbage_collector import GarbageCollector
-from dyknow.manager.claims.repair import FIRST_PAUSE, Repair, outcome, with_remarks
-from dyknow.manager.claims.silence_monitor import SilenceMonitor
+from dyknow.manager.claims.monitors import StreamMonitor
+from dyknow.manager.claims.plan_context import AssemblyResult
+from dyknow.manager.claims.repair import Repair, outcome, with_remarks
+from dyknow.manager.claims.topology import demand_of
 from dyknow.manager.manager import Manager
 from dyknow.manager.planning.problem import NoPlan, Plan
 from dyknow.manager.specifications.tags import NO_ONTOLOGY, Subsumption
@@ -45,9 +41,9 @@ class ReconcilerSettings:
     """How the reconciler behaves.
 
     Attributes:
-        linger: seconds that a nodelet that no claim needs any more is kept.
-        handover: seconds that replacements may take to deliver before the old goes all the same.
-        ended_kept: claims that ended and can still be asked about.
+        linger: seconds that a nodelet is kept after the last claim needed it.
+        handover: seconds that replacements may take to deliver before they take over anyway.
+        ended_kept: ended claims that are still shown.
     """
 
     linger: float = 5.0
@@ -65,8 +61,8 @@ class Acquired:
 
     Attributes:
         claim: the claim; without an id for a dry run.
-        plan: how the stream is made; None for a claim that was there.
-        spawned: nodelets that were made, or would be (labels, for a dry run).
+        plan: how the stream is made; None for a claim that existed before.
+        spawned: nodelets that were made; for a dry run, labels of those that would be.
         reused: nodelets that are used as they are.
     """
 
@@ -77,12 +73,12 @@ class Acquired:
 
     @property
     def cost(self) -> int:
-        """What was, or would be, paid for new nodelets."""
+        """Cost of the nodelets that were, or would be, made."""
         return 0 if self.plan is None else self.plan.cost
 
 
 class StreamReconciler:
-    """All claims, and what is done for them."""
+    """All claims, and what is done for them; safe from any thread."""
 
     def __init__(
         self,
@@ -92,63 +88,34 @@ class StreamReconciler:
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        """Take up the claims that the store has; nothing is done before ``reconcile``.
+        """Take over the claims in the store; ``reconcile`` works on them.
 
         Args:
             manager: makes and destroys nodelets.
             ontology: what is a kind of what.
             settings: how to behave.
-            clock: seconds, steady.
-            sleep: waits that long, while a replacement comes up.
+            clock: steady time, in seconds.
+            sleep: waits that many seconds, while a replacement comes up.
         """
         self._manager = manager
-        self._claim_lock = ClaimLock()
         self._ended = False
-        self._table = ClaimTable(manager.store, clock, settings.ended_kept)
-        self._counts = FlowMeter(manager.host, manager.graph, clock)
-        self._silence = SilenceMonitor(self._counts, manager.graph)
-        self._first_messages = FirstMessageMonitor(self._table, self._counts, manager.graph, clock)
-        failures = Backoff(clock, FIRST_PAUSE)
-        self._connector = Connector(manager, self._table, ontology, clock)
-        self._planner = ClaimPlanner(
-            manager,
-            ontology,
-            self._table,
-            failures,
-            self._silence,
-            self._claim_lock,
-            self._connector,
-            clock,
-        )
-        self._cheaper_plans = CheaperPlans(self._table, self._planner)
-        self._garbage_collector = GarbageCollector(
-            manager,
-            self._table,
-            self._claim_lock,
-            self._silence,
-            self._connector,
-            settings.linger,
-            clock,
-        )
+        table = self._table = ClaimTable(manager.store, clock, settings.ended_kept)
+        self._lock = ClaimLock()
+        self._connector = Connector(manager, table, ontology, clock)
+        self._monitor = StreamMonitor(manager, table, clock)
+        context = ClaimContext(manager, table, self._lock, self._connector, self._monitor, clock)
+        self._planner = ClaimPlanner(context, ontology)
+        self._cheaper_plans = CheaperPlans(table, self._planner)
+        self._collector = GarbageCollector(context, settings.linger)
 
         def wait(seconds: float) -> None:
-            with self._claim_lock.pause():
+            with self._lock.pause():
                 sleep(seconds)
 
-        delivery = Delivery(manager.host, settings.handover, clock, wait)
-        self._repair = Repair(
-            manager,
-            self._table,
-            self._claim_lock,
-            self._planner,
-            delivery,
-            self._garbage_collector,
-            failures,
-            self._silence,
-            self._counts,
-            self._first_messages,
-            self._connector,
-        )
+        def handover() -> Handover:
+            return Handover(manager.host, settings.handover, clock, wait)
+
+        self._repair = Repair(context, self._planner, self._collector, handover)
 
     @property
     def on_event(self) -> Callable[[ClaimEvent], None]:
@@ -159,16 +126,20 @@ class StreamReconciler:
     def on_event(self, callback: Callable[[ClaimEvent], None]) -> None:
         self._table.on_event = callback
 
-    # What clients ask
+    # Requests of clients
 
     def acquire(self, request: StreamRequest, dry_run: bool = False) -> Acquired:
         """Make a stream, and keep it until it is released or its lease ends.
 
-        A request that cannot be met now stays pending: ``NoPlanFound`` names its claim.
+        A request that cannot be met now stays pending: ``NoPlanFound`` has the id of its claim.
+
+        Args:
+            request: what the client asks for.
+            dry_run: only plan.
 
         Raises:
             InvalidTag: the tag is no term.
-            NoPlanFound: nothing supplies it; the tags that are missing are named.
+            NoPlanFound: nothing supplies it; the missing tags are named.
             StreamTypeMismatch: the stream turned out to have another type.
             Denied: the mode is read-only.
             DyKnowError: it could not be made; nothing is left of it.
@@ -177,7 +148,7 @@ class StreamReconciler:
         demand_of([claim])
         if not dry_run:
             self._manager.guards.check_writable(f"acquiring '{request.tag}'")
-        with self._claim_lock.round() if dry_run else self._claim_lock.request():
+        with self._lock.round() if dry_run else self._lock.request():
             known = None if dry_run else self._table.same(request)
             if known is not None and not known.topic:
                 raise NoPlanFound(known.detail, known.claim_id)
@@ -192,111 +163,118 @@ class StreamReconciler:
                 reason = refusal(self._manager, answer, request.exclude)
                 raise NoPlanFound(reason, claim.claim_id)
             if dry_run:
-                return Acquired(claim, answer, *_intended(answer, self._planner.own(claim)))
-            plan, done = self._repair.carry_out(claim, answer, lenient=True)
+                return _intended(claim, answer, self._planner.own(claim))
+            plan, done = self._repair.make(claim, answer, lenient=True)
             claim = self._table.add(replace(claim, **outcome(done)), "requested")
-        return Acquired(claim, plan, tuple(done.spawned), tuple(sorted(done.reused)))
-
-    def release(self, claim_id: str) -> None:
-        """End a claim; ending it again, or one that nobody knows any more, is no error."""
-        self._table.end(claim_id, ClaimState.RELEASED, "released")
-
-    def expire(self, claim_id: str, reason: str) -> None:
-        """End a claim whose client is gone, such as one whose bond broke; no error if it ended."""
-        self._table.end(claim_id, ClaimState.EXPIRED, reason)
-
-    def renew(self, claim_id: str, lease: float) -> Claim:
-        """Let the claim live for so many seconds from now (0: until it is released).
-
-        Raises:
-            UnknownClaim: there is no such claim, or it ended.
-        """
-        return self._table.renew(claim_id, lease)
+        return _made(claim, plan, done)
 
     def replan(self, claim_id: str, dry_run: bool = False) -> Acquired:
-        """Take the cheapest way of today, if it is cheaper than the present one or that is broken.
+        """Use the cheapest plan of today, if it is cheaper than the stream or that is broken.
+
+        Args:
+            claim_id: whose stream it is.
+            dry_run: only plan.
 
         Raises:
-            UnknownClaim: there is no such claim, or it ended.
+            UnknownClaim: there is no such claim, or it has ended.
             NoPlanFound: there is no way at all now.
             DyKnowError: it could not be made; the stream is as it was.
         """
         if not dry_run:
             self._manager.guards.check_writable(f"replanning claim '{claim_id}'")
-        with self._claim_lock.round() if dry_run else self._claim_lock.request(claim_id):
+        with self._lock.round() if dry_run else self._lock.request(claim_id):
             claim = self._table.get(claim_id)
             self._planner.look(at_once=True)
             fault = self._repair.diagnose(claim)
             own = self._planner.own(claim)
-            cheaper = self._cheaper_plans.cheaper(claim) if fault is None else None
+            cheaper = self._cheaper_plans.find(claim) if fault is None else None
             answer = cheaper or self._planner.plan(claim, lenient=True)
             if isinstance(answer, NoPlan):
                 reason = refusal(self._manager, answer, claim.request.exclude)
                 raise NoPlanFound(reason, claim_id)
             if dry_run:
-                return Acquired(claim, answer, *_intended(answer, own))
-            plan, done = self._repair.carry_out(claim, answer, lenient=True)
+                return _intended(claim, answer, own)
+            plan, done = self._repair.make(claim, answer, lenient=True)
             changed = self._table.change(
                 claim_id, with_remarks("replanned on request", done), **outcome(done)
             )
-            self._garbage_collector.clear_topics()
-        return Acquired(changed or claim, plan, tuple(done.spawned), tuple(sorted(done.reused)))
+            self._collector.clear_topics()
+        return _made(changed or claim, plan, done)
+
+    def release(self, claim_id: str) -> None:
+        """End a claim; one that has ended, or is unknown, is no error."""
+        self._table.end(claim_id, ClaimState.RELEASED, "released")
+
+    def expire(self, claim_id: str, reason: str) -> None:
+        """End a claim whose client is gone; one that has ended is no error."""
+        self._table.end(claim_id, ClaimState.EXPIRED, reason)
+
+    def renew(self, claim_id: str, lease: float) -> Claim:
+        """Let a claim live for ``lease`` seconds from now; 0 for until it is released.
+
+        Raises:
+            UnknownClaim: there is no such claim, or it has ended.
+        """
+        return self._table.renew(claim_id, lease)
 
     def claims(self) -> List[Claim]:
-        """Return every claim, those that ended lately too, by id."""
+        """Return every claim, those that ended lately included, by id."""
         return self._table.all()
 
-    # What is done for them
+    # Reconciling
+
+    def reconcile(self) -> None:
+        """Look at every claim once, and repair what is broken."""
+        with self._lock.round():
+            if self._ended:
+                return
+            self._table.expire_late()
+            self._planner.look()
+            self._connector.ask()
+            self._collector.disconnect()
+            self._repair.forget_ended()
+            for name in self._monitor.read():
+                record = self._manager.graph.find(name)
+                if record is not None:
+                    self._repair.blame(record)
+            for claim in sorted(self._table.living(), key=_consumers_last):
+                if claim.claim_id == self._lock.claim_id:
+                    continue  # a request is about to make its stream
+                try:
+                    self._repair.repair(claim.claim_id)
+                except DyKnowError as error:
+                    _log.warning("claim %s: %s", claim.claim_id, error)
+            self._collector.clear_topics()
+            self._collector.collect()
+            self._cheaper_plans.report()
+            self._monitor.report_first_messages()
 
     def end(self) -> None:
-        """End every claim, as the manager is stopped on purpose; nothing is mended any more."""
-        with self._claim_lock.round():
+        """End every claim, since the manager is stopped on purpose; nothing is repaired later."""
+        with self._lock.round():
             self._ended = True
         for claim in self._table.living():
             self._table.end(claim.claim_id, ClaimState.RELEASED, "the manager was stopped")
 
-    def reconcile(self) -> None:
-        """Look at every claim once, and mend what is broken."""
-        with self._claim_lock.round():
-            if self._ended:
-                return
-            self._table.end_late()
-            self._planner.look()
-            self._connector.ask()
-            self._garbage_collector.disconnect()
-            self._repair.forget_ended()
-            claims = self._table.living()
-            came = self._counts.read(
-                self._first_messages.periods(claims), self._silence.periods(claims)
-            )
-            for name in self._silence.look(claims, came):
-                self._repair.blame(name)
-            for claim in sorted(claims, key=_upstream_first):
-                if claim.claim_id == self._claim_lock.claim_id:
-                    continue  # a request is about to make it anew
-                try:
-                    self._repair.mend(claim.claim_id)
-                except DyKnowError as error:
-                    _log.warning("claim %s: %s", claim.claim_id, error)
-            self._garbage_collector.clear_topics()
-            self._garbage_collector.collect()
-            self._cheaper_plans.tell()
-            self._first_messages.look()
 
-
-def _upstream_first(claim: Claim) -> int:
-    """Sort claims on parts of other claims' streams before these.
+def _consumers_last(claim: Claim) -> int:
+    """Sort a claim that uses another claim's stream behind that one.
 
     A lost part that a client listens to is then replaced where that client listens, and its other
-    users follow. The other way round the replacement would publish elsewhere, and it would take a
-    relay to bring it to the client.
+    users follow. In the other order the replacement would publish elsewhere, and a relay would
+    have to bring its stream to the client.
     """
     return len(claim.nodelets)
 
 
-def _intended(plan: Plan, own: Mapping[str, str]) -> Tuple[Tuple[str, ...], Tuple[str, ...]]:
-    """Labels of what would be made, and names of what would be used."""
+def _made(claim: Claim, plan: Plan, done: AssemblyResult) -> Acquired:
+    return Acquired(claim, plan, tuple(done.spawned), tuple(sorted(done.reused)))
+
+
+def _intended(claim: Claim, plan: Plan, own: Mapping[str, str]) -> Acquired:
+    """Answer a dry run: labels of what would be made, and names of what would be used."""
     labels = [step.action.label for step in plan.steps]
     used = {stream.nodelet or stream.topic for stream in plan.live}
     used.update(own[label] for label in labels if label in own)
-    return tuple(label for label in labels if label not in own), tuple(sorted(used))
+    spawned = tuple(label for label in labels if label not in own)
+    return Acquired(claim, plan, spawned, tuple(sorted(used)))

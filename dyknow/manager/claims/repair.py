@@ -1,97 +1,140 @@
-"""Mends streams: finds out what is wrong with one, and makes it anew from what is there."""
+"""Repairs streams: finds out what is wrong with one, and makes it from what exists now."""
 
 from __future__ import annotations
 
-import logging
-from dataclasses import replace
-from typing import Any, Dict, Hashable, Mapping, Optional, Tuple
+from dataclasses import dataclass, replace
+from typing import Any, Callable, Dict, Hashable, List, Mapping, Optional, Tuple
 
 from dyknow.backoff import Backoff
 from dyknow.errors import DyKnowError, StreamTypeMismatch
 from dyknow.manager.claim import Claim
-from dyknow.manager.claims.assembly import Assembly
-from dyknow.manager.claims.assembly_request import AssemblyRequest, AssemblyResult
-from dyknow.manager.claims.claim_lock import ClaimLock
-from dyknow.manager.claims.claim_planner import ClaimPlanner
-from dyknow.manager.claims.claim_table import ClaimTable
-from dyknow.manager.claims.connector import Connector
-from dyknow.manager.claims.delivery import Delivery
-from dyknow.manager.claims.demands import wanted_type
-from dyknow.manager.claims.diagnosis import Fault, diagnose
-from dyknow.manager.claims.first_message import FirstMessageMonitor
-from dyknow.manager.claims.flows import FlowMeter
+from dyknow.manager.claims.assembly import Assembly, Handover
+from dyknow.manager.claims.claim_planner import ClaimPlanner, is_current
+from dyknow.manager.claims.context import ClaimContext
 from dyknow.manager.claims.garbage_collector import GarbageCollector
-from dyknow.manager.claims.silence_monitor import SilenceMonitor
-from dyknow.manager.manager import Manager
+from dyknow.manager.claims.plan_context import AssemblyRequest, AssemblyResult
+from dyknow.manager.claims.topology import wanted_type
 from dyknow.manager.planning.problem import NoPlan, Plan
 from dyknow.manager.record import Record
 from dyknow.model.graph import State
 from dyknow.model.streams import ClaimState
 
-#: Seconds of the first pause after a failure: longer than a round of the reconciler, so that
-#: another way is tried in between.
-FIRST_PAUSE = 1.0
-#: Times that a stream is planned anew because parts went while it was being made.
+#: Times that a stream is planned because parts of it went while it was being made.
 _ATTEMPTS = 3
+#: Seconds of the first pause after a claim's stream could not be made.
+_FIRST_PAUSE = 1.0
 
-_log = logging.getLogger("rosout.dyknow")
+
+@dataclass(frozen=True)
+class Fault:
+    """Why a stream has to be repaired.
+
+    Attributes:
+        what: in words.
+        severed: whether nothing can flow; else messages may flow, but cannot be relied on.
+    """
+
+    what: str
+    severed: bool = True
 
 
 class Repair:
-    """Mends one claim after the other; one call at a time."""
+    """Repairs one claim's stream at a time; used under the lock of the claims."""
 
     def __init__(
         self,
-        manager: Manager,
-        table: ClaimTable,
-        claim_lock: ClaimLock,
-        claim_planner: ClaimPlanner,
-        delivery: Delivery,
-        garbage_collector: GarbageCollector,
-        failures: Backoff,
-        silence: SilenceMonitor,
-        counts: FlowMeter,
-        first_messages: FirstMessageMonitor,
-        connector: Connector,
+        context: ClaimContext,
+        planner: ClaimPlanner,
+        collector: GarbageCollector,
+        handover: Callable[[], Handover],
     ) -> None:
-        """Mend nothing yet; hear of nodelets that die from now on."""
-        self._manager = manager
-        self._table = table
-        self._planner = claim_planner
-        self._assembly = Assembly(
-            manager, table, claim_lock, connector, delivery, self._note_failure
-        )
-        self._garbage_collector = garbage_collector
-        self._failures = failures
-        self._silence = silence
-        self._counts = counts
-        self._first_messages = first_messages
-        self._connector = connector
+        """Count from now on the nodelets that die against their transformations.
+
+        Args:
+            context: what the parts of the reconciler share.
+            planner: plans streams.
+            collector: takes streams apart that cannot be repaired.
+            handover: makes the waits of a plan.
+        """
+        self._context = context
+        self._graph = context.manager.graph
+        self._table = context.table
+        self._monitor = context.monitor
+        self._planner = planner
+        self._collector = collector
+        self._handover = handover
+        self._failures = Backoff(context.clock, _FIRST_PAUSE)
+        #: Transformation of which no nodelet could be made since the present repair began.
         self._culprit = ""
-        #: Claims of which nothing came when they were planned last, and what there was then.
+        #: Claims without a plan: what existed when they were planned, and what was wrong.
         self._hopeless: Dict[str, Tuple[Hashable, str]] = {}
-        manager.observer.on_death = self._note_death
-        manager.observer.on_crash = failures.failed
+        context.manager.observer.on_death = self.blame
+        context.manager.observer.on_crash = planner.failures.failed
+
+    # What is wrong
 
     def diagnose(self, claim: Claim) -> Optional[Fault]:
         """Say what is wrong with a claim's stream; None if it is whole."""
-        silence, published = self._silence, self._planner.published
-        look = self._connector.topology
-        return diagnose(
-            self._manager, claim, silence.silent, silence.unresponsive, published, look
+        if not claim.topic:
+            return Fault("it has no stream yet")
+        if not claim.is_made:
+            return Fault("it has no stream")
+        for topic in claim.sources:
+            if topic not in self._planner.published:
+                return Fault(f"topic {topic} is not published any more")
+            if not self._is_described(topic, claim):
+                return Fault(f"topic {topic} is not described any more as what is needed")
+        doubts = []
+        for name in claim.nodelets:
+            record = self._graph.find(name)
+            if record is None or record.transformation is None:
+                return Fault(f"nodelet {name} is gone")
+            if record.state is not State.RUNNING:
+                return Fault(record.detail or f"nodelet {name} is {record.state.name.lower()}")
+            for port, topic in claim.wiring[name].items():
+                if record.topics.get(port, "") != topic:
+                    return Fault(f"port {port} of {name} was connected elsewhere")
+            doubts += self._doubts(record)
+        silent = self._monitor.silent
+        doubts += [silent[topic] for topic in claim.sources if topic in silent]
+        return Fault(doubts[0], severed=False) if doubts else None
+
+    def _is_described(self, topic: str, claim: Claim) -> bool:
+        """Whether the library still describes a topic as what the claim needs."""
+        topology = self._context.connector.topology()
+        demands = [
+            consumer.demand
+            for consumer in topology.consumers(topic)
+            if claim.wiring.get(consumer.nodelet, {}).get(consumer.port) == topic
+            or consumer.port == claim.claim_id
+        ]
+        return topology.is_described(topic) and all(
+            topology.serves(producer, demand)
+            for producer in topology.producers(topic)
+            for demand in demands
         )
 
-    def carry_out(
-        self, claim: Claim, plan: Plan, lenient: bool = False
-    ) -> Tuple[Plan, AssemblyResult]:
-        """Make a claim's stream as a plan says.
+    def _doubts(self, record: Record) -> List[str]:
+        """Say why a nodelet that runs cannot be relied on."""
+        if record.name in self._monitor.silent:
+            return [self._monitor.silent[record.name]]
+        if record.name in self._monitor.unresponsive:
+            return [f"nodelet {record.name} does not answer"]
+        if record.claimed and not is_current(self._context.manager.library, record):
+            return [f"transformation {record.label} was removed"]
+        return []
 
-        It is made another way where types turn out wrong, or parts went while new ones came up.
+    # Making a stream
+
+    def make(self, claim: Claim, plan: Plan, lenient: bool = False) -> Tuple[Plan, AssemblyResult]:
+        """Make a claim's stream by a plan.
+
+        Another plan is made where types turn out wrong, or parts went while others came up.
 
         Args:
             claim: whose stream it is.
             plan: what to try first.
-            lenient: use what failed lately too, if there is no other way.
+            lenient: use transformations that failed lately too, if there is no other way.
 
         Raises:
             StreamTypeMismatch: every way carries another type than is needed.
@@ -102,7 +145,7 @@ class Repair:
         while True:
             own = self._planner.own(claim)
             try:
-                return plan, self._carry_out(claim, plan, own)
+                return plan, self._assemble(claim, plan, own)
             except StreamTypeMismatch as error:
                 if error.label in wrong:
                     raise
@@ -110,7 +153,7 @@ class Repair:
                 failure: DyKnowError = next(iter(wrong.values()))
             except DyKnowError as error:
                 attempts += 1
-                if attempts == _ATTEMPTS or self._are_there(plan, own):
+                if attempts == _ATTEMPTS or self._are_running(plan, own):
                     raise
                 failure = error
             answer = self._planner.plan(claim, lenient, frozenset(wrong))
@@ -118,38 +161,44 @@ class Repair:
                 raise failure
             plan = answer
 
-    def _are_there(self, plan: Plan, own: Mapping[str, str]) -> bool:
-        """Whether the nodelets that a plan counted on are still there."""
-        counted_on = {live.nodelet for live in plan.live if live.nodelet}
-        counted_on.update(
-            own[step.action.label] for step in plan.steps if step.action.label in own
-        )
-        found = map(self._manager.graph.find, counted_on)
+    def _are_running(self, plan: Plan, own: Mapping[str, str]) -> bool:
+        """Whether the nodelets that a plan counted on still run."""
+        names = {live.nodelet for live in plan.live if live.nodelet}
+        names.update(own[step.action.label] for step in plan.steps if step.action.label in own)
+        found = map(self._graph.find, names)
         return all(record is not None and record.state is State.RUNNING for record in found)
 
-    def _carry_out(self, claim: Claim, plan: Plan, own: Mapping[str, str]) -> AssemblyResult:
+    def _assemble(self, claim: Claim, plan: Plan, own: Mapping[str, str]) -> AssemblyResult:
         request = AssemblyRequest(
             plan,
             claim.request.tag,
             claim.topic,
             wanted_type(claim),
             own,
-            self._silence.unhealthy,
-            self._silence.unresponsive,
+            self._monitor.unhealthy,
+            self._monitor.unresponsive,
             claim.claim_id,
             self._planner.ordinary(),
         )
-        done = self._assembly.carry_out(request)
-        self._counts.excuse(done.wiring)
-        done.detail = self._first_messages.expect(claim, done.goal, done.topic)
-        self._garbage_collector.replaced(replace(claim, **outcome(done)))
+        assembly = Assembly(self._context, request, self._handover())
+        try:
+            done = assembly.carry_out()
+        except DyKnowError:
+            if assembly.culprit:
+                self._culprit = assembly.culprit
+                self._planner.failures.failed(assembly.culprit)
+            raise
+        done.detail = self._monitor.restart(claim, done.goal, done.topic, done.wiring)
+        self._collector.note_replaced(replace(claim, **outcome(done)))
         return done
 
-    def mend(self, claim_id: str) -> None:
-        """Mend a claim's stream if something is wrong with it and there is a way.
+    # Repairing
+
+    def repair(self, claim_id: str) -> None:
+        """Repair a claim's stream, if something is wrong with it and there is a way.
 
         Raises:
-            DyKnowError: nobody can tell what is wrong.
+            DyKnowError: it cannot be told what is wrong.
         """
         claim = self._table.find(claim_id)
         if claim is None:
@@ -157,17 +206,17 @@ class Repair:
         fault = self.diagnose(claim)
         if fault is None:
             if claim.state is not ClaimState.ACTIVE:
-                detail = self._first_messages.expect(claim, claim.goal, claim.topic)
+                detail = self._monitor.restart(claim, claim.goal, claim.topic, ())
                 whole = {"state": ClaimState.ACTIVE, "detail": detail}
                 self._table.change(claim_id, "it is whole again", **whole)
             return
-        despair = (self._planner.signature(), fault.what)
-        if self._hopeless.get(claim_id) == despair:
+        situation = (self._planner.signature(), fault.what)
+        if self._hopeless.get(claim_id) == situation:
             return
         answer = self._planner.plan(claim)
         if isinstance(answer, NoPlan):
-            self._hopeless[claim_id] = despair
-            self._despair(claim, fault, answer)
+            self._hopeless[claim_id] = situation
+            self._give_up(claim, fault, answer)
             return
         if not self._failures.allows(claim_id):
             return
@@ -176,7 +225,7 @@ class Repair:
             claim = self._table.change(claim_id, fault.what, **changes) or claim
         self._culprit = ""
         try:
-            _, done = self.carry_out(claim, answer)
+            _, done = self.make(claim, answer)
         except DyKnowError as error:
             if not self._culprit:
                 self._failures.failed(claim_id)
@@ -185,14 +234,13 @@ class Repair:
             return
         self._failures.forgive(claim_id)
         reason = f"mended: {fault.what}" if claim.is_made else "it can be made now"
-        reason = with_remarks(reason, done)
-        self._table.change(claim_id, reason, **outcome(done))
+        self._table.change(claim_id, with_remarks(reason, done), **outcome(done))
 
-    def _despair(self, claim: Claim, fault: Fault, answer: NoPlan) -> None:
-        """There is no way now: say why, and whether one is to be expected by itself."""
+    def _give_up(self, claim: Claim, fault: Fault, answer: NoPlan) -> None:
+        """Say that there is no way now, and whether one is to be expected without a change."""
         if self._planner.is_waiting(claim):
             if claim.state is ClaimState.FAILED:
-                return  # it says why already
+                return  # its detail says why
             state = ClaimState.RECOVERING
             detail = f"{fault.what}; what could supply it failed lately and is left for a while"
         else:
@@ -204,7 +252,7 @@ class Repair:
             state = ClaimState.DEGRADED
         changes: Dict[str, Any] = {"state": state, "detail": detail}
         if state is ClaimState.PENDING and claim.is_made:
-            if self._garbage_collector.take_apart(claim):
+            if self._collector.take_apart(claim):
                 kept = set(self._planner.own(claim).values()) & set(claim.wiring)
                 wiring: Dict[str, Dict[str, str]] = {name: {} for name in kept}
                 changes.update(wiring=wiring, goal=("", ""), sources=())
@@ -216,31 +264,20 @@ class Repair:
 
     # Failures
 
+    def blame(self, record: Record) -> None:
+        """Count a nodelet's death, or silence, against its transformation."""
+        failures = self._planner.failures
+        failures.served(record.label, self._graph.lifetime(record.name))
+        failures.failed(record.label)
+
     def forget_ended(self) -> None:
-        """Forget claims that ended."""
+        """Forget claims that have ended."""
         for claim_id in [each for each in self._hopeless if self._table.find(each) is None]:
             del self._hopeless[claim_id]
 
-    def _note_failure(self, label: str) -> None:
-        """Count against a transformation that no nodelet could be made of it."""
-        self._culprit = label
-        self._failures.failed(label)
-
-    def _note_death(self, record: Record) -> None:
-        """Count the death of a nodelet's process against its transformation."""
-        self._failures.served(record.label, self._manager.graph.lifetime(record.name))
-        self._failures.failed(record.label)
-
-    def blame(self, name: str) -> None:
-        """Count the silence of a nodelet or topic against its transformation."""
-        _log.warning("%s", self._silence.silent[name])
-        record = self._manager.graph.find(name)
-        if record is not None:
-            self._note_death(record)
-
 
 def outcome(done: AssemblyResult) -> Dict[str, Any]:
-    """Write what became of a plan as changes of its claim."""
+    """Return what became of a plan as changes of its claim."""
     return {
         "topic": done.topic,
         "datatype": done.datatype,

@@ -1,12 +1,8 @@
-"""Which streams are there now, and what they are about.
-
-A nodelet's out-ports supply their tags only while the nodelet runs and each of its tagged in-ports
-is connected to a stream that satisfies it: a detector that nobody feeds supplies nothing.
-"""
+"""Streams: which ones exist, and what feeds them."""
 
 from __future__ import annotations
 
-from typing import AbstractSet, Iterable, List, Tuple
+from typing import AbstractSet, Dict, Iterable, List, Sequence, Set, Tuple
 
 from dyknow.manager.claims.topology import Topology
 from dyknow.manager.planning.problem import Live
@@ -16,7 +12,8 @@ from dyknow.manager.specifications.tags import Subsumption, Term, read_tags
 from dyknow.model.graph import State
 from dyknow.model.transformation import IN, OUT, Transformation
 
-Stream = Tuple[Live, Tuple[Term, ...]]
+TaggedStream = Tuple[Live, Tuple[Term, ...]]
+"""A stream and what it is about."""
 
 
 def live_streams(
@@ -25,17 +22,20 @@ def live_streams(
     topology: Topology,
     ontology: Subsumption,
     unhealthy: AbstractSet[str] = frozenset(),
-) -> List[Stream]:
+) -> List[TaggedStream]:
     """List the streams that a plan can use as they are.
+
+    A nodelet's out-ports supply their tags only while the nodelet runs and each of its tagged
+    in-ports is connected to a stream that satisfies it: a detector without input supplies nothing.
 
     Args:
         records: the nodelets of the graph.
         published: transformations of type topic whose topic has a publisher.
-        topology: knows who else sends on a topic: a stream is only what holds for all of them.
+        topology: all publishers of each topic: only the tags that hold for all of them count.
         ontology: what is a kind of what.
         unhealthy: nodelets that are not to be relied on.
     """
-    streams: List[Stream] = []
+    streams: List[TaggedStream] = []
     on_topic: Supply[str] = Supply(ontology)
 
     def supply(stream: Live, tags: Tuple[Term, ...]) -> None:
@@ -55,13 +55,13 @@ def live_streams(
         and record.transformation is not None
         and record.name not in unhealthy
     ]
-    fed = True
-    while fed:
-        fed = False
+    progress = True
+    while progress:
+        progress = False
         for record in list(waiting):
             if _is_fed(record, on_topic):
                 waiting.remove(record)
-                fed = True
+                progress = True
                 for stream, tags in _outputs(record):
                     supply(stream, tags)
     return streams
@@ -79,9 +79,9 @@ def _is_fed(record: Record, on_topic: Supply[str]) -> bool:
     return True
 
 
-def _outputs(record: Record) -> List[Stream]:
+def _outputs(record: Record) -> List[TaggedStream]:
     assert record.transformation is not None
-    real = {port.name: port.datatype for port in record.ports}
+    seen = {port.name: port.datatype for port in record.ports}
     found = []
     for port in record.transformation.ports:
         tags = read_tags(port.tags)
@@ -91,7 +91,55 @@ def _outputs(record: Record) -> List[Stream]:
                 port.name,
                 record.name,
                 record.transformation.label,
-                real.get(port.name) or port.datatype,
+                seen.get(port.name) or port.datatype,
             )
             found.append((stream, tags))
     return found
+
+
+def with_feeders(
+    records: Sequence[Record],
+    ordinary: AbstractSet[str],
+    wiring: Dict[str, Dict[str, str]],
+    sources: Set[str],
+    reused: Set[str],
+) -> None:
+    """Add everything that feeds the nodelets which are used as they are: the stream needs it too.
+
+    Args:
+        records: the nodelets of the graph.
+        ordinary: topics on which ordinary nodes publish, perhaps besides nodelets.
+        wiring: for each nodelet of the stream the topics that its ports need; added to.
+        sources: topics of ordinary nodes; added to.
+        reused: names of nodelets that existed before; added to.
+    """
+    by_name = {record.name: record for record in records}
+    waiting = sorted(name for name in reused if name in wiring)
+    while waiting:
+        name = waiting.pop()
+        record = by_name.get(name)
+        if record is None or record.transformation is None:
+            continue
+        for port in record.transformation.ports:
+            topic = record.topics.get(port.name, "")
+            if port.direction != IN or not port.tags or not topic:
+                continue
+            wiring[name][port.name] = topic
+            publishers = _publishers(records, topic)
+            if not publishers or topic in ordinary:
+                sources.add(topic)
+            for publisher, out_port in publishers:
+                if publisher not in wiring:
+                    waiting.append(publisher)
+                    reused.add(publisher)
+                wiring.setdefault(publisher, {})[out_port] = topic
+
+
+def _publishers(records: Sequence[Record], topic: str) -> List[Tuple[str, str]]:
+    return [
+        (record.name, port.name)
+        for record in records
+        if record.state is State.RUNNING and record.transformation is not None
+        for port in record.ports
+        if port.direction == OUT and port.topic == topic
+    ]

@@ -1,40 +1,39 @@
-"""Who hears whom: every out-port beside the in-ports and clients that listen on its topic.
+"""Who may receive what from whom: the producers and consumers of each topic, at one moment.
 
 A port counts on each topic on which it may be: where it was seen last, where it should be, and
-where a connection would put it of which nobody knows yet whether it was made.
+where a connection without an answer may have put it.
 """
 
 from __future__ import annotations
 
 from typing import (
     AbstractSet,
-    Callable,
     Collection,
     Dict,
     Iterable,
     Iterator,
     List,
+    Mapping,
     NamedTuple,
     Optional,
     Tuple,
 )
 
 from dyknow.manager.claim import Claim
-from dyknow.manager.claims.demands import demand_of
 from dyknow.manager.claims.relay import is_relay
 from dyknow.manager.planning.supply import Demand, meets
 from dyknow.manager.record import Record
-from dyknow.manager.specifications.tags import Subsumption, Term, read_tags
-from dyknow.model.transformation import IN, OUT, Port, Transformation
+from dyknow.manager.specifications.tags import Subsumption, Term, parse_tag, read_tags
+from dyknow.model.transformation import OUT, Port, Transformation
 
 
 class Producer(NamedTuple):
-    """An out-port, or the ordinary nodes that publish a topic.
+    """An out-port, or the ordinary nodes that publish on a topic.
 
     Attributes:
         nodelet: its name; empty for ordinary nodes.
         port: its out-port; empty for ordinary nodes.
-        tags: what its messages are about, whatever the library says now.
+        tags: what its messages are about.
         datatype: ROS type of its messages.
     """
 
@@ -50,7 +49,7 @@ class Consumer(NamedTuple):
     Attributes:
         nodelet: its name; empty for a client.
         port: its in-port, or the id of the claim.
-        demand: what it is to receive, and nothing else.
+        demand: what it has to receive, and nothing else.
     """
 
     nodelet: str
@@ -58,111 +57,38 @@ class Consumer(NamedTuple):
     demand: Demand
 
 
-class Topology:
-    """Senders and listeners by topic, at one moment."""
+class NodeletEnds(NamedTuple):
+    """What a nodelet contributes to a topology, each end with the topics on which it is.
 
-    def __init__(
-        self,
-        records: Iterable[Record],
-        described: Iterable[Transformation],
-        claims: Iterable[Claim],
-        perhaps: Callable[[str, str], Collection[str]],
-        ontology: Subsumption,
-    ) -> None:
-        """Look at who is where.
+    The tags are those that the nodelet was made with, whatever the library says now.
+    """
 
-        Args:
-            records: nodelets that may send or receive.
-            described: transformations of type topic.
-            claims: those whose clients listen.
-            perhaps: further topics on which a nodelet's port may be.
-            ontology: what is a kind of what.
-        """
-        records = list(records)
-        self._ontology = ontology
-        self._senders: Dict[str, List[Producer]] = {}
-        self._listeners: Dict[str, List[Consumer]] = {}
-        for claim in claims:
-            client = Consumer("", claim.claim_id, demand_of([claim]))
-            self._listeners.setdefault(claim.topic, []).append(client)
-        places = [
-            (topic, record.name, port)
-            for record in records
-            for port in _ports(record)
-            for topic in sorted({*_topics(record, port.name), *perhaps(record.name, port.name)})
-            if topic
-        ]
-        used = self._listeners.keys() | {topic for topic, _, _ in places}
-        for each in described:
-            if each.source in used:
-                port = each.ports[0]
-                known = self._senders.get(each.source, [Producer("", "")])[0]
-                tags = known.tags + read_tags(port.tags)
-                sender = Producer("", "", tags, known.datatype or port.datatype)
-                self._senders[each.source] = [sender]
-        said = set(self._senders)
-        for topic, name, port in places:
-            self._enter(name, port, topic, topic in said)
-        self._distrust({each.name for each in records if is_relay(each.transformation)})
+    is_relay: bool
+    producers: Tuple[Tuple[Producer, Tuple[str, ...]], ...]
+    consumers: Tuple[Tuple[Consumer, Tuple[str, ...]], ...]
 
-    def _enter(self, name: str, port: Port, topic: str, is_described: bool) -> None:
+
+def ends_of(record: Record) -> NodeletEnds:
+    """Read the ends of a nodelet."""
+    producers: List[Tuple[Producer, Tuple[str, ...]]] = []
+    consumers: List[Tuple[Consumer, Tuple[str, ...]]] = []
+    seen = {port.name: port for port in record.ports}
+    for port in _ports(record):
         tags = read_tags(port.tags)
-        if port.direction == IN and tags:
-            listener = Consumer(name, port.name, Demand(frozenset(tags), port.datatype))
-            self._listeners.setdefault(topic, []).append(listener)
-        elif port.direction == OUT and (tags or not is_described):
-            sender = Producer(name, port.name, tags, port.datatype)
-            self._senders.setdefault(topic, []).append(sender)
-
-    def _distrust(self, relays: AbstractSet[str]) -> None:
-        """What a relay says of its stream holds only as long as it hears nothing else."""
-        misled: AbstractSet[str] = relays
-        while relays and misled:
-            hearing = {listener.nodelet for _, _, listener in self.mismatches()}
-            misled, relays = relays & hearing, relays - hearing
-            for senders in self._senders.values():
-                senders[:] = [
-                    each._replace(tags=()) if each.nodelet in misled else each for each in senders
-                ]
-
-    def senders(self, topic: str) -> List[Producer]:
-        """Who may send on a topic; what is said of it stands for senders without tags."""
-        return self._senders.get(topic, [])
-
-    def is_described(self, topic: str) -> bool:
-        """Whether anybody says what ordinary nodes send on a topic."""
-        return any(not sender.nodelet for sender in self.senders(topic))
-
-    def listeners(self, topic: str) -> List[Consumer]:
-        """Who may listen on a topic."""
-        return self._listeners.get(topic, [])
-
-    def serves(self, sender: Producer, demand: Demand) -> bool:
-        """Whether a sender is what is demanded."""
-        return meets(sender.tags, sender.datatype, demand, self._ontology)
-
-    def mismatches(
-        self, topics: Optional[Iterable[str]] = None
-    ) -> Iterator[Tuple[str, Producer, Consumer]]:
-        """Everybody who may hear what was not asked for: topic, sender and listener."""
-        for topic in sorted(set(self._listeners if topics is None else topics)):
-            for listener in self.listeners(topic):
-                for sender in self.senders(topic):
-                    if not self.serves(sender, listener.demand):
-                        yield topic, sender, listener
-
-    def common_tags(self, topic: str, tags: Tuple[Term, ...]) -> Tuple[Term, ...]:
-        """Those of a stream's tags that hold for everything that is sent on its topic."""
-        senders = self.senders(topic)
-        return tuple(
-            tag
-            for tag in tags
-            if all(self.serves(each, Demand(frozenset((tag,)))) for each in senders)
-        )
+        topics = {record.topics.get(port.name, "")}
+        if port.name in seen:
+            topics.add(seen[port.name].topic)
+        where = tuple(sorted(topics - {""}))
+        if port.direction == OUT:
+            producers.append((Producer(record.name, port.name, tags, port.datatype), where))
+        elif tags:
+            demand = Demand(frozenset(tags), port.datatype)
+            consumers.append((Consumer(record.name, port.name, demand), where))
+    return NodeletEnds(is_relay(record.transformation), tuple(producers), tuple(consumers))
 
 
 def _ports(record: Record) -> List[Port]:
-    """Ports of a nodelet, with the tags that it was made with and the types that were seen."""
+    """Declared ports with the types that were seen, then those that are not declared."""
     seen = {port.name: port for port in record.ports}
     declared = record.transformation.ports if record.transformation is not None else ()
     names = {port.name for port in declared}
@@ -180,6 +106,141 @@ def _ports(record: Record) -> List[Port]:
     return found
 
 
-def _topics(record: Record, port: str) -> List[str]:
-    seen = [each.topic for each in record.ports if each.name == port]
-    return [record.topics.get(port, ""), *seen]
+def demand_of(claims: Iterable[Claim]) -> Demand:
+    """Return what one stream has to be to satisfy all these claims."""
+    claims = list(claims)
+    types = [wanted_type(claim) for claim in claims]
+    tags = frozenset(parse_tag(claim.request.tag) for claim in claims)
+    return Demand(tags, types[0] or max(types))
+
+
+def wanted_type(claim: Claim) -> str:
+    """Return the ROS type that a claim's client expects: what it asked for, or received first."""
+    return claim.request.datatype or claim.datatype.replace("*", "")
+
+
+def may_share(claim: Claim, other: Claim) -> bool:
+    """Whether every stream that satisfies ``other``, now or later, satisfies ``claim``.
+
+    Then one topic serves both clients.
+    """
+    return (
+        parse_tag(claim.request.tag) == parse_tag(other.request.tag)
+        and wanted_type(claim) in ("", wanted_type(other))
+        and set(claim.request.exclude) == set(other.request.exclude)
+    )
+
+
+class Topology:
+    """Producers and consumers by topic."""
+
+    def __init__(
+        self,
+        nodelets: Iterable[NodeletEnds],
+        described: Iterable[Transformation],
+        claims: Iterable[Claim],
+        perhaps: Mapping[Tuple[str, str], Collection[str]],
+        ontology: Subsumption,
+    ) -> None:
+        """Enter every producer and consumer.
+
+        Args:
+            nodelets: those that may send or receive.
+            described: transformations of type topic.
+            claims: those whose clients listen.
+            perhaps: further topics on which ports may be, by nodelet and port.
+            ontology: what is a kind of what.
+        """
+        self._ontology = ontology
+        self._producers: Dict[str, List[Producer]] = {}
+        self._consumers: Dict[str, List[Consumer]] = {}
+        for claim in claims:
+            client = Consumer("", claim.claim_id, demand_of([claim]))
+            self._consumers.setdefault(claim.topic, []).append(client)
+        relays = set()
+        places: List[Tuple[str, Producer]] = []
+        for ends in nodelets:
+            for consumer, topics in ends.consumers:
+                for topic in _all(topics, perhaps, consumer):
+                    self._consumers.setdefault(topic, []).append(consumer)
+            for producer, topics in ends.producers:
+                places += [(topic, producer) for topic in _all(topics, perhaps, producer)]
+                if ends.is_relay:
+                    relays.add(producer.nodelet)
+        used = self._consumers.keys() | {topic for topic, _ in places}
+        self._describe(each for each in described if each.source in used)
+        said = set(self._producers)
+        for topic, producer in places:
+            if producer.tags or topic not in said:
+                self._producers.setdefault(topic, []).append(producer)
+        self._distrust(relays)
+
+    def _describe(self, described: Iterable[Transformation]) -> None:
+        """Enter the ordinary nodes that the library describes, one producer for each topic."""
+        for each in described:
+            port = each.ports[0]
+            known = self._producers.get(each.source, [Producer("", "")])[0]
+            tags = known.tags + read_tags(port.tags)
+            self._producers[each.source] = [
+                Producer("", "", tags, known.datatype or port.datatype)
+            ]
+
+    def _distrust(self, relays: AbstractSet[str]) -> None:
+        """Take away the tags of relays that may receive something else than these say."""
+        misled: AbstractSet[str] = relays
+        while relays and misled:
+            receiving = {consumer.nodelet for _, _, consumer in self.mismatches()}
+            misled, relays = relays & receiving, relays - receiving
+            for producers in self._producers.values():
+                producers[:] = [
+                    each._replace(tags=()) if each.nodelet in misled else each
+                    for each in producers
+                ]
+
+    def producers(self, topic: str) -> List[Producer]:
+        """Who may send on a topic; a description of the topic speaks for untagged nodelets."""
+        return self._producers.get(topic, [])
+
+    def is_described(self, topic: str) -> bool:
+        """Whether the library describes what ordinary nodes send on a topic."""
+        return any(not producer.nodelet for producer in self.producers(topic))
+
+    def consumers(self, topic: str) -> List[Consumer]:
+        """Who may listen on a topic."""
+        return self._consumers.get(topic, [])
+
+    def serves(self, producer: Producer, demand: Demand) -> bool:
+        """Whether a producer sends what is demanded."""
+        return meets(producer.tags, producer.datatype, demand, self._ontology)
+
+    def mismatches(
+        self, topics: Optional[Iterable[str]] = None
+    ) -> Iterator[Tuple[str, Producer, Consumer]]:
+        """Yield each topic, producer and consumer that may meet there and do not fit.
+
+        Args:
+            topics: where to look; everywhere by default.
+        """
+        for topic in sorted(set(self._consumers if topics is None else topics)):
+            for consumer in self.consumers(topic):
+                for producer in self.producers(topic):
+                    if not self.serves(producer, consumer.demand):
+                        yield topic, producer, consumer
+
+    def common_tags(self, topic: str, tags: Tuple[Term, ...]) -> Tuple[Term, ...]:
+        """Return those of a stream's tags that hold for everything that is sent on its topic."""
+        producers = self.producers(topic)
+        return tuple(
+            tag
+            for tag in tags
+            if all(self.serves(each, Demand(frozenset((tag,)))) for each in producers)
+        )
+
+
+def _all(
+    topics: Tuple[str, ...],
+    perhaps: Mapping[Tuple[str, str], Collection[str]],
+    end: Producer | Consumer,
+) -> Iterable[str]:
+    further = perhaps.get((end.nodelet, end.port), ()) if perhaps else ()
+    return sorted({*topics, *further} - {""}) if further else topics

@@ -18,7 +18,7 @@ _log = logging.getLogger("rosout.dyknow")
 
 
 class Transaction:
-    """Spawns and connects; what it did can be taken back."""
+    """Spawns and connects nodelets; everything that it did can be undone."""
 
     def __init__(
         self, manager: Manager, connector: Connector, unresponsive: AbstractSet[str]
@@ -33,14 +33,20 @@ class Transaction:
         self._manager = manager
         self._connector = connector
         self._unresponsive = unresponsive
+        #: Names of the nodelets that were made.
         self.spawned: List[str] = []
-        #: Nodelets and how they were connected before; None: they were not there.
+        #: Nodelets and how they were connected before; None for those that did not exist.
         self._before: List[Tuple[str, Optional[Dict[str, str]]]] = []
 
     def spawn(
         self, transformation: Transformation, request: SpawnRequest, near: Iterable[str]
-    ) -> Record:
-        """Make a nodelet, close to those that publish on the topics ``near`` it.
+    ) -> None:
+        """Make a nodelet.
+
+        Args:
+            transformation: what to make.
+            request: how.
+            near: topics whose publishers it is to run close to.
 
         Raises:
             DyKnowError: it did not work.
@@ -50,32 +56,31 @@ class Transaction:
         record = self._manager.lifecycle.spawn(transformation, request, True, near)
         self.spawned.append(record.name)
         self._before.append((record.name, None))
-        return record
 
     def connect(self, name: str, config: Mapping[str, str]) -> None:
-        """Connect ports; nothing is done for those that are connected so already.
+        """Connect ports of a nodelet that are not connected so already.
 
-        Whoever would hear what it does not ask for is cut off before.
+        Consumers that would receive what they do not demand are disconnected first.
 
         Raises:
-            DyKnowError: the nodelet refused.
+            DyKnowError: the nodelet refused, or did not answer.
         """
         record = self._manager.graph.get(name)
         before = {port: record.topics.get(port, "") for port in config}
         if before == dict(config) and self._connector.is_known(name):
             return
         self._make_way(record, config)
-        self._before.append((name, before))  # also what was not answered may have been done
+        self._before.append((name, before))  # what was not answered may have been done, too
         self._connector.connect(name, config)
 
     def undo(self, needed: AbstractSet[str]) -> None:
-        """Take everything back, the latest first, but nodelets that others need by now."""
+        """Undo everything, the latest change first; nodelets that are ``needed`` by now stay."""
         for name, before in reversed(self._before):
             if before is None:
                 if name not in needed:
-                    _quietly(partial(self._manager.lifecycle.destroy, name))
+                    _attempt(partial(self._manager.lifecycle.destroy, name))
             elif name not in self.spawned or name not in needed:
-                _quietly(partial(self._reconnect, name, before))
+                _attempt(partial(self._reconnect, name, before))
 
     def _make_way(self, record: Record, config: Mapping[str, str]) -> None:
         for name, ports in sorted(self._connector.in_the_way(record, config).items()):
@@ -87,12 +92,12 @@ class Transaction:
     def _reconnect(self, name: str, before: Dict[str, str]) -> None:
         record = self._manager.graph.find(name)
         if record is None or not self._connector.is_known(name):
-            return  # it is asked how it is connected, and mended then
+            return  # it is asked how it is connected, and connected as it should be then
         fits = self._connector.fitting(replace(record, topics=before))
         self._connector.connect(name, fits)
 
 
-def _quietly(step: Callable[[], None]) -> None:
+def _attempt(step: Callable[[], None]) -> None:
     try:
         step()
     except DyKnowError as error:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Dict, List
 
 from dyknow.manager.claims.relay import relay
-from dyknow.manager.claims.topology import Topology
+from dyknow.manager.claims.topology import Topology, ends_of
 from dyknow.manager.record import Record
 from dyknow.manager.specifications.tags import NO_ONTOLOGY
 from dyknow.model.transformation import IN, OUT, Port, Transformation
@@ -32,8 +32,8 @@ def relay_between(name: str, topics: Dict[str, str]) -> Record:
 
 
 def mismatches(*records: Record) -> List[str]:
-    found = Topology(records, (), (), lambda name, port: (), NO_ONTOLOGY).mismatches()
-    return sorted(f"{sender.nodelet} {listener.nodelet}" for _, sender, listener in found)
+    found = Topology(map(ends_of, records), (), (), {}, NO_ONTOLOGY).mismatches()
+    return sorted(f"{producer.nodelet} {consumer.nodelet}" for _, producer, consumer in found)
 
 
 def test_a_relay_is_believed_while_it_hears_what_it_says() -> None:

@@ -1,0 +1,98 @@
+"""What the parts of the reconciler share, and the lock under which they change claims."""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import dataclass
+from typing import Callable, Iterable, Iterator, Set
+
+from dyknow.locks import turn_lock
+from dyknow.manager.claims.claim_table import ClaimTable
+from dyknow.manager.claims.connector import Connector
+from dyknow.manager.claims.monitors import StreamMonitor
+from dyknow.manager.manager import Manager
+
+
+class ClaimLock:
+    """Two turns with an order of precedence.
+
+    Requests of clients come one at a time; in between, the reconciler makes its rounds. A request
+    that waits for a nodelet to come up lets rounds pass meanwhile: streams that break are repaired
+    although another one takes long to be made. A round lets no request pass, which could make a
+    second time what the round is about to make.
+    """
+
+    def __init__(self) -> None:
+        """Make a free lock."""
+        self._requests = turn_lock("claim request")
+        self._work = turn_lock("claim work")
+        self._may_pause = False
+        #: Claim that the present request is about; rounds leave it alone.
+        self.claim_id = ""
+        #: Nodelets that the present request counts on; rounds do not destroy them.
+        self.reserved: Set[str] = set()
+
+    @contextlib.contextmanager
+    def request(self, claim_id: str = "") -> Iterator[None]:
+        """Work on a request, about an existing claim or, without an id, about a new one."""
+        with self._requests, self._work:
+            self.claim_id = claim_id
+            self._may_pause = True
+            try:
+                yield
+            finally:
+                self._may_pause = False
+                self.claim_id = ""
+                self.reserved.clear()
+
+    @contextlib.contextmanager
+    def round(self) -> Iterator[None]:
+        """Work on all claims."""
+        with self._work:
+            yield
+
+    def reserve(self, names: Iterable[str]) -> None:
+        """Keep nodelets from being destroyed until the present request is done.
+
+        A round needs no reservations: it destroys nodelets only at its end.
+        """
+        if self._may_pause:
+            self.reserved.update(names)
+
+    @contextlib.contextmanager
+    def pause(self) -> Iterator[None]:
+        """Let rounds pass while a request waits; in a round, change nothing.
+
+        Called with the lock held. Afterwards nodelets may have other topics, or be gone.
+        """
+        if not self._may_pause:
+            yield
+            return
+        self._may_pause = False
+        self._work.release()
+        try:
+            yield
+        finally:
+            self._work.acquire()
+            self._may_pause = True
+
+
+@dataclass(frozen=True)
+class ClaimContext:
+    """What the parts of the reconciler share.
+
+    Attributes:
+        manager: knows, makes and destroys nodelets.
+        table: the claims.
+        lock: held by whoever changes claims.
+        connector: connects ports.
+        monitor: knows which parts of streams send messages.
+        clock: steady time, in seconds.
+    """
+
+    manager: Manager
+    table: ClaimTable
+    lock: ClaimLock
+    connector: Connector
+    monitor: StreamMonitor
+    clock: Callable[[], float]

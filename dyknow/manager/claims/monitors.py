@@ -1,0 +1,248 @@
+"""Which parts of streams are silent, and whose first message has come: judged by the counts."""
+
+from __future__ import annotations
+
+import logging
+from typing import Callable, Dict, FrozenSet, Iterable, List, Mapping, Set
+
+from dyknow.manager.claim import Claim
+from dyknow.manager.claims.claim_table import ClaimTable
+from dyknow.manager.claims.flows import FlowMeter, Place
+from dyknow.manager.graph import Graph
+from dyknow.manager.manager import Manager
+from dyknow.model.graph import State
+from dyknow.model.streams import NO_MESSAGE, ClaimState
+from dyknow.model.transformation import OUT
+
+#: Seconds that a part may take to send its first message, if the claim does not allow more.
+FIRST_MESSAGE = 2.0
+#: Seconds between two counts while a first message is awaited.
+_FIRST_MESSAGE_PERIOD = 0.25
+#: Counts in the time for which a part may be silent, and the least seconds between two.
+_COUNTS = 4
+_LEAST_PERIOD = 0.05
+
+_log = logging.getLogger("rosout.dyknow")
+
+
+class StreamMonitor:
+    """Watches the messages of all streams, for whoever repairs them."""
+
+    def __init__(self, manager: Manager, table: ClaimTable, clock: Callable[[], float]) -> None:
+        """Begin without any stream.
+
+        Args:
+            manager: knows the nodelets, and reaches their host.
+            table: the claims.
+            clock: steady time, in seconds.
+        """
+        self._table = table
+        self._meter = FlowMeter(manager.host, manager.graph, clock)
+        self._silence = SilenceMonitor(self._meter, manager.graph)
+        self._first_messages = FirstMessageMonitor(table, self._meter, manager.graph, clock)
+
+    @property
+    def silent(self) -> Mapping[str, str]:
+        """Silent nodelets and topics, each with a sentence about it."""
+        return self._silence.silent
+
+    @property
+    def unresponsive(self) -> FrozenSet[str]:
+        """Nodelets that do not answer."""
+        return self._meter.unresponsive
+
+    @property
+    def unhealthy(self) -> FrozenSet[str]:
+        """What is silent or unresponsive."""
+        return self.unresponsive | frozenset(self.silent)
+
+    def read(self) -> List[str]:
+        """Count messages; returns the nodelets and topics that have just fallen silent."""
+        claims = self._table.living()
+        came = self._meter.read(
+            self._first_messages.periods(claims), self._silence.periods(claims)
+        )
+        fallen = self._silence.judge(claims, came)
+        for name in fallen:
+            _log.warning("%s", self.silent[name])
+        return fallen
+
+    def restart(self, claim: Claim, goal: Place, topic: str, rewired: Iterable[str]) -> str:
+        """Restart with a stream that was changed just now; returns the detail of its claim.
+
+        Args:
+            claim: whose stream it is.
+            goal: nodelet and out-port that publish it; empty for a topic of ordinary nodes.
+            topic: where it is published.
+            rewired: its nodelets that were connected elsewhere.
+        """
+        self._meter.restart_silence(rewired)
+        return self._first_messages.expect(claim, goal, topic)
+
+    def report_first_messages(self) -> None:
+        """Change the claims whose first message has come, by the latest counts."""
+        self._first_messages.report()
+
+
+class SilenceMonitor:
+    """Finds parts of streams that have fallen silent, where a claim has a ``max_silence``.
+
+    A part is to blame only if what feeds it has sent something since its own last message: of a
+    chain that is silent that is the first part, and it is none as long as a count from further up
+    is due. The same counts lead to the same judgement, whenever it is made.
+    """
+
+    def __init__(self, meter: FlowMeter, graph: Graph) -> None:
+        """Begin with no part silent.
+
+        Args:
+            meter: the counts.
+            graph: the nodelets.
+        """
+        self._meter = meter
+        self._graph = graph
+        #: Silent nodelets and topics, each with a sentence about it.
+        self.silent: Dict[str, str] = {}
+
+    def periods(self, claims: Iterable[Claim]) -> Dict[Place, float]:
+        """Seconds between two counts, by place."""
+        found: Dict[Place, float] = {}
+        for claim in _watched(claims):
+            period = max(claim.request.max_silence / _COUNTS, _LEAST_PERIOD)
+            for place in self._places(claim):
+                found[place] = min(found.get(place, period), period)
+        for place in self._meter.flows:
+            if place[0] in self.silent and self._graph.find(place[0]) is not None:
+                found.setdefault(place, FIRST_MESSAGE / _COUNTS)
+        return found
+
+    def judge(self, claims: Iterable[Claim], came: Iterable[Place]) -> List[str]:
+        """Judge by the latest counts.
+
+        Args:
+            claims: those whose parts are watched, among others.
+            came: places where messages have come since the last judgement.
+
+        Returns:
+            The nodelets and topics that have just fallen silent.
+        """
+        for place in came:
+            self.silent.pop(_name(place), None)
+        counted = set(map(_name, self._meter.flows))
+        for name in [name for name in self.silent if name not in counted]:
+            del self.silent[name]
+        fallen: Set[str] = set()
+        for claim in _watched(claims):
+            fallen.update(self._judge(claim, self._places(claim)))
+        return sorted(fallen)
+
+    def _places(self, claim: Claim) -> Dict[Place, str]:
+        """Out-ports and ordinary topics of a claim, with their topics."""
+        places: Dict[Place, str] = {("", topic): topic for topic in claim.sources}
+        for name in claim.nodelets:
+            record = self._graph.find(name)
+            if (
+                record is None
+                or record.transformation is None
+                or record.state is not State.RUNNING
+            ):
+                continue
+            outs = {port.name for port in record.transformation.ports if port.direction == OUT}
+            for port, topic in claim.wiring[name].items():
+                if port in outs:
+                    places[(name, port)] = topic
+        return places
+
+    def _judge(self, claim: Claim, places: Mapping[Place, str]) -> Set[str]:
+        limit = claim.request.max_silence
+        fallen = set()
+        for place in sorted(places):
+            flow, name = self._meter.flows.get(place), _name(place)
+            if flow is None or name in self.silent:
+                continue
+            allowed = limit if flow.begun else max(limit, FIRST_MESSAGE)
+            if flow.silence > allowed and self._is_fed(place, claim, places):
+                what = f"nodelet {name}" if name in claim.wiring else f"topic {name}"
+                self.silent[name] = f"{what} was silent for longer than {limit:g} s"
+                fallen.add(name)
+        return fallen
+
+    def _is_fed(self, place: Place, claim: Claim, places: Mapping[Place, str]) -> bool:
+        """Whether all that feeds a place has sent something since its last message."""
+        flows = self._meter.flows
+        since = flows[place].quiet_from
+        feeders: Dict[str, List[Place]] = {}
+        for each, topic in places.items():
+            if each[0] != place[0]:
+                feeders.setdefault(topic, []).append(each)
+        return all(
+            any(each in flows and flows[each].came_after >= since for each in feeders[topic])
+            for topic in claim.wiring.get(place[0], {}).values()
+            if topic in feeders
+        )
+
+
+class FirstMessageMonitor:
+    """Keeps ``NO_MESSAGE`` in the detail of a claim until the first message of its stream.
+
+    A stream can be wired as it should be and yet carry no messages, so each change of a stream
+    raises the question again. Counts that nodelets keep anyway answer it. DyKnow does not
+    subscribe to a topic merely to find out: where the publisher cannot be asked, the claim says
+    so.
+    """
+
+    def __init__(
+        self, table: ClaimTable, meter: FlowMeter, graph: Graph, clock: Callable[[], float]
+    ) -> None:
+        """Begin with no message awaited.
+
+        Args:
+            table: the claims.
+            meter: the counts.
+            graph: the nodelets.
+            clock: steady time, in seconds.
+        """
+        self._table = table
+        self._meter = meter
+        self._graph = graph
+        self._clock = clock
+        self._since: Dict[str, float] = {}
+
+    def expect(self, claim: Claim, goal: Place, topic: str) -> str:
+        """Begin to wait, now that a claim's stream was changed; returns the claim's detail."""
+        self._since[claim.claim_id] = self._clock()
+        record = self._graph.find(goal[0])
+        can_be_asked = record is not None and not record.rewired_by_reload
+        if can_be_asked or claim.request.max_silence > 0:
+            return NO_MESSAGE
+        return f"not known whether messages come: the publisher of {topic} cannot be asked"
+
+    def periods(self, claims: Iterable[Claim]) -> Dict[Place, float]:
+        """Seconds between two counts, by place."""
+        return {_goal(claim): _FIRST_MESSAGE_PERIOD for claim in claims if _waits(claim)}
+
+    def report(self) -> None:
+        """Change the claims whose first message has come."""
+        waiting = [claim for claim in self._table.living() if _waits(claim)]
+        since = {each.claim_id: self._since.get(each.claim_id, self._clock()) for each in waiting}
+        self._since = since
+        for claim in waiting:
+            if self._meter.has_come(_goal(claim), since[claim.claim_id]):
+                self._table.change(claim.claim_id, "its first message has come", detail="")
+
+
+def _watched(claims: Iterable[Claim]) -> List[Claim]:
+    return [each for each in claims if each.request.max_silence > 0 and each.topic]
+
+
+def _waits(claim: Claim) -> bool:
+    return claim.state is ClaimState.ACTIVE and claim.detail == NO_MESSAGE
+
+
+def _goal(claim: Claim) -> Place:
+    return claim.goal if claim.goal[0] else ("", claim.topic)
+
+
+def _name(place: Place) -> str:
+    """Name of the nodelet, or of the topic where there is none."""
+    return place[0] or place[1]
