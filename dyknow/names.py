@@ -8,11 +8,9 @@ from __future__ import annotations
 
 import hashlib
 import re
-from typing import Dict, Mapping, Sequence
+from typing import Dict, Sequence
 
 from dyknow.errors import BadRemapping, InvalidName
-
-Remappings = Mapping[str, str]
 
 _LEGAL = re.compile(r"[~/A-Za-z][A-Za-z0-9_/]*\Z")
 
@@ -80,14 +78,6 @@ def mark(name: str) -> int:
     """
     digest = hashlib.blake2b(name.encode(), digest_size=8).digest()
     return (int.from_bytes(digest, "big") | 2) & ~1
-
-
-def remap(name: str, *tables: Remappings) -> str:
-    """Look a global name up in each table in turn; the first hit decides, as in roscpp."""
-    for table in tables:
-        if name in table:
-            return table[name]
-    return name
 
 
 def pair_remappings(

@@ -1,4 +1,4 @@
-"""The computation graph in graphviz's DOT language, and drawn by graphviz.
+"""The computation graph in graphviz's DOT language.
 
 Everything is written in sorted order, so that the same graph always gives the same drawing and a
 small change a small one.
@@ -6,25 +6,17 @@ small change a small one.
 
 from __future__ import annotations
 
-import subprocess
 from typing import TYPE_CHECKING, Dict, Iterator, List, Sequence, Set
 
 from dyknow import names
 from dyknow.cli.topics import topics_of
 from dyknow.cli.views import state_of
-from dyknow.errors import DyKnowError
+from dyknow.graphviz import quote
 
 if TYPE_CHECKING:
     from dyknow.ros.views import ModelView, NodeletView
 
-#: Seconds that graphviz may take; some 200 nodelets need 15 of them.
-LAYOUT_TIMEOUT = 120.0
-
 _TROUBLED = {"starting": "gray50", "lost": "red3", "failed": "red3"}
-
-
-class CannotDraw(DyKnowError):
-    """Graphviz is not installed, or gave up."""
 
 
 def to_dot(snapshot: ModelView) -> str:
@@ -45,7 +37,7 @@ def to_dot(snapshot: ModelView) -> str:
         while space not in spaces or space in known:
             space = names.parent(space)
         label = [topic.name, *([topic.datatype] if topic.datatype else [])]
-        rectangle = f"{_id('t', topic.name)} [shape=box, label={_quoted(*label)}];"
+        rectangle = f"{_id('t', topic.name)} [shape=box, label={quote(*label)}];"
         inside.setdefault(space, []).append(rectangle)
     lines = ["digraph dyknow {", "  rankdir=LR;", '  node [fontname="sans-serif", fontsize=11];']
     lines.append('  edge [fontname="sans-serif", fontsize=9];')
@@ -53,45 +45,12 @@ def to_dot(snapshot: ModelView) -> str:
     for topic in topics:
         for source in topic.sources:
             ends = f"{_id('n', source.nodelet)} -> {_id('t', topic.name)}"
-            lines.append(f"  {ends} [label={_quoted(source.port)}];")
+            lines.append(f"  {ends} [label={quote(source.port)}];")
         for target in topic.targets:
             ends = f"{_id('t', topic.name)} -> {_id('n', target.nodelet)}"
-            lines.append(f"  {ends} [label={_quoted(target.port)}];")
+            lines.append(f"  {ends} [label={quote(target.port)}];")
     lines.append("}")
     return "\n".join(lines) + "\n"
-
-
-def render(dot: str, form: str, timeout: float = LAYOUT_TIMEOUT) -> bytes:
-    """Draw a graph with graphviz.
-
-    Args:
-        dot: The graph.
-        form: `svg` or `png`.
-        timeout: Seconds after which it is given up.
-
-    Raises:
-        CannotDraw: with the reason.
-    """
-    try:
-        done = subprocess.run(
-            ["dot", f"-T{form}"],
-            input=dot.encode("utf-8"),
-            capture_output=True,
-            timeout=timeout,
-            check=False,
-        )
-    except FileNotFoundError as error:
-        raise CannotDraw(
-            "graphviz's program 'dot' is not installed; install graphviz, or use --dot"
-        ) from error
-    except subprocess.TimeoutExpired as error:
-        raise CannotDraw(
-            f"graphviz needs more than {timeout:g} s; draw less with --namespace, or use --dot"
-        ) from error
-    if done.returncode:
-        words = done.stderr.decode("utf-8", "replace").strip().splitlines()
-        raise CannotDraw(f"graphviz failed: {words[0] if words else done.returncode}")
-    return done.stdout
 
 
 def _with_parents(spaces: Iterator[str]) -> Set[str]:
@@ -112,30 +71,19 @@ def _oval(nodelet: NodeletView) -> str:
         more = f", style=dashed, color={_TROUBLED[state]}"
     elif nodelet.is_protected:
         more = ", style=bold"
-    return f"{_id('n', nodelet.name)} [shape=ellipse, label={_quoted(*label)}{more}];"
+    return f"{_id('n', nodelet.name)} [shape=ellipse, label={quote(*label)}{more}];"
 
 
 def _boxes(space: str, spaces: Sequence[str], inside: Dict[str, List[str]]) -> Iterator[str]:
     yield from inside.get(space, ())
     for child in spaces:
         if child != "/" and names.parent(child) == space:
-            yield f"subgraph {_quoted('cluster ' + child)} {{"
-            yield f"  label={_quoted(child)};"
+            yield f"subgraph {quote('cluster ' + child)} {{"
+            yield f"  label={quote(child)};"
             for line in _boxes(child, spaces, inside):
                 yield "  " + line
             yield "}"
 
 
 def _id(kind: str, name: str) -> str:
-    return _quoted(kind + name)
-
-
-def _quoted(*lines: str) -> str:
-    """Quote a text of DOT; a label may have several lines."""
-    return (
-        '"'
-        + "\\n".join(
-            line.replace("\\", "\\\\").replace('"', '\\"').replace("\n", " ") for line in lines
-        )
-        + '"'
-    )
+    return quote(kind + name)

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 from typing import AbstractSet, Dict, List, Sequence, Tuple
 
-from dyknow.errors import DyKnowError
+from dyknow.graphviz import quote, render
 from dyknow.model.graph import State
 from dyknow.ros.views import ModelView, NodeletView
 from dyknow_demo.soccer.narration import short
@@ -20,10 +19,6 @@ _HEAD = """digraph story {
   rankdir=TB; nodesep=0.2; ranksep=0.25; labelloc=t; fontname="sans-serif"; fontsize=15;
   node [fontname="sans-serif", fontsize=12, margin="0.08,0.04", height=0.3];
   edge [fontname="sans-serif", fontsize=10];"""
-
-
-class CannotDraw(DyKnowError):
-    """Graphviz is not installed, or gave up."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +42,7 @@ class Moment:
     def label(self, name: str) -> str:
         """Write a name as people want to read it; a topic's in two lines."""
         head, slash, tail = short(name, self.space).rpartition("/")
-        return _quoted(f"{head}\n{slash}{tail}" if head else slash + tail)
+        return quote(f"{head}\n{slash}{tail}" if head else slash + tail)
 
 
 def to_dot(moment: Moment, first: ModelView) -> str:
@@ -62,7 +57,7 @@ def to_dot(moment: Moment, first: ModelView) -> str:
         first: the graph of the first picture.
     """
     there, known = _running(moment.model), _running(first)
-    lines = [_HEAD, f"  label={_quoted(moment.title)};"]
+    lines = [_HEAD, f"  label={quote(moment.title)};"]
     for name in sorted({*there, *known}):
         if name not in there:
             style = "style=dashed, color=gray50, fontcolor=gray50"
@@ -70,7 +65,7 @@ def to_dot(moment: Moment, first: ModelView) -> str:
             style = _filled(_IDLE)
         else:
             style = _filled(_KEPT if name in known else _NEW)
-        lines.append(f"  {_quoted('n' + name)} [label={moment.label(name)}, {style}];")
+        lines.append(f"  {quote('n' + name)} [label={moment.label(name)}, {style}];")
     lines += _streams(there, moment)
     lines.append("}")
     return "\n".join(lines) + "\n"
@@ -84,21 +79,8 @@ def draw(dot: str, folder: Path, name: str) -> List[Path]:
     """
     folder.mkdir(parents=True, exist_ok=True)
     files = [folder / f"{name}.{form}" for form in FORMS]
-    arguments = [part for form, file in zip(FORMS, files) for part in (f"-T{form}", f"-o{file}")]
-    try:
-        done = subprocess.run(
-            ["dot", *arguments],
-            input=dot.encode(),
-            capture_output=True,
-            timeout=_LAYOUT_TIMEOUT,
-            check=False,
-        )
-    except FileNotFoundError as error:
-        raise CannotDraw("graphviz's program 'dot' is not installed") from error
-    except subprocess.TimeoutExpired as error:
-        raise CannotDraw(f"graphviz needs more than {_LAYOUT_TIMEOUT:g} s") from error
-    if done.returncode:
-        raise CannotDraw(f"graphviz failed: {done.stderr.decode(errors='replace').strip()}")
+    for form, file in zip(FORMS, files):
+        file.write_bytes(render(dot, form, _LAYOUT_TIMEOUT))
     return files
 
 
@@ -119,10 +101,10 @@ def _streams(there: Dict[str, NodeletView], moment: Moment) -> List[str]:
             if port.topic:
                 side = targets if port.direction == "in" else sources
                 side.setdefault(port.topic, []).append((name, port.name))
-    lines = [f"  client [shape=plaintext]; {_quoted('t' + moment.goal)} -> client;"]
+    lines = [f"  client [shape=plaintext]; {quote('t' + moment.goal)} -> client;"]
     for topic in sorted(targets):
         bold = ", style=bold" if topic == moment.goal else ""
-        lines.append(f"  {_quoted('t' + topic)} [label={moment.label(topic)}, shape=box{bold}];")
+        lines.append(f"  {quote('t' + topic)} [label={moment.label(topic)}, shape=box{bold}];")
         lines += _arrows(topic, sources.get(topic, ()), targets[topic])
     return lines
 
@@ -130,12 +112,8 @@ def _streams(there: Dict[str, NodeletView], moment: Moment) -> List[str]:
 def _arrows(
     topic: str, sources: Sequence[Tuple[str, str]], targets: Sequence[Tuple[str, str]]
 ) -> List[str]:
-    node = _quoted("t" + topic)
+    node = quote("t" + topic)
     return [
-        *(f"  {_quoted('n' + name)} -> {node};" for name, _ in sources),
-        *(f"  {node} -> {_quoted('n' + name)} [label={_quoted(port)}];" for name, port in targets),
+        *(f"  {quote('n' + name)} -> {node};" for name, _ in sources),
+        *(f"  {node} -> {quote('n' + name)} [label={quote(port)}];" for name, port in targets),
     ]
-
-
-def _quoted(text: str) -> str:
-    return '"' + text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n") + '"'

@@ -8,7 +8,7 @@ from python_qt_binding.QtGui import QFont, QFontMetricsF
 
 from dyknow.model.graph import State
 from dyknow.model.transformation import IN
-from dyknow_rqt.graph.figure import Edge, Figure, Vertex, VertexKind
+from dyknow_rqt.graph.figure import Edge, Figure, VertexKind
 from dyknow_rqt.graph.geometry import Size
 from dyknow_rqt.graph.rates import PortRate
 from dyknow_rqt.graph.snapshot import PortRef, Snapshot
@@ -114,11 +114,6 @@ def edge_refs(edge: Edge) -> List[PortRef]:
     nodelet = VertexKind.NODELET.value + "_"
     ends = ((edge.head, edge.head_port), (edge.tail, edge.tail_port))
     return [PortRef(key[len(nodelet) :], port) for key, port in ends if key.startswith(nodelet)]
-
-
-def port_ref(vertex: Vertex, port: str) -> PortRef:
-    """Name a port of a nodelet that is drawn."""
-    return PortRef(vertex.name, port)
 
 
 def _nodelet_tip(nodelet: NodeletView) -> str:

@@ -10,6 +10,7 @@ import json
 import re
 from typing import Any, Dict, List, Mapping, Tuple
 
+from dyknow.graphviz import quote
 from dyknow_rqt.graph.figure import Edge, Figure, Vertex, VertexKind
 from dyknow_rqt.graph.geometry import Layout, Point, Rectangle, Size
 
@@ -51,13 +52,6 @@ def to_dot(figure: Figure, sizes: Mapping[str, Size], gap: float = 52.0) -> str:
         )
     lines.append("}")
     return "\n".join(lines) + "\n"
-
-
-def quote(text: str) -> str:
-    """Write a text as a quoted DOT string."""
-    for character, escaped in (("\\", "\\\\"), ('"', '\\"'), ("\n", "\\n")):
-        text = text.replace(character, escaped)
-    return f'"{text}"'
 
 
 def read_layout(answer: str, figure: Figure) -> Layout:

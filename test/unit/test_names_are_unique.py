@@ -11,7 +11,6 @@ PACKAGES = ("dyknow", "dyknow_rqt", "dyknow_demo", "dyknow_benchmark")
 
 #: Names that still stand for several things, and the packages that are to give way.
 OPEN = {
-    "CannotDraw": "dyknow_demo",
     "Graph": "dyknow_demo",
     "LoadFailed": "dyknow.wiring",
     "Manager": "dyknow_benchmark",

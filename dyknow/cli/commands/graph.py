@@ -9,14 +9,18 @@ from typing import TYPE_CHECKING
 from dyknow.cli import completion
 from dyknow.cli.arguments import namespace
 from dyknow.cli.command import Command
-from dyknow.cli.drawing import render, to_dot
+from dyknow.cli.drawing import to_dot
 from dyknow.cli.files import write_file
 from dyknow.cli.json_output import nodelet_json
 from dyknow.cli.shell import Shell
 from dyknow.cli.topics import Topic, list_topics, topics_of
+from dyknow.graphviz import CannotDraw, render
 
 if TYPE_CHECKING:
     from dyknow.ros.views import ModelView
+
+#: Seconds that graphviz may take.
+_TIMEOUT = 120.0
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
@@ -48,7 +52,13 @@ def _graph(arguments: argparse.Namespace, shell: Shell) -> None:
     drawing = arguments.svg or arguments.png
     if drawing:
         kind = "svg" if arguments.svg else "png"
-        write_file(drawing, render(to_dot(snapshot), kind))
+        try:
+            picture = render(to_dot(snapshot), kind, _TIMEOUT)
+        except CannotDraw as error:
+            raise CannotDraw(
+                f"{error}, or use --dot, which draws nothing, or --namespace, which draws less"
+            ) from error
+        write_file(drawing, picture)
         shell.show({"file": drawing}, [f"drew {drawing}"])
     elif arguments.dot:
         dot = to_dot(snapshot)

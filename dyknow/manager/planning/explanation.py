@@ -15,6 +15,7 @@ from __future__ import annotations
 import re
 from typing import Dict, List, NamedTuple, Set, Tuple
 
+from dyknow.graphviz import quote
 from dyknow.manager.planning.problem import Answer, Live, NoPlan, Plan, PlanStep, Source
 
 _LINE = re.compile(r"(?P<lead>[ │├└─]*─ )(?:(?P<port>\S+) ← )?(?P<what>.*) \((?P<how>[^()]*)\)\Z")
@@ -77,16 +78,8 @@ def read_tree(text: str) -> Tuple[str, List[Entry]]:
     return title, entries
 
 
-def as_dot(answer: Answer) -> str:
-    """Draw a plan for Graphviz: what is to be made is dashed, topics are rectangles."""
-    if isinstance(answer, NoPlan):
-        label = _quoted(as_tree(answer).replace("├─ ", "").replace("└─ ", ""))
-        return f"digraph plan {{\n  label={label};\n}}\n"
-    return tree_as_dot(as_tree(answer))
-
-
 def tree_as_dot(text: str) -> str:
-    """Draw a plan that was written as a tree.
+    """Draw a plan that was written as a tree: what is to be made is dashed, topics are rectangles.
 
     Raises:
         ValueError: it is something else.
@@ -103,15 +96,13 @@ def tree_as_dot(text: str) -> str:
             shape = "box" if is_topic else "ellipse"
             style = "dashed" if entry.how.startswith("new") else "solid"
             label = name if is_topic else f"{name}\n{entry.how}"
-            nodes[name] = (
-                f"  {_quoted(name)} [shape={shape}, style={style}, label={_quoted(label)}];"
-            )
+            nodes[name] = f"  {quote(name)} [shape={shape}, style={style}, label={quote(label)}];"
         del path[entry.depth :]
         consumer = path[-1] if path else title
-        arrow = f"  {_quoted(name)} -> {_quoted(consumer)}"
-        edges.append(f"{arrow} [taillabel={_quoted(out)}, headlabel={_quoted(entry.port)}];")
+        arrow = f"  {quote(name)} -> {quote(consumer)}"
+        edges.append(f"{arrow} [taillabel={quote(out)}, headlabel={quote(entry.port)}];")
         path.append(name)
-    goal = f"  {_quoted(title)} [shape=plaintext];"
+    goal = f"  {quote(title)} [shape=plaintext];"
     body = [goal, *(nodes[name] for name in sorted(nodes)), *dict.fromkeys(edges)]
     return "digraph plan {\n  rankdir=LR;\n" + "\n".join(body) + "\n}\n"
 
@@ -153,8 +144,3 @@ def _last_ones(entries: List[Entry]) -> Set[int]:
             last.add(number)
         seen.add(depth)
     return last
-
-
-def _quoted(text: str) -> str:
-    escaped = text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
-    return f'"{escaped}"'

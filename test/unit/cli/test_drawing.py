@@ -11,7 +11,8 @@ import pytest
 from unit.cli.fake_client import FakeClient, run
 from unit.manager.world import World
 
-from dyknow.cli.drawing import CannotDraw, render, to_dot
+from dyknow.cli.drawing import to_dot
+from dyknow.graphviz import CannotDraw, render
 from dyknow.model.graph import PortState, State
 from dyknow.ros.views import ModelView, NodeletView
 
@@ -128,8 +129,9 @@ def test_files(tmp_path: Path) -> None:
 
 def test_without_graphviz_it_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", "/nowhere")
-    with pytest.raises(CannotDraw, match="install graphviz, or use --dot"):
-        render(to_dot(MODEL), "svg")
+    done = run(FakeClient(World()), "graph --svg x.svg")
+    assert done.code == 1
+    assert "install graphviz, or use --dot" in done.err
 
 
 @needs_graphviz

@@ -72,13 +72,6 @@ def test_parent_undoes_join_of_a_base_name(name, namespace):
         assert names.parent(joined) == namespace
 
 
-def test_the_first_table_that_knows_a_name_decides():
-    first, second = {"/a": "/b"}, {"/a": "/c", "/b": "/d", "/e": "/f"}
-    assert names.remap("/a", first, second) == "/b"
-    assert names.remap("/e", first, second) == "/f"
-    assert names.remap("/x", first, second) == "/x"
-
-
 def test_pairs_of_a_load_request_become_global():
     table = names.pair_remappings(
         "/robot/undistort",
