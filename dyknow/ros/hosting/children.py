@@ -12,12 +12,15 @@ import sys
 import threading
 import time
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import AbstractSet, Callable, Dict, FrozenSet, List, Optional
 
 from dyknow import names
 from dyknow.backoff import Backoff
 from dyknow.errors import HostError, PeerTimeout
+from dyknow.locks import state_condition, turn_lock
 from dyknow.manager.host import Crash, NodeletKind
+from dyknow.periodic import in_background
 from dyknow.ros.hosting import child_records
 from dyknow.ros.hosting.child_records import ChildRecord
 from dyknow.ros.hosting.launcher import Launcher
@@ -38,8 +41,7 @@ _BASES = {
     NodeletKind.CPP: "dyknow_cpp_nodelet_manager",
 }
 
-#: No child.
-NOBODY: FrozenSet[str] = frozenset()
+NO_NAMES: FrozenSet[str] = frozenset()
 
 _log = logging.getLogger("rosout.dyknow")
 
@@ -55,7 +57,7 @@ class Child:
     gone: threading.Event = field(default_factory=threading.Event)
     trouble: str = ""
     stale: str = ""
-    follower: Optional[LogTail] = None
+    log: Optional[LogTail] = None
 
     @property
     def incarnation(self) -> str:
@@ -86,7 +88,8 @@ class Children:
         self._namespace = namespace
         self._path = path
         self._on_change = on_change
-        self._lock = threading.Condition()
+        self._changed = state_condition("children")
+        self._writing = turn_lock("records of children")
         self._children: Dict[str, Child] = {}
         self._crashes: List[Crash] = []
         self._ending = False
@@ -117,7 +120,7 @@ class Children:
 
     def all(self) -> List[Child]:
         """Return every child, by name."""
-        with self._lock:
+        with self._changed:
             return [self._children[name] for name in sorted(self._children)]
 
     def want(self, kind: NodeletKind, count: int) -> None:
@@ -127,7 +130,7 @@ class Children:
             self._add(Child(ChildRecord(self._free_name(kind), kind)))
 
     def ensure(
-        self, kind: NodeletKind, isolated_for: str, without: AbstractSet[str] = NOBODY
+        self, kind: NodeletKind, isolated_for: str, without: AbstractSet[str] = NO_NAMES
     ) -> str:
         """Return the name of a child that is up, starting one if there is none.
 
@@ -140,7 +143,7 @@ class Children:
             HostError: it does not come up.
         """
         deadline = time.monotonic() + START_TIMEOUT
-        with self._lock:
+        with self._changed:
             same = [
                 child
                 for child in self._children.values()
@@ -160,41 +163,43 @@ class Children:
 
     def await_up(self, name: str, timeout: float) -> None:
         """Wait for a child that is being started; for others there is nothing to wait for."""
-        with self._lock:
+        with self._changed:
             child = self._children.get(name)
         if child is not None and not child.up:
             self._wait_up(child, time.monotonic() + timeout)
 
     def crashes(self) -> List[Crash]:
         """Return the crashes since the last call."""
-        with self._lock:
+        with self._changed:
             crashes, self._crashes = self._crashes, []
         return crashes
 
     def await_end(self, name: str, incarnation: str, timeout: float) -> None:
         """Wait until a process is noticed to have ended, if it has."""
-        with self._lock:
+        with self._changed:
             child = self._children.get(name)
-            self._lock.wait_for(lambda: child is None or child.incarnation != incarnation, timeout)
+            self._changed.wait_for(
+                lambda: child is None or child.incarnation != incarnation, timeout
+            )
 
     def end(self, name: str) -> None:
         """End a child for good, by force if need be."""
-        with self._lock:
+        with self._changed:
             child = self._children.get(name)
             if child is not None:
                 child.wanted, child.up = False, False
-                self._lock.notify_all()
+                self._changed.notify_all()
         if child is not None:
             self._end([child])
 
     def end_all(self) -> None:
         """End all children for good, by force if need be."""
-        with self._lock:
+        with self._changed:
             self._ending = True
             children = list(self._children.values())
             for child in children:
                 child.wanted, child.up = False, False
-            self._lock.notify_all()
+            self._changed.notify_all()
         self._end(children)
 
     def echo(self) -> None:
@@ -202,23 +207,21 @@ class Children:
         if self._unwritten:
             self._write()
         for child in self.all():
-            if child.follower is not None:
-                child.follower.copy(sys.stdout)
+            if child.log is not None:
+                child.log.copy(sys.stdout)
 
     # Starting
 
     def _add(self, child: Child) -> Child:
         name = child.record.name
-        with self._lock:
+        with self._changed:
             if self._ending:
                 raise HostError("the manager is being ended")
             present = self._children.get(name)
             if present is not None:
                 return present
             self._children[name] = child
-        threading.Thread(
-            target=self._keep, args=(child,), name=f"child {name}", daemon=True
-        ).start()
+        in_background(f"child {name}", partial(self._keep, child))
         return child
 
     def _free_name(self, kind: NodeletKind, isolated_for: str = "") -> str:
@@ -229,7 +232,7 @@ class Children:
             base = names.join(self._namespace, _BASES[kind])
         number, name = 1, base
         while True:
-            with self._lock:
+            with self._changed:
                 taken = name in self._children
             if not taken and self._launcher.living(name) is None:
                 return name
@@ -237,9 +240,9 @@ class Children:
             name = f"{base}_{number}"
 
     def _wait_up(self, child: Child, deadline: float) -> str:
-        with self._lock:
+        with self._changed:
             while not child.up and not child.gone.is_set():
-                if not self._lock.wait(deadline - time.monotonic()):
+                if not self._changed.wait(deadline - time.monotonic()):
                     break
             if child.up:
                 return child.record.name
@@ -266,15 +269,15 @@ class Children:
             deaths.served(child.record.name, time.monotonic() - begin)
             deaths.failed(child.record.name)
             pause = deaths.remaining(child.record.name)
-            with self._lock:
-                self._lock.wait_for(lambda: not child.wanted, pause)
+            with self._changed:
+                self._changed.wait_for(lambda: not child.wanted, pause)
         try:
             self._launcher.clean_up(child.record.name)  # while nobody else is given its name
         finally:
-            with self._lock:
+            with self._changed:
                 self._children.pop(child.record.name, None)
                 child.gone.set()
-                self._lock.notify_all()
+                self._changed.notify_all()
         self._write()
         self._on_change()
 
@@ -293,18 +296,18 @@ class Children:
                 _log.warning("nodelet manager %s (process %d) has died", name, found.pid)
                 self._note(self._launcher.examine(child.record.kind, name, found.pid, status))
         finally:
-            with self._lock:
+            with self._changed:
                 child.up, child.adopted = False, False
                 child.wanted &= not child.record.isolated_for  # such a one has only one life
                 child.record = replace(child.record, process=None)
-                self._lock.notify_all()
+                self._changed.notify_all()
         self.echo()
         self._on_change()
 
     def _note(self, crash: Optional[Crash]) -> None:
         """Have it told before anybody sees that the child is dead."""
         if crash is not None:
-            with self._lock:
+            with self._changed:
                 self._crashes.append(crash)
 
     def _launch(self, child: Child) -> None:
@@ -314,8 +317,8 @@ class Children:
             self._take_over(child, living)
             return
         child.stale = self._launcher.registered(name)
-        found, child.follower = self._launcher.launch(child.record.kind, name)
-        with self._lock:
+        found, child.log = self._launcher.launch(child.record.kind, name)
+        with self._changed:
             child.record = replace(child.record, process=found)
         self._write()
 
@@ -323,7 +326,7 @@ class Children:
         """Adopt a process that an earlier life started, but could not write down any more."""
         if living.pid < 0 or not self._launcher.is_ours(child.record.name):
             raise HostError("another node has that name")
-        with self._lock:
+        with self._changed:
             child.adopted, child.stale = True, ""
             child.record = replace(child.record, process=living)
         self._write()
@@ -332,7 +335,7 @@ class Children:
         """Wait until the services are there; one that is late and lost is given up."""
         name = child.record.name
         if child.adopted:
-            child.follower = self._launcher.follow(name)
+            child.log = self._launcher.follow(name)
         deadline = time.monotonic() + START_TIMEOUT
         uri = self._launcher.address(name, child.stale)
         while not uri:
@@ -344,9 +347,9 @@ class Children:
                 raise HostError(f"it has not come up within {START_TIMEOUT:g} s")
             time.sleep(_STEP)
             uri = self._launcher.address(name, child.stale)
-        with self._lock:
+        with self._changed:
             child.up = child.wanted
-            self._lock.notify_all()
+            self._changed.notify_all()
         self._on_change()
 
     def _is_lost(self, child: Child) -> bool:
@@ -363,21 +366,21 @@ class Children:
     # Ending
 
     def _end(self, children: List[Child]) -> None:
-        enders = []
-        for child in children:
-            found = child.record.process
-            if found is not None:
-                ender = threading.Thread(target=found.end, args=(PATIENCE,), daemon=True)
-                ender.start()
-                enders.append(ender)
+        records = [child.record for child in children]
+        enders = [
+            in_background(f"ending {each.name}", partial(each.process.end, PATIENCE))
+            for each in records
+            if each.process is not None
+        ]
         for ender in enders:
             ender.join(2 * PATIENCE)
         for child in children:
             child.gone.wait(PATIENCE)
 
     def _write(self) -> None:
-        with self._lock:
-            records = [self._children[name].record for name in sorted(self._children)]
+        with self._writing:  # the disk has the records in the order of the memory
+            with self._changed:
+                records = [self._children[name].record for name in sorted(self._children)]
             try:
                 child_records.write(self._path, records)
             except OSError as error:

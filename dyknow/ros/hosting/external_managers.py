@@ -13,78 +13,35 @@ soon as it can be reached.
 from __future__ import annotations
 
 import logging
-import threading
 from dataclasses import dataclass, replace
 from typing import Dict, FrozenSet, Iterable, List, Optional
 
-from nodelet.srv import NodeletList
-
 from dyknow.errors import HostError, HostTimeout, PeerTimeout
+from dyknow.locks import state_lock
 from dyknow.manager.host import ManagerState, NodeletKind
-from dyknow.periodic import attempt
+from dyknow.periodic import PeriodicWorker
+from dyknow.ros.hosting.list_client import TIMEOUT, ListClient
 from dyknow.ros.master import Master
-from dyknow.ros.service_client import ServiceClient
 
-#: Seconds for an answer over a connection that is there.
-TIMEOUT = 1.0
 #: Seconds for a new connection and the first answer over it, on a slow link.
 FIND_TIMEOUT = 3.0
-#: Seconds until a peer that is not there is looked for again, doubling up to the longest.
+#: Seconds between two looks at one that cannot be asked, doubling up to the longest.
 FIRST_PAUSE = 0.25
 LONGEST_PAUSE = 2.0
-#: Seconds until the master is asked again whether a peer that answers still bears its name.
+#: Seconds between two looks at one that answers: does it still bear its name?
 PERIOD = 1.0
+#: Topic that the nodelet managers of DyKnow publish, and the stock ones do not.
 _PYTHON_SIGN = "changes"
 
 _log = logging.getLogger("rosout.dyknow")
 
 
-class ListClient:
-    """Asks one process of a nodelet manager what it runs, over a connection that is kept.
-
-    When the connection breaks another process may have the name by now. Its list says nothing of
-    the nodelets of this one, so it is not taken for an answer.
-    """
-
-    def __init__(self, master: Master, name: str, reconnects: bool = True) -> None:
-        """Prepare; nothing is sent yet."""
-        self._client = ServiceClient(
-            master, f"{name}/list", NodeletList, persistent=True, reconnects=reconnects
-        )
-        self._address = ""
-        #: Whether the last question was answered in time.
-        self.answers = True
-
-    def list(self, timeout: float = TIMEOUT) -> List[str]:
-        """Ask.
-
-        Raises:
-            PeerTimeout: no answer in time.
-            HostError: it is not there, or another process has its name.
-        """
-        try:
-            names: List[str] = self._client.call(timeout).nodelets
-        except PeerTimeout:
-            self.answers = False
-            raise
-        self.answers = True
-        self._address = self._address or self._client.address
-        if self._client.address != self._address:
-            self._client.close()
-            raise HostError("another process has that name now")
-        return sorted(names)
-
-    def close(self) -> None:
-        """Close the connection."""
-        self._client.close()
-
-
 @dataclass(frozen=True)
 class Process:
-    """The process that bears the name of a peer.
+    """The process that bears the name of a nodelet manager.
 
     Attributes:
-        uri: of its node.
+        uri: address of its node.
         pid: its process id.
         kind: what it hosts.
     """
@@ -101,12 +58,12 @@ class Process:
 
 @dataclass(frozen=True)
 class Presence:
-    """What is known of a peer.
+    """What is known of a nodelet manager.
 
     Attributes:
-        process: the last that answered; None if it is known to have ended, or never answered.
+        process: the last that answered; None if it has ended, or none has answered yet.
         trouble: why it cannot be asked; empty if it can.
-        away: whether the trouble is that it did not answer: it may be there all the same.
+        away: whether the trouble is that it did not answer: it may run all the same.
         nodelets: what it ran when it was asked last.
         unseen: whether the first look at it is not over yet.
     """
@@ -119,22 +76,22 @@ class Presence:
 
 
 class ExternalManager:
-    """One nodelet manager of others."""
+    """One nodelet manager of others; every method is safe from any thread."""
 
     def __init__(self, master: Master, name: str) -> None:
         """Begin to look for it."""
         self.name = name
         self._master = master
-        self._lock = threading.Condition()
+        self._lock = state_lock("external manager")
         self._presence = Presence()
         self._client = ListClient(master, name)
-        #: Processes that bore the name before, and are to be told that they lost it.
+        #: Processes that bore the name before and have not been told yet that they lost it.
         self.displaced: List[Process] = []
-        self._closed = False
-        #: Looks that were begun, and ended; the one that is asked for is the last of `_wanted`.
-        self._begun = self._ended = self._wanted = 0
-        self._thread = threading.Thread(target=self._run, name=f"peer {name}", daemon=True)
-        self._thread.start()
+        self._period, self._pause = 0.0, FIRST_PAUSE
+        self._worker = PeriodicWorker(
+            f"looking for nodelet manager {name}", self._look, lambda: self._period, pause=0.0
+        )
+        self._worker.start()
 
     @property
     def presence(self) -> Presence:
@@ -156,10 +113,10 @@ class ExternalManager:
         )
 
     def check(self) -> None:
-        """Do nothing if it answers.
+        """Refuse to ask one that cannot be asked.
 
         Raises:
-            HostTimeout: it did not when it was asked last.
+            HostTimeout: it did not answer when it was asked last.
             HostError: it is not there.
         """
         self._refuse_if_missed(self._presence)
@@ -185,39 +142,60 @@ class ExternalManager:
                 names = client.list()
             except (HostError, PeerTimeout) as error:
                 self._miss(client, error)
-                continue  # it has a new connection, or trouble
+                self._worker.wake()
+                continue  # now there is a new connection, or trouble
             with self._lock:
                 if client is self._client:
                     self._presence = replace(self._presence, nodelets=frozenset(names))
             return names
 
     def look_now(self, timeout: float = FIND_TIMEOUT) -> None:
-        """Let one look be made that begins now, if it was not there at the last.
+        """Wait for a look that begins now, if the last one did not find it.
 
-        One that does not answer is not waited for: it is looked for with pauses.
+        One that does not answer is not waited for.
+
+        Args:
+            timeout: seconds to wait at most.
         """
-        with self._lock:
-            known = self._presence
-            if known.unseen or (known.trouble and not known.away):
-                wanted = self._wanted = self._begun + 1
-                self._lock.notify_all()
-                self._lock.wait_for(lambda: self._closed or self._ended >= wanted, timeout)
+        known = self._presence
+        if known.unseen or (known.trouble and not known.away):
+            self._worker.wait_for(self._worker.wake(), timeout)
 
     def forget(self, nodelet: str) -> None:
-        """Note that a nodelet which it ran is made elsewhere now."""
+        """Note that a nodelet which it ran is loaded elsewhere now."""
         with self._lock:
             nodelets = self._presence.nodelets - {nodelet}
             self._presence = replace(self._presence, nodelets=nodelets)
 
+    def look(self) -> None:
+        """Find out whether it is there, and which process it is."""
+        try:
+            uri = self._master.node(self.name)
+        except PeerTimeout as error:
+            if self._presence.trouble:
+                self._miss(self._client, error)
+            return  # a master that is away says nothing of the nodelet manager
+        known = self._presence
+        if not uri:
+            self._miss(self._client, NotRunning("it is not running"))
+        elif known.trouble or known.process is None or known.process.uri != uri:
+            self._find(uri)
+        if not self._presence.trouble:
+            self.displaced = [each for each in self.displaced if not self._end(each)]
+
     def close(self) -> None:
         """Look for it no more."""
-        with self._lock:
-            self._closed = True
-            self._lock.notify_all()
-            client = self._client
-        client.close()
+        self._worker.close()
+        self._client.close()
 
     # Inside
+
+    def _look(self) -> None:
+        self.look()
+        if self._presence.trouble or self.displaced:
+            self._period, self._pause = self._pause, min(2 * self._pause, LONGEST_PAUSE)
+        else:
+            self._period, self._pause = PERIOD, FIRST_PAUSE
 
     def _refuse_if_missed(self, known: Presence) -> None:
         if known.trouble:
@@ -233,44 +211,8 @@ class ExternalManager:
             known = self._presence
             process = known.process if away else None
             self._presence = Presence(process, str(trouble), away, known.nodelets, unseen=False)
-            self._lock.notify_all()
         if not known.trouble or known.unseen or known.away != away:
             _log.warning("nodelet manager %s cannot be asked: %s", self.name, trouble)
-
-    def _run(self) -> None:
-        pause = FIRST_PAUSE
-        while True:
-            with self._lock:
-                self._begun += 1
-            attempt(f"looking for nodelet manager {self.name}", self.look)
-            with self._lock:
-                self._ended = self._begun
-                self._lock.notify_all()
-                answers = not self._presence.trouble
-                if answers and not self.displaced:
-                    pause = FIRST_PAUSE
-                    self._lock.wait_for(lambda: self._closed or self._presence.trouble, PERIOD)
-                else:
-                    self._lock.wait_for(lambda: self._closed or self._wanted > self._begun, pause)
-                    pause = min(2 * pause, LONGEST_PAUSE)
-                if self._closed:
-                    return
-
-    def look(self) -> None:
-        """Find out whether it is there, and who it is."""
-        try:
-            uri = self._master.node(self.name)
-        except PeerTimeout as error:
-            if self._presence.trouble:
-                self._miss(self._client, error)
-            return  # the peer need not be away because the master is
-        known = self._presence
-        if not uri:
-            self._miss(self._client, NotRunning("it is not running"))
-        elif known.trouble or known.process is None or known.process.uri != uri:
-            self._find(uri)
-        if not self._presence.trouble:
-            self.displaced = [each for each in self.displaced if not self._end(each)]
 
     def _find(self, uri: str) -> None:
         client = ListClient(self._master, self.name, reconnects=False)
@@ -282,9 +224,8 @@ class ExternalManager:
             client.close()
             self._miss(self._client, error)
             return
-        found = Process(
-            uri, pid, NodeletKind.PYTHON if self.name in publishes else NodeletKind.CPP
-        )
+        kind = NodeletKind.PYTHON if self.name in publishes else NodeletKind.CPP
+        found = Process(uri, pid, kind)
         with self._lock:
             before, old, self._client = self._presence, self._client, client
             self._presence = Presence(found, "", False, nodelets, unseen=False)
@@ -311,7 +252,7 @@ class NotRunning(HostError):
 
 
 def _may_be_there(trouble: BaseException) -> bool:
-    """Whether nothing of the host answered, so that nobody knows what became of the process."""
+    """Whether the host did not answer at all, so that the process may run all the same."""
     answers = (ConnectionRefusedError, ConnectionResetError, LookupError, NotRunning)
     return not isinstance(trouble, answers) and not isinstance(trouble.__cause__, answers)
 
@@ -321,24 +262,24 @@ class ExternalManagers:
 
     def __init__(self, master: Master, names: Iterable[str]) -> None:
         """Begin to look for all of them, side by side."""
-        self._peers: Dict[str, ExternalManager] = {
+        self._managers: Dict[str, ExternalManager] = {
             name: ExternalManager(master, name) for name in sorted(set(names))
         }
 
     def all(self) -> List[ExternalManager]:
-        """Return every peer, by name."""
-        return list(self._peers.values())
+        """Return all of them, by name."""
+        return list(self._managers.values())
 
     def find(self, name: str) -> Optional[ExternalManager]:
-        """Return the peer of that name, if there is one."""
-        return self._peers.get(name)
+        """Return the one of that name, if there is one."""
+        return self._managers.get(name)
 
     def hosting(self, nodelet: str) -> Optional[ExternalManager]:
-        """Return the peer that ran a nodelet when it was asked last, if there is one."""
-        peers = self._peers.values()
-        return next((peer for peer in peers if nodelet in peer.presence.nodelets), None)
+        """Return the one that ran a nodelet when it was asked last, if there is one."""
+        managers = self._managers.values()
+        return next((each for each in managers if nodelet in each.presence.nodelets), None)
 
     def close(self) -> None:
-        """Look for nobody any more."""
-        for peer in self._peers.values():
-            peer.close()
+        """Look for none of them any more."""
+        for manager in self._managers.values():
+            manager.close()

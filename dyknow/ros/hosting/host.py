@@ -1,26 +1,26 @@
-"""The manager's hands in ROS: loads, unloads and asks nodelets, wherever they run.
+"""The host of nodelets in ROS: loads, unloads and asks them, wherever they run.
 
-Every remote call has a time limit, and a nodelet manager that hangs delays each question to it by
-at most one such limit: as long as its last answer is due it is not asked again.
+Every remote call has a time limit. A nodelet manager that hangs delays at most one question by
+that limit: while its last answer is due it is not asked again.
 """
 
 from __future__ import annotations
 
+import contextlib
+import enum
 import logging
-import threading
 from concurrent.futures import ThreadPoolExecutor
 from typing import (
     Any,
-    Callable,
     Collection,
     Dict,
     FrozenSet,
     Iterable,
+    Iterator,
     List,
     Mapping,
     Optional,
     Sequence,
-    Set,
     Tuple,
 )
 
@@ -32,6 +32,7 @@ from nodelet.srv import NodeletLoad, NodeletUnload
 from dyknow import names
 from dyknow.errors import HostError, HostTimeout, NameTaken, PeerTimeout
 from dyknow.guards import NO_GUARDS, Guards
+from dyknow.locks import state_lock
 from dyknow.manager.host import (
     Count,
     Crash,
@@ -45,12 +46,13 @@ from dyknow.manager.specifications.values import value_of
 from dyknow.model.graph import PortState
 from dyknow.model.transformation import Parameter
 from dyknow.ros.hosting.children import Child, Children
-from dyknow.ros.hosting.counting import Counting
-from dyknow.ros.hosting.external_managers import ExternalManagers, ListClient
+from dyknow.ros.hosting.count_collector import CountCollector
+from dyknow.ros.hosting.external_managers import ExternalManagers
+from dyknow.ros.hosting.guard_handover import GuardHandover
+from dyknow.ros.hosting.list_client import ListClients
 from dyknow.ros.hosting.message_counter import MessageCounter
 from dyknow.ros.hosting.nodelet_types import NodeletTypes
 from dyknow.ros.master import Master
-from dyknow.ros.nodelets.guard_parameters import guards_key, to_parameter
 from dyknow.ros.service_client import ServiceClient, ServiceFailed, ServiceLost
 from dyknow.ros.transport.registrar import Registrar
 
@@ -60,7 +62,7 @@ _log = logging.getLogger("rosout.dyknow")
 UNLOAD_TIMEOUT = 4.0
 #: Seconds for the end of a process to be noticed.
 DEATH_TIMEOUT = 2.0
-#: Seconds for a proxy to connect ports, which waits up to 0.5 s for peers outside.
+#: Seconds for a proxy to connect ports, which waits up to 0.5 s for outside peers.
 CONNECT_TIMEOUT = 4.0
 #: Seconds for a proxy to say what its ports are.
 PORTS_TIMEOUT = 2.0
@@ -68,68 +70,68 @@ PORTS_TIMEOUT = 2.0
 _ASKERS = 16
 
 
+class _Failure(enum.Enum):
+    """How the last load of a nodelet failed."""
+
+    LATE = "not up in time; it may still come up"
+    REFUSED = "refused; there is nothing to unload"
+
+
 class RosHost(Host):
-    """Nodelet managers of the ROS graph: children of ours, and others that were named."""
+    """Nodelet managers of the ROS graph: children of ours, and external ones."""
 
     def __init__(
         self,
         master: Master,
         children: Children,
         registrar: Registrar,
-        peers: Sequence[str] = (),
+        external: Sequence[str] = (),
         guards: Guards = NO_GUARDS,
     ) -> None:
-        """Reach nothing yet.
+        """Begin to look for the external nodelet managers.
 
         Args:
             master: the ROS master.
             children: nodelet managers that we start.
             registrar: registers the topics of this process.
-            peers: global names of nodelet managers that others start.
+            external: global names of nodelet managers that others start.
             guards: handed to the nodelet managers that can enforce them.
         """
         self._master = master
         self._children = children
-        self._peers = ExternalManagers(master, peers)
-        self._guards_key = guards_key(master.caller)
-        self._guards = guards
-        #: Nodelets that are protected, by nodelet manager.
-        self._protected: Dict[str, Tuple[str, ...]] = {}
-        #: Incarnations of nodelet managers that have the guards, with the nodelets named to them.
-        self._guarded: Dict[str, Tuple[str, Tuple[str, ...]]] = {}
-        #: Nodelet managers that could not be given the guards yet, and why.
-        self._unguarded: Dict[str, str] = {}
-        self._declared = NodeletTypes()
-        self._counting = Counting(master)
-        self._hearing = MessageCounter(registrar)
-        self._lists: Dict[Tuple[str, str], ListClient] = {}
+        self._external = ExternalManagers(master, external)
+        self._guards = GuardHandover(master, guards)
+        self._types = NodeletTypes()
+        self._collector = CountCollector(master)
+        self._counter = MessageCounter(registrar)
+        self._list_clients = ListClients(master)
         self._askers = ThreadPoolExecutor(_ASKERS, "asking nodelet managers")
-        self._lock = threading.Lock()
-        self._abandoned: Set[Tuple[str, str]] = set()
-        self._refused: Set[Tuple[str, str]] = set()
+        self._lock = state_lock("failed loads")
+        #: By nodelet manager and nodelet.
+        self._failures: Dict[Tuple[str, str], _Failure] = {}
 
     # Nodelet managers
 
     def kind_of(self, source: str) -> NodeletKind:
         """Look the type up in the packages' exports."""
-        return self._declared.kind_of(source)
+        return self._types.kind_of(source)
 
     def managers(self) -> List[ManagerState]:
-        """List our children and the nodelet managers that were named to us."""
+        """List our children and the external nodelet managers; all of them get the guards."""
         states = [self._state_of_child(child) for child in self._children.all()]
-        states += [peer.state for peer in self._peers.all()]
+        states += [each.state for each in self._external.all()]
         for state in states:
-            self._guard(state)
+            self._guards.hand_over(state)
         return sorted(states, key=lambda state: state.name)
 
     def look_for(self, manager: str) -> None:
-        """Let its thread look."""
-        peer = self._peers.find(manager)
-        if peer is not None:
-            peer.look_now()
+        """Wait for a look at an external one that was not found."""
+        external = self._external.find(manager)
+        if external is not None:
+            external.look_now()
 
     def crashes(self) -> List[Crash]:
-        """Those of our children; how the processes of others end is not seen here."""
+        """Return those of our children; how external processes end is not seen here."""
         return self._children.crashes()
 
     def ensure(self, kind: NodeletKind, isolated_for: str = "") -> str:
@@ -140,17 +142,17 @@ class RosHost(Host):
         return name
 
     def protect(self, nodelets: Mapping[str, Sequence[str]]) -> None:
-        """Say which nodelets each nodelet manager unloads for nobody but us, from the next look.
+        """Set which nodelets each nodelet manager unloads for us alone, from the next look.
 
-        Plain C++ nodelet managers do not listen to that.
+        Stock nodelet managers do not enforce it.
         """
-        with self._lock:
-            self._protected = {each: tuple(sorted(nodelets[each])) for each in nodelets}
+        self._guards.protect(nodelets)
 
     def retire(self, manager: str) -> None:
         """End a child."""
         self._children.end(manager)
-        self._counting.forget(manager)
+        self._collector.forget(manager)
+        self._list_clients.forget(manager)
 
     def list(self, manager: str) -> List[str]:
         """Ask over the kept connection."""
@@ -167,16 +169,16 @@ class RosHost(Host):
     def load(self, manager: str, request: LoadRequest, timeout: float) -> None:
         """Set the parameters and load."""
         self._children.await_up(manager, timeout)
-        self._check_guarded(manager)
-        # A manager that hangs would load it when it wakes up: it is asked something else first.
+        self._guards.check(manager)
+        # A hanging manager would load the nodelet when it goes on, so it is asked this first.
         if request.name in self.list(manager):
             raise NameTaken(request.name)
-        for peer in self._peers.all():
-            peer.forget(request.name)
+        for external in self._external.all():
+            external.forget(request.name)
         self._set_parameters(request.name, request.parameters)
+        key = (manager, request.name)
         with self._lock:
-            self._abandoned.discard((manager, request.name))
-            self._refused.discard((manager, request.name))
+            self._failures.pop(key, None)
         sources = sorted(request.remappings)
         try:
             self._call(
@@ -190,26 +192,26 @@ class RosHost(Host):
             )
         except PeerTimeout as error:
             with self._lock:
-                self._abandoned.add((manager, request.name))
+                self._failures[key] = _Failure.LATE
             raise HostError(f"'{request.source}' was not up within {timeout:g} s") from error
         except ServiceFailed as error:
             with self._lock:
-                self._refused.add((manager, request.name))
+                self._failures[key] = _Failure.REFUSED
             text = str(error) or "its nodelet manager gives no reason; its log may have one"
             raise HostError(text) from error
 
     def unload(self, manager: str, name: str) -> None:
-        """Unload; there is nothing to be done where the load was refused."""
+        """Unload, unless the load was refused."""
         with self._lock:
-            if (manager, name) in self._refused:
-                self._refused.discard((manager, name))
+            if self._failures.get((manager, name)) is _Failure.REFUSED:
+                del self._failures[manager, name]
                 raise HostError(f"nodelet '{name}' was not loaded")
         if any(each.name == manager and not each.responsive for each in self.managers()):
-            self.list(manager)  # fails at once as long as it hangs
+            self.list(manager)  # fails at once while it hangs
         incarnation = self._incarnation(manager)
-        service = f"{manager}/unload_nodelet"
         try:
-            self._asking(manager, lambda: self._call(service, NodeletUnload, UNLOAD_TIMEOUT, name))
+            with _host_errors(manager):
+                self._call(f"{manager}/unload_nodelet", NodeletUnload, UNLOAD_TIMEOUT, name)
         except ServiceLost:
             if incarnation:
                 self._children.await_end(manager, incarnation, DEATH_TIMEOUT)
@@ -220,15 +222,13 @@ class RosHost(Host):
         for parameter in parameters:
             self._delete_parameter(names.join(name, parameter.name))
         if parameters:
-            try:
+            with contextlib.suppress(LookupError, PeerTimeout):
                 if self._master.ask("getParam", name) == {}:
                     self._delete_parameter(name)
-            except (LookupError, PeerTimeout):
-                return
 
     def ports(self, name: str) -> Tuple[PortState, ...]:
         """Ask the proxy."""
-        answer = self._ask_nodelet(name, "get_config", GetConfig, PORTS_TIMEOUT)
+        answer = self._ask_proxy(name, "get_config", GetConfig, PORTS_TIMEOUT)
         return tuple(
             PortState(
                 port.name,
@@ -242,7 +242,7 @@ class RosHost(Host):
     def connect(self, name: str, config: Mapping[str, str]) -> None:
         """Tell the proxy."""
         pairs = [PortConfig(port, config[port]) for port in sorted(config)]
-        answer = self._ask_nodelet(name, "set_config", SetConfig, CONNECT_TIMEOUT, pairs)
+        answer = self._ask_proxy(name, "set_config", SetConfig, CONNECT_TIMEOUT, pairs)
         if not answer.success:
             raise HostError(answer.message)
 
@@ -251,129 +251,84 @@ class RosHost(Host):
         wanted = frozenset(topics)
         if not wanted:
             return wanted
-        publishers = self._asking("", lambda: self._master.ask("getSystemState"))[0]
+        with _host_errors():
+            publishers, _, _ = self._master.ask("getSystemState")
         return wanted & {topic for topic, nodes in publishers if nodes}
 
     def counts(
         self, wanted: Mapping[str, Collection[str]]
     ) -> Dict[str, Optional[Mapping[str, Count]]]:
         """Ask over the kept connections."""
-        return self._counting.counts(wanted)
+        return self._collector.counts(wanted)
 
     def listen(self, topic: str) -> Listening:
         """Subscribe."""
-        return self._hearing.listen(topic)
+        return self._counter.listen(topic)
 
     def close(self) -> None:
-        """Let go of the nodelet managers of others; our children go on."""
-        self._hearing.close()
-        self._counting.close()
-        for client in list(self._lists.values()):
-            client.close()
-        self._peers.close()
+        """Close all connections; our children go on."""
+        self._counter.close()
+        self._collector.close()
+        self._list_clients.close()
+        self._external.close()
         self._askers.shutdown(wait=False)
 
     def release(self) -> None:
-        """Take our guards off the nodelet managers of others, at an end on purpose."""
-        for peer in self._peers.all():
-            self._delete_parameter(names.join(peer.name, self._guards_key))
+        """Take our guards off the external nodelet managers, at an end on purpose."""
+        for each in self._external.all():
+            self._guards.withdraw(each.name)
 
     # Inside
 
     def _state_of_child(self, child: Child) -> ManagerState:
         record, incarnation = child.record, child.incarnation
-        client = self._lists.get((record.name, incarnation))
+        responsive = self._list_clients.answers(record.name, incarnation)
         return ManagerState(
-            record.name,
-            record.kind,
-            incarnation,
-            record.isolated_for,
-            responsive=client is None or client.answers,
+            record.name, record.kind, incarnation, record.isolated_for, responsive=responsive
         )
-
-    def _guard(self, state: ManagerState) -> None:
-        """Hand our guards to a nodelet manager that does not have them yet.
-
-        What does not work is tried again at the next look; nothing is loaded there before it does.
-        """
-        if not state.alive or state.kind is not NodeletKind.PYTHON:
-            return
-        with self._lock:
-            protected = self._protected.get(state.name, ())
-            if self._guarded.get(state.name) == (state.incarnation, protected):
-                return
-        try:
-            key = names.join(state.name, self._guards_key)
-            self._master.ask("setParam", key, to_parameter(self._guards, protected))
-        except (PeerTimeout, LookupError) as error:
-            with self._lock:
-                is_news = state.name not in self._unguarded
-                self._unguarded[state.name] = str(error)
-            if is_news:
-                _log.warning("%s cannot be given the guards yet: %s", state.name, error)
-            return
-        with self._lock:
-            self._guarded[state.name] = (state.incarnation, protected)
-            was_owed = self._unguarded.pop(state.name, None) is not None
-        if was_owed:
-            _log.info("%s has the guards now", state.name)
-
-    def _check_guarded(self, manager: str) -> None:
-        with self._lock:
-            why = self._unguarded.get(manager)
-        if why is not None:
-            raise HostError(f"nodelet manager '{manager}' does not have the guards yet: {why}")
-
-    def _list_of(self, state: ManagerState) -> Optional[List[str]]:
-        try:
-            return self._without_late(state.name, self._listed(state.name, state.incarnation))
-        except HostError as error:
-            if state.own and state.responsive:  # of others their peer tells
-                _log.warning("nodelet manager %s: %s", state.name, error)
-            return None
-
-    def _listed(self, manager: str, incarnation: str = "") -> List[str]:
-        peer = self._peers.find(manager)
-        if peer is not None:
-            return peer.list(incarnation)
-        names: List[str] = self._asking(manager, self._client_of(manager).list)
-        return names
-
-    def _without_late(self, manager: str, listed: List[str]) -> List[str]:
-        """Unload what came up after everybody had stopped waiting for it."""
-        with self._lock:
-            late = [each for each in listed if (manager, each) in self._abandoned]
-            self._abandoned.difference_update((manager, name) for name in late)
-        for name in late:
-            self.unload(manager, name)
-        return [each for each in listed if each not in late]
-
-    def _client_of(self, manager: str) -> ListClient:
-        incarnation = self._incarnation(manager)
-        if not incarnation:
-            raise HostError(f"nodelet manager '{manager}' is not running")
-        with self._lock:
-            for key in [key for key in self._lists if key[0] == manager and key[1] != incarnation]:
-                self._lists.pop(key).close()
-            key = (manager, incarnation)
-            if key not in self._lists:
-                self._lists[key] = ListClient(self._master, manager)
-            return self._lists[key]
 
     def _incarnation(self, manager: str) -> str:
         """The process of a child of ours; empty while none is up."""
         children = self._children.all()
         return next((c.incarnation for c in children if c.record.name == manager), "")
 
-    def _ask_nodelet(
-        self, name: str, service: str, service_class: Any, timeout: float, *args: Any
+    def _list_of(self, state: ManagerState) -> Optional[List[str]]:
+        try:
+            return self._without_late(state.name, self._listed(state.name, state.incarnation))
+        except HostError as error:
+            if state.own and state.responsive:  # of an external one `ExternalManager` logs it
+                _log.warning("nodelet manager %s: %s", state.name, error)
+            return None
+
+    def _listed(self, manager: str, incarnation: str = "") -> List[str]:
+        external = self._external.find(manager)
+        if external is not None:
+            return external.list(incarnation)
+        current = self._incarnation(manager)
+        if not current:
+            raise HostError(f"nodelet manager '{manager}' is not running")
+        with _host_errors(manager):
+            return self._list_clients.of(manager, current).list()
+
+    def _without_late(self, manager: str, listed: List[str]) -> List[str]:
+        """Unload what came up after its load had been given up."""
+        with self._lock:
+            late = [n for n in listed if self._failures.get((manager, n)) is _Failure.LATE]
+            for name in late:
+                del self._failures[manager, name]
+        for name in late:
+            self.unload(manager, name)
+        return [each for each in listed if each not in late]
+
+    def _ask_proxy(
+        self, nodelet: str, service: str, service_class: Any, timeout: float, *args: Any
     ) -> Any:
         """Call a service of a nodelet, unless its nodelet manager is known not to answer."""
-        peer = self._peers.hosting(name)
-        if peer is not None:
-            peer.check()
-        full = names.join(name, service)
-        return self._asking(name, lambda: self._call(full, service_class, timeout, *args))
+        external = self._external.hosting(nodelet)
+        if external is not None:
+            external.check()
+        with _host_errors(nodelet):
+            return self._call(names.join(nodelet, service), service_class, timeout, *args)
 
     def _call(
         self, service: str, service_class: Any, timeout: float, *args: Any, **kwds: Any
@@ -389,15 +344,15 @@ class RosHost(Host):
                 raise HostError(f"parameter '{key}' cannot be set: {error}") from error
 
     def _delete_parameter(self, key: str) -> None:
-        try:
+        with contextlib.suppress(LookupError, PeerTimeout):  # not set, or no master
             self._master.ask("deleteParam", key)
-        except (LookupError, PeerTimeout):
-            return  # it was not set, or nobody is there to keep it
 
-    @staticmethod
-    def _asking(whom: str, question: Callable[[], Any]) -> Any:
-        try:
-            return question()
-        except (PeerTimeout, LookupError) as error:
-            kind = HostTimeout if isinstance(error, PeerTimeout) else HostError
-            raise kind(f"{whom}: {error}" if whom else str(error)) from error
+
+@contextlib.contextmanager
+def _host_errors(whom: str = "") -> Iterator[None]:
+    """Turn a time-out or a refusal into an error of the host, whose text begins with ``whom``."""
+    try:
+        yield
+    except (PeerTimeout, LookupError) as error:
+        kind = HostTimeout if isinstance(error, PeerTimeout) else HostError
+        raise kind(f"{whom}: {error}" if whom else str(error)) from error

@@ -1,16 +1,17 @@
-"""Counts messages on topics whose publishers cannot be asked, by listening to them.
+"""Counts messages on topics whose publishers cannot be asked, by subscribing to them.
 
 Registering with the ROS master may take its time, so a thread does it, one registration after the
-other. rospy has one connection to each publisher, however many listen.
+other. rospy has one connection to each publisher, however many subscribe.
 """
 
 from __future__ import annotations
 
 import time
-from typing import Any, Callable, Optional
+from typing import Any, Optional
 
 import rospy
 
+from dyknow.locks import state_lock
 from dyknow.manager.host import Count, Listening
 from dyknow.ros.transport.registrar import Registrar
 from dyknow.workers import Workers
@@ -20,33 +21,32 @@ _END_PATIENCE = 0.5
 
 
 class MessageCounter:
-    """Begins to listen, and ends it, without letting anybody wait."""
+    """Makes a handle for each topic to be counted; none of its methods waits for the master."""
 
     def __init__(self, registrar: Registrar) -> None:
-        """Listen to nothing yet; ``registrar`` knows what the master has yet to be told."""
+        """Count nothing yet; ``registrar`` knows what the master has yet to be told."""
         self._registrar = registrar
         self._registrations = Workers("registering to count messages", 1)
 
     def listen(self, topic: str) -> Listening:
         """Begin to count the messages of a topic, of any type."""
-        return _Ear(topic, self._registrar, self._registrations.run)
+        return _TopicCounter(topic, self._registrar, self._registrations)
 
     def close(self) -> None:
-        """Begin nothing any more."""
+        """Register nothing any more."""
         self._registrations.close(_END_PATIENCE)
 
 
-class _Ear(Listening):
-    def __init__(
-        self, topic: str, registrar: Registrar, run: Callable[[Callable[[], None]], None]
-    ) -> None:
+class _TopicCounter(Listening):
+    def __init__(self, topic: str, registrar: Registrar, registrations: Workers) -> None:
         self._topic = topic
         self._registrar = registrar
-        self._run = run
+        self._registrations = registrations
+        self._lock = state_lock("message counter")
         self._messages = 0
         self._closed = False
         self._subscriber: Optional[Any] = None
-        run(self._register)
+        registrations.run(self._register)
 
     def count(self) -> Optional[Count]:
         if self._subscriber is None or not self._registrar.is_subscribed(self._topic):
@@ -56,17 +56,20 @@ class _Ear(Listening):
 
     def close(self) -> None:
         self._closed = True
-        self._run(self._unregister)
+        self._registrations.run(self._unregister)
+
+    # Both are called by the one thread of registrations.
 
     def _register(self) -> None:
         if not self._closed:
             self._subscriber = rospy.Subscriber(
-                self._topic, rospy.AnyMsg, self._hear, queue_size=1
+                self._topic, rospy.AnyMsg, self._add_one, queue_size=1
             )
 
     def _unregister(self) -> None:
         if self._subscriber is not None:
             self._subscriber.unregister()
 
-    def _hear(self, message: Any) -> None:
-        self._messages += 1
+    def _add_one(self, message: Any) -> None:
+        with self._lock:  # rospy calls from a thread for each publisher
+            self._messages += 1

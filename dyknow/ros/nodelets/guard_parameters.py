@@ -65,6 +65,7 @@ class GuardParameters:
     def __init__(self) -> None:
         """Begin to follow the parameters; the node must be initialised."""
         self._name: str = rospy.resolve_name("~" + _GUARDS)
+        self._master = Master(rospy.get_name())
         _take_up_new_keys(self._name)
         rospy.get_param_cached(self._name, {})
 
@@ -109,7 +110,7 @@ class GuardParameters:
 
     def _ask(self) -> Dict[str, Any]:
         try:
-            return _by_owner(Master(rospy.get_name()).ask("getParam", self._name))
+            return _by_owner(self._master.ask("getParam", self._name))
         except LookupError:
             return {}
         except PeerTimeout:

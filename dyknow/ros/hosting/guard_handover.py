@@ -1,0 +1,93 @@
+"""Hands the guards of a DyKnow manager to the nodelet managers that enforce them.
+
+With the guards go the names of the nodelets that only this DyKnow manager may unload
+(``dyknow.ros.nodelets.guard_parameters``). Stock nodelet managers enforce nothing and are left
+out.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+from typing import Dict, Mapping, Sequence, Tuple
+
+from dyknow import names
+from dyknow.errors import HostError, PeerTimeout
+from dyknow.guards import Guards
+from dyknow.locks import state_lock
+from dyknow.manager.host import ManagerState, NodeletKind
+from dyknow.ros.master import Master
+from dyknow.ros.nodelets.guard_parameters import guards_key, to_parameter
+
+_log = logging.getLogger("rosout.dyknow")
+
+
+class GuardHandover:
+    """Which nodelet managers have the guards; every method is safe from any thread."""
+
+    def __init__(self, master: Master, guards: Guards) -> None:
+        """Hand over nothing yet.
+
+        Args:
+            master: keeps the parameters; its caller is whose guards these are.
+            guards: what is handed over.
+        """
+        self._master = master
+        self._guards = guards
+        self._key = guards_key(master.caller)
+        self._lock = state_lock("handover of guards")
+        #: Nodelets that are protected, by nodelet manager.
+        self._protected: Dict[str, Tuple[str, ...]] = {}
+        #: Incarnations that have the guards, and the nodelets named to them.
+        self._done: Dict[str, Tuple[str, Tuple[str, ...]]] = {}
+        #: Nodelet managers that could not be given the guards yet, and why.
+        self._failed: Dict[str, str] = {}
+
+    def protect(self, nodelets: Mapping[str, Sequence[str]]) -> None:
+        """Set the protected nodelets, by nodelet manager; they go with the next hand-over."""
+        with self._lock:
+            self._protected = {each: tuple(sorted(nodelets[each])) for each in nodelets}
+
+    def hand_over(self, manager: ManagerState) -> None:
+        """Hand the guards to a nodelet manager that does not have them as they are now.
+
+        A failure is logged, and tried again by the next call.
+        """
+        if not manager.alive or manager.kind is not NodeletKind.PYTHON:
+            return
+        name = manager.name
+        with self._lock:
+            protected = self._protected.get(name, ())
+            if self._done.get(name) == (manager.incarnation, protected):
+                return
+        try:
+            parameter = to_parameter(self._guards, protected)
+            self._master.ask("setParam", names.join(name, self._key), parameter)
+        except (PeerTimeout, LookupError) as error:
+            with self._lock:
+                is_news = name not in self._failed
+                self._failed[name] = str(error)
+            if is_news:
+                _log.warning("%s cannot be given the guards yet: %s", name, error)
+            return
+        with self._lock:
+            self._done[name] = (manager.incarnation, protected)
+            had_failed = self._failed.pop(name, None) is not None
+        if had_failed:
+            _log.info("%s has the guards now", name)
+
+    def check(self, manager: str) -> None:
+        """Refuse to load where the guards could not be handed over.
+
+        Raises:
+            HostError: they could not.
+        """
+        with self._lock:
+            why = self._failed.get(manager)
+        if why is not None:
+            raise HostError(f"nodelet manager '{manager}' does not have the guards yet: {why}")
+
+    def withdraw(self, manager: str) -> None:
+        """Take the guards off a nodelet manager, as far as the master answers."""
+        with contextlib.suppress(LookupError, PeerTimeout):
+            self._master.ask("deleteParam", names.join(manager, self._key))

@@ -1,0 +1,100 @@
+"""Asks nodelet managers what they run, over connections that are kept."""
+
+from __future__ import annotations
+
+from typing import Dict, List, Tuple
+
+from nodelet.srv import NodeletList
+
+from dyknow.errors import HostError, PeerTimeout
+from dyknow.locks import state_lock
+from dyknow.ros.master import Master
+from dyknow.ros.service_client import ServiceClient
+
+#: Seconds for an answer over a connection that is there.
+TIMEOUT = 1.0
+
+
+class ListClient:
+    """Asks one process of a nodelet manager.
+
+    When the connection breaks another process may have the name by now. Its list says nothing of
+    the nodelets of this one, so it is not taken for an answer.
+    """
+
+    def __init__(self, master: Master, name: str, reconnects: bool = True) -> None:
+        """Prepare questions.
+
+        Args:
+            master: where the nodelet manager is looked up.
+            name: its global name.
+            reconnects: whether to connect again when the connection is lost.
+        """
+        self._client = ServiceClient(
+            master, f"{name}/list", NodeletList, persistent=True, reconnects=reconnects
+        )
+        self._address = ""
+        #: Whether the last question was answered in time.
+        self.answers = True
+
+    def list(self, timeout: float = TIMEOUT) -> List[str]:
+        """Return the names of its nodelets, sorted.
+
+        Raises:
+            PeerTimeout: no answer in time.
+            HostError: it is not there, or another process has its name.
+        """
+        try:
+            names: List[str] = self._client.call(timeout).nodelets
+        except PeerTimeout:
+            self.answers = False
+            raise
+        self.answers = True
+        self._address = self._address or self._client.address
+        if self._client.address != self._address:
+            self._client.close()
+            raise HostError("another process has that name now")
+        return sorted(names)
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._client.close()
+
+
+class ListClients:
+    """A client for each process that was asked; every method is safe from any thread."""
+
+    def __init__(self, master: Master) -> None:
+        """Make clients when they are needed; ``master`` looks nodelet managers up."""
+        self._master = master
+        self._lock = state_lock("list clients")
+        self._clients: Dict[str, Tuple[str, ListClient]] = {}
+
+    def of(self, manager: str, incarnation: str) -> ListClient:
+        """Return the client for a process; that for an earlier one of the name is closed."""
+        with self._lock:
+            known, client = self._clients.get(manager, ("", None))
+            if known == incarnation and client is not None:
+                return client
+            made = ListClient(self._master, manager)
+            self._clients[manager] = (incarnation, made)
+        if client is not None:
+            client.close()
+        return made
+
+    def answers(self, manager: str, incarnation: str) -> bool:
+        """Whether a process answered in time when it was asked last, if it was."""
+        known, client = self._clients.get(manager, ("", None))
+        return client is None or known != incarnation or client.answers
+
+    def forget(self, manager: str) -> None:
+        """Close the connection to a nodelet manager that is gone for good."""
+        with self._lock:
+            _, client = self._clients.pop(manager, ("", None))
+        if client is not None:
+            client.close()
+
+    def close(self) -> None:
+        """Close all connections."""
+        for manager in list(self._clients):
+            self.forget(manager)
