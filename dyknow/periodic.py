@@ -29,7 +29,7 @@ returns one of these."""
 _log = logging.getLogger("rosout.dyknow")
 
 
-class Clock:
+class SteadyClock:
     """Steady time, in seconds."""
 
     def now(self) -> float:
@@ -41,7 +41,7 @@ class Clock:
         condition.wait(seconds)
 
 
-STEADY = Clock()
+STEADY = SteadyClock()
 
 
 def attempt(what: str, work: Callable[[], T], logger: logging.Logger = _log) -> Optional[T]:
@@ -89,7 +89,7 @@ class PeriodicWorker:
         period: Period = None,
         pause: float = PAUSE,
         logger: logging.Logger = _log,
-        clock: Clock = STEADY,
+        clock: SteadyClock = STEADY,
     ) -> None:
         """Prepare; ``start`` starts the thread.
 

@@ -20,6 +20,7 @@ from dyknow.locks import state_lock
 from dyknow.nodelet.context import Context, Runtime
 from dyknow.nodelet.middleware import Closable
 from dyknow.nodelet.nodelet import Nodelet
+from dyknow.periodic import in_background
 
 #: Seconds that an unload waits for ``on_shutdown``.
 SHUTDOWN_PATIENCE = 1.0
@@ -51,7 +52,7 @@ class _Run:
         self.error: Optional[BaseException] = None
         self.done = threading.Event()
         self._call = call
-        threading.Thread(target=self._run, name=name, daemon=True).start()
+        in_background(name, self._run)
 
     def _run(self) -> None:
         try:

@@ -9,12 +9,15 @@ from __future__ import annotations
 
 import contextlib
 import socket
-import threading
 import time
 from dataclasses import dataclass
+from functools import partial
 from typing import Callable, Dict, Optional, Tuple
 
 import rosgraph.network
+
+from dyknow.locks import state_condition
+from dyknow.periodic import in_background
 
 #: Seconds after which an address is looked up again.
 FRESH = 10.0
@@ -59,7 +62,7 @@ class Addresses:
         """
         self._look_up = look_up
         self._clock = clock
-        self._changed = threading.Condition()
+        self._changed = state_condition("addresses")
         self._entries: Dict[str, _Entry] = {}
 
     def of(self, host: str, timeout: float) -> Tuple[str, ...]:
@@ -76,9 +79,7 @@ class Addresses:
             fresh = bool(entry.addresses) and self._clock() - entry.since < FRESH
             if not fresh and not entry.asking:
                 entry.asking = True
-                threading.Thread(
-                    target=self._ask, args=(host, entry), name=f"address of {host}", daemon=True
-                ).start()
+                in_background(f"address of {host}", partial(self._ask, host, entry))
             self._changed.wait_for(lambda: entry.addresses or not entry.asking, timeout)
             if entry.addresses:
                 return entry.addresses

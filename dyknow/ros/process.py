@@ -15,6 +15,7 @@ from typing import Callable, Optional, Sequence
 import rospy
 
 from dyknow.nodelet.middleware import Closable
+from dyknow.periodic import in_background
 from dyknow.ros.exit_codes import DONE, FAILED, INTERRUPTED
 from dyknow.ros.listening import enlarge_queue
 from dyknow.ros.signals import on_signals
@@ -58,8 +59,7 @@ class NodeProcess:
     def run(self) -> int:
         """Run, and return the exit code."""
         on_signals((signal.SIGINT, signal.SIGTERM), self.end)
-        starting = threading.Thread(target=self._begin, name="start", daemon=True)
-        starting.start()
+        starting = in_background("start", self._begin)
         to_end = self._told.get()
         if not rospy.core.is_initialized():
             _shut_down(_SHORT_PATIENCE)  # ends the wait for a master, too
@@ -104,8 +104,4 @@ def _shut_down(patience: float) -> None:
     Not for ever: a node that waits for its master holds a lock that the shutdown wants, and lets
     go of it only when the shutdown is complete.
     """
-    thread = threading.Thread(
-        target=rospy.signal_shutdown, args=("told to end",), name="shutdown", daemon=True
-    )
-    thread.start()
-    thread.join(patience)
+    in_background("shutdown", lambda: rospy.signal_shutdown("told to end")).join(patience)

@@ -7,11 +7,11 @@ that stays stopped.
 from __future__ import annotations
 
 import queue
-import threading
 from typing import Callable, TypeVar
 
 from dyknow.errors import PeerTimeout
 from dyknow.locks import assert_no_state_lock
+from dyknow.periodic import in_background
 
 T = TypeVar("T")
 
@@ -39,7 +39,7 @@ def call_within(seconds: float, what: str, call: Callable[[], T]) -> T:
         except Exception as error:
             results.put((error, None))
 
-    threading.Thread(target=work, name=f"call {what}", daemon=True).start()
+    in_background(f"call {what}", work)
     try:
         error, result = results.get(timeout=seconds)
     except queue.Empty:

@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import os
 import signal
-import threading
 from typing import Callable, Iterable
+
+from dyknow.periodic import attempt, in_background
 
 
 def on_signals(numbers: Iterable[int], told: Callable[[], None]) -> None:
@@ -27,11 +28,11 @@ def on_signals(numbers: Iterable[int], told: Callable[[], None]) -> None:
         while True:
             for number in os.read(readable, 64):
                 if number in wanted:
-                    told()
+                    attempt("acting on a signal", told)
 
     # A forked process would write into the same pipe, and tell this one of its own signals.
     os.register_at_fork(after_in_child=lambda: _let_go(wanted))
-    threading.Thread(target=listen, name="signals", daemon=True).start()
+    in_background("signals", listen)
 
 
 def _let_go(numbers: Iterable[int]) -> None:

@@ -17,13 +17,15 @@ from __future__ import annotations
 import threading
 import time
 import traceback
+from functools import partial
 from typing import Any, Callable, Sequence
 
 import rospy
 from bond.msg import Constants, Status
 
 from dyknow.errors import DyKnowError, PeerTimeout
-from dyknow.periodic import RETRY, attempt
+from dyknow.locks import state_condition, turn_lock
+from dyknow.periodic import RETRY, attempt, in_background
 from dyknow.ros.bonding.bond_states import BondTimings
 from dyknow.ros.bonding.bond_table import BondTable, Effects, OnBroken, Word
 from dyknow.ros.remote_calls import call_within
@@ -52,11 +54,6 @@ class BondsClosed(DyKnowError):
         super().__init__(f"no new bonds on '{topic}': this end is closed")
 
 
-def in_a_thread(work: Callable[[], None]) -> None:
-    """Do something in a thread that ends with it."""
-    threading.Thread(target=work, name="broken bonds", daemon=True).start()
-
-
 class Bonds:
     """Every bond of this process on one topic.
 
@@ -67,7 +64,7 @@ class Bonds:
         self,
         topic: str,
         timings: BondTimings = STOCK_TIMINGS,
-        executor: Callable[[Callable[[], None]], None] = in_a_thread,
+        executor: Callable[[Callable[[], None]], object] = partial(in_background, "broken bonds"),
     ) -> None:
         """Make an empty set of bonds; nothing is registered before the first.
 
@@ -81,11 +78,11 @@ class Bonds:
         self._topic = topic
         self._timings = timings
         self._executor = executor
-        self._condition = threading.Condition()
+        self._condition = state_condition("bonds")
         self._table = BondTable(timings)
         self._thread: threading.Thread | None = None
         self._publisher: Any = None
-        self._speaking = threading.Lock()
+        self._speaking = turn_lock("words of a bond")
         self._closed_until: float | None = None
 
     def add(self, bond_id: str, on_broken: OnBroken) -> None:
@@ -104,8 +101,7 @@ class Bonds:
                 raise BondsClosed(self._topic)
             effects = self._table.add(bond_id, on_broken, time.monotonic())
             if self._thread is None:
-                self._thread = threading.Thread(target=self._run, name="bonds", daemon=True)
-                self._thread.start()
+                self._thread = in_background("bonds", self._run)
             self._condition.notify()
         self._perform(effects)
 

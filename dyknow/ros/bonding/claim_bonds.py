@@ -6,13 +6,13 @@ that is killed: its next life waits for each client to be heard, for as long as 
 
 from __future__ import annotations
 
-import threading
 from typing import Callable, Dict, Iterable, Set
 
 import rospy
 
 from dyknow import names
 from dyknow.errors import DyKnowError
+from dyknow.locks import state_lock
 from dyknow.manager.claim import Claim
 from dyknow.ros.bonding.bonds import Bonds
 
@@ -30,7 +30,7 @@ class ClaimBonds:
         """
         self._expire = expire
         self._bonds = Bonds(names.join(rospy.get_name(), TOPIC))
-        self._lock = threading.Lock()
+        self._lock = state_lock("claim bonds")
         self._held: Dict[str, Set[str]] = {}
 
     def follow(self, claims: Iterable[Claim]) -> None:

@@ -9,7 +9,6 @@ import os
 import re
 import signal
 import sys
-import threading
 from typing import Any, Mapping, Optional, Tuple
 
 import rosgraph
@@ -20,6 +19,7 @@ from dyknow import names
 from dyknow.errors import HostError, PeerTimeout
 from dyknow.manager.host import Crash, NodeletKind
 from dyknow.nodelet import crash_record
+from dyknow.periodic import in_background
 from dyknow.ros import os_process
 from dyknow.ros.addresses import is_here
 from dyknow.ros.log_tail import LogTail
@@ -186,7 +186,7 @@ class Launcher:
             str(found.pid),
         )
         watcher = os_process.start(command, output, rospkg.get_ros_home())
-        threading.Thread(target=watcher.wait, name=f"watcher of {found.pid}", daemon=True).start()
+        in_background(f"watcher of {found.pid}", watcher.wait)
 
     def _parameters_of(self, name: str) -> Mapping[str, Any]:
         return {**self._parameters, _CRASH_RECORD: self._crash_record(name)}

@@ -6,13 +6,13 @@ Python classes are exported as ``<dyknow plugin=…>``, C++ ones as ``<nodelet p
 from __future__ import annotations
 
 import logging
-import threading
 from pathlib import Path
 from typing import Iterator, Set
 
 from lxml import etree
 
 from dyknow.errors import HostError
+from dyknow.locks import state_lock
 from dyknow.manager.host import NodeletKind
 from dyknow.nodelet.plugins import Plugins
 from dyknow.ros.nodelets.packages import exported_files, plugin_files
@@ -37,7 +37,7 @@ class NodeletTypes:
     def __init__(self) -> None:
         """Know nothing yet."""
         self._plugins = Plugins(plugin_files)
-        self._lock = threading.Lock()
+        self._lock = state_lock("nodelet types")
         self._python: Set[str] = set()
         self._cpp: Set[str] = set()
 

@@ -6,10 +6,10 @@ it, and its nodelets would go on publishing beside those of its successor.
 
 from __future__ import annotations
 
-import threading
 from typing import Callable
 
 from dyknow.errors import PeerTimeout
+from dyknow.periodic import PeriodicWorker
 from dyknow.ros.master import Master
 
 #: Seconds between two questions to the master, and for its answer.
@@ -28,13 +28,14 @@ def end_when_displaced(name: str, uri: str, end: Callable[[str], None]) -> None:
     """
     master = Master(name, timeout=PERIOD)
 
-    def watch() -> None:
-        pause = threading.Event()
-        while not _is_displaced(master, name, uri):
-            pause.wait(PERIOD)
-        end(f"another node bears the name {name} now")
+    def look() -> None:
+        if _is_displaced(master, name, uri):
+            worker.close()
+            end(f"another node bears the name {name} now")
 
-    threading.Thread(target=watch, name="name", daemon=True).start()
+    worker = PeriodicWorker("looking who bears the name of this node", look, PERIOD)
+    worker.start()
+    worker.wake()
 
 
 def _is_displaced(master: Master, name: str, uri: str) -> bool:

@@ -23,6 +23,7 @@ import rospy
 from nodelet.srv import NodeletLoad, NodeletLoadRequest, NodeletUnload
 
 from dyknow.errors import PeerTimeout
+from dyknow.periodic import in_background
 from dyknow.ros.bonding.bonds import Bonds
 from dyknow.ros.exit_codes import DONE, FAILED, INTERRUPTED
 from dyknow.ros.remote_calls import call_within
@@ -131,7 +132,7 @@ class _LoadClient:
 
     def run(self) -> int:
         self._listen_for_stop()
-        threading.Thread(target=self._load, name="load", daemon=True).start()
+        in_background("load", self._load)
         try:
             return self._follow()
         finally:

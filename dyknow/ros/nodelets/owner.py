@@ -15,12 +15,11 @@ import fcntl
 import os
 import signal
 import sys
-import threading
 import time
 from typing import Callable, Sequence, TextIO
 
 from dyknow.errors import StoreError
-from dyknow.periodic import RETRY, attempt
+from dyknow.periodic import PeriodicWorker, in_background
 from dyknow.ros.os_process import ProcessId
 
 #: Seconds that an owner waits for its predecessor to be gone altogether.
@@ -56,7 +55,7 @@ class OwnerLock:
                 raise StoreError(path, "another manager of that name uses it")
             time.sleep(_STEP)
         if not _lock(self._waiting, fcntl.LOCK_EX | fcntl.LOCK_NB):
-            threading.Thread(target=self._take_later, name="owner", daemon=True).start()
+            in_background("owner", self._take_later)
 
     def release(self) -> None:
         """Give the lock back."""
@@ -107,18 +106,15 @@ def _lock(file: TextIO, operation: int) -> bool:
 
 
 def end_when_orphaned(path: str, timeout: float, end: Callable[[], None]) -> None:
-    """Call ``end`` from a thread of its own once nobody has looked after us for ``timeout`` s."""
+    """Call ``end`` from a thread of its own once there was no owner for ``timeout`` s."""
 
     def watch() -> None:
-        while not attempt("waiting for the owner's end", wait):
-            time.sleep(RETRY)
+        wait_until_orphaned(path, timeout)
+        worker.close()
         end()
 
-    def wait() -> bool:
-        wait_until_orphaned(path, timeout)
-        return True
-
-    threading.Thread(target=watch, name="owner", daemon=True).start()
+    worker = PeriodicWorker("waiting for the owner's end", watch, 0.0)
+    worker.start()
 
 
 def main(argv: Sequence[str]) -> int:

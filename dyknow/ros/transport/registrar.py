@@ -13,9 +13,6 @@ The hook is two instance attributes of rospy's ``RegManager``, those of its docu
 from __future__ import annotations
 
 import logging
-import threading
-import time
-from functools import partial
 from typing import Any, Dict, FrozenSet, Optional, Tuple
 
 import rospy
@@ -30,7 +27,7 @@ from rospy.impl.registration import (
 
 from dyknow.errors import PeerTimeout
 from dyknow.locks import state_lock
-from dyknow.periodic import attempt
+from dyknow.periodic import PeriodicWorker
 from dyknow.ros.master import Master
 from dyknow.ros.transport.reminders import Reminders
 
@@ -59,7 +56,9 @@ class Registrar(RegistrationListener):
         self._lock = state_lock("registrar")
         self._owed: Dict[Key, str] = {}
         self._peers: Dict[Key, FrozenSet[str]] = {}
-        self._thread: Optional[threading.Thread] = None
+        self._worker = PeriodicWorker(
+            "registering", self._settle, lambda: _AGAIN if self._owed else None, 0.0, _log
+        )
         self._reminders = Reminders(self._tell_again, self._connected)
         self._manager: Any = None
         for listener in list(get_registration_listeners().listeners):
@@ -158,23 +157,21 @@ class Registrar(RegistrationListener):
     def _owe(self, key: Key, what: str) -> None:
         _log.warning("the ROS master does not answer; %s will be registered when it does", key[1])
         with self._lock:
+            is_first = not self._owed
             self._owed[key] = what
-            if self._thread is None:
-                self._thread = threading.Thread(
-                    target=self._settle, name="registrations", daemon=True
-                )
-                self._thread.start()
+        if is_first:
+            self._worker.start()
+            self._worker.wake()
 
     def _settle(self) -> None:
+        """Register what is owed, one after the other, as long as the master answers."""
         while not rospy.is_shutdown():
             with self._lock:
                 if not self._owed:
-                    self._thread = None
                     return
                 key, what = next(iter(self._owed.items()))
-            if not attempt("registering", partial(self._register, key, what)):
-                time.sleep(_AGAIN)
-                continue
+            if not self._register(key, what):
+                return
             with self._lock:
                 wanted = self._owed.pop(key, None) is not None
             if not wanted:  # removed while it was being registered

@@ -11,7 +11,6 @@ it is done only for topics that were withdrawn lately, and only while somebody i
 from __future__ import annotations
 
 import logging
-import threading
 import time
 from dataclasses import dataclass
 from typing import Callable, Dict, FrozenSet, Optional
@@ -19,6 +18,7 @@ from typing import Callable, Dict, FrozenSet, Optional
 import rospy
 
 from dyknow.locks import state_lock
+from dyknow.periodic import PeriodicWorker
 
 #: Seconds in which a subscriber notices that a topic is gone, at the most.
 LATELY = 60.0
@@ -44,7 +44,7 @@ class _Reminder:
 
 
 class Reminders:
-    """Looks after topics that came back, with a thread as long as there are any."""
+    """Looks after topics that came back; its thread starts with the first of them."""
 
     def __init__(
         self,
@@ -66,7 +66,13 @@ class Reminders:
         self._lock = state_lock("reminders")
         self._withdrawn: Dict[str, float] = {}
         self._open: Dict[str, _Reminder] = {}
-        self._thread: Optional[threading.Thread] = None
+        self._worker = PeriodicWorker(
+            "telling subscribers again",
+            self._round,
+            lambda: _STEP if self._open else None,
+            _STEP,
+            _log,
+        )
 
     def withdrawn(self, topic: str) -> None:
         """Note that this process does not publish a topic any more."""
@@ -86,9 +92,8 @@ class Reminders:
             if not told or withdrawn is None or now - withdrawn >= LATELY:
                 return
             self._open[topic] = _Reminder(datatype, told, now + _FIRST_PAUSE)
-            if self._thread is None:
-                self._thread = threading.Thread(target=self._run, name="reminders", daemon=True)
-                self._thread.start()
+        self._worker.start()
+        self._worker.wake()
 
     def look(self) -> None:
         """Remind those who are due."""
@@ -106,14 +111,6 @@ class Reminders:
                 if is_over and self._open.get(topic) is reminder:
                     del self._open[topic]
 
-    def _run(self) -> None:
-        while not rospy.is_shutdown():
-            time.sleep(_STEP)
-            try:
-                self.look()
-            except Exception:  # the boundary of the thread: the next look may do better
-                _log.exception("telling subscribers again failed")
-            with self._lock:
-                if not self._open:
-                    self._thread = None
-                    return
+    def _round(self) -> None:
+        if not rospy.is_shutdown():
+            self.look()

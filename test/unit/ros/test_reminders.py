@@ -21,7 +21,9 @@ class Surroundings:
         self.connected = FAST
         self.told: List[str] = []
         self.reminders = Reminders(self.tell_again, lambda topic: self.connected, lambda: self.now)
-        monkeypatch.setattr(self.reminders, "_run", lambda: None)  # looks are made by hand
+        monkeypatch.setattr(
+            self.reminders._worker, "start", lambda: None
+        )  # looks are made by hand
 
     def tell_again(self, topic: str, datatype: str) -> Optional[Addresses]:
         self.told.append(f"{topic} {datatype}")
