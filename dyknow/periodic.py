@@ -29,7 +29,7 @@ returns one of these."""
 _log = logging.getLogger("rosout.dyknow")
 
 
-class SteadyClock:
+class Clock:
     """Steady time, in seconds."""
 
     def now(self) -> float:
@@ -41,7 +41,7 @@ class SteadyClock:
         condition.wait(seconds)
 
 
-STEADY = SteadyClock()
+STEADY = Clock()
 
 
 def attempt(what: str, work: Callable[[], T], logger: logging.Logger = _log) -> Optional[T]:
@@ -89,7 +89,7 @@ class PeriodicWorker:
         period: Period = None,
         pause: float = PAUSE,
         logger: logging.Logger = _log,
-        clock: SteadyClock = STEADY,
+        clock: Clock = STEADY,
     ) -> None:
         """Prepare; ``start`` starts the thread.
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import threading
 from typing import Dict, Optional, Tuple
 
-from dyknow.periodic import SteadyClock
+from dyknow.periodic import Clock
 
 #: Seconds until a test gives up waiting for threads.
 PATIENCE = 10.0
 
 
-class SteppedClock(SteadyClock):
+class SteppedClock(Clock):
     """Stands still until ``advance``. Threads that wait by it sleep until then, or are woken."""
 
     def __init__(self) -> None:

@@ -16,7 +16,7 @@ from graph import Manager, call
 from processes import eventually
 from std_msgs.msg import Header
 
-from dyknow.ros.hosting.counting import Counting
+from dyknow.ros.hosting.count_collector import CountCollector
 from dyknow.ros.hosting.message_counter import MessageCounter
 from dyknow.ros.master import Master
 from dyknow.ros.transport.registrar import Registrar
@@ -68,7 +68,7 @@ class CountingTest(unittest.TestCase):
     """Nodelet managers of all sorts; their services are offered by this process."""
 
     def setUp(self):
-        self.counting = Counting(Master(rospy.get_name()))
+        self.counting = CountCollector(Master(rospy.get_name()))
         self.addCleanup(self.counting.close)
 
     def offer(self, name, service_class, handler):

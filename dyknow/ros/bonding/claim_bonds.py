@@ -30,7 +30,7 @@ class ClaimBonds:
         """
         self._expire = expire
         self._bonds = Bonds(names.join(rospy.get_name(), TOPIC))
-        self._lock = state_lock("claim bonds")
+        self._state_lock = state_lock("claim bonds")
         self._held: Dict[str, Set[str]] = {}
 
     def follow(self, claims: Iterable[Claim]) -> None:
@@ -39,7 +39,7 @@ class ClaimBonds:
         for claim in claims:
             if claim.request.bond_id and not claim.state.ended:
                 wanted.setdefault(claim.request.bond_id, set()).add(claim.claim_id)
-        with self._lock:
+        with self._state_lock:
             new = sorted(set(wanted) - set(self._held))
             old = sorted(set(self._held) - set(wanted))
             self._held = wanted
@@ -59,7 +59,7 @@ class ClaimBonds:
             rospy.logwarn("bond '%s' of a stream's client: %s", bond_id, error)
 
     def _on_broken(self, bond_id: str) -> None:
-        with self._lock:
+        with self._state_lock:
             claims = sorted(self._held.pop(bond_id, ()))
         for claim_id in claims:
             self._expire(claim_id, "the bond with its client broke")

@@ -89,7 +89,7 @@ class Children:
         self._path = path
         self._on_change = on_change
         self._changed = state_condition("children")
-        self._writing = turn_lock("records of children")
+        self._writing_turn = turn_lock("records of children")
         self._children: Dict[str, Child] = {}
         self._crashes: List[Crash] = []
         self._ending = False
@@ -378,7 +378,7 @@ class Children:
             child.gone.wait(PATIENCE)
 
     def _write(self) -> None:
-        with self._writing:  # the disk has the records in the order of the memory
+        with self._writing_turn:  # the disk has the records in the order of the memory
             with self._changed:
                 records = [self._children[name].record for name in sorted(self._children)]
             try:

@@ -45,7 +45,7 @@ class CountCollector:
     def __init__(self, master: Master) -> None:
         """Make clients when they are needed; ``master`` looks nodelet managers up."""
         self._master = master
-        self._lock = state_lock("count collector")
+        self._state_lock = state_lock("count collector")
         self._clients: Dict[str, _CountClient] = {}
 
     def counts(self, wanted: Mapping[str, Collection[str]]) -> Counts:
@@ -60,7 +60,7 @@ class CountCollector:
 
     def forget(self, manager: str) -> None:
         """Close the connection to a nodelet manager that is gone for good."""
-        with self._lock:
+        with self._state_lock:
             client = self._clients.pop(manager, None)
         if client is not None:
             client.close()
@@ -71,7 +71,7 @@ class CountCollector:
             self.forget(manager)
 
     def _client_of(self, manager: str) -> _CountClient:
-        with self._lock:
+        with self._state_lock:
             client = self._clients.get(manager)
             if client is None:
                 client = self._clients[manager] = _CountClient(self._master, manager)
@@ -85,7 +85,7 @@ class _CountClient:
     def __init__(self, master: Master, manager: str) -> None:
         self._master = master
         self._client = ServiceClient(master, names.join(manager, SERVICE), GetCounts, True)
-        self._lock = state_lock("counts")
+        self._state_lock = state_lock("counts")
         self._wanted: Set[str] = set()
         self._fresh: Counts = {}
         self._asked = self._answered = time.monotonic()
@@ -97,7 +97,7 @@ class _CountClient:
 
     def ask(self, nodelets: Collection[str]) -> int:
         """Ask once the last answer is there; returns the number of the question."""
-        with self._lock:
+        with self._state_lock:
             self._wanted.update(nodelets)
         return self._worker.wake()
 
@@ -106,7 +106,7 @@ class _CountClient:
         if self._in_time:
             left = max(0.0, deadline - time.monotonic())
             self._in_time = self._worker.wait_for(number, left)
-        with self._lock:
+        with self._state_lock:
             return {name: self._fresh.pop(name) for name in nodelets if name in self._fresh}
 
     def close(self) -> None:
@@ -115,7 +115,7 @@ class _CountClient:
         self._client.close()
 
     def _round(self) -> None:
-        with self._lock:
+        with self._state_lock:
             nodelets, self._wanted = sorted(self._wanted), set()
         began = time.monotonic()
         if not nodelets:
@@ -124,7 +124,7 @@ class _CountClient:
             return
         self._asked = began
         found = self._question(nodelets)
-        with self._lock:
+        with self._state_lock:
             self._fresh.update(found)
         self._in_time = time.monotonic() - began <= PATIENCE
 

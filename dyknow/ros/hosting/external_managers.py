@@ -13,9 +13,11 @@ soon as it can be reached.
 from __future__ import annotations
 
 import logging
+import time
 from dataclasses import dataclass, replace
 from typing import Dict, FrozenSet, Iterable, List, Optional
 
+from dyknow.backoff import Backoff
 from dyknow.errors import HostError, HostTimeout, PeerTimeout
 from dyknow.locks import state_lock
 from dyknow.manager.host import ManagerState, NodeletKind
@@ -82,12 +84,13 @@ class ExternalManager:
         """Begin to look for it."""
         self.name = name
         self._master = master
-        self._lock = state_lock("external manager")
+        self._state_lock = state_lock("external manager")
         self._presence = Presence()
         self._client = ListClient(master, name)
         #: Processes that bore the name before and have not been told yet that they lost it.
         self.displaced: List[Process] = []
-        self._period, self._pause = 0.0, FIRST_PAUSE
+        self._backoff = Backoff(time.monotonic, FIRST_PAUSE, LONGEST_PAUSE, tolerated=0)
+        self._period = 0.0
         self._worker = PeriodicWorker(
             f"looking for nodelet manager {name}", self._look, lambda: self._period, pause=0.0
         )
@@ -132,7 +135,7 @@ class ExternalManager:
             HostError: it is not there.
         """
         while True:
-            with self._lock:
+            with self._state_lock:
                 client, known = self._client, self._presence
             self._refuse_if_missed(known)
             assert known.process is not None
@@ -144,7 +147,7 @@ class ExternalManager:
                 self._miss(client, error)
                 self._worker.wake()
                 continue  # now there is a new connection, or trouble
-            with self._lock:
+            with self._state_lock:
                 if client is self._client:
                     self._presence = replace(self._presence, nodelets=frozenset(names))
             return names
@@ -163,7 +166,7 @@ class ExternalManager:
 
     def forget(self, nodelet: str) -> None:
         """Note that a nodelet which it ran is loaded elsewhere now."""
-        with self._lock:
+        with self._state_lock:
             nodelets = self._presence.nodelets - {nodelet}
             self._presence = replace(self._presence, nodelets=nodelets)
 
@@ -193,9 +196,11 @@ class ExternalManager:
     def _look(self) -> None:
         self.look()
         if self._presence.trouble or self.displaced:
-            self._period, self._pause = self._pause, min(2 * self._pause, LONGEST_PAUSE)
+            self._backoff.failed(self.name)
+            self._period = self._backoff.remaining(self.name)
         else:
-            self._period, self._pause = PERIOD, FIRST_PAUSE
+            self._backoff.forgive(self.name)
+            self._period = PERIOD
 
     def _refuse_if_missed(self, known: Presence) -> None:
         if known.trouble:
@@ -205,7 +210,7 @@ class ExternalManager:
     def _miss(self, client: ListClient, trouble: Exception) -> None:
         """Note that it cannot be asked, unless it was found again meanwhile."""
         away = _may_be_there(trouble)
-        with self._lock:
+        with self._state_lock:
             if client is not self._client:
                 return
             known = self._presence
@@ -226,7 +231,7 @@ class ExternalManager:
             return
         kind = NodeletKind.PYTHON if self.name in publishes else NodeletKind.CPP
         found = Process(uri, pid, kind)
-        with self._lock:
+        with self._state_lock:
             before, old, self._client = self._presence, self._client, client
             self._presence = Presence(found, "", False, nodelets, unseen=False)
         old.close()

@@ -35,7 +35,7 @@ class GuardHandover:
         self._master = master
         self._guards = guards
         self._key = guards_key(master.caller)
-        self._lock = state_lock("handover of guards")
+        self._state_lock = state_lock("handover of guards")
         #: Nodelets that are protected, by nodelet manager.
         self._protected: Dict[str, Tuple[str, ...]] = {}
         #: Incarnations that have the guards, and the nodelets named to them.
@@ -45,7 +45,7 @@ class GuardHandover:
 
     def protect(self, nodelets: Mapping[str, Sequence[str]]) -> None:
         """Set the protected nodelets, by nodelet manager; they go with the next hand-over."""
-        with self._lock:
+        with self._state_lock:
             self._protected = {each: tuple(sorted(nodelets[each])) for each in nodelets}
 
     def hand_over(self, manager: ManagerState) -> None:
@@ -56,7 +56,7 @@ class GuardHandover:
         if not manager.alive or manager.kind is not NodeletKind.PYTHON:
             return
         name = manager.name
-        with self._lock:
+        with self._state_lock:
             protected = self._protected.get(name, ())
             if self._done.get(name) == (manager.incarnation, protected):
                 return
@@ -64,13 +64,13 @@ class GuardHandover:
             parameter = to_parameter(self._guards, protected)
             self._master.ask("setParam", names.join(name, self._key), parameter)
         except (PeerTimeout, LookupError) as error:
-            with self._lock:
+            with self._state_lock:
                 is_news = name not in self._failed
                 self._failed[name] = str(error)
             if is_news:
                 _log.warning("%s cannot be given the guards yet: %s", name, error)
             return
-        with self._lock:
+        with self._state_lock:
             self._done[name] = (manager.incarnation, protected)
             had_failed = self._failed.pop(name, None) is not None
         if had_failed:
@@ -82,7 +82,7 @@ class GuardHandover:
         Raises:
             HostError: they could not.
         """
-        with self._lock:
+        with self._state_lock:
             why = self._failed.get(manager)
         if why is not None:
             raise HostError(f"nodelet manager '{manager}' does not have the guards yet: {why}")

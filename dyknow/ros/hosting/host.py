@@ -106,7 +106,7 @@ class RosHost(Host):
         self._counter = MessageCounter(registrar)
         self._list_clients = ListClients(master)
         self._askers = ThreadPoolExecutor(_ASKERS, "asking nodelet managers")
-        self._lock = state_lock("failed loads")
+        self._state_lock = state_lock("failed loads")
         #: By nodelet manager and nodelet.
         self._failures: Dict[Tuple[str, str], _Failure] = {}
 
@@ -177,7 +177,7 @@ class RosHost(Host):
             external.forget(request.name)
         self._set_parameters(request.name, request.parameters)
         key = (manager, request.name)
-        with self._lock:
+        with self._state_lock:
             self._failures.pop(key, None)
         sources = sorted(request.remappings)
         try:
@@ -191,18 +191,18 @@ class RosHost(Host):
                 remap_target_args=[request.remappings[source] for source in sources],
             )
         except PeerTimeout as error:
-            with self._lock:
+            with self._state_lock:
                 self._failures[key] = _Failure.LATE
             raise HostError(f"'{request.source}' was not up within {timeout:g} s") from error
         except ServiceFailed as error:
-            with self._lock:
+            with self._state_lock:
                 self._failures[key] = _Failure.REFUSED
             text = str(error) or "its nodelet manager gives no reason; its log may have one"
             raise HostError(text) from error
 
     def unload(self, manager: str, name: str) -> None:
         """Unload, unless the load was refused."""
-        with self._lock:
+        with self._state_lock:
             if self._failures.get((manager, name)) is _Failure.REFUSED:
                 del self._failures[manager, name]
                 raise HostError(f"nodelet '{name}' was not loaded")
@@ -312,7 +312,7 @@ class RosHost(Host):
 
     def _without_late(self, manager: str, listed: List[str]) -> List[str]:
         """Unload what came up after its load had been given up."""
-        with self._lock:
+        with self._state_lock:
             late = [n for n in listed if self._failures.get((manager, n)) is _Failure.LATE]
             for name in late:
                 del self._failures[manager, name]

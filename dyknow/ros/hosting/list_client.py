@@ -67,12 +67,12 @@ class ListClients:
     def __init__(self, master: Master) -> None:
         """Make clients when they are needed; ``master`` looks nodelet managers up."""
         self._master = master
-        self._lock = state_lock("list clients")
+        self._state_lock = state_lock("list clients")
         self._clients: Dict[str, Tuple[str, ListClient]] = {}
 
     def of(self, manager: str, incarnation: str) -> ListClient:
         """Return the client for a process; that for an earlier one of the name is closed."""
-        with self._lock:
+        with self._state_lock:
             known, client = self._clients.get(manager, ("", None))
             if known == incarnation and client is not None:
                 return client
@@ -89,7 +89,7 @@ class ListClients:
 
     def forget(self, manager: str) -> None:
         """Close the connection to a nodelet manager that is gone for good."""
-        with self._lock:
+        with self._state_lock:
             _, client = self._clients.pop(manager, ("", None))
         if client is not None:
             client.close()

@@ -42,7 +42,7 @@ class _TopicCounter(Listening):
         self._topic = topic
         self._registrar = registrar
         self._registrations = registrations
-        self._lock = state_lock("message counter")
+        self._state_lock = state_lock("message counter")
         self._messages = 0
         self._closed = False
         self._subscriber: Optional[Any] = None
@@ -71,5 +71,5 @@ class _TopicCounter(Listening):
             self._subscriber.unregister()
 
     def _add_one(self, message: Any) -> None:
-        with self._lock:  # rospy calls from a thread for each publisher
+        with self._state_lock:  # rospy calls from a thread for each publisher
             self._messages += 1

@@ -37,7 +37,7 @@ class NodeletTypes:
     def __init__(self) -> None:
         """Know nothing yet."""
         self._plugins = Plugins(plugin_files)
-        self._lock = state_lock("nodelet types")
+        self._state_lock = state_lock("nodelet types")
         self._python: Set[str] = set()
         self._cpp: Set[str] = set()
 
@@ -59,7 +59,7 @@ class NodeletTypes:
         return found
 
     def _known(self, source: str) -> NodeletKind | None:
-        with self._lock:
+        with self._state_lock:
             if source in self._python:
                 return NodeletKind.PYTHON
             return NodeletKind.CPP if source in self._cpp else None
@@ -67,7 +67,7 @@ class NodeletTypes:
     def _refresh(self) -> None:
         python = {each.name for each in self._plugins.declared()}
         cpp = set(cpp_classes())
-        with self._lock:
+        with self._state_lock:
             self._python, self._cpp = python, cpp
 
 
