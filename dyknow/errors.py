@@ -1,53 +1,57 @@
-"""Every way DyKnow refuses, one exception per cause.
+"""Every way in which DyKnow refuses: one exception for each cause.
 
-Each exception carries what it needs to explain itself, and its text names the thing that is
-wrong and says what was expected. Only ``dyknow.ros`` turns them into answers of services.
+Each exception carries what it needs to explain itself. Its text names what is wrong and says what
+was expected. ``dyknow.ros`` alone turns exceptions into answers of services.
 
 ::
 
     DyKnowError
-    ├── InvalidName              a string is not a ROS name
-    ├── TypeMismatch             a topic carries another type
-    ├── NoMessageClass           what was given as type of a topic is none
-    ├── BadParameter             a parameter has a value that cannot be worked with
-    ├── RemappedTopic            the command line of the process sends this topic elsewhere
-    ├── PeerTimeout              somebody outside did not answer in time
-    ├── DuplicateBond            a bond with that id is there (dyknow.ros.bonding.bond_table)
-    ├── BondsClosed              no more bonds: this end is closed (dyknow.ros.bonding.bonds)
-    ├── HandleClosed             the nodelet of this handle is unloaded, or it was unregistered
-    ├── Denied                   a guard forbids it: deny list, read-only mode
-    ├── LimitExceeded            a limit is exceeded
-    ├── UnknownTransformation    the library has no such label
-    ├── NotSpawnable             the transformation is an existing topic
-    ├── NoPlanFound              nothing supplies a requested stream; what is missing is named
-    ├── StreamTypeMismatch       a stream turned out to have another type than was asked for
-    ├── WrongStream              somebody would receive what it does not demand
-    ├── UnknownClaim             no claim of that id, or it ended
-    ├── InvalidTag               a tag is not a term
-    ├── Busy                     another operation works on the nodelet
-    ├── Protected                the nodelet is protected from being destroyed
-    ├── SpawnFailed              a nodelet did not come up as specified; nothing of it is left
-    ├── HostError                a nodelet manager refused, or could not be reached
-    │   └── HostTimeout          it, or the nodelet, did not answer in time
-    ├── Refused                  a DyKnow manager or a proxy answered no
-    ├── StoreError               the durable state cannot be read or written
+    ├── InvalidName                  a string is not a ROS name
+    ├── BadParameter                 a parameter has a value of another kind or range
+    ├── NoMessageClass               the type given for a topic is not a message class
+    ├── TypeMismatch                 a topic carries another type
+    ├── RemappedTopic                the command line of the process remaps the topic
+    ├── HandleClosed                 a handle was unregistered, or its nodelet unloaded
+    ├── PeerTimeout                  another process did not answer in time
+    ├── Denied                       a guard forbids it: deny list, read-only mode
+    ├── LimitExceeded                a request is larger than the limits allow
+    ├── StoreError                   the state on disk cannot be read or written
+    ├── SpecificationError           all that is wrong with one specification
     ├── NodeletError
-    │   ├── NameTaken            a nodelet of that name is there already
-    │   ├── UnknownNodelet       no nodelet of that name is there
-    │   ├── UnknownNodeletType   no plugin description declares the type
-    │   ├── BrokenPlugin         declared, but it cannot be used
-    │   ├── BadRemapping         sources and targets do not pair up
-    │   ├── LoadFailed           the nodelet's own start raised
-    │   └── UnloadedMeanwhile    unloaded by somebody else before the operation was complete
+    │   ├── NameTaken                a nodelet of that name is loaded
+    │   ├── UnknownNodelet           no nodelet of that name is loaded
+    │   ├── UnknownNodeletType       no plug-in description declares the type
+    │   ├── BrokenPlugin             it is declared, but cannot be used
+    │   ├── BadRemapping             sources and targets do not pair up
+    │   ├── LoadFailed               the nodelet's own start raised
+    │   ├── UnloadedMeanwhile        it was unloaded before the operation was complete
+    │   ├── SpawnFailed              it did not come up as specified; nothing of it is left
+    │   ├── Busy                     another operation works on it
+    │   ├── Protected                it is protected from being destroyed
+    │   └── ProtectedFromUnloading   a DyKnow manager protects it from being unloaded
     ├── PortError
-    │   ├── PortConflict         the port exists with another direction or type
-    │   └── InvalidConfiguration everything that is wrong with one set_config, at once
-    │       (its problems are UnknownPort, DuplicatePort, InvalidName, TypeMismatch, …)
-    ├── SpecificationError       everything that is wrong with one specification, at once
-    └── OntologyError
-        ├── OntologyFileError    a file of the ontology cannot be read
-        ├── UnknownConcept       no class of the ontology has this URI
-        └── IndividualsError     individuals of a class have no label of their own
+    │   ├── UnknownPort              the nodelet has no such port
+    │   ├── DuplicatePort            one request names the port more than once
+    │   ├── PortConflict             the port exists with another direction or type
+    │   └── InvalidConfiguration     all that is wrong with one set_config
+    ├── TransformationError
+    │   ├── UnknownTransformation    the library has no such label
+    │   └── NotSpawnable             the transformation is an existing topic
+    ├── StreamError
+    │   ├── InvalidTag               a tag is not a term
+    │   ├── NoPlanFound              no plan supplies the stream; the text names what is missing
+    │   ├── StreamTypeMismatch       the stream has another type than was asked for
+    │   ├── WrongStream              a listener would receive what it does not demand
+    │   └── UnknownClaim             there is no claim of that id, or it has ended
+    ├── OntologyError
+    │   ├── OntologyFileError        a file of the ontology cannot be read
+    │   ├── UnknownConcept           the ontology has no class of that URI
+    │   └── IndividualsError         labels do not tell the individuals of a class apart
+    ├── HostError                    a nodelet manager refused, or could not be reached
+    │   └── HostTimeout              it, or a nodelet of it, did not answer in time
+    └── Refused                      a DyKnow manager or a proxy answered no
+
+What only clients of the manager meet is in ``dyknow.ros.client_errors``.
 """
 
 from __future__ import annotations
@@ -154,114 +158,6 @@ class LimitExceeded(DyKnowError):
         super().__init__(f"too many {what}: {count}, at most {limit} are allowed")
 
 
-class UnknownTransformation(DyKnowError):
-    """The library has no transformation of that label."""
-
-    def __init__(self, label: str, hint: str = "") -> None:
-        self.label = label
-        super().__init__(f"no transformation is labelled '{label}'{hint}")
-
-
-class NotSpawnable(DyKnowError):
-    """A transformation of type topic is not a nodelet."""
-
-    def __init__(self, label: str, topic: str) -> None:
-        self.label = label
-        super().__init__(
-            f"transformation '{label}' is the existing topic '{topic}': "
-            "it is used as it is and cannot be spawned"
-        )
-
-
-def waiting(claim_id: str) -> str:
-    """What the refusal of a stream says at its end if the claim is kept all the same."""
-    return f"; claim {claim_id} waits until it can be made" if claim_id else ""
-
-
-class NoPlanFound(DyKnowError):
-    """Nothing supplies a requested stream now."""
-
-    def __init__(self, reason: str, claim_id: str = "") -> None:
-        self.claim_id = claim_id
-        super().__init__(reason + waiting(claim_id))
-
-
-class StreamTypeMismatch(DyKnowError):
-    """A stream turned out to have another type than was asked for.
-
-    Attributes:
-        label: the transformation that supplies it.
-    """
-
-    def __init__(self, tag: str, wanted: str, found: str, label: str = "") -> None:
-        self.label = label
-        super().__init__(f"the stream {tag} carries {found}, but {wanted} was asked for")
-
-
-class WrongStream(DyKnowError):
-    """A connection was not made, since somebody would receive what it does not demand."""
-
-    def __init__(self, topic: str, sender: str, listener: str) -> None:
-        self.topic = topic
-        who = sender or "an ordinary node"
-        whom = listener or "a client"
-        super().__init__(f"on topic '{topic}', {who} sends what {whom} there does not ask for")
-
-
-class UnknownClaim(DyKnowError):
-    """No claim of that id is kept."""
-
-    def __init__(self, claim_id: str, state: str = "") -> None:
-        self.claim_id = claim_id
-        super().__init__(
-            f"claim '{claim_id}' is {state}" if state else f"there is no claim '{claim_id}'"
-        )
-
-
-class InvalidTag(DyKnowError):
-    """A tag is not a term."""
-
-    def __init__(self, tag: str, expected: str) -> None:
-        self.tag = tag
-        self.expected = expected
-        super().__init__(f"'{tag}' is not a tag: {expected}")
-
-
-class Busy(DyKnowError):
-    """Another operation works on the nodelet now."""
-
-    def __init__(self, name: str) -> None:
-        self.name = name
-        super().__init__(f"nodelet '{name}' is being changed by somebody else; try again")
-
-
-class Protected(DyKnowError):
-    """A protected nodelet was to be destroyed."""
-
-    def __init__(self, name: str) -> None:
-        self.name = name
-        super().__init__(f"nodelet '{name}' is protected; release it with set_protection first")
-
-
-class ProtectedFromUnloading(DyKnowError):
-    """A nodelet manager was asked to unload a nodelet that a DyKnow manager protects."""
-
-    def __init__(self, name: str) -> None:
-        self.name = name
-        super().__init__(
-            f"nodelet '{name}' is protected from unloading; release it with set_protection of its "
-            "DyKnow manager first"
-        )
-
-
-class SpawnFailed(DyKnowError):
-    """A nodelet did not come up as its transformation says; nothing of it is left."""
-
-    def __init__(self, name: str, reason: object) -> None:
-        self.name = name
-        super().__init__(f"cannot spawn '{name}': {reason}")
-
-
 class HostError(DyKnowError):
     """A nodelet manager refused something, or could not be reached."""
 
@@ -358,6 +254,40 @@ class UnloadedMeanwhile(NodeletError):
         super().__init__(name, f"nodelet '{name}' was unloaded during its {operation}")
 
 
+class SpawnFailed(NodeletError):
+    """A nodelet did not come up as its transformation says; nothing of it is left."""
+
+    def __init__(self, name: str, reason: object) -> None:
+        super().__init__(name, f"cannot spawn '{name}': {reason}")
+
+
+class Busy(NodeletError):
+    """Another operation works on the nodelet now."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name, f"nodelet '{name}' is being changed by somebody else; try again")
+
+
+class Protected(NodeletError):
+    """A protected nodelet was to be destroyed."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(
+            name, f"nodelet '{name}' is protected; release it with set_protection first"
+        )
+
+
+class ProtectedFromUnloading(NodeletError):
+    """A nodelet manager was asked to unload a nodelet that a DyKnow manager protects."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(
+            name,
+            f"nodelet '{name}' is protected from unloading; release it with set_protection of its "
+            "DyKnow manager first",
+        )
+
+
 class PortError(DyKnowError):
     """Something about the ports of one nodelet."""
 
@@ -399,6 +329,87 @@ class InvalidConfiguration(PortError):
         self.problems: Tuple[DyKnowError, ...] = tuple(problems)
         super().__init__(
             f"{nodelet}: nothing was changed: " + "; ".join(str(problem) for problem in problems)
+        )
+
+
+class TransformationError(DyKnowError):
+    """Something about one transformation, known by its label."""
+
+
+class UnknownTransformation(TransformationError):
+    """The library has no transformation of that label."""
+
+    def __init__(self, label: str, hint: str = "") -> None:
+        self.label = label
+        super().__init__(f"no transformation is labelled '{label}'{hint}")
+
+
+class NotSpawnable(TransformationError):
+    """A transformation of type topic is not a nodelet."""
+
+    def __init__(self, label: str, topic: str) -> None:
+        self.label = label
+        super().__init__(
+            f"transformation '{label}' is the existing topic '{topic}': "
+            "it is used as it is and cannot be spawned"
+        )
+
+
+class StreamError(DyKnowError):
+    """Something about one stream."""
+
+
+def waiting(claim_id: str) -> str:
+    """What the refusal of a stream says at its end if the claim is kept all the same."""
+    return f"; claim {claim_id} waits until it can be made" if claim_id else ""
+
+
+class InvalidTag(StreamError):
+    """A tag is not a term."""
+
+    def __init__(self, tag: str, expected: str) -> None:
+        self.tag = tag
+        self.expected = expected
+        super().__init__(f"'{tag}' is not a tag: {expected}")
+
+
+class NoPlanFound(StreamError):
+    """Nothing supplies a requested stream now."""
+
+    def __init__(self, reason: str, claim_id: str = "") -> None:
+        self.claim_id = claim_id
+        super().__init__(reason + waiting(claim_id))
+
+
+class StreamTypeMismatch(StreamError):
+    """A stream turned out to have another type than was asked for.
+
+    Attributes:
+        label: the transformation that supplies it.
+    """
+
+    def __init__(self, tag: str, wanted: str, found: str, label: str = "") -> None:
+        self.label = label
+        super().__init__(f"the stream {tag} carries {found}, but {wanted} was asked for")
+
+
+class WrongStream(StreamError):
+    """A connection was not made, since somebody would receive what it does not demand."""
+
+    def __init__(self, topic: str, sender: str, listener: str) -> None:
+        self.topic = topic
+        who = sender or "an ordinary node"
+        whom = listener or "a client"
+        super().__init__(f"on topic '{topic}', {who} sends what {whom} there does not ask for")
+
+
+class UnknownClaim(StreamError):
+    """No claim of that id is kept."""
+
+    def __init__(self, claim_id: str, state: str = "") -> None:
+        self.claim_id = claim_id
+        super().__init__(
+            f"claim '{claim_id}' is {state}" if state else f"there is no claim '{claim_id}'"
         )
 
 
