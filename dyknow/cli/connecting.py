@@ -13,6 +13,7 @@ from dyknow.model.transformation import IN, OUT
 from dyknow.ros.client_errors import NodeletUnreachable
 from dyknow.similar import did_you_mean
 from dyknow.wiring.ports import by_name, choose_topic, types_fit
+from dyknow.wiring.steps import ReversibleStep, StepFailed, carry_out
 
 if TYPE_CHECKING:
     from dyknow.ros.shell_client import ShellClient
@@ -158,44 +159,37 @@ def _other(direction: str) -> str:
     return OUT if direction == IN else IN
 
 
-def apply(client: ShellClient, changes: Sequence[PortMove]) -> None:
-    """Make changes one nodelet after the other; when one fails, those before are undone.
+def apply(client: ShellClient, moves: Sequence[PortMove]) -> None:
+    """Move ports one nodelet after the other; when one fails, those before are moved back.
 
     Raises:
-        CannotConnect: one was refused; the text says so too if an undoing was.
+        CannotConnect: one was refused; the text says so too if one could not be moved back.
     """
-    done: Dict[str, List[PortMove]] = {}
+    by_nodelet: Dict[str, List[PortMove]] = {}
+    for move in moves:
+        by_nodelet.setdefault(move.port.nodelet, []).append(move)
     try:
-        for nodelet, own in _by_nodelet(changes).items():
-            # Noted before the call: one that is not answered in time may have been done.
-            done[nodelet] = own
-            client.set_config(nodelet, {each.port.port: each.after for each in own})
-    except BaseException as error:
-        troubles = _undo(client, done)
-        if not isinstance(error, DyKnowError):
-            raise
-        raise CannotConnect("; ".join([f"cannot connect: {error}", *troubles])) from error
+        carry_out([_step(client, nodelet, own) for nodelet, own in by_nodelet.items()])
+    except StepFailed as failed:
+        words = [f"cannot connect: {failed.error}", *failed.troubles]
+        raise CannotConnect("; ".join(words)) from failed
 
 
-def _by_nodelet(changes: Sequence[PortMove]) -> Dict[str, List[PortMove]]:
-    grouped: Dict[str, List[PortMove]] = {}
-    for change in changes:
-        grouped.setdefault(change.port.nodelet, []).append(change)
-    return grouped
+def _step(client: ShellClient, nodelet: str, moves: Sequence[PortMove]) -> ReversibleStep:
+    def move_back() -> None:
+        """Leave ports alone that others have moved meanwhile."""
+        present = {port.name: port.topic for port in client.get_config(nodelet)}
+        back = {
+            each.port.port: each.before
+            for each in moves
+            if present.get(each.port.port) == each.after
+        }
+        if back:
+            client.set_config(nodelet, back)
 
-
-def _undo(client: ShellClient, done: Dict[str, List[PortMove]]) -> List[str]:
-    troubles = []
-    for nodelet, changes in reversed(list(done.items())):
-        try:
-            present = {port.name: port.topic for port in client.get_config(nodelet)}
-            back = {
-                each.port.port: each.before
-                for each in changes
-                if present.get(each.port.port) == each.after
-            }
-            if back:
-                client.set_config(nodelet, back)
-        except DyKnowError as error:
-            troubles.append(f"and '{nodelet}' could not be set back: {error}")
-    return troubles
+    return ReversibleStep(
+        f"connecting '{nodelet}'",
+        nodelet,
+        lambda: client.set_config(nodelet, {each.port.port: each.after for each in moves}),
+        move_back,
+    )

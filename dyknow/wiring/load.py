@@ -1,14 +1,14 @@
-"""Carries a plan out step by step, and takes the steps back when one fails."""
+"""The steps that carry out the plan of a load, each with what takes it back."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Callable, Dict, List, Mapping, Optional, Protocol, Tuple
+from typing import Dict, List, Mapping, Optional, Protocol, Tuple
 
-from dyknow.errors import DyKnowError, Refused
+from dyknow.errors import DyKnowError
 from dyknow.model.transformation import Transformation
 from dyknow.wiring.plan import Kept, Plan
 from dyknow.wiring.ports import connections_of
+from dyknow.wiring.steps import ReversibleStep
 from dyknow.wiring.wiring import WiredNodelet
 
 
@@ -42,28 +42,7 @@ class Client(Protocol):
         """Connect ports of a nodelet, all or none."""
 
 
-class LoadFailed(DyKnowError):
-    """A step failed, and those before it were taken back; the text says if one could not be."""
-
-
-@dataclass(frozen=True)
-class Step:
-    """Something to do, and how to take it back.
-
-    Attributes:
-        what: it in words, for people.
-        subject: the nodelet or label that it is about.
-        do: does it; raises DyKnowError.
-        undo: takes it back.
-    """
-
-    what: str
-    subject: str
-    do: Callable[[], object]
-    undo: Callable[[], object]
-
-
-def steps_of(plan: Plan, client: Client) -> List[Step]:
+def steps_of(plan: Plan, client: Client) -> List[ReversibleStep]:
     """List the steps: what makes way, transformations, new nodelets, changes of those that run."""
     steps = [_end(each, plan, client) for each in plan.remade]
     steps.extend(_add(each, client) for each in plan.added)
@@ -75,57 +54,9 @@ def steps_of(plan: Plan, client: Client) -> List[Step]:
     return steps
 
 
-def carry_out(steps: List[Step], keep_going: bool = False) -> List[Tuple[Step, DyKnowError]]:
-    """Do the steps in order.
-
-    Args:
-        steps: What to do.
-        keep_going: Go on after a step that failed, and leave what was done.
-
-    Returns:
-        The steps that failed, and why; none unless `keep_going`.
-
-    Raises:
-        LoadFailed: A step failed; everything is as it was.
-    """
-    done: List[Step] = []
-    failed: List[Tuple[Step, DyKnowError]] = []
-    for step in steps:
-        try:
-            step.do()
-            done.append(step)
-        except DyKnowError as error:
-            if not keep_going:
-                # What was refused was not done; what was not answered may have been.
-                maybe = [] if isinstance(error, Refused) else [step]
-                troubles = _take_back(done, maybe)
-                words = [f"{step.what}: {error}", *(troubles or ["everything is as it was"])]
-                raise LoadFailed("; ".join(words)) from error
-            failed.append((step, error))
-        except BaseException:
-            _take_back(done, [step])
-            raise
-    return failed
-
-
-def _take_back(done: List[Step], maybe: List[Step]) -> List[str]:
-    troubles = []
-    for step in [*maybe, *reversed(done)]:
-        try:
-            step.undo()
-        except DyKnowError as error:
-            if step not in maybe:  # else there was probably nothing to take back
-                troubles.append(f"cannot take back '{step.what}': {error}")
-    return troubles
-
-
-def _nothing() -> None:
-    """Take back a step that leaves nothing behind by itself."""
-
-
-def _add(transformation: Transformation, client: Client) -> Step:
+def _add(transformation: Transformation, client: Client) -> ReversibleStep:
     label = transformation.label
-    return Step(
+    return ReversibleStep(
         f"adding transformation '{label}'",
         label,
         lambda: client.add_transformation(transformation.to_xml()),
@@ -133,8 +64,8 @@ def _add(transformation: Transformation, client: Client) -> Step:
     )
 
 
-def _replace(old: Transformation, new: Transformation, client: Client) -> Step:
-    return Step(
+def _replace(old: Transformation, new: Transformation, client: Client) -> ReversibleStep:
+    return ReversibleStep(
         f"replacing transformation '{new.label}'",
         new.label,
         lambda: client.add_transformation(new.to_xml()),
@@ -142,7 +73,7 @@ def _replace(old: Transformation, new: Transformation, client: Client) -> Step:
     )
 
 
-def _end(kept: Kept, plan: Plan, client: Client) -> Step:
+def _end(kept: Kept, plan: Plan, client: Client) -> ReversibleStep:
     """End a nodelet that is to be made anew."""
     former = WiredNodelet.of(kept.present)
 
@@ -157,7 +88,7 @@ def _end(kept: Kept, plan: Plan, client: Client) -> Step:
         if kept.differences:
             raise DyKnowError("it runs again, but is made as the library says now")
 
-    return Step(
+    return ReversibleStep(
         f"ending '{former.name}'",
         former.name,
         lambda: client.destroy(former.name),
@@ -165,7 +96,7 @@ def _end(kept: Kept, plan: Plan, client: Client) -> Step:
     )
 
 
-def _make(nodelet: WiredNodelet, plan: Plan, client: Client) -> List[Step]:
+def _make(nodelet: WiredNodelet, plan: Plan, client: Client) -> List[ReversibleStep]:
     """Spawn a nodelet; ports that its transformation does not declare are connected then."""
     config, later = _by_declaration(nodelet, plan.blueprints[nodelet.label])
     manager = "" if nodelet.name in plan.any_manager else nodelet.manager
@@ -176,7 +107,7 @@ def _make(nodelet: WiredNodelet, plan: Plan, client: Client) -> List[Step]:
         client.destroy(nodelet.name)
 
     steps = [
-        Step(
+        ReversibleStep(
             f"spawning '{nodelet.name}'",
             nodelet.name,
             lambda: _spawn(client, nodelet, config, manager),
@@ -185,11 +116,11 @@ def _make(nodelet: WiredNodelet, plan: Plan, client: Client) -> List[Step]:
     ]
     if later:
         steps.append(
-            Step(
+            ReversibleStep(
                 f"connecting '{nodelet.name}'",
                 nodelet.name,
                 lambda: client.set_config(nodelet.name, later),
-                _nothing,
+                lambda: None,  # it goes with the nodelet
             )
         )
     return steps
@@ -213,14 +144,14 @@ def _spawn(client: Client, nodelet: WiredNodelet, config: Dict[str, str], manage
     )
 
 
-def _change(kept: Kept, client: Client) -> List[Step]:
+def _change(kept: Kept, client: Client) -> List[ReversibleStep]:
     name, wanted, present = kept.wanted.name, kept.wanted, kept.present
     steps = []
     moves = kept.moves
     if moves:
         before: Dict[str, str] = {port: connections_of(present).get(port, "") for port in moves}
         steps.append(
-            Step(
+            ReversibleStep(
                 f"connecting '{name}'",
                 name,
                 lambda: client.set_config(name, moves),
@@ -229,7 +160,7 @@ def _change(kept: Kept, client: Client) -> List[Step]:
         )
     if wanted.is_protected != present.is_protected:
         steps.append(
-            Step(
+            ReversibleStep(
                 f"{'protecting' if wanted.is_protected else 'unprotecting'} '{name}'",
                 name,
                 lambda: client.set_protection(name, wanted.is_protected),

@@ -6,9 +6,10 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Dict, List, Optional, Tuple
 
 from dyknow.errors import DyKnowError
-from dyknow.wiring.load import carry_out, steps_of
+from dyknow.wiring.load import steps_of
 from dyknow.wiring.plan import Plan, plan_load
 from dyknow.wiring.ports import connections_of
+from dyknow.wiring.steps import carry_out
 from dyknow.wiring.wiring import WiredNodelet, Wiring
 from dyknow_rqt.graph.changes import (
     CannotUndo,

@@ -12,7 +12,6 @@ PACKAGES = ("dyknow", "dyknow_rqt", "dyknow_demo", "dyknow_benchmark")
 #: Names that still stand for several things, and the packages that are to give way.
 OPEN = {
     "Graph": "dyknow_demo",
-    "LoadFailed": "dyknow.wiring",
     "Manager": "dyknow_benchmark",
     "Moment": "dyknow_demo",
     "NodeHandle": "dyknow.nodelet",
@@ -20,7 +19,6 @@ OPEN = {
     "Plan": "dyknow.wiring, dyknow_benchmark",
     "Port": "dyknow.proxy",
     "Source": "dyknow_benchmark",
-    "Step": "dyknow.wiring, dyknow_demo",
     "Table": "dyknow_demo, dyknow_benchmark",
     "Topic": "dyknow_rqt",
     "Verdict": "dyknow_demo, dyknow_benchmark",

@@ -13,9 +13,10 @@ from dyknow.cli.shell import FAILED, Shell
 from dyknow.cli.tables import count
 from dyknow.cli.views import shows
 from dyknow.errors import Problem, SpecificationError
-from dyknow.wiring.load import carry_out, steps_of
+from dyknow.wiring.load import steps_of
 from dyknow.wiring.plan import Plan, plan_load
 from dyknow.wiring.reader import read_wiring
+from dyknow.wiring.steps import carry_out
 from dyknow.wiring.wiring import Wiring, wiring_of
 
 STDIO = "-"

@@ -133,7 +133,7 @@ def test_an_undoing_that_fails_is_told(client: FakeClient) -> None:
 
     client.fail = fail
     error = run(client, "connect cam:image robot/relay:in").err
-    assert "/cam does not want to; and '/robot/relay' could not be set back: " in error
+    assert "/cam does not want to; connecting '/robot/relay' could not be taken back: " in error
 
 
 @pytest.mark.parametrize(

@@ -251,7 +251,7 @@ def test_what_cannot_be_undone_is_told(client: FakeClient, file: Path) -> None:
 
     client.fail = fail
     error = run(client, f"load {file}").err
-    assert "spawning '/cam': no; cannot take back 'spawning '/robot/relay'': no" in error
+    assert "spawning '/cam': no; spawning '/robot/relay' could not be taken back: no" in error
 
 
 def test_a_step_without_an_answer_is_undone_too(client: FakeClient, file: Path) -> None:

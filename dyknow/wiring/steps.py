@@ -1,0 +1,90 @@
+"""Several changes as one: when a step fails, those before it are taken back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Callable, List, Sequence, Tuple
+
+from dyknow.errors import DyKnowError, Refused
+
+
+@dataclass(frozen=True)
+class ReversibleStep:
+    """Something to do, and how to take it back.
+
+    Attributes:
+        what: it in words, for people.
+        subject: the nodelet or label that it is about.
+        do: does it; raises DyKnowError.
+        undo: takes it back; raises DyKnowError.
+    """
+
+    what: str
+    subject: str
+    do: Callable[[], object]
+    undo: Callable[[], object]
+
+
+class StepFailed(DyKnowError):
+    """A step failed, and those before it were taken back.
+
+    Attributes:
+        error: why it failed.
+        troubles: steps that could not be taken back, in words; empty if all is as it was.
+    """
+
+    def __init__(self, step: ReversibleStep, error: DyKnowError, troubles: List[str]) -> None:
+        words = [f"{step.what}: {error}", *(troubles or ["everything is as it was"])]
+        super().__init__("; ".join(words))
+        self.error = error
+        self.troubles = tuple(troubles)
+
+
+def carry_out(
+    steps: Sequence[ReversibleStep], keep_going: bool = False
+) -> List[Tuple[ReversibleStep, DyKnowError]]:
+    """Do the steps in order.
+
+    Args:
+        steps: What to do.
+        keep_going: Go on after a step that failed, and leave what was done.
+
+    Returns:
+        The steps that failed, and why; none unless `keep_going`.
+
+    Raises:
+        StepFailed: A step failed.
+    """
+    done: List[ReversibleStep] = []
+    failed: List[Tuple[ReversibleStep, DyKnowError]] = []
+    for step in steps:
+        try:
+            step.do()
+            done.append(step)
+        except DyKnowError as error:
+            if not keep_going:
+                # What was refused was not done; what was not answered may have been.
+                maybe = [] if isinstance(error, Refused) else [step]
+                raise StepFailed(step, error, _take_back(done, maybe)) from error
+            failed.append((step, error))
+        except BaseException:
+            _take_back(done, [step])
+            raise
+    return failed
+
+
+def _take_back(done: List[ReversibleStep], maybe: List[ReversibleStep]) -> List[str]:
+    """Take steps back, the last first; return in words which could not be.
+
+    Args:
+        done: Steps that were done.
+        maybe: The step that may have been done: if taking it back is refused, it was not.
+    """
+    troubles = []
+    for step in [*maybe, *reversed(done)]:
+        try:
+            step.undo()
+        except DyKnowError as error:
+            if not (step in maybe and isinstance(error, Refused)):
+                troubles.append(f"{step.what} could not be taken back: {error}")
+    return troubles
