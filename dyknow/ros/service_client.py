@@ -1,30 +1,27 @@
 """A service client in which every step has a time limit.
 
 rospy's ServiceProxy has none: a call to a stopped process blocks for as long as that stays
-stopped. This one speaks the service protocol of TCPROS on a socket of its own. It also hands on
-the words of a service that fails as they were said.
+stopped. This one speaks TCPROS on a connection of its own. It also hands on the words of a service
+that fails as they were said.
 """
 
 from __future__ import annotations
 
 import contextlib
 import socket
-import struct
 import time
 from io import BytesIO
-from typing import Any, Optional
+from typing import Any, Dict, Optional, Tuple
 
 import rosgraph.network
 
 from dyknow.errors import HostError, PeerTimeout
 from dyknow.locks import assert_no_state_lock, turn_lock
-from dyknow.ros.addresses import connect
 from dyknow.ros.master import Master
+from dyknow.ros.tcpros import TcprosConnection
 
 #: Seconds in which a connection has to be there.
 CONNECT_TIMEOUT = 2.0
-_LENGTH = struct.Struct("<I")
-_CHUNK = 1 << 16
 #: What rospy's services put before the words of their handlers.
 _PREFIX = "service cannot process request: "
 
@@ -70,17 +67,18 @@ class ServiceClient:
         #: Where the service was found last; another process has another address.
         self.address = ""
         self._turn = turn_lock("service client")
-        self._socket: Optional[socket.socket] = None
-        self._owed = False
+        self._connection: Optional[TcprosConnection] = None
+        self._owed = False  # an answer that came too late for its call
 
     def call(self, timeout: float, *args: Any, **kwds: Any) -> Any:
         """Call the service and return its response.
 
-        A persistent client whose last call was not answered in time does not ask again before
-        that answer has come: a hung server costs its clients nothing.
+        A persistent client whose last call was not answered in time asks again only after that
+        answer has come. Until then its calls fail at once, so a server that hangs holds up the
+        first call alone.
 
         Args:
-            timeout: seconds for all of it.
+            timeout: seconds for all of it, the wait for the calls of other threads included.
             args: fields of the request, or the request itself.
             kwds: fields of the request.
 
@@ -93,20 +91,21 @@ class ServiceClient:
         request_class = self._class._request_class
         is_request = len(args) == 1 and isinstance(args[0], request_class)
         request = args[0] if is_request else request_class(*args, **kwds)
+        deadline = time.monotonic() + timeout
         buffer = BytesIO()
         request.serialize(buffer)
         if not self._persistent:
-            return self._call_once(buffer.getvalue(), time.monotonic() + timeout, timeout)
+            return self._call_once(buffer.getvalue(), deadline, timeout)
         if not self._turn.acquire(timeout=timeout):
             raise PeerTimeout(f"service {self.name}", timeout)
         try:
-            return self._call_kept(buffer.getvalue(), time.monotonic() + timeout, timeout)
+            return self._call_kept(buffer.getvalue(), deadline, timeout)
         finally:
             self._turn.release()
 
     def close(self) -> None:
         """Close the connection; the next call opens another."""
-        connection, self._socket = self._socket, None
+        connection, self._connection = self._connection, None
         self._owed = False
         if connection is not None:
             connection.close()
@@ -116,7 +115,8 @@ class ServiceClient:
     def _call_once(self, body: bytes, deadline: float, timeout: float) -> Any:
         try:
             with contextlib.closing(self._connect(deadline)) as connection:
-                return self._exchange(connection, body, deadline)
+                connection.send_frame(body, deadline)
+                return self._response(*connection.receive_answer(deadline))
         except socket.timeout as error:
             raise PeerTimeout(f"service {self.name}", timeout) from error
         except OSError as error:
@@ -124,18 +124,15 @@ class ServiceClient:
 
     def _call_kept(self, body: bytes, deadline: float, timeout: float) -> Any:
         for attempt in (1, 2):
-            fresh = self._socket is None
+            fresh = self._connection is None
             try:
-                if self._socket is None:
-                    self._socket = self._connect(deadline)
-                if self._owed:
-                    self._drop_late_answer(self._socket)
-                self._owed = True
-                return self._exchange(self._socket, body, deadline)
+                if self._connection is None:
+                    self._connection = self._connect(deadline)
+                return self._response(*self._exchange(self._connection, body, deadline))
             except ServiceFailed:
                 raise
             except socket.timeout as error:
-                if not self._owed:
+                if not self._owed:  # part of a request cannot be taken back
                     self.close()
                 raise PeerTimeout(f"service {self.name}", timeout) from error
             except OSError as error:
@@ -147,9 +144,23 @@ class ServiceClient:
                 raise
         raise AssertionError("not reached")
 
-    def _drop_late_answer(self, connection: socket.socket) -> None:
-        with contextlib.suppress(ServiceFailed):
-            self._receive(connection, time.monotonic() + 0.001)
+    def _exchange(
+        self, connection: TcprosConnection, body: bytes, deadline: float
+    ) -> Tuple[bool, bytes]:
+        if self._owed:
+            connection.receive_answer(time.monotonic())
+            self._owed = False
+        connection.send_frame(body, deadline)
+        self._owed = True
+        answer = connection.receive_answer(deadline)
+        self._owed = False
+        return answer
+
+    def _response(self, succeeded: bool, body: bytes) -> Any:
+        if succeeded:
+            return self._class._response_class().deserialize(body)
+        text = body.decode("utf-8", "replace")
+        raise ServiceFailed(text[len(_PREFIX) :] if text.startswith(_PREFIX) else text)
 
     def _find(self) -> str:
         """Ask the master for the address; while that is away the last one serves."""
@@ -164,63 +175,26 @@ class ServiceClient:
                 raise
             return self.address
 
-    def _connect(self, deadline: float) -> socket.socket:
+    def _connect(self, deadline: float) -> TcprosConnection:
         self.address = self._find()
         uri = self.address.replace("rosrpc://", "http://")
         host, port = rosgraph.network.parse_http_host_and_port(uri)
         seconds = max(0.001, min(deadline - time.monotonic(), CONNECT_TIMEOUT))
-        connection = connect(host, port, seconds)
+        connection = TcprosConnection(host, port, seconds)
         try:
-            self._shake_hands(connection, deadline)
+            answer = connection.shake_hands(self._header(), deadline)
+            if "error" in answer:
+                raise ServiceLost(f"service {self.name}: {answer['error']}")
         except BaseException:
             connection.close()
             raise
         return connection
 
-    def _shake_hands(self, connection: socket.socket, deadline: float) -> None:
+    def _header(self) -> Dict[str, str]:
         header = {
             "service": self.name,
             "md5sum": self._class._md5sum,
             "type": self._class._type,
             "callerid": self._master.caller,
         }
-        if self._persistent:
-            header["persistent"] = "1"
-        rosgraph.network.write_ros_handshake_header(connection, header)
-        answer = rosgraph.network.decode_ros_handshake_header(
-            self._framed(connection, deadline, with_length=True)
-        )
-        if "error" in answer:
-            raise ServiceLost(f"service {self.name}: {answer['error']}")
-
-    def _exchange(self, connection: socket.socket, body: bytes, deadline: float) -> Any:
-        connection.settimeout(max(0.001, deadline - time.monotonic()))
-        connection.sendall(_LENGTH.pack(len(body)) + body)
-        return self._class._response_class().deserialize(self._receive(connection, deadline))
-
-    def _receive(self, connection: socket.socket, deadline: float) -> bytes:
-        succeeded = self._exactly(connection, 1, deadline) != b"\0"
-        self._owed = False  # half an answer cannot be waited for later: the connection is closed
-        body = self._framed(connection, deadline)
-        if not succeeded:
-            text = body.decode("utf-8", "replace")
-            raise ServiceFailed(text[len(_PREFIX) :] if text.startswith(_PREFIX) else text)
-        return body
-
-    def _framed(
-        self, connection: socket.socket, deadline: float, with_length: bool = False
-    ) -> bytes:
-        length = self._exactly(connection, _LENGTH.size, deadline)
-        body = self._exactly(connection, _LENGTH.unpack(length)[0], deadline)
-        return length + body if with_length else body
-
-    @staticmethod
-    def _exactly(connection: socket.socket, count: int, deadline: float) -> bytes:
-        parts = bytearray()
-        while len(parts) < count:
-            connection.settimeout(max(0.001, deadline - time.monotonic()))
-            part = connection.recv(min(_CHUNK, count - len(parts)))
-            if not part:
-                raise ConnectionResetError("the server closed the connection")
-            parts += part
-        return bytes(parts)
+        return {**header, "persistent": "1"} if self._persistent else header

@@ -1,0 +1,81 @@
+"""TCPROS connections of our own, in which every step has a time limit (rospy's have none).
+
+What TCPROS sends is framed: four bytes that count, and what they count. A connection begins with a
+frame of header fields in each direction.
+"""
+
+from __future__ import annotations
+
+import struct
+import time
+from typing import Dict, Tuple
+
+import rosgraph.network
+
+from dyknow.ros.addresses import connect
+
+_LENGTH = struct.Struct("<I")
+_CHUNK = 1 << 16
+_LEAST_WAIT = 0.001
+
+
+class TcprosConnection:
+    """The side that connects. Deadlines are moments of the steady clock.
+
+    All methods but ``close`` raise ``socket.timeout`` when the deadline passes, and OSError when
+    the connection breaks. What has come by then is kept: the next call goes on there.
+    """
+
+    def __init__(self, host: str, port: int, seconds: float) -> None:
+        """Connect within ``seconds``."""
+        self._socket = connect(host, port, seconds)
+        self._received = bytearray()
+
+    def shake_hands(self, fields: Dict[str, str], deadline: float) -> Dict[str, str]:
+        """Send the fields of the header, and return those of the other side."""
+        self._limit(deadline)
+        rosgraph.network.write_ros_handshake_header(self._socket, fields)
+        header = self.receive_frame(deadline)
+        answer: Dict[str, str] = rosgraph.network.decode_ros_handshake_header(
+            _LENGTH.pack(len(header)) + header
+        )
+        return answer
+
+    def send_frame(self, body: bytes, deadline: float) -> None:
+        """Send a frame."""
+        self._limit(deadline)
+        self._socket.sendall(_LENGTH.pack(len(body)) + body)
+
+    def receive_frame(self, deadline: float) -> bytes:
+        """Return what the next frame holds."""
+        return self._receive(0, deadline)[1]
+
+    def receive_answer(self, deadline: float) -> Tuple[bool, bytes]:
+        """Return what a service answers: whether it succeeded, and the frame after that."""
+        succeeded, body = self._receive(1, deadline)
+        return succeeded != b"\0", body
+
+    def close(self) -> None:
+        """Disconnect."""
+        self._socket.close()
+
+    def _receive(self, before: int, deadline: float) -> Tuple[bytes, bytes]:
+        """Return so many bytes and the frame after them, both once they are there."""
+        start = before + _LENGTH.size
+        self._fill(start, deadline)
+        end = start + _LENGTH.unpack_from(self._received, before)[0]
+        self._fill(end, deadline)
+        first, body = bytes(self._received[:before]), bytes(self._received[start:end])
+        del self._received[:end]
+        return first, body
+
+    def _fill(self, count: int, deadline: float) -> None:
+        while len(self._received) < count:
+            self._limit(deadline)
+            part = self._socket.recv(_CHUNK)
+            if not part:
+                raise ConnectionResetError("the other side closed the connection")
+            self._received += part
+
+    def _limit(self, deadline: float) -> None:
+        self._socket.settimeout(max(_LEAST_WAIT, deadline - time.monotonic()))
