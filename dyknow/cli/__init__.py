@@ -1,1 +1,1 @@
-"""The command lines of `rosrun dyknow ...`; what they do is in the layers below."""
+"""The command lines of `rosrun dyknow ...`; the layers below do the work."""

@@ -16,7 +16,7 @@ DEFAULT_MANAGER = "/dyknow_manager"
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser that tells an error in one line and ends with exit code 2."""
+    """A parser that reports an error in one line and exits with code 2."""
 
     def error(self, message: str) -> NoReturn:
         """Print the error and exit."""
@@ -32,7 +32,7 @@ class PortReference:
     port: str
 
     def __str__(self) -> str:
-        """Write it as it is read."""
+        """Write `NODELET:PORT`."""
         return f"{self.nodelet}:{self.port}"
 
 
@@ -41,7 +41,7 @@ def graph_name(text: str) -> str:
     try:
         if text.startswith("~"):
             raise argparse.ArgumentTypeError(
-                f"'{text}' is private to nobody here; expected a name such as camera or /robot/x"
+                f"'{text}' is a private name; expected a name such as camera or /robot/x"
             )
         return names.check(text)
     except InvalidName as error:
@@ -66,7 +66,7 @@ def default_manager() -> str:
 
 
 def namespace(text: str) -> str:
-    """Read a namespace; `/` is one too."""
+    """Read a namespace, which may be `/`."""
     return text if text == "/" else graph_name(text)
 
 
@@ -97,7 +97,7 @@ def port_topic(text: str) -> Tuple[str, str]:
 
 
 def seconds(text: str) -> float:
-    """Read a time that is longer than none."""
+    """Read a duration above zero, in seconds."""
     try:
         value = float(text)
     except ValueError:
@@ -108,12 +108,12 @@ def seconds(text: str) -> float:
 
 
 def seconds_or_none(text: str) -> float:
-    """Read a time that may be none."""
+    """Read a duration of zero or more, in seconds."""
     return 0.0 if text in ("0", "0.0") else seconds(text)
 
 
 def positive(text: str) -> int:
-    """Read a number from 1 on."""
+    """Read an integer of at least 1."""
     if not text.isdecimal() or not int(text):
-        raise argparse.ArgumentTypeError(f"'{text}': expected a number from 1 on")
+        raise argparse.ArgumentTypeError(f"'{text}': expected an integer of at least 1")
     return int(text)

@@ -1,4 +1,4 @@
-"""What a command of `dyknow` is: its words for people, its arguments, and what it does."""
+"""A command of `dyknow`: its help, its arguments, and its function."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ class Command:
     Attributes:
         name: what the user types.
         summary: half a line for the list of commands.
-        description: what it does, for its own help.
+        description: a paragraph for its own help.
         examples: command lines, one a line.
         add_arguments: declares its arguments, besides those that all commands have.
-        run: does it; returns the exit code, None for success. Raises DyKnowError.
-        problem: says what is wrong with arguments that do not go together; empty if nothing is.
+        run: runs the command; returns the exit code, None for success. Raises DyKnowError.
+        problem: returns what is wrong with a combination of arguments, or an empty text.
     """
 
     name: str

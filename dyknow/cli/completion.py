@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from dyknow.ros.shell_client import ShellClient
     from dyknow.ros.views import NodeletView
 
-#: Seconds that each answer may take: nobody waits long after pressing TAB.
+#: Seconds to wait for each answer.
 _TIMEOUT = 0.2
-#: Seconds after which completion is given up: a library of 100,000 labels takes longer.
+#: Seconds after which completion ends without an answer; 100,000 labels would take longer.
 _LIMIT = 1.0
 
 #: What argcomplete calls, with the keywords `prefix`, `action`, `parser` and `parsed_args`.
@@ -89,7 +89,7 @@ class _Cursor:
         return name if name.startswith("/") else names.join(self.client.namespace, name)
 
     def as_typed(self, found: Iterable[str]) -> List[str]:
-        """Leave the manager's namespace out of names if the user has begun so."""
+        """Strip the manager's namespace if the user began with a relative name."""
         if not self.prefix or self.prefix.startswith("/"):
             return list(found)
         space = self.client.namespace.rstrip("/") + "/"

@@ -1,4 +1,4 @@
-"""Connects ports to each other and to topics: all ends as they should be, or as they were."""
+"""Connects ports to each other and to topics; all ends move, or none."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class CannotConnect(DyKnowError):
 
 @dataclass(frozen=True)
 class PortMove:
-    """A port and the topics that it leaves and goes to; empty for none."""
+    """A port, its topic before the move and its topic after it; empty for disconnected."""
 
     port: PortReference
     before: str
@@ -97,7 +97,7 @@ def connect(
     """Connect an out-port to an in-port.
 
     Returns:
-        The topic, and what had to be changed.
+        The topic, and the moves that were made.
 
     Raises:
         CannotConnect: it was refused, and both ports are as they were.
@@ -110,7 +110,7 @@ def connect(
         nodelets = client.nodelets().nodelets
         published = client.published({each.manager for each in nodelets})
         topic = choose_topic(source.nodelet, out, into, nodelets, published)
-    # The reader first: whatever is published on the topic from then on finds it.
+    # The in-port first: it receives the first message that is published on the topic.
     changes = [
         PortMove(reference, port.topic, topic)
         for reference, port in ((target, into), (source, out))
@@ -129,10 +129,10 @@ def connect_to_topic(
         client: the manager and its nodelets.
         reference: the port.
         topic: global name of the topic.
-        direction: what the port has to be.
+        direction: the direction that the port must have.
 
     Returns:
-        What had to be changed.
+        The moves that were made.
 
     Raises:
         CannotConnect: it was refused, and the port is as it was.
@@ -177,7 +177,7 @@ def apply(client: ShellClient, moves: Sequence[PortMove]) -> None:
 
 def _step(client: ShellClient, nodelet: str, moves: Sequence[PortMove]) -> ReversibleStep:
     def move_back() -> None:
-        """Leave ports alone that others have moved meanwhile."""
+        """Move the ports back that nobody else has moved since."""
         present = {port.name: port.topic for port in client.get_config(nodelet)}
         back = {
             each.port.port: each.before

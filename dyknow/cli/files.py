@@ -1,4 +1,4 @@
-"""Writing files so that nobody ever sees half of one."""
+"""Writes files atomically: a reader sees the old contents or the new."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class CannotWrite(DyKnowError):
 
 
 def write_file(path: str, data: bytes) -> None:
-    """Write a file; an existing one is replaced when the new one is complete.
+    """Write a file; an existing one is replaced once the new one is complete.
 
     Raises:
         CannotWrite: with the reason.

@@ -1,4 +1,4 @@
-"""The shapes of what `--json` prints. Programs rely on them: keys may be added, never changed."""
+"""What `--json` prints. Programs rely on it: keys may be added, never changed."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def transformation_json(transformation: Transformation) -> Json:
 
 
 def statistics_json(name: str, statistics: Statistics) -> Json:
-    """What a nodelet has done; times in seconds, the rate in Hz; null where nobody counts."""
+    """The statistics of a nodelet; times in s, rates in Hz, null where nothing is counted."""
     return {
         "nodelet": name,
         "uptime": statistics.uptime,
@@ -90,7 +90,7 @@ def statistics_json(name: str, statistics: Statistics) -> Json:
 
 
 def stream_json(stream: StreamView) -> Json:
-    """A claim; the end of its lease in seconds of ROS time, null for until it is released."""
+    """A claim; its lease ends at `expires`, in seconds of ROS time, or never if that is null."""
     return {
         "claim": stream.claim_id,
         "client": stream.client_id,

@@ -36,7 +36,7 @@ def main(words: Optional[Sequence[str]] = None) -> int:
 
 
 def execute(arguments: argparse.Namespace, shell: Shell) -> int:
-    """Run the command that was parsed and return its exit code; errors become one line each."""
+    """Run the parsed command and return its exit code; an error is printed as one line."""
     try:
         code = all_commands()[arguments.command].run(arguments, shell)
     except ManagerUnreachable as error:
@@ -63,7 +63,7 @@ def _run(words: Sequence[str]) -> int:
         code = execute(arguments, Shell(connect, arguments.json))
         sys.stdout.flush()
     except BrokenPipeError:
-        # Whoever read our words has gone; the interpreter's own flush must not complain about it.
+        # The reader of our output is gone; the interpreter's own flush at exit must not complain.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return BROKEN_PIPE
     return code

@@ -81,5 +81,5 @@ Examples:
 
 
 def asks_for_help(words: Sequence[str]) -> bool:
-    """Whether somebody asks what a node is instead of starting it."""
+    """Whether the words of a command line ask for help."""
     return any(word in ("-h", "--help") for word in words)

@@ -88,7 +88,10 @@ def _run(command: Command, argv: Sequence[str]) -> int:
 
 
 def _end_at_once_when_interrupted() -> None:
-    """Until the node has its own way with signals: what imports a module may lose an exception."""
+    """Let SIGINT end the process until the node handles it.
+
+    A KeyboardInterrupt that is raised during an import may be lost.
+    """
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 

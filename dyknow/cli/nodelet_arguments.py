@@ -39,7 +39,7 @@ parameter. For example:
 
 
 class UsageError(Exception):
-    """The command line is none of those that `USAGE` shows; the text says what is missing."""
+    """The command line is wrong; the text says how."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ Command = Union[Help, RunManager, RunStandalone, LoadNodelet, UnloadNodelet]
 
 
 def parse(arguments: Sequence[str]) -> Command:
-    """Understand a command line.
+    """Parse a command line.
 
     Args:
         arguments: All but the program's name. ROS's own (`a:=b`) may stand anywhere and are left

@@ -18,7 +18,7 @@ from dyknow.cli.command import Command
 from dyknow.cli.commands import GROUPS
 from dyknow.similar import did_you_mean
 
-#: ROS's words for every node; a command is none, and needs neither.
+#: Arguments that roslaunch gives every node; a command ignores them.
 _FROM_ROSLAUNCH = ("__name", "__log")
 _ENVIRONMENT = {
     "__ns": "ROS_NAMESPACE",
@@ -59,7 +59,7 @@ def build_parser() -> Tuple[Parser, Dict[str, Parser]]:
 
 
 def parse(words: Sequence[str]) -> argparse.Namespace:
-    """Understand the words of a command line.
+    """Parse the words of a command line.
 
     Raises:
         SystemExit: help was asked for (0), or the usage is wrong (2).
@@ -84,7 +84,7 @@ def parse(words: Sequence[str]) -> argparse.Namespace:
 
 
 def _without_ros_words(parser: Parser, words: Sequence[str]) -> List[str]:
-    """Leave out what roslaunch gives every program; refuse what would have no effect."""
+    """Drop the arguments that roslaunch adds; refuse others that would have no effect."""
     own = [word for word in words if ":=" not in word]
     command = next((word for word in own if word in all_commands()), "")
     for word in words:
@@ -132,7 +132,7 @@ def _add(chosen: argparse._SubParsersAction[Parser], command: Command) -> Parser
 
 
 def _add_common(parser: argparse.ArgumentParser) -> None:
-    # Without defaults, so that an option before the command is not undone behind it.
+    # Without defaults: those would override an option that stands before the command.
     group = parser.add_argument_group("options of every command")
     group.add_argument(
         "--json",

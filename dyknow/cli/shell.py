@@ -1,4 +1,4 @@
-"""What a command of the shell works with: the manager's client, and where its words go."""
+"""The environment of a command: the manager's client and the output streams."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ BROKEN_PIPE = 141
 
 
 class Shell:
-    """The surroundings of one command.
+    """The client and the output of one command.
 
     Results go to `out`, as lines or as one JSON value; everything else to `err`, in lines that
     begin with the program's name.
@@ -33,10 +33,10 @@ class Shell:
         out: Optional[TextIO] = None,
         err: Optional[TextIO] = None,
     ) -> None:
-        """Prepare; nobody is asked before a command needs an answer.
+        """Set up the environment; the client is made when it is first needed.
 
         Args:
-            connect: makes the client, when it is first needed.
+            connect: makes the client.
             as_json: print results as JSON.
             out: where results go; by default standard output.
             err: where errors and warnings go; by default standard error.
@@ -67,10 +67,10 @@ class Shell:
                 self.out.write(line + "\n")
 
     def error(self, message: object) -> None:
-        """Tell what went wrong."""
+        """Print an error."""
         self.out.flush()
         self.err.write(f"dyknow: {message}\n")
 
     def warn(self, message: object) -> None:
-        """Tell what may not be meant."""
+        """Print a warning."""
         self.error(f"warning: {message}")

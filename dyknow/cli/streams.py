@@ -1,4 +1,4 @@
-"""How the command line asks for a stream."""
+"""The arguments of a request for a stream."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from dyknow.model.streams import StreamRequest
 
 
 def demand_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what is asked for."""
+    """Declare the arguments."""
     completion.complete_with(
         parser.add_argument(
-            "tag", metavar="TAG", help="what it is about, such as 'FieldPosition(ball)'"
+            "tag", metavar="TAG", help="the tag of the stream, such as 'FieldPosition(ball)'"
         ),
         completion.tags,
     )
@@ -22,7 +22,7 @@ def demand_arguments(parser: argparse.ArgumentParser) -> None:
         "--datatype",
         metavar="TYPE",
         default="",
-        help="the ROS type that it must have, such as geometry_msgs/PointStamped (default: any)",
+        help="the ROS type of the stream, such as geometry_msgs/PointStamped (default: any)",
     )
     completion.complete_with(
         parser.add_argument(
@@ -40,7 +40,7 @@ def demand_arguments(parser: argparse.ArgumentParser) -> None:
 def request_of(
     arguments: argparse.Namespace, lease: float = 0.0, max_silence: float = 0.0
 ) -> StreamRequest:
-    """Make the request that the arguments ask for, in the name of this shell."""
+    """Make the request from the arguments; the client is this process."""
     return StreamRequest(
         tag=arguments.tag,
         datatype=arguments.datatype,

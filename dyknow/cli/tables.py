@@ -10,7 +10,7 @@ def columns(rows: Sequence[Sequence[str]], right: Sequence[int] = ()) -> List[st
 
     Args:
         rows: cells; every row has the same number.
-        right: columns whose cells are to end, not begin, at the same place: numbers.
+        right: columns that are aligned right, such as numbers.
 
     Returns:
         A line for each row.
@@ -28,5 +28,5 @@ def columns(rows: Sequence[Sequence[str]], right: Sequence[int] = ()) -> List[st
 
 
 def count(number: int, thing: str) -> str:
-    """Say how many: `1 nodelet`, `2 nodelets`."""
+    """Write a count: `1 nodelet`, `2 nodelets`."""
     return f"{number} {thing}" + ("" if number == 1 else "s")

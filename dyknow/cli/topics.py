@@ -1,4 +1,4 @@
-"""The computation graph seen from its topics, and as text."""
+"""The computation graph by topics, and as text."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def topics_of(snapshot: ModelView) -> List[Topic]:
 
 
 def list_topics(snapshot: ModelView, topics: Sequence[Topic]) -> Iterator[str]:
-    """Write the graph as lines: each topic with its ends, then what is not connected."""
+    """Write the graph as lines: each topic with its ports, then the disconnected ports."""
     for topic in topics:
         yield f"{topic.name} [{topic.datatype or 'unknown type'}]"
         for source in topic.sources:

@@ -1,4 +1,4 @@
-"""Short looks at a nodelet as the manager shows it."""
+"""Small questions about a nodelet of the model."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ if TYPE_CHECKING:
 
 
 def state_of(nodelet: NodeletView) -> str:
-    """Its state in a word: `starting`, `running`, `lost` or `failed`."""
+    """Return its state: `starting`, `running`, `lost` or `failed`."""
     return nodelet.state.name.lower()
 
 
 def unknown_nodelet(name: str, model: ModelView) -> str:
-    """Say that there is no such nodelet, and which similar ones there are."""
+    """Write that there is no such nodelet, with similar names."""
     known = [nodelet.name for nodelet in model.nodelets]
     hint = did_you_mean(name, known) or "; see 'dyknow list'"
     return f"no nodelet named '{name}' runs{hint}"
 
 
 def shows(model: ModelView, wanted: Mapping[str, Mapping[str, str]]) -> bool:
-    """Whether the model has these topics at these ports, nodelet by nodelet."""
+    """Whether the model shows these connections: topics by port, by nodelet."""
     for name, topics in wanted.items():
         nodelet = model.nodelet(name)
         if nodelet is None:

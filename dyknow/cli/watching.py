@@ -1,4 +1,4 @@
-"""Showing something again and again: in place on a terminal, one after the other elsewhere."""
+"""Repeated output: in place on a terminal, one after the other elsewhere."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ _CLEAR_BELOW = "\x1b[J"
 
 
 class Screen:
-    """Where values are shown again and again.
+    """Shows a value that changes.
 
-    On a terminal each takes the place of the one before, cut to the window; lines are rewritten
-    without clearing first, so that nothing flickers. Otherwise an empty line separates them; as
-    JSON each is one line.
+    On a terminal each value replaces the one before, cut to the window; lines are rewritten
+    without clearing the screen, so that nothing flickers. Elsewhere an empty line separates
+    values; as JSON each is one line.
     """
 
     def __init__(self, shell: Shell, period: float) -> None:

@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from dyknow.ros.shell_client import EventReader
     from dyknow.ros.stream_views import StreamEventView, StreamView
 
-#: Seconds that a held claim outlives a command that was killed.
+#: Seconds that a claim outlives a command that was killed.
 _LEASE = 10.0
 _RENEWAL = 3.0
-#: Seconds until a manager that did not answer is asked again.
+#: Seconds before a manager that did not answer is asked again.
 _RETRY = 1.0
 
 
@@ -34,20 +34,20 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         metavar="SECONDS",
         type=seconds,
         default=0.0,
-        help="how long the stream may be silent before a part counts as broken "
-        "(default: only parts that died do)",
+        help="how long the stream may be silent before it is repaired "
+        "(default: repair only what died)",
     )
     parser.add_argument(
         "--wait",
         action="store_true",
-        help="do not give up if it cannot be made now: it is made when it can",
+        help="wait if the stream cannot be made now, until it can",
     )
     parser.add_argument(
         "--lease",
         metavar="SECONDS",
         type=seconds_or_none,
         default=None,
-        help="do not hold it, but leave a claim that ends after so long (0: by 'release')",
+        help="do not hold the stream: leave a claim that lasts so long (0: until 'release')",
     )
 
 
@@ -57,11 +57,11 @@ def _acquire(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
         shell.show(stream_json(claim), _describe(claim))
         return None
     signal.signal(signal.SIGTERM, _interrupt)
-    events = shell.client.stream_events()  # before the claim is made, so that none is missed
+    events = shell.client.stream_events()  # before the claim is made: no event is missed
     try:
         claim = _ask(arguments, shell, _LEASE)
     except BaseException:
-        events.close()  # a claim that is made all the same ends with its lease
+        events.close()  # if the claim was made nevertheless, it ends with its lease
         raise
     holding = _Holding(shell, claim.claim_id, events)
     try:
@@ -96,7 +96,7 @@ def _ask(arguments: argparse.Namespace, shell: Shell, lease: float) -> StreamVie
 
 
 class _Holding:
-    """Renews a lease and tells what happens, until the claim ends."""
+    """Renews a lease and prints the events of a claim until it ends."""
 
     def __init__(self, shell: Shell, claim_id: str, events: EventReader) -> None:
         self._shell = shell
@@ -104,11 +104,11 @@ class _Holding:
         self._events: Optional[EventReader] = events
 
     def run(self) -> int:
-        """Hold it; returns the exit code once it has ended."""
+        """Hold the claim until it ends; returns the exit code."""
         renewal = time.monotonic()  # at once: the connection that this makes needs the master
         while True:
             event = self._next_event(renewal - time.monotonic())
-            if event is not None and event.before is not None:  # that it is new was said
+            if event is not None and event.before is not None:  # its first state was printed
                 line = f"{event.after.state.name.lower()}: {event.reason}"
                 _say(self._shell, event_json(event), [f"{_clock(event.stamp)} {line}"])
                 if event.after.state.ended:
@@ -121,7 +121,7 @@ class _Holding:
                     return FAILED
 
     def close(self) -> None:
-        """Listen no more."""
+        """Stop listening."""
         if self._events is not None:
             self._events.close()
             self._events = None
@@ -154,7 +154,7 @@ class _Holding:
                     if claim.claim_id == self._claim_id:
                         _say(self._shell, stream_json(claim), _describe(claim))
         except ManagerUnreachable:
-            return False  # it was said when the connection broke; the claim waits in its store
+            return False  # reported when the connection broke; the manager stores the claim
         return True
 
 
@@ -169,7 +169,7 @@ def _describe(claim: StreamView) -> Iterable[str]:
 
 
 def _say(shell: Shell, value: Any, lines: Iterable[str]) -> None:
-    """Show something at once; as JSON each is one line, since more will follow."""
+    """Print and flush; as JSON, one line for each value."""
     for line in [json.dumps(value)] if shell.as_json else lines:
         shell.out.write(line + "\n")
     shell.out.flush()
@@ -187,8 +187,8 @@ COMMANDS = (
     Command(
         "acquire",
         "ask for a stream and hold it",
-        "Ask for a stream by what it is about. What is missing is spawned and connected, and kept "
-        "up as long as the command runs; each change of its state is told. Ctrl-C releases it.",
+        "Ask for a stream by its tag. Missing nodelets are spawned and connected, and maintained "
+        "while the command runs; each change of state is printed. Ctrl-C releases the stream.",
         "dyknow acquire 'FieldPosition(ball)'\n"
         "dyknow acquire 'Undistorted(?camera)' --datatype sensor_msgs/Image --max-silence 1\n"
         "dyknow acquire 'FieldPosition(ball)' --wait --json\n"

@@ -103,8 +103,8 @@ COMMANDS = (
     Command(
         "check",
         "check specification files without a manager",
-        "Find everything that is wrong with specification files, with file and line. No manager "
-        "and no master is needed. Ends with 1 if there are problems; warnings are no problems.",
+        "Find all problems of specification files, with file and line, without a manager or a "
+        "master. The exit code is 1 if there are problems; warnings are none.",
         "dyknow check cameras.xml\ndyknow check --ontology soccer.owl *.xml",
         _check_arguments,
         _check,

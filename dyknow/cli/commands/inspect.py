@@ -111,7 +111,7 @@ def _describe(nodelet: NodeletView, snapshot: ModelView) -> Iterator[str]:
 
 
 def _ends(snapshot: ModelView) -> _Ends:
-    """Who is connected to each topic: direction, nodelet and port."""
+    """The ports on each topic: direction, nodelet and port."""
     ends: _Ends = {}
     for nodelet in snapshot.nodelets:
         for port in nodelet.ports:
@@ -132,7 +132,7 @@ COMMANDS = (
     ),
     Command(
         "info",
-        "show nodelets, their ports and whom these are connected to",
+        "show nodelets, their ports and connections",
         "Show nodelets: transformation, manager, state, and each port with its type, topic, "
         "tags and the ports at the other end.",
         "dyknow info camera\ndyknow info camera undistort\ndyknow info camera --json",

@@ -106,7 +106,7 @@ def _read(file: str) -> str:
 
 
 def _explain(file: str, error: Exception) -> str:
-    """Say what is wrong with a file."""
+    """Print the problems of a file."""
     if isinstance(error, OSError):
         return f"{file}: cannot be read: {error.strerror}"
     if isinstance(error, UnicodeDecodeError):
@@ -115,7 +115,7 @@ def _explain(file: str, error: Exception) -> str:
 
 
 def _named(file: str, words: str) -> str:
-    """Put the file's name where the manager, which does not know it, says `specification`."""
+    """Replace `specification`, the manager's name for it, by the name of the file."""
     return re.sub(r"^specification(?=:)", lambda _: file, words, flags=re.MULTILINE)
 
 

@@ -26,7 +26,7 @@ def _spawn_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("name", metavar="NAME", type=graph_name, help="its name")
     parser.add_argument(
-        "--protected", action="store_true", help="let nobody destroy it before 'unprotect'"
+        "--protected", action="store_true", help="refuse to destroy it before 'unprotect'"
     )
     parser.add_argument("--isolated", action="store_true", help="give it a process of its own")
     completion.complete_with(
@@ -70,7 +70,7 @@ def _spawn(arguments: argparse.Namespace, shell: Shell) -> None:
     )
     shell.client.wait_for_model(lambda model: _runs(model, name))
     nodelet = shell.client.nodelets().nodelet(name)
-    if nodelet is None:  # destroyed by somebody else in the meantime
+    if nodelet is None:  # it was destroyed in the meantime
         shell.show({"name": name}, [f"spawned {name}"])
         return
     connections = [f"  {port} - {topic}" for port, topic in connections_of(nodelet).items()]
@@ -114,7 +114,7 @@ def _unprotect(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
 def _each(
     shell: Shell, names: Sequence[str], act: Callable[[str], None], done: str
 ) -> Optional[int]:
-    """Act on every nodelet; one that is refused does not keep the others from it."""
+    """Act on every nodelet, also after one was refused."""
     acted: List[str] = []
     failed: List[Dict[str, Any]] = []
     for name in map(shell.resolve, names):
@@ -134,9 +134,9 @@ def _each(
 COMMANDS = (
     Command(
         "spawn",
-        "make a nodelet of a transformation",
-        "Make a nodelet of a transformation. When the command ends with 0 the nodelet runs and "
-        "is connected; otherwise nothing is left of it.",
+        "make a nodelet from a transformation",
+        "Make a nodelet from a transformation. If the exit code is 0, the nodelet runs and is "
+        "connected; otherwise nothing of it is left.",
         "dyknow spawn relay slow\n"
         "dyknow spawn 'undistort(cam1)' /cam1/undistort --protected\n"
         "dyknow spawn relay slow --connect in:/camera/image out:/slow/image\n"

@@ -74,8 +74,8 @@ def _load_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--replace",
         action="store_true",
-        help="replace transformations that the library has otherwise, and make nodelets anew that "
-        "were made otherwise (default: refuse)",
+        help="replace transformations that differ, and make nodelets again that were made "
+        "differently (default: refuse)",
     )
     parser.add_argument(
         "--any-manager",
@@ -135,7 +135,7 @@ def _read(file: str) -> Wiring:
 
 
 def _wait(shell: Shell, plan: Plan) -> None:
-    """Let the manager see what was re-wired, so that the next command does too."""
+    """Wait until the model shows the new connections, so that the next command sees them."""
     moved = {kept.wanted.name: kept.moves for kept in plan.kept if kept.moves}
     if moved and not shell.client.wait_for_model(lambda model: shows(model, moved)):
         shell.warn("done, but the manager's model does not show all of it yet")
@@ -199,10 +199,10 @@ COMMANDS = (
     Command(
         "load",
         "load a saved wiring",
-        "Make what runs as a saved wiring says. The file is checked completely before anything is "
-        "changed. Nodelets that run already are kept, and connected and protected as the file "
-        "says; with --replace those that were made otherwise are made anew. Those that it does "
-        "not name are left alone. When a step fails, what was done is undone.",
+        "Load a saved wiring. The whole file is checked before anything is changed. Running "
+        "nodelets that it names are kept, and connected and protected as it says; with "
+        "--replace those that were made differently are made again. Other nodelets are left "
+        "alone. When a step fails, the steps before it are undone.",
         "dyknow load robot.xml\ndyknow load robot.xml --dry-run\n"
         "dyknow load robot.xml --keep-going --any-manager",
         _load_arguments,

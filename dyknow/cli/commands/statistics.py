@@ -1,4 +1,4 @@
-"""`stats`: what goes through the ports."""
+"""`stats`: the traffic of the ports."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 _WORKERS = 16
 _PERIOD = 1.0
 
-#: What a nodelet has done, or why it does not say.
+#: The statistics of a nodelet, or the error.
 Answer = Union["Statistics", DyKnowError]
 
 
@@ -42,10 +42,10 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         type=seconds,
         nargs="?",
         const=_PERIOD,
-        help=f"show again and again, every {_PERIOD:g} s unless told otherwise, until Ctrl-C",
+        help=f"repeat every SECONDS (default: {_PERIOD:g}) until Ctrl-C",
     )
     parser.add_argument(
-        "-n", "--count", metavar="N", type=positive, help="with --watch: show so often, then end"
+        "-n", "--count", metavar="N", type=positive, help="with --watch: end after N times"
     )
 
 
@@ -93,7 +93,7 @@ def _present(shell: Shell, names: Sequence[str]) -> List[str]:
 
 
 def _ask(shell: Shell, names: Sequence[str]) -> Dict[str, Answer]:
-    """Ask all nodelets at once: one that hangs does not delay the others' answers."""
+    """Ask all nodelets at the same time: one that hangs does not delay the others."""
 
     def ask(name: str) -> Tuple[str, Answer]:
         try:
@@ -118,7 +118,7 @@ def _json(answers: Dict[str, Answer]) -> dict[str, object]:
 
 
 def table(answers: Dict[str, Answer]) -> List[str]:
-    """Write what went through each port, a line for each; times in milliseconds."""
+    """Write a line of statistics for each port; times in milliseconds."""
     rows = [("NODELET", "PORT", "", "HZ", "MESSAGES", "DROPPED", "MEAN", "MAX", "ERRORS", "TOPIC")]
     for name, answer in answers.items():
         if isinstance(answer, DyKnowError):
@@ -157,9 +157,9 @@ COMMANDS = (
     Command(
         "stats",
         "show the rates of the ports",
-        "Show what goes through the ports: rate in Hz, messages and drops since the nodelet was "
-        "loaded, mean and longest time of an in-port's callbacks in ms, and errors of the "
-        "nodelet's callbacks.",
+        "Show the traffic of the ports: rate in Hz, messages and drops since the nodelet was "
+        "loaded, mean and longest callback of an in-port in ms, and the number of callback "
+        "errors of the nodelet.",
         "dyknow stats\ndyknow stats camera undistort\ndyknow stats --watch\n"
         "dyknow stats --watch 0.5 --count 10 --json",
         _arguments,

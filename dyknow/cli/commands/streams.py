@@ -1,4 +1,4 @@
-"""`plan`, `streams`, `release` and `replan`: streams on request, one question or change each."""
+"""`plan`, `streams`, `release` and `replan`: streams on request."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ def _replan_arguments(parser: argparse.ArgumentParser) -> None:
         completion.claims,
     )
     parser.add_argument(
-        "-n", "--dry-run", action="store_true", help="show the way only, change nothing"
+        "-n", "--dry-run", action="store_true", help="show the plan, change nothing"
     )
 
 
@@ -150,8 +150,8 @@ COMMANDS = (
     Command(
         "plan",
         "explain how a stream would be made",
-        "Explain how a stream would be made now: what would be spawned, what is used as it is, "
-        "at which cost. Nothing is changed.",
+        "Explain how a stream would be made now: what would be spawned, what would be reused, "
+        "and the cost. Nothing is changed.",
         "dyknow plan 'FieldPosition(ball)'\n"
         "dyknow plan 'BallObject(?robot)' --exclude bottom_camera\n"
         "dyknow plan 'FieldPosition(ball)' --dot | dot -Tsvg -o plan.svg",
@@ -160,8 +160,8 @@ COMMANDS = (
     ),
     Command(
         "streams",
-        "list the streams that are claimed",
-        "List the claims: what was asked for, whether it flows, where, and what there is to say.",
+        "list the claimed streams",
+        "List the claims: tag, state, topic and details.",
         "dyknow streams\ndyknow streams -l --all\n"
         "dyknow streams --json | jq -r '.streams[] | select(.state != \"active\") | .detail'",
         _streams_arguments,
@@ -170,7 +170,7 @@ COMMANDS = (
     Command(
         "release",
         "end claims",
-        "End claims. Nodelets that were made for them and that nobody needs any more are "
+        "End claims. Nodelets that were made for them and that no other claim needs are "
         "destroyed after some seconds.",
         "dyknow release 3f0c1a2b4d5e",
         _claims_argument,
@@ -178,8 +178,8 @@ COMMANDS = (
     ),
     Command(
         "replan",
-        "take the way for a stream that is the cheapest now",
-        "Take the way for a claimed stream that is the cheapest now. Its topic stays.",
+        "switch a stream to the cheapest plan",
+        "Switch a claimed stream to the plan that is the cheapest now. Its topic stays.",
         "dyknow replan 3f0c1a2b4d5e --dry-run\ndyknow replan 3f0c1a2b4d5e",
         _replan_arguments,
         _replan,

@@ -1,4 +1,4 @@
-"""`tags`: what streams can be asked for."""
+"""`tags`: the streams that can be asked for."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @dataclass
 class _Supply:
-    """Who supplies a tag: transformations by label, nodelets that run, and the types."""
+    """The suppliers of a tag: labels of transformations, running nodelets, and ROS types."""
 
     transformations: Set[str] = field(default_factory=set)
     nodelets: Set[str] = field(default_factory=set)
@@ -79,9 +79,9 @@ def _supplied(model: ModelView) -> Dict[str, _Supply]:
 COMMANDS = (
     Command(
         "tags",
-        "list the tags that streams can be asked for by",
-        "List the tags of out-ports: their types, the transformations that supply them, and the "
-        "nodelets that run and supply them now.",
+        "list the tags of streams",
+        "List the tags of out-ports: their types, the transformations and the running nodelets "
+        "that supply them.",
         "dyknow tags\ndyknow tags ball\ndyknow tags --json | jq -r '.tags[].tag'",
         _arguments,
         _tags,

@@ -1,4 +1,4 @@
-"""`connect` and `disconnect`: which topics the ports are on."""
+"""`connect` and `disconnect`: the topics of ports."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ def _resolved(shell: Shell, reference: PortReference) -> PortReference:
 
 
 def _wait(shell: Shell, changes: Sequence[PortMove]) -> None:
-    """Let the manager see the change, so that the next command does too."""
+    """Wait until the model shows the change, so that the next command sees it."""
     wanted: Dict[str, Dict[str, str]] = {}
     for change in changes:
         wanted.setdefault(change.port.nodelet, {})[change.port.port] = change.after

@@ -1,1 +1,1 @@
-"""What can run: transformations, as people write them, and the ontologies that they name."""
+"""Transformation specifications, and the ontologies that they name."""

@@ -1,4 +1,4 @@
-"""From drafts without variables to transformations: the checks that no grammar can make."""
+"""Makes transformations from drafts, with the checks that a grammar cannot make."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _COST = re.compile(r"\+?[0-9]+\Z")
 
 
 class Builder:
-    """Builds the transformations of one text; their labels have to differ."""
+    """Builds the transformations of one text; their labels must differ."""
 
     def __init__(self, findings: Findings, limits: SpecificationLimits) -> None:
         self._findings = findings
@@ -35,8 +35,8 @@ class Builder:
         """Check a draft and make the transformation.
 
         Returns:
-            The transformation, which is to be used only if no problem was noted; None if the
-            draft has no label or source.
+            The transformation, to be used only if no problem was noted; None if the draft has
+            no label or source.
         """
         self._check_label(draft)
         self._check_source(draft)
@@ -129,7 +129,7 @@ class Builder:
             self._good_yaml.add(text)
 
     def check_template(self, draft: TransformationDraft) -> None:
-        """Check what can be checked of a template that cannot be expanded: ports and tags."""
+        """Check the ports and tags of a template that cannot be expanded."""
         self._ports(draft, is_template=True)
 
     def _ports(self, draft: TransformationDraft, is_template: bool = False) -> Tuple[Port, ...]:
@@ -218,7 +218,7 @@ class Builder:
 
 @lru_cache(maxsize=4096)
 def _name_trouble(name: str) -> Tuple[str, str]:
-    """Say what is wrong and what is doubtful about a name; both empty if it is a ROS name."""
+    """Return what is wrong and what is doubtful about a name; empty texts for a ROS name."""
     if not name:
         return "is empty", ""
     if name.split() != [name]:

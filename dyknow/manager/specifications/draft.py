@@ -90,7 +90,7 @@ class TransformationDraft:
         self.has_variables = False
 
     def texts(self) -> Iterator[Tuple[str, int]]:
-        """Every text in which variables are substituted, with its line."""
+        """The texts in which variables are substituted, with their lines."""
         yield self.cost, self.line
         yield self.label or "", self.label_line
         yield self.source or "", self.source_line
@@ -105,7 +105,7 @@ class TransformationDraft:
             yield tag.text, tag.line
 
     def map(self, render: Callable[[str], str]) -> TransformationDraft:
-        """Make the draft in which each of `texts` is replaced by what `render` makes of it."""
+        """Make a copy in which every one of `texts` is rendered."""
         made = TransformationDraft(self.line)
         made.type = self.type
         made.cost = render(self.cost)

@@ -1,7 +1,7 @@
-"""Refuses RDF/XML whose entities would grow into far more text than the file has.
+"""Refuses RDF/XML whose entities would expand to far more text than the file has.
 
-Editors of ontologies declare entities as shorthands for namespaces, so a DOCTYPE is not refused
-as such. Entities outside the file are left alone: nothing fetches them.
+Editors of ontologies declare entities as shorthands for namespaces, so a DOCTYPE alone is
+accepted. External entities are harmless: nothing fetches them.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ _WIDE = (b"\xff\xfe", b"\xfe\xff", b"\x00<", b"<\x00")
 
 
 class _Begun(Exception):
-    """The first element has begun: no entity is declared any more."""
+    """The first element has begun: entities are only declared before it."""
 
 
 def check_entities(data: bytes, limits: SpecificationLimits) -> None:
-    """Refuse a text before anything in it is expanded.
+    """Refuse a text with dangerous entities before anything is expanded.
 
-    What is not well-formed is left to the parser behind it.
+    A text that is not well-formed passes: the parser that follows refuses it.
 
     Raises:
-        ValueError: its entities contain entities, or expand to more than the limit.
+        ValueError: entities contain entities, or expand to more than the limit.
     """
     sizes = _declared(data)
     if not sizes:

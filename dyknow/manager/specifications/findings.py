@@ -1,6 +1,6 @@
-"""What a parser has found: it goes on after a problem, so that all are told at once.
+"""Collects the problems of a text, so that all are reported at once, and words them.
 
-Messages quote what was found; long texts and long lists are cut to what can be read.
+Messages quote what was found; long texts and long lists are shortened.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dyknow.similar import did_you_mean
 #: Characters of a quoted text, names in a quoted list.
 _TEXT = 60
 _NAMES = 20
-#: More known names than these were written by a program, and no suggestion is made.
+#: No suggestion is made among more known names: a program wrote them.
 _FEW = 100
 
 _MAX_REPETITIONS = 200_000
@@ -21,11 +21,11 @@ _MAX_REPETITIONS = 200_000
 
 
 class EnoughProblems(Exception):
-    """So many problems are known that looking for more helps nobody."""
+    """Reading ends: there are too many problems, or the rest cannot be understood."""
 
 
 class Findings:
-    """Collects the problems and warnings of one text; the same one twice counts once."""
+    """The problems and warnings of one text, each once."""
 
     def __init__(self, file: str, max_problems: int) -> None:
         self._file = file
@@ -39,8 +39,7 @@ class Findings:
         """Note an error.
 
         Raises:
-            EnoughProblems: As many as may be listed were known before this one, or the same
-                ones come again and again.
+            EnoughProblems: The list is full, or the same problems repeat too often.
         """
         problem = Problem(self._file, line, message)
         if problem in self._problems:
@@ -55,7 +54,7 @@ class Findings:
         self._problems[problem] = None
 
     def warning(self, line: int, message: str) -> None:
-        """Note something doubtful that is accepted; beyond the maximum they are dropped."""
+        """Note something doubtful that is accepted; dropped when the list is full."""
         if len(self._warnings) < self._max:
             self._warnings[Problem(self._file, line, message)] = None
 
@@ -80,17 +79,17 @@ class Findings:
 
 
 def shorten(text: str) -> str:
-    """Cut a text to what a message can carry."""
+    """Shorten a text for a message."""
     return text if len(text) <= _TEXT else text[:_TEXT] + "…"
 
 
 def listed(names: Iterable[str]) -> str:
-    """Sort names and write them in a row; `none` if there is none."""
+    """List names, sorted; `none` if there are none."""
     known = sorted(names)
     more = f" and {len(known) - _NAMES} more" if len(known) > _NAMES else ""
     return (", ".join(shorten(name) for name in known[:_NAMES]) or "none") + more
 
 
 def meant(name: str, known: Collection[str]) -> str:
-    """Suggest what may have been meant."""
+    """Suggest a similar name, or return an empty text."""
     return did_you_mean(name, known) if len(known) <= _FEW else ""

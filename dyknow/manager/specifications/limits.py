@@ -1,7 +1,6 @@
-"""How large what is read may be, so that a hostile text cannot take the manager's memory.
+"""Limits of what is read, so that a hostile text cannot exhaust the manager's memory.
 
-What one request may contain besides is limited by ``dyknow.guards.Guards``; the page on security
-lists all limits.
+``dyknow.guards.Guards`` limits requests in general; the page on security lists all limits.
 """
 
 from __future__ import annotations
@@ -11,7 +10,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class SpecificationLimits:
-    """The caps on specifications, wirings and ontologies; each is checked before it would hurt.
+    """The limits of specifications, wirings and ontologies, checked before memory is used.
 
     Attributes:
         text_size: Size of the XML text in bytes.
@@ -43,4 +42,4 @@ class SpecificationLimits:
 
 
 DEFAULT_LIMITS = SpecificationLimits()
-"""The limits of a manager that is told no others."""
+"""The limits of a manager without other settings."""

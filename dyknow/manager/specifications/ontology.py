@@ -1,9 +1,8 @@
-"""Ontologies: the individuals of a class, and what is a kind of what.
+"""Ontologies: the individuals of classes, and the subclass relation.
 
-The files are read once, with rdflib, into plain dictionaries, and never consulted again. Only
-local files are read: `owl:imports` is not followed, and what is imported has to be named too.
-Named classes are read, with their named sub- and superclasses; what a file says besides that is
-told in `warnings`.
+The files are read once, with rdflib, into plain dictionaries. Only local files are read:
+`owl:imports` is not followed, so imported files must be named too. Named classes are read, with
+their named sub- and superclasses; `warnings` lists the statements that are not.
 """
 
 from __future__ import annotations
@@ -32,14 +31,14 @@ _Edges = Dict[str, Set[str]]
 
 
 class Ontology:
-    """What a set of files says about classes and individuals.
+    """The classes and individuals of a set of files.
 
     Classes and individuals are named by their URI or by their `rdfs:label`; those without a
     label also by the last part of their URI. Thus the functor and the arguments of a tag such as
     `BallObject(nao1)` are names.
 
     Attributes:
-        warnings: What the files say that is not read.
+        warnings: The statements of the files that are not read.
     """
 
     def __init__(self, graph: rdflib.Graph, warnings: Sequence[Problem] = ()) -> None:
@@ -57,9 +56,9 @@ class Ontology:
         self._above: Dict[str, FrozenSet[str]] = {}
 
     def individuals(self, concept: str) -> Tuple[str, ...]:
-        """Give the labels of the individuals of a class and of its subclasses.
+        """Return the labels of the individuals of a class and of its subclasses.
 
-        An individual without a label goes by the last part of its URI. Of labels in several
+        An individual without a label is named by the last part of its URI. Of labels in several
         languages the one without a language counts, else the English one, else the first by the
         code of its language.
 
@@ -91,7 +90,7 @@ class Ontology:
         return tuple(sorted(owners))
 
     def unlabelled(self, concept: str) -> Tuple[str, ...]:
-        """Give the URIs of those individuals of a class that go by the last part of them.
+        """Return the URIs of the individuals of a class that have no label.
 
         Raises:
             UnknownConcept: No class has this URI.
@@ -99,7 +98,7 @@ class Ontology:
         return tuple(each for each in self._of(concept) if not self._by_language.get(each))
 
     def is_subsumed(self, supplied: str, demanded: str) -> bool:
-        """Tell whether a supplied functor or argument will do where another is demanded.
+        """Whether a supplied functor or argument satisfies a demanded one.
 
         Args:
             supplied: A label or URI, or a word that the ontology does not know.
@@ -112,13 +111,13 @@ class Ontology:
         return supplied == demanded or demanded in self.names_above(supplied)
 
     def names_above(self, name: str) -> FrozenSet[str]:
-        """Give every name that subsumes a name: what an index of supplied tags is made of.
+        """Return every name that subsumes a name, for an index of supplied tags.
 
         Args:
             name: A label or URI, or a word that the ontology does not know.
 
         Returns:
-            The name itself, and all names of what it names and of the classes above that.
+            The name itself, its synonyms, and the names of the classes above it.
         """
         known = self._above.get(name)
         if known is None:
@@ -141,7 +140,7 @@ class Ontology:
         return sorted(found)
 
     def _terms(self, individual: str) -> List[str]:
-        """Labels in the language that counts, of which there should be one."""
+        """The labels in the preferred language, of which there should be one."""
         by_language = self._by_language.get(individual)
         if by_language:
             return sorted(by_language[min(by_language, key=language_order)])
@@ -203,7 +202,7 @@ def load_ontology(paths: Iterable[str], limits: SpecificationLimits = DEFAULT_LI
         limits: The caps on each file.
 
     Raises:
-        OntologyFileError: A file cannot be read, or is not what its extension says.
+        OntologyFileError: A file cannot be read, or is not of its extension's format.
     """
     everything = rdflib.Graph()
     warnings: List[Problem] = []
@@ -231,16 +230,16 @@ def _load(graph: rdflib.Graph, path: str, limits: SpecificationLimits) -> bytes:
     try:
         if kind == "xml":
             check_entities(data, limits)
-        # Handing over bytes, not a location, leaves rdflib nothing to fetch.
+        # Given bytes instead of a location, rdflib has nothing to fetch.
         graph.parse(data=data, format=kind, publicID=Path(path).absolute().as_uri())
-    except Exception as error:  # each of rdflib's parsers raises its own, without a common base
+    except Exception as error:  # the exceptions of rdflib's parsers have no common base
         reason = " ".join(str(error).split())
         raise OntologyFileError(path, f"is not valid {kind}: {reason[:300]}") from error
     return data
 
 
 def _reachable(starts: Iterable[str], edges: _Edges) -> Set[str]:
-    """Give the starts and all that is reached from them; cycles do no harm."""
+    """Return the starts and everything that can be reached from them; cycles are allowed."""
     reached = set(starts)
     waiting = list(reached)
     while waiting:

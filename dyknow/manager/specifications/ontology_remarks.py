@@ -1,7 +1,7 @@
-"""What a file of an ontology says that is not read, told with its line and its term.
+"""Warnings about statements of an ontology that are not read, with line and term.
 
-rdflib forgets lines, so they are looked for: the nearest place behind a mention of the term where
-the construct is named.
+rdflib does not keep lines, so they are searched: the nearest place after a mention of the term
+where the construct is named.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from rdflib import OWL, RDF, RDFS
 
 from dyknow.errors import Problem
 
-#: Remarks on one file that are listed.
+#: The most remarks that are listed for one file.
 LISTED = 100
 _EXPRESSIONS = (OWL.oneOf, OWL.unionOf, OWL.intersectionOf)
 
 
 class _Remark(NamedTuple):
-    """Something that is not read: the term that it is about, and the word that names it."""
+    """A statement that is not read: its subject, and the word that names the construct."""
 
     term: str
     word: str
@@ -29,11 +29,11 @@ class _Remark(NamedTuple):
 
 
 def remarks_on(graph: rdflib.Graph, file: str, data: bytes) -> Tuple[Problem, ...]:
-    """Find what is not read of one file.
+    """Find the statements of one file that are not read.
 
     Args:
         graph: the file alone.
-        file: its name for people.
+        file: its name in messages.
         data: its text.
     """
     found = sorted({*_expressions(graph), *_superclasses(graph), *_others(graph)})
@@ -76,7 +76,7 @@ def _superclasses(graph: rdflib.Graph) -> Iterator[_Remark]:
 
 
 def _inside(graph: rdflib.Graph, blank: rdflib.BNode) -> Tuple[str, str]:
-    """The word for a class expression, and how to call it."""
+    """The word that names a class expression in the file, and its name in messages."""
     for predicate in _EXPRESSIONS:
         if (blank, predicate, None) in graph:
             word = local_name(str(predicate))
@@ -119,7 +119,7 @@ class _Places:
         self._numbers: Dict[str, List[int]] = {}
 
     def line(self, term: str, word: str) -> int:
-        """Number of the line with the word that is nearest behind the term; 0 if unknown."""
+        """The line of the word's first occurrence after the term; 0 if there is none."""
         words = self._of(word)
         best: Tuple[int, int] = (len(self._lines) + 1, 0)
         for mention in self._of(term):

@@ -41,7 +41,7 @@ class SpecificationReader(XmlReader):
         )
 
     def drafts(self, text: Union[str, bytes]) -> Iterator[TransformationDraft]:
-        """Read a text, and return its transformations one after the other.
+        """Read a text; yield its transformations one after the other.
 
         Args:
             text: The XML, as characters or as UTF-8.

@@ -1,4 +1,4 @@
-"""Transformation specifications: from XML text to transformations, or to every problem at once."""
+"""Parses transformation specifications: the transformations, or all problems at once."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from dyknow.model.transformation import Transformation
 
 @dataclass(frozen=True)
 class Specifications:
-    """What a text specifies.
+    """The contents of a specification.
 
     Attributes:
         transformations: The transformations, templates expanded, in the order written.
-        warnings: What is accepted, but probably not meant.
+        warnings: What is accepted, but probably a mistake.
     """
 
     transformations: Tuple[Transformation, ...]
@@ -31,12 +31,12 @@ class Specifications:
 
 @dataclass(frozen=True)
 class Report:
-    """What `check` found.
+    """The outcome of `check`.
 
     Attributes:
         labels: The labels of the transformations; empty if there are problems.
         problems: Why the text would be refused; empty if it would be accepted.
-        warnings: What is accepted, but probably not meant.
+        warnings: What is accepted, but probably a mistake.
     """
 
     labels: Tuple[str, ...]
@@ -55,7 +55,7 @@ def parse(
     Args:
         text: The XML, as characters or as UTF-8.
         file_name: The name to use in messages.
-        ontology: Where the terms of templates come from that name a class.
+        ontology: Has the individuals of the classes that templates name.
         limits: The caps to hold.
 
     Returns:
@@ -84,7 +84,7 @@ def parse_file(
 
     Args:
         path: The file; messages name it as it is given here.
-        ontology: Where the terms of templates come from that name a class.
+        ontology: Has the individuals of the classes that templates name.
         limits: The caps to hold; no more than the allowed size is read.
 
     Raises:
@@ -103,7 +103,7 @@ def parse_file(
 def check(
     path: str, ontology: Optional[Concepts] = None, limits: SpecificationLimits = DEFAULT_LIMITS
 ) -> Report:
-    """Find out what `parse_file` would say, without an exception for a bad file."""
+    """Parse a file; report problems instead of raising them."""
     try:
         found = parse_file(path, ontology, limits)
     except SpecificationError as error:

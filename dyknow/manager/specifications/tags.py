@@ -1,8 +1,8 @@
-"""Tags: terms such as ``FieldPosition(ball)`` that say what a stream is about.
+"""Tags: terms such as ``FieldPosition(ball)`` that describe streams.
 
-A supplied tag matches a demanded one when its functor is the same or a subclass, and each of its
-arguments is equal to, an instance or a subclass of the demanded argument, or meets a variable
-``?x``. A variable stands for one name throughout its term, and only in demanded terms.
+A supplied tag matches a demanded one if its functor is the same or a subclass, and each argument
+is equal to the demanded one, an instance or a subclass of it, or bound to a variable ``?x``. A
+variable stands for one name throughout its term, and only demanded terms have variables.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Term(NamedTuple):
     args: Tuple[str, ...] = ()
 
     def __str__(self) -> str:
-        """Write the term as it is read."""
+        """Write the term as ``parse_tag`` reads it."""
         return f"{self.functor}({', '.join(self.args)})" if self.args else self.functor
 
     @property
@@ -41,14 +41,14 @@ class Term(NamedTuple):
 
 
 class Subsumption(Protocol):
-    """What an ontology knows about names."""
+    """The subsumption of names, as an ontology knows it."""
 
     def names_above(self, name: str) -> frozenset[str]:
         """Every name that subsumes ``name``, itself included."""
 
 
 class NoOntology:
-    """Every name is only itself."""
+    """Without an ontology a name subsumes only itself."""
 
     def names_above(self, name: str) -> frozenset[str]:
         """The name alone."""
@@ -84,7 +84,7 @@ def parse_tag(text: str) -> Term:
 
 @lru_cache(maxsize=_REMEMBERED)
 def read_tags(texts: Tuple[str, ...]) -> Tuple[Term, ...]:
-    """Read the tags of a port; what is no term says nothing to anybody."""
+    """Read the tags of a port; a text that is no term is ignored."""
     found = []
     for text in texts:
         try:
@@ -95,7 +95,7 @@ def read_tags(texts: Tuple[str, ...]) -> Tuple[Term, ...]:
 
 
 def matches(supplied: Term, demanded: Term, ontology: Subsumption) -> bool:
-    """Tell whether a supplied tag will do for a demanded one."""
+    """Whether a supplied tag matches a demanded one."""
     if len(supplied.args) != len(demanded.args):
         return False
     if demanded.functor not in ontology.names_above(supplied.functor):

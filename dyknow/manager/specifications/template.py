@@ -2,7 +2,7 @@
 
 Each `<arg>` is a variable with a set of terms, written out as `{cam1; cam2}` or taken from a
 class of the ontology. A transformation results for every combination of terms. Every occurrence
-of `${Cam}` is replaced, in one pass: what a term brings in is not looked at again. `$${` stands
+of `${Cam}` is replaced in one pass: the text of a term is not searched for variables. `$${` stands
 for `${` itself.
 """
 
@@ -34,10 +34,10 @@ class Concepts(Protocol):
     """What a template needs of an ontology."""
 
     def individuals(self, concept: str) -> Tuple[str, ...]:
-        """Give the labels of a class's individuals, sorted, or raise an `OntologyError`."""
+        """Return the labels of a class's individuals, sorted, or raise an `OntologyError`."""
 
     def unlabelled(self, concept: str) -> Tuple[str, ...]:
-        """Give the URIs of those among them that have no label of their own."""
+        """Return the URIs of the individuals without a label."""
 
 
 class Expander:
@@ -60,8 +60,8 @@ class Expander:
             draft: A draft with variables, or without any.
 
         Returns:
-            A draft without variables for every combination of terms, the last variable varying
-            fastest; made one by one. None if the template has problems, which were noted.
+            An iterator over drafts without variables, one for every combination of terms, the
+            last variable varying fastest. None if the template has problems, which were noted.
         """
         terms = self._all_terms(draft.args)
         positions = {arg.label: position for position, arg in enumerate(draft.args)}
@@ -88,7 +88,7 @@ class Expander:
         return sets if all(sets) and len(lines) == len(args) else None
 
     def _terms(self, arg: ArgDraft) -> Tuple[str, ...]:
-        """Give the terms of one arg; none if there is a problem with them."""
+        """Return the terms of one arg; empty if there is a problem with them."""
         text = arg.terms
         if text.startswith("{") and text.endswith("}") and len(text) > 1:
             return self._explicit_terms(arg)
@@ -162,7 +162,7 @@ class Expander:
         return good
 
     def _fits(self, draft: TransformationDraft, pieces: Dict[str, _Pieces], terms: _Terms) -> bool:
-        """Check the limits by arithmetic, before anything is expanded."""
+        """Compute the size of the expansion, and check the limits before anything is expanded."""
         count = prod(len(each) for each in terms)
         if self._transformations + count > self._limits.transformations:
             self._findings.problem(

@@ -1,8 +1,8 @@
-"""The values of parameters: from the text of a specification to what the parameter server holds.
+"""The values of parameters: converts the text of a specification for the parameter server.
 
 The parameter server speaks XML-RPC. It holds strings, integers of 32 bits, doubles, booleans,
-and lists and string-keyed mappings of these; anything else is refused here, with the line, and
-not later, in the middle of a spawn.
+and lists and string-keyed mappings of these; anything else is refused with its line, and not in
+the middle of a spawn.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 class BadValue(ValueError):
-    """The text is no value of its type; the exception's text says what was expected."""
+    """A text is no value of its type; the message says what was expected."""
 
 
 def infer_type(text: str) -> str:
-    """Give the type of a parameter that states none, as roslaunch does."""
+    """Return the type of a parameter that states none, as roslaunch does."""
     if _INT.match(text):
         return "int"
     if _DOUBLE.match(text):
@@ -79,7 +79,7 @@ def value_of(parameter: Parameter) -> Value:
 def _parse_int(text: str) -> int:
     if not _INT.match(text):
         raise BadValue(f"expected an int, such as 42, found '{shorten(text)}'")
-    # Longer ones need not be parsed to be too large.
+    # A longer text is out of range without parsing.
     value = int(text) if len(text) <= 40 else 2**31
     _check_int(value, text)
     return value
@@ -104,14 +104,14 @@ def _parse_yaml(text: str, limits: SpecificationLimits) -> Value:
         reason = getattr(error, "problem", None) or str(error).split("\n")[0]
         raise BadValue(f"expected YAML; {reason}{place}") from None
     except (ValueError, TypeError, OverflowError, AttributeError, LookupError) as error:
-        # PyYAML's constructors let these out for scalars such as `!!int x` or 2001-99-99.
+        # PyYAML's constructors raise these for scalars such as `!!int x` or 2001-99-99.
         raise BadValue(f"expected YAML; a value cannot be read: {error}") from None
     _check_plain(value)
     return value  # type: ignore[no-any-return]
 
 
 def _check_yaml_events(text: str, limits: SpecificationLimits) -> None:
-    """Refuse what would grow when it is loaded, before it is loaded."""
+    """Refuse YAML that would expand, before it is loaded."""
     depth = nodes = 0
     for event in yaml.parse(text, Loader=_LOADER):
         if isinstance(event, yaml.AliasEvent):

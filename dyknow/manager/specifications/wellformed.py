@@ -1,4 +1,4 @@
-"""Says in plain words why a text is no XML that can be read."""
+"""Explains in plain words why a text is not well-formed XML."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def explain(
     open_elements: List[Tuple[str, int]],
     roots: str,
 ) -> Unreadable:
-    """Turn expat's error into one that says what was expected.
+    """Convert expat's error to one that says what was expected.
 
     Args:
         error: What expat raised.

@@ -1,4 +1,4 @@
-"""Reads XML by the rules of its elements, safely, and says what is wrong with it in plain words.
+"""Reads XML by the rules of its elements, safely, and explains problems in plain words.
 
 The text may come from anybody who reaches the manager's service, so the reader streams: it
 builds no tree, knows the exact line of everything, and stops at a DOCTYPE before anything in it
@@ -96,7 +96,7 @@ _Frame = Tuple[Element, Attributes, int, Dict[str, int]]
 
 
 class XmlReader:
-    """Reads one text. A subclass fills in what is done at the elements.
+    """Reads one text. A subclass fills in the handlers of elements.
 
     Attributes:
         on_start: called with attributes and line when an element begins, by its name.
@@ -135,7 +135,7 @@ class XmlReader:
         self._parser.XmlDeclHandler = self._declaration
 
     def read(self, text: Union[str, bytes]) -> Iterator[None]:
-        """Read a text; pause after each part of it, so that what it brought can be taken.
+        """Read a text; yield after each part, so that the caller can take what it contained.
 
         Args:
             text: the XML, as characters or as UTF-8.
@@ -147,7 +147,7 @@ class XmlReader:
             for start in range(0, len(data), _CHUNK):
                 self._parser.Parse(view[start : start + _CHUNK], False)
                 yield
-                # A tag without end is kept by expat until it ends: stop before it fills memory.
+                # expat keeps a tag until it ends: stop before one without an end fills the memory.
                 if start - self._parser.CurrentByteIndex > 2 * longest:
                     raise Unreadable(self._line, "a tag or comment here is too long")
             self._parser.Parse(b"", True)
@@ -208,7 +208,7 @@ class XmlReader:
             text = "".join(self._texts)
             self._texts.clear()
             if attributes.get("type") == "yaml":
-                # YAML means something by its indentation, relative to that of its first line.
+                # The indentation of YAML has a meaning, relative to that of its first line.
                 text = dedent(text)
             text = text.strip(BLANK)
             if len(text) > self._limits.string_length:
