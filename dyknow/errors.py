@@ -49,13 +49,15 @@ was expected. ``dyknow.ros`` alone turns exceptions into answers of services.
     │   └── IndividualsError         labels do not tell the individuals of a class apart
     ├── HostError                    a nodelet manager refused, or could not be reached
     │   └── HostTimeout              it, or a nodelet of it, did not answer in time
+    ├── ManagerUnreachable           there is no master, no DyKnow manager, or it hangs
+    ├── NodeletUnreachable           a nodelet is not there or does not answer
     └── Refused                      a DyKnow manager or a proxy answered no
-
-What only clients of the manager meet is in ``dyknow.ros.client_errors``.
+        └── StreamRefused            the manager did not make a stream
 """
 
 from __future__ import annotations
 
+import enum
 from typing import Iterable, NamedTuple, Sequence, Tuple
 
 from dyknow.similar import did_you_mean
@@ -168,6 +170,14 @@ class HostTimeout(HostError):
 
 class Refused(DyKnowError):
     """A DyKnow manager or a proxy that was asked for something answered no; it says why."""
+
+
+class ManagerUnreachable(DyKnowError):
+    """There is no ROS master, or no DyKnow manager that answers; the text says which."""
+
+
+class NodeletUnreachable(DyKnowError):
+    """A nodelet's proxy does not answer; whether it did what was asked for is not known."""
 
 
 class StoreError(DyKnowError):
@@ -411,6 +421,36 @@ class UnknownClaim(StreamError):
         super().__init__(
             f"claim '{claim_id}' is {state}" if state else f"there is no claim '{claim_id}'"
         )
+
+
+class Result(enum.IntEnum):
+    """Why a stream was not made; the numbers are those of ``dyknow_msgs/AcquireStream``."""
+
+    OK = 0
+    NO_PLAN = 1
+    INVALID_TAG = 2
+    TYPE_MISMATCH = 3
+    SPAWN_FAILED = 4
+    TIMEOUT = 5
+    DENIED = 6
+
+
+class StreamRefused(Refused):
+    """The manager did not make a stream.
+
+    Attributes:
+        result: why, as a number.
+        claim_id: the claim that waits until the stream can be made; empty if there is none.
+    """
+
+    def __init__(self, message: str, result: Result, claim_id: str = "") -> None:
+        self.result = result
+        self.claim_id = claim_id
+        super().__init__(message)
+
+    def given_up(self) -> StreamRefused:
+        """Return the refusal as it is once the claim was released: nothing waits any more."""
+        return StreamRefused(str(self).replace(waiting(self.claim_id), ""), self.result)
 
 
 class Problem(NamedTuple):

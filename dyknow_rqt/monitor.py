@@ -36,7 +36,8 @@ from dyknow_rqt.qt_slot import qt_slot
 from dyknow_rqt.remote import Remote
 
 if TYPE_CHECKING:
-    from dyknow.ros.views import ModelView, Statistics
+    from dyknow.model.graph import Model
+    from dyknow.model.statistics import NodeletStatistics
 
 T = TypeVar("T")
 
@@ -49,10 +50,10 @@ _ASKING = 1.0
 
 @dataclass(frozen=True)
 class _Looked:
-    model: ModelView
+    model: Model
     nodes: Tuple[PlainNode, ...]
     taken: FrozenSet[str]
-    statistics: Tuple[Tuple[str, Statistics, float], ...]
+    statistics: Tuple[Tuple[str, NodeletStatistics, float], ...]
 
 
 class Monitor(QObject):
@@ -64,7 +65,7 @@ class Monitor(QObject):
     library_changed = Signal(object)
     #: Rates have been measured: ``PortRate`` by ``PortRef``.
     measured = Signal(object)
-    #: Something has become of a stream: a ``StreamEventView``.
+    #: Something has become of a stream: a ``StreamEvent``.
     stream_event = Signal(object)
     #: The manager answers, or why it does not.
     linked = Signal(bool, str)
@@ -98,7 +99,7 @@ class Monitor(QObject):
         self._looking = self._changing = self._reading = False
         self._timer = QTimer(self)
         self._timer.timeout.connect(self.look)
-        self._heard: Optional[ModelView] = None
+        self._heard: Optional[Model] = None
         self._drawing = QTimer(self)
         self._drawing.setSingleShot(True)
         self._drawing.setInterval(0)
@@ -298,7 +299,7 @@ class Monitor(QObject):
             self._meter.note(name, statistics, moment)
         self.measured.emit(self._meter.traffic)
 
-    def _hear(self, model: ModelView) -> None:
+    def _hear(self, model: Model) -> None:
         """Keep the last model until the one before it has been drawn, and as long again."""
         self._heard = model
         if not self._drawing.isActive():
@@ -315,7 +316,7 @@ class Monitor(QObject):
         self._drawing.setInterval(min(1000, int((time.monotonic() - start) * 2000)))
 
     def _take_model(
-        self, model: ModelView, nodes: Tuple[PlainNode, ...], taken: FrozenSet[str]
+        self, model: Model, nodes: Tuple[PlainNode, ...], taken: FrozenSet[str]
     ) -> None:
         self._revision = model.revision
         snapshot = Snapshot(model.nodelets, nodes, taken)
@@ -325,7 +326,7 @@ class Monitor(QObject):
         if model.library_revision != self._library_revision:
             self.read_library()
 
-    def _take_library(self, model: ModelView) -> None:
+    def _take_library(self, model: Model) -> None:
         self._reading = False
         self._library_revision = model.library_revision
         library = {each.label: each for each in model.transformations}

@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING, Callable, Mapping, Optional, Sequence, Tuple
 from dyknow_rqt.graph.snapshot import Side
 
 if TYPE_CHECKING:
-    from dyknow.model.graph import PortState
-    from dyknow.model.streams import StreamRequest
-    from dyknow.ros.client import Added
-    from dyknow.ros.stream_views import (
-        AcquiredView,
-        ReplannedView,
-        StreamEventView,
-        StreamView,
+    from dyknow.model.graph import Model, PortState
+    from dyknow.model.statistics import NodeletStatistics
+    from dyknow.model.streams import (
+        Acquisition,
+        Replanned,
+        StreamEvent,
+        StreamRequest,
+        StreamStatus,
     )
-    from dyknow.ros.views import ModelView, Statistics
+    from dyknow.model.transformation import Added
 
 
 class Remote(ABC):
@@ -37,8 +37,8 @@ class Remote(ABC):
     @abstractmethod
     def start(
         self,
-        on_model: Callable[[ModelView], None],
-        on_event: Callable[[StreamEventView], None],
+        on_model: Callable[[Model], None],
+        on_event: Callable[[StreamEvent], None],
     ) -> None:
         """Listen to the model and to the events of streams; each is handed on, in any thread."""
 
@@ -47,11 +47,11 @@ class Remote(ABC):
         """Listen no more; returns at once."""
 
     @abstractmethod
-    def graph(self) -> ModelView:
+    def graph(self) -> Model:
         """What runs; the transformations may be left out."""
 
     @abstractmethod
-    def library(self) -> ModelView:
+    def library(self) -> Model:
         """What runs and all that can run."""
 
     @abstractmethod
@@ -59,7 +59,7 @@ class Remote(ABC):
         """The ports of a nodelet, as it says itself."""
 
     @abstractmethod
-    def statistics(self, nodelet: str) -> Statistics:
+    def statistics(self, nodelet: str) -> NodeletStatistics:
         """What a nodelet has done."""
 
     @abstractmethod
@@ -103,7 +103,7 @@ class Remote(ABC):
         """Connect ports of a nodelet, all or none; an empty topic disconnects."""
 
     @abstractmethod
-    def acquire_stream(self, request: StreamRequest, dry_run: bool = False) -> AcquiredView:
+    def acquire_stream(self, request: StreamRequest, dry_run: bool = False) -> Acquisition:
         """Ask for a stream, or how it would be made; raises ``StreamRefused`` if it cannot be."""
 
     @abstractmethod
@@ -111,9 +111,9 @@ class Remote(ABC):
         """End a claim."""
 
     @abstractmethod
-    def replan_stream(self, claim_id: str, dry_run: bool = False) -> ReplannedView:
+    def replan_stream(self, claim_id: str, dry_run: bool = False) -> Replanned:
         """Take the cheapest way, or say which that is."""
 
     @abstractmethod
-    def streams(self) -> Sequence[StreamView]:
+    def streams(self) -> Sequence[StreamStatus]:
         """All claims, those that ended lately too."""

@@ -11,22 +11,17 @@ from typing import Any, Callable, Mapping, Optional, Sequence, Tuple
 
 import rospy
 from dyknow_msgs.msg import Model as ModelMessage
-from dyknow_msgs.msg import StreamEvent
+from dyknow_msgs.msg import StreamEvent as StreamEventMessage
 
 from dyknow import names
 from dyknow.errors import DyKnowError, HostError
-from dyknow.model.graph import PortState
-from dyknow.model.streams import StreamRequest
-from dyknow.ros.client import Added, ManagerClient
+from dyknow.model.graph import Model, PortState
+from dyknow.model.statistics import NodeletStatistics
+from dyknow.model.streams import Acquisition, Replanned, StreamEvent, StreamRequest, StreamStatus
+from dyknow.model.transformation import Added
+from dyknow.ros.client import ManagerClient
 from dyknow.ros.master import Master
-from dyknow.ros.stream_views import (
-    AcquiredView,
-    ReplannedView,
-    StreamEventView,
-    StreamView,
-    event_view,
-)
-from dyknow.ros.views import ModelView, Statistics, model_view
+from dyknow.ros.messages import event_from, model_from
 from dyknow_rqt.graph.snapshot import Side
 from dyknow_rqt.remote import Remote
 
@@ -46,17 +41,17 @@ class RosRemote(Remote):
         self._client = ManagerClient(manager)
         self.manager = self._client.manager
         self._master = Master(f"{self.manager}_window")
-        self._on_model: Callable[[ModelView], None] = lambda model: None
-        self._on_event: Callable[[StreamEventView], None] = lambda event: None
+        self._on_model: Callable[[Model], None] = lambda model: None
+        self._on_event: Callable[[StreamEvent], None] = lambda event: None
         self._subscriber: Any = None
         self._event_subscriber: Any = None
-        self._latest: Optional[ModelView] = None
+        self._latest: Optional[Model] = None
         self._closed = threading.Event()
 
     def start(
         self,
-        on_model: Callable[[ModelView], None],
-        on_event: Callable[[StreamEventView], None],
+        on_model: Callable[[Model], None],
+        on_event: Callable[[StreamEvent], None],
     ) -> None:
         """Subscribe, as soon as there is a master."""
         self._on_model, self._on_event = on_model, on_event
@@ -71,7 +66,7 @@ class RosRemote(Remote):
             if subscriber is not None:
                 subscriber.unregister()
 
-    def graph(self) -> ModelView:
+    def graph(self) -> Model:
         """Ask the manager, or take its last message while it is connected to us."""
         subscriber, latest = self._subscriber, self._latest
         if subscriber is None or latest is None or subscriber.get_num_connections() == 0:
@@ -80,7 +75,7 @@ class RosRemote(Remote):
             return self._client.get_model()
         return latest
 
-    def library(self) -> ModelView:
+    def library(self) -> Model:
         """Ask the manager for everything."""
         return self._client.get_model()
 
@@ -88,7 +83,7 @@ class RosRemote(Remote):
         """Ask a proxy."""
         return self._client.get_config(nodelet)
 
-    def statistics(self, nodelet: str) -> Statistics:
+    def statistics(self, nodelet: str) -> NodeletStatistics:
         """Ask a proxy."""
         return self._client.get_statistics(nodelet)
 
@@ -135,7 +130,7 @@ class RosRemote(Remote):
         """Ask a proxy."""
         self._client.set_config(nodelet, config)
 
-    def acquire_stream(self, request: StreamRequest, dry_run: bool = False) -> AcquiredView:
+    def acquire_stream(self, request: StreamRequest, dry_run: bool = False) -> Acquisition:
         """Ask the manager."""
         return self._client.acquire_stream(request, dry_run)
 
@@ -143,11 +138,11 @@ class RosRemote(Remote):
         """Ask the manager."""
         self._client.release_stream(claim_id)
 
-    def replan_stream(self, claim_id: str, dry_run: bool = False) -> ReplannedView:
+    def replan_stream(self, claim_id: str, dry_run: bool = False) -> Replanned:
         """Ask the manager."""
         return self._client.replan_stream(claim_id, dry_run)
 
-    def streams(self) -> Sequence[StreamView]:
+    def streams(self) -> Sequence[StreamStatus]:
         """Ask the manager."""
         return self._client.list_streams()
 
@@ -172,16 +167,16 @@ class RosRemote(Remote):
             rospy.init_node("dyknow_rqt", anonymous=True, disable_signals=True)
         topic = names.join(self.manager, "stream_events")
         self._event_subscriber = rospy.Subscriber(
-            topic, StreamEvent, self._hear_event, queue_size=100
+            topic, StreamEventMessage, self._hear_event, queue_size=100
         )
         topic = names.join(self.manager, "model")
         self._subscriber = rospy.Subscriber(topic, ModelMessage, self._hear, queue_size=1)
 
     def _hear(self, message: ModelMessage) -> None:
         if not self._closed.is_set():
-            self._latest = model_view(message)
+            self._latest = model_from(message)
             self._on_model(self._latest)
 
-    def _hear_event(self, message: StreamEvent) -> None:
+    def _hear_event(self, message: StreamEventMessage) -> None:
         if not self._closed.is_set():
-            self._on_event(event_view(message))
+            self._on_event(event_from(message))

@@ -25,12 +25,10 @@ from dyknow.errors import (
     UnknownTransformation,
 )
 from dyknow.manager.specifications.specification import parse
-from dyknow.model.graph import PortState, State
-from dyknow.model.streams import StreamRequest
-from dyknow.model.transformation import OUT, TOPIC, Transformation
-from dyknow.ros.client import Added
-from dyknow.ros.stream_views import AcquiredView, ReplannedView, StreamEventView, StreamView
-from dyknow.ros.views import ModelView, NodeletView, PortTraffic, Statistics
+from dyknow.model.graph import Model, NodeletStatus, PortState, State
+from dyknow.model.statistics import NodeletStatistics, PortStatistics
+from dyknow.model.streams import Acquisition, Replanned, StreamEvent, StreamRequest, StreamStatus
+from dyknow.model.transformation import OUT, TOPIC, Added, Transformation
 from dyknow_rqt.graph.snapshot import PortRef, Side
 from dyknow_rqt.remote import Remote
 from dyknow_rqt.simulated_streams import SimulatedStreams
@@ -51,11 +49,11 @@ class SimulatedRemote(Remote):
         self.rates: Dict[PortRef, Tuple[float, float]] = {}
         self.publishers: Dict[str, List[str]] = {}
         self.subscribers: Dict[str, List[str]] = {}
-        self._nodelets: Dict[str, NodeletView] = {}
+        self._nodelets: Dict[str, NodeletStatus] = {}
         self._library: Dict[str, Transformation] = {}
         self._revision = self._library_revision = 1
         self._lock = threading.RLock()
-        self._on_model: Callable[[ModelView], None] = lambda model: None
+        self._on_model: Callable[[Model], None] = lambda model: None
         self._start = time.monotonic()
         #: The claims, to be altered as if by themselves.
         self.streams_ = SimulatedStreams(
@@ -66,8 +64,8 @@ class SimulatedRemote(Remote):
 
     def start(
         self,
-        on_model: Callable[[ModelView], None],
-        on_event: Callable[[StreamEventView], None],
+        on_model: Callable[[Model], None],
+        on_event: Callable[[StreamEvent], None],
     ) -> None:
         """Hand on each change from now on."""
         self._on_model, self.streams_.on_event = on_model, on_event
@@ -76,12 +74,12 @@ class SimulatedRemote(Remote):
         """Hand on nothing more."""
         self._on_model, self.streams_.on_event = lambda model: None, lambda event: None
 
-    def graph(self) -> ModelView:
+    def graph(self) -> Model:
         """What runs."""
         self._answer("graph", "")
         return self._model(())
 
-    def library(self) -> ModelView:
+    def library(self) -> Model:
         """What runs and can run."""
         self._answer("library", "")
         return self._model(tuple(self._library[label] for label in sorted(self._library)))
@@ -91,12 +89,14 @@ class SimulatedRemote(Remote):
         self._answer("ports", nodelet)
         return self._find(nodelet).ports
 
-    def statistics(self, nodelet: str) -> Statistics:
+    def statistics(self, nodelet: str) -> NodeletStatistics:
         """Counts that grow evenly."""
         self._answer("statistics", nodelet)
         found = self._find(nodelet)
         age = time.monotonic() - self._start
-        return Statistics(age, 0, 0, tuple(self._traffic(nodelet, p, age) for p in found.ports))
+        return NodeletStatistics(
+            age, 0, 0, tuple(self._traffic(nodelet, p, age) for p in found.ports)
+        )
 
     def system_state(self) -> Tuple[Side, Side]:
         """Ordinary nodes, and the nodelet managers for their nodelets."""
@@ -152,7 +152,7 @@ class SimulatedRemote(Remote):
             PortState(port.name, port.direction, port.datatype, "", port.tags)
             for port in transformation.ports
         )
-        self._nodelets[name] = NodeletView(
+        self._nodelets[name] = NodeletStatus(
             *(name, label, manager or own, is_protected, isolated, False, State.RUNNING, ""),
             ports,
         )
@@ -182,7 +182,7 @@ class SimulatedRemote(Remote):
         self._connect(nodelet, config)
         self._changed()
 
-    def acquire_stream(self, request: StreamRequest, dry_run: bool = False) -> AcquiredView:
+    def acquire_stream(self, request: StreamRequest, dry_run: bool = False) -> Acquisition:
         """Plan, and make what is missing."""
         self._answer("acquire_stream", request.tag)
         return self.streams_.acquire(request, dry_run)
@@ -192,12 +192,12 @@ class SimulatedRemote(Remote):
         self._answer("release_stream", claim_id)
         self.streams_.release(claim_id)
 
-    def replan_stream(self, claim_id: str, dry_run: bool = False) -> ReplannedView:
+    def replan_stream(self, claim_id: str, dry_run: bool = False) -> Replanned:
         """Say what the way is now."""
         self._answer("replan_stream", claim_id)
         return self.streams_.replan(claim_id, dry_run)
 
-    def streams(self) -> Sequence[StreamView]:
+    def streams(self) -> Sequence[StreamStatus]:
         """All claims."""
         self._answer("streams", "")
         return self.streams_.all()
@@ -218,15 +218,15 @@ class SimulatedRemote(Remote):
         if not self.is_up:
             raise HostError(f"service {self.manager}/{method} is not there")
 
-    def _model(self, transformations: Tuple[Transformation, ...]) -> ModelView:
+    def _model(self, transformations: Tuple[Transformation, ...]) -> Model:
         nodelets = tuple(self._nodelets[name] for name in sorted(self._nodelets))
-        return ModelView(self._revision, self._library_revision, nodelets, transformations)
+        return Model(self._revision, self._library_revision, nodelets, transformations)
 
     def _changed(self) -> None:
         self._revision += 1
         self._on_model(self._model(()))
 
-    def _find(self, name: str) -> NodeletView:
+    def _find(self, name: str) -> NodeletStatus:
         if name not in self._nodelets:
             raise Refused(str(UnknownNodelet(name, self._nodelets)))
         return self._nodelets[name]
@@ -251,7 +251,7 @@ class SimulatedRemote(Remote):
         ports = [port for each in self._nodelets.values() for port in each.ports]
         return next((port.datatype for port in ports if port.topic == topic and port.datatype), "")
 
-    def _traffic(self, nodelet: str, port: PortState, age: float) -> PortTraffic:
+    def _traffic(self, nodelet: str, port: PortState, age: float) -> PortStatistics:
         rate, lost = self.rates.get(PortRef(nodelet, port.name), (0.0, 0.0))
         if port.direction != OUT and port.topic and (rate, lost) == (0.0, 0.0):
             rate = sum(
@@ -261,4 +261,4 @@ class SimulatedRemote(Remote):
                 if other.direction == OUT and other.topic == port.topic
             )
         counts = int(rate * age), int(lost * age)
-        return PortTraffic(port.name, port.direction, port.topic, *counts, rate, 0.0, 0.0)
+        return PortStatistics(port.name, port.direction, port.topic, *counts, rate, 0.0, 0.0)

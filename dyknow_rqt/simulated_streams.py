@@ -7,18 +7,22 @@ import time
 from dataclasses import replace
 from typing import Callable, Dict, Iterator, List, Mapping, Tuple
 
-from dyknow.errors import InvalidTag, Refused, UnknownClaim
+from dyknow.errors import InvalidTag, Refused, Result, StreamRefused, UnknownClaim
 from dyknow.manager.planning.explanation import as_tree
 from dyknow.manager.planning.planner import Planner
 from dyknow.manager.planning.problem import Answer, Live, NoPlan, Plan, Source
 from dyknow.manager.planning.supply import Demand
 from dyknow.manager.specifications.tags import Term, parse_tag, read_tags
-from dyknow.model.graph import State
-from dyknow.model.streams import ClaimState, StreamRequest
+from dyknow.model.graph import NodeletStatus, State
+from dyknow.model.streams import (
+    Acquisition,
+    ClaimState,
+    Replanned,
+    StreamEvent,
+    StreamRequest,
+    StreamStatus,
+)
 from dyknow.model.transformation import IN, OUT, Transformation
-from dyknow.ros.client_errors import Result, StreamRefused
-from dyknow.ros.stream_views import AcquiredView, ReplannedView, StreamEventView, StreamView
-from dyknow.ros.views import NodeletView
 
 
 class SimulatedStreams:
@@ -26,7 +30,7 @@ class SimulatedStreams:
 
     def __init__(
         self,
-        nodelets: Mapping[str, NodeletView],
+        nodelets: Mapping[str, NodeletStatus],
         library: Mapping[str, Transformation],
         spawn: Callable[[str, str, Mapping[str, str]], None],
         connect: Callable[[str, Mapping[str, str]], None],
@@ -39,24 +43,24 @@ class SimulatedStreams:
             spawn: makes a nodelet of a label, of a name, with topics of its ports.
             connect: connects ports of a nodelet.
         """
-        self.on_event: Callable[[StreamEventView], None] = lambda event: None
+        self.on_event: Callable[[StreamEvent], None] = lambda event: None
         self._nodelets, self._library = nodelets, library
         self._spawn, self._connect = spawn, connect
-        self._streams: Dict[str, StreamView] = {}
+        self._streams: Dict[str, StreamStatus] = {}
         self._requests: Dict[str, StreamRequest] = {}
 
-    def all(self) -> Tuple[StreamView, ...]:
+    def all(self) -> Tuple[StreamStatus, ...]:
         """All claims, by id."""
         return tuple(self._streams[claim_id] for claim_id in sorted(self._streams))
 
-    def acquire(self, request: StreamRequest, dry_run: bool = False) -> AcquiredView:
+    def acquire(self, request: StreamRequest, dry_run: bool = False) -> Acquisition:
         """Plan, and make what is missing."""
         claim_id = "" if dry_run else f"claim-{len(self._streams) + 1}"
         try:
             answer = self._plan(request)
         except InvalidTag as error:
             raise StreamRefused(str(error), Result.INVALID_TAG) from error
-        view = StreamView(
+        view = StreamStatus(
             *(claim_id, request.client_id, request.tag, "", request.datatype),
             *(ClaimState.PENDING, "", (), 0.0),
         )
@@ -68,12 +72,12 @@ class SimulatedStreams:
         labels = tuple(step.action.label for step in answer.steps)
         reused = tuple(sorted({live.nodelet for live in answer.live}))
         if dry_run:
-            return AcquiredView("", "", "", labels, reused, answer.cost, 0.0, as_tree(answer), "")
+            return Acquisition("", "", "", labels, reused, answer.cost, 0.0, as_tree(answer), "")
         made, topic = self._make(answer)
         self._requests[claim_id] = request
         names = tuple(sorted({*made.values(), *reused}))
         self.put(replace(view, topic=topic, state=ClaimState.ACTIVE, nodelets=names), "requested")
-        return AcquiredView(
+        return Acquisition(
             *(claim_id, topic, request.datatype, tuple(made.values()), reused, answer.cost, 0.0),
             *(as_tree(answer), ""),
         )
@@ -84,20 +88,20 @@ class SimulatedStreams:
         if stream is not None and not stream.state.ended:
             self.put(replace(stream, state=ClaimState.RELEASED), "released")
 
-    def replan(self, claim_id: str, dry_run: bool = False) -> ReplannedView:
+    def replan(self, claim_id: str, dry_run: bool = False) -> Replanned:
         """Say what the way is now."""
         if claim_id not in self._streams:
             raise Refused(str(UnknownClaim(claim_id)))
         answer = self._plan(self._requests[claim_id])
         if isinstance(answer, NoPlan):
             raise Refused(str(answer))
-        return ReplannedView((), (), answer.cost, as_tree(answer), "")
+        return Replanned((), (), answer.cost, as_tree(answer), "")
 
-    def put(self, stream: StreamView, reason: str) -> None:
+    def put(self, stream: StreamStatus, reason: str) -> None:
         """Let a claim be so from now on, and tell."""
         before = self._streams.get(stream.claim_id)
         self._streams[stream.claim_id] = stream
-        self.on_event(StreamEventView(time.time(), before, stream, reason))
+        self.on_event(StreamEvent(time.time(), before, stream, reason))
 
     # Inside
 

@@ -10,7 +10,7 @@ from dyknow_rqt.monitor import Monitor
 from dyknow_rqt.qt_slot import qt_slot
 
 if TYPE_CHECKING:
-    from dyknow.ros.stream_views import StreamView
+    from dyknow.model.streams import StreamStatus
 
 
 class StreamWatch(QObject):
@@ -22,12 +22,12 @@ class StreamWatch(QObject):
     def __init__(self, monitor: Monitor) -> None:
         super().__init__()
         self._monitor = monitor
-        self.streams: Tuple[StreamView, ...] = ()
+        self.streams: Tuple[StreamStatus, ...] = ()
         self._asking = self._again = False
         for signal in (monitor.stream_event, monitor.settled, monitor.measured):
             signal.connect(self.ask)
 
-    def stream(self, claim_id: str) -> Optional[StreamView]:
+    def stream(self, claim_id: str) -> Optional[StreamStatus]:
         """The claim with that id, or None."""
         return next((each for each in self.streams if each.claim_id == claim_id), None)
 
@@ -40,7 +40,7 @@ class StreamWatch(QObject):
         self._asking, self._again = True, False
         self._monitor.ask(lambda remote: tuple(remote.streams()), self._take, self._take_none)
 
-    def _take(self, streams: Sequence[StreamView]) -> None:
+    def _take(self, streams: Sequence[StreamStatus]) -> None:
         self._asking = False
         if tuple(streams) != self.streams:
             self.streams = tuple(streams)

@@ -20,8 +20,8 @@ from dyknow.model.transformation import IN, NODELET, OUT
 from dyknow.wiring.ports import types_fit
 
 if TYPE_CHECKING:
+    from dyknow.model.graph import NodeletStatus
     from dyknow.ros.shell_client import ShellClient
-    from dyknow.ros.views import NodeletView
 
 #: Seconds to wait for each answer.
 _TIMEOUT = 0.2
@@ -70,18 +70,18 @@ class _Cursor:
         """The value that an argument has already, or None."""
         return getattr(self._arguments, argument, None)
 
-    def nodelets(self) -> Sequence[NodeletView]:
+    def nodelets(self) -> Sequence[NodeletStatus]:
         """The nodelets that run."""
-        return self.client.nodelets().nodelets
+        return self.client.get_graph().nodelets
 
     def topics(self) -> List[str]:
         """The topics of nodelets and of ordinary nodes, sorted."""
-        own = {topic.name for topic in topics_of(self.client.nodelets())}
+        own = {topic.name for topic in topics_of(self.client.get_graph())}
         return sorted(own | set(self.client.topics()))
 
     def labels(self, type_: str = "") -> List[str]:
         """The labels of the library, of one type if it is given."""
-        transformations = self.client.model().transformations
+        transformations = self.client.get_model().transformations
         return [each.label for each in transformations if not type_ or each.type == type_]
 
     def resolve(self, name: str) -> str:
@@ -197,7 +197,7 @@ def tags(cursor: _Cursor) -> Iterable[str]:
     """Tags that some transformation supplies."""
     return (
         tag
-        for each in cursor.client.model().transformations
+        for each in cursor.client.get_model().transformations
         for port in each.ports
         if port.direction == OUT
         for tag in port.tags
@@ -218,7 +218,7 @@ def ports_of_label(cursor: _Cursor) -> Iterable[str]:
         return [f"{port}:{topic}" for topic in cursor.topics()]
     return (
         f"{port.name}:"
-        for each in cursor.client.model().transformations
+        for each in cursor.client.get_model().transformations
         if each.label == cursor.given("label")
         for port in each.ports
     )

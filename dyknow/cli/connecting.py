@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING, Dict, List, Sequence, Tuple
 
 from dyknow.cli.arguments import PortReference
 from dyknow.cli.views import state_of, unknown_nodelet
-from dyknow.errors import DyKnowError
+from dyknow.errors import DyKnowError, NodeletUnreachable
 from dyknow.model.graph import PortState
 from dyknow.model.transformation import IN, OUT
-from dyknow.ros.client_errors import NodeletUnreachable
 from dyknow.similar import did_you_mean
 from dyknow.wiring.ports import by_name, choose_topic, types_fit
 from dyknow.wiring.steps import ReversibleStep, StepFailed, carry_out
@@ -42,7 +41,7 @@ def ports_of(client: ShellClient, nodelet: str) -> Tuple[PortState, ...]:
     try:
         return client.get_config(nodelet)
     except NodeletUnreachable as silence:
-        model = client.nodelets()
+        model = client.get_graph()
         present = model.nodelet(nodelet)
         if present is None:
             raise CannotConnect(unknown_nodelet(nodelet, model)) from None
@@ -107,7 +106,7 @@ def connect(
     check_ends(source, out, target, into)
     topic = topic or out.topic
     if not topic:
-        nodelets = client.nodelets().nodelets
+        nodelets = client.get_graph().nodelets
         published = client.published({each.manager for each in nodelets})
         topic = choose_topic(source.nodelet, out, into, nodelets, published)
     # The in-port first: it receives the first message that is published on the topic.
@@ -137,7 +136,7 @@ def connect_to_topic(
     Raises:
         CannotConnect: it was refused, and the port is as it was.
     """
-    nodelet = client.nodelets().nodelet(topic)
+    nodelet = client.get_graph().nodelet(topic)
     if nodelet is not None:
         ports = ", ".join(p.name for p in by_name(nodelet.ports) if p.direction != direction)
         raise CannotConnect(

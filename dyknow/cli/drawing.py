@@ -14,12 +14,12 @@ from dyknow.cli.views import state_of
 from dyknow.graphviz import quote
 
 if TYPE_CHECKING:
-    from dyknow.ros.views import ModelView, NodeletView
+    from dyknow.model.graph import Model, NodeletStatus
 
 _TROUBLED = {"starting": "gray50", "lost": "red3", "failed": "red3"}
 
 
-def to_dot(snapshot: ModelView) -> str:
+def to_dot(snapshot: Model) -> str:
     """Write the graph: ovals for nodelets, rectangles for topics, boxes for namespaces.
 
     The names of nodes are `n` or `t` followed by the name of the nodelet or topic.
@@ -62,7 +62,7 @@ def _with_parents(spaces: Iterator[str]) -> Set[str]:
     return found
 
 
-def _oval(nodelet: NodeletView) -> str:
+def _oval(nodelet: NodeletStatus) -> str:
     label = [nodelet.name, *([nodelet.transformation] if nodelet.transformation else [])]
     more = ""
     state = state_of(nodelet)

@@ -10,8 +10,9 @@ from dyknow.model.transformation import Transformation
 from dyknow.wiring.ports import by_name
 
 if TYPE_CHECKING:
-    from dyknow.ros.stream_views import StreamEventView, StreamView
-    from dyknow.ros.views import NodeletView, Statistics
+    from dyknow.model.graph import NodeletStatus
+    from dyknow.model.statistics import NodeletStatistics
+    from dyknow.model.streams import StreamEvent, StreamStatus
 
 Json = Dict[str, Any]
 
@@ -27,7 +28,7 @@ def port_json(port: PortState) -> Json:
     }
 
 
-def nodelet_json(nodelet: NodeletView) -> Json:
+def nodelet_json(nodelet: NodeletStatus) -> Json:
     """A running nodelet."""
     return {
         "name": nodelet.name,
@@ -66,7 +67,7 @@ def transformation_json(transformation: Transformation) -> Json:
     }
 
 
-def statistics_json(name: str, statistics: Statistics) -> Json:
+def statistics_json(name: str, statistics: NodeletStatistics) -> Json:
     """The statistics of a nodelet; times in s, rates in Hz, null where nothing is counted."""
     return {
         "nodelet": name,
@@ -89,7 +90,7 @@ def statistics_json(name: str, statistics: Statistics) -> Json:
     }
 
 
-def stream_json(stream: StreamView) -> Json:
+def stream_json(stream: StreamStatus) -> Json:
     """A claim; its lease ends at `expires`, in seconds of ROS time, or never if that is null."""
     return {
         "claim": stream.claim_id,
@@ -104,7 +105,7 @@ def stream_json(stream: StreamView) -> Json:
     }
 
 
-def event_json(event: StreamEventView) -> Json:
+def event_json(event: StreamEvent) -> Json:
     """A change of a claim; ``before`` is null for a new one."""
     return {
         "stamp": event.stamp,

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Optional, Sequence
 
 from dyknow.cli.parser import all_commands, parse
 from dyknow.cli.shell import BROKEN_PIPE, DONE, FAILED, INTERRUPTED, UNREACHABLE, Shell
-from dyknow.errors import DyKnowError
-from dyknow.ros.client_errors import ManagerUnreachable
+from dyknow.errors import DyKnowError, ManagerUnreachable
 
 if TYPE_CHECKING:
     from dyknow.ros.shell_client import ShellClient

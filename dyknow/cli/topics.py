@@ -11,7 +11,7 @@ from dyknow.model.transformation import OUT
 from dyknow.wiring.ports import by_name
 
 if TYPE_CHECKING:
-    from dyknow.ros.views import ModelView, NodeletView
+    from dyknow.model.graph import Model, NodeletStatus
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Topic:
     targets: Tuple[PortReference, ...]
 
 
-def topics_of(snapshot: ModelView) -> List[Topic]:
+def topics_of(snapshot: Model) -> List[Topic]:
     """List the topics that nodelets are connected to, by name."""
     sources: Dict[str, List[PortReference]] = {}
     targets: Dict[str, List[PortReference]] = {}
@@ -54,7 +54,7 @@ def topics_of(snapshot: ModelView) -> List[Topic]:
     ]
 
 
-def list_topics(snapshot: ModelView, topics: Sequence[Topic]) -> Iterator[str]:
+def list_topics(snapshot: Model, topics: Sequence[Topic]) -> Iterator[str]:
     """Write the graph as lines: each topic with its ports, then the disconnected ports."""
     for topic in topics:
         yield f"{topic.name} [{topic.datatype or 'unknown type'}]"
@@ -78,6 +78,6 @@ def list_topics(snapshot: ModelView, topics: Sequence[Topic]) -> Iterator[str]:
         yield from loose
 
 
-def _why_without_ports(nodelet: NodeletView) -> str:
+def _why_without_ports(nodelet: NodeletStatus) -> str:
     state = state_of(nodelet)
     return "no ports" if state == "running" else state

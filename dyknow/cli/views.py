@@ -8,22 +8,22 @@ from dyknow.similar import did_you_mean
 from dyknow.wiring.ports import connections_of
 
 if TYPE_CHECKING:
-    from dyknow.ros.views import ModelView, NodeletView
+    from dyknow.model.graph import Model, NodeletStatus
 
 
-def state_of(nodelet: NodeletView) -> str:
+def state_of(nodelet: NodeletStatus) -> str:
     """Return its state: `starting`, `running`, `lost` or `failed`."""
     return nodelet.state.name.lower()
 
 
-def unknown_nodelet(name: str, model: ModelView) -> str:
+def unknown_nodelet(name: str, model: Model) -> str:
     """Write that there is no such nodelet, with similar names."""
     known = [nodelet.name for nodelet in model.nodelets]
     hint = did_you_mean(name, known) or "; see 'dyknow list'"
     return f"no nodelet named '{name}' runs{hint}"
 
 
-def shows(model: ModelView, wanted: Mapping[str, Mapping[str, str]]) -> bool:
+def shows(model: Model, wanted: Mapping[str, Mapping[str, str]]) -> bool:
     """Whether the model shows these connections: topics by port, by nodelet."""
     for name, topics in wanted.items():
         nodelet = model.nodelet(name)

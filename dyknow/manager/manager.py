@@ -18,11 +18,11 @@ from dyknow.manager.host import Host
 from dyknow.manager.library import Library
 from dyknow.manager.lifecycle import PATIENCE, Lifecycle
 from dyknow.manager.observer import Observer, at_once
-from dyknow.manager.record import Model, Record
+from dyknow.manager.record import Record
 from dyknow.manager.specifications.specification import Specifications
 from dyknow.manager.store import Store
 from dyknow.manager.suspects import Suspects
-from dyknow.model.graph import SpawnRequest
+from dyknow.model.graph import Model, SpawnRequest
 from dyknow.model.transformation import Transformation
 from dyknow.periodic import STEADY, Clock
 
@@ -209,7 +209,8 @@ class Manager:
 
     def graph_model(self) -> Model:
         """Return the nodelets and their connections."""
-        return Model(self.graph.revision, self.library.revision, tuple(self.graph.all()))
+        nodelets = tuple(record.status for record in self.graph.all())
+        return Model(self.graph.revision, self.library.revision, nodelets)
 
     def get_model(self) -> Model:
         """Return nodelets, connections and transformations."""

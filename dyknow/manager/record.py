@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Dict, Mapping, Optional, Tuple
 
-from dyknow.model.graph import PortState, State
+from dyknow.model.graph import NodeletStatus, PortState, State
 from dyknow.model.transformation import Transformation
 
 
@@ -52,6 +53,21 @@ class Record:
         """Label of the transformation, empty for nodelets that others loaded."""
         return self.transformation.label if self.transformation is not None else ""
 
+    @cached_property
+    def status(self) -> NodeletStatus:
+        """What others are shown of it: one value for as long as the record is the same."""
+        return NodeletStatus(
+            self.name,
+            self.label,
+            self.manager,
+            self.is_protected,
+            self.isolated,
+            self.rewired_by_reload,
+            self.state,
+            self.detail,
+            self.ports,
+        )
+
 
 def seen_ports(record: Record, ports: Tuple[PortState, ...]) -> Tuple[PortState, ...]:
     """Give the ports that a proxy reports the tags of the transformation."""
@@ -82,23 +98,6 @@ def declared_ports(record: Record) -> Tuple[PortState, ...]:
         )
         for port in record.transformation.ports
     )
-
-
-@dataclass(frozen=True)
-class Model:
-    """The computation graph at one moment.
-
-    Attributes:
-        revision: grows with every change of the nodelets, over restarts too.
-        library_revision: grows with every change of the transformations.
-        nodelets: by name.
-        transformations: by label; empty where only the graph was asked for.
-    """
-
-    revision: int
-    library_revision: int
-    nodelets: Tuple[Record, ...]
-    transformations: Tuple[Transformation, ...] = ()
 
 
 def topics_of(record: Record) -> Dict[str, str]:

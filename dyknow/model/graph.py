@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import enum
 from dataclasses import dataclass, field
-from typing import Mapping, Tuple
+from typing import Mapping, Optional, Tuple
+
+from dyknow.model.transformation import Transformation
 
 
 class State(enum.IntEnum):
@@ -33,6 +35,59 @@ class PortState:
     datatype: str = ""
     topic: str = ""
     tags: Tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class NodeletStatus:
+    """A nodelet and how it is connected; the fields are those of ``dyknow_msgs/Nodelet``.
+
+    Attributes:
+        name: global name.
+        transformation: label of the transformation that it was made from; empty if others loaded
+            it.
+        manager: nodelet manager that hosts it.
+        is_protected: whether ``destroy`` refuses it.
+        isolated: whether it has a process of its own.
+        rewired_by_reload: a plain C++ nodelet, which is loaded again to connect it elsewhere.
+        state: whether it runs.
+        detail: why it does not, in words.
+        ports: in the order in which the nodelet made them.
+    """
+
+    name: str
+    transformation: str
+    manager: str
+    is_protected: bool
+    isolated: bool
+    rewired_by_reload: bool
+    state: State
+    detail: str
+    ports: Tuple[PortState, ...]
+
+    def port(self, name: str) -> Optional[PortState]:
+        """Return the port of that name, or None."""
+        return next((port for port in self.ports if port.name == name), None)
+
+
+@dataclass(frozen=True)
+class Model:
+    """The computation graph at one moment.
+
+    Attributes:
+        revision: grows with every change of the nodelets, over restarts too.
+        library_revision: grows with every change of the transformations.
+        nodelets: by name.
+        transformations: by label; empty where only the graph was asked for.
+    """
+
+    revision: int
+    library_revision: int
+    nodelets: Tuple[NodeletStatus, ...]
+    transformations: Tuple[Transformation, ...] = ()
+
+    def nodelet(self, name: str) -> Optional[NodeletStatus]:
+        """Return the nodelet of that global name, or None."""
+        return next((each for each in self.nodelets if each.name == name), None)
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import enum
 from dataclasses import dataclass
-from typing import Tuple
+from typing import Optional, Tuple
 
 
 class ClaimState(enum.IntEnum):
@@ -51,3 +51,70 @@ class StreamRequest:
     lease: float = 0.0
     max_silence: float = 0.0
     exclude: Tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class StreamStatus:
+    """A claim as the manager shows it; the fields are those of ``dyknow_msgs/StreamStatus``.
+
+    ``expires`` is in seconds of ROS time, 0 for until released.
+    """
+
+    claim_id: str
+    client_id: str
+    tag: str
+    topic: str
+    datatype: str
+    state: ClaimState
+    detail: str
+    nodelets: Tuple[str, ...]
+    expires: float
+
+
+@dataclass(frozen=True)
+class StreamEvent:
+    """A change of a claim.
+
+    Attributes:
+        stamp: ROS time in seconds.
+        before: the claim as it was; None for a new one.
+        after: the claim as it is.
+        reason: what brought the change about.
+    """
+
+    stamp: float
+    before: Optional[StreamStatus]
+    after: StreamStatus
+    reason: str
+
+
+@dataclass(frozen=True)
+class Acquisition:
+    """Answer to ``acquire_stream``; the fields are those of the service.
+
+    Attributes:
+        message: the detail of the claim.
+        warnings: what is probably not meant; in the service they are lines of the message.
+    """
+
+    claim_id: str
+    topic: str
+    datatype: str
+    spawned: Tuple[str, ...]
+    reused: Tuple[str, ...]
+    cost: float
+    expires: float
+    plan: str
+    message: str
+    warnings: Tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Replanned:
+    """Answer to ``replan_stream``; the fields are those of the service."""
+
+    spawned: Tuple[str, ...]
+    reused: Tuple[str, ...]
+    cost: float
+    plan: str
+    message: str

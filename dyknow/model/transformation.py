@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import List, NamedTuple, Tuple
 from xml.sax.saxutils import escape, quoteattr
 
@@ -78,6 +79,19 @@ class Transformation(NamedTuple):
         _add_section(lines, "tags", tags)
         lines.append("</transformation>\n")
         return "\n".join(lines)
+
+
+@dataclass(frozen=True)
+class Added:
+    """What a specification added to the library.
+
+    Attributes:
+        labels: of what was added or replaced, sorted.
+        warnings: what is probably a mistake, one a line.
+    """
+
+    labels: Tuple[str, ...]
+    warnings: str
 
 
 def _param_xml(parameter: Parameter) -> str:

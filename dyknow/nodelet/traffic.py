@@ -2,31 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from dyknow.nodelet.scheduler import Clock
 
 #: A rate is taken over the last one to two stretches of so many messages, so that it follows.
 _STRETCH = 32
-
-
-@dataclass(frozen=True)
-class TrafficSnapshot:
-    """Traffic at one moment.
-
-    Attributes:
-        messages: sent or received since the start.
-        dropped: refused by a full queue, or published while disconnected.
-        rate: Hz over the last messages; 0 for less than two, falling while nothing comes.
-        mean_callback: seconds a callback takes on average; 0 for publications.
-        max_callback: seconds of the longest callback.
-    """
-
-    messages: int = 0
-    dropped: int = 0
-    rate: float = 0.0
-    mean_callback: float = 0.0
-    max_callback: float = 0.0
 
 
 class Traffic:
@@ -34,28 +13,34 @@ class Traffic:
 
     They are called for every message of every port, mostly with cold caches, so they touch as
     little memory as they can: no window of time stamps is kept, only where two stretches began.
+
+    Attributes:
+        messages: sent or received.
+        dropped: refused by a full queue, or published while disconnected.
+        busy: seconds that callbacks took.
+        longest: seconds that the longest of them took.
     """
 
     __slots__ = (
         "_before",
         "_begin",
-        "_busy",
         "_clock",
         "_last",
-        "_longest",
+        "busy",
         "dropped",
+        "longest",
         "messages",
     )
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
-        self._busy = 0.0
-        self._longest = 0.0
         self._last = 0.0
         #: Number and time of the first message of this stretch and of the one before.
         self._begin = self._before = (0, 0.0)
         self.messages = 0
         self.dropped = 0
+        self.busy = 0.0
+        self.longest = 0.0
 
     def sent(self) -> None:
         """Count one message that goes out now."""
@@ -68,28 +53,18 @@ class Traffic:
         """Count one message whose callback began at ``start`` and ``took`` so many seconds."""
         self.messages = number = self.messages + 1
         self._last = start
-        self._busy += took
-        if took > self._longest:
-            self._longest = took
+        self.busy += took
+        if took > self.longest:
+            self.longest = took
         if number % _STRETCH == 1:
             self._begin_stretch(number, start)
-
-    def snapshot(self) -> TrafficSnapshot:
-        """Values for the reader, who may be any thread."""
-        messages = self.messages
-        return TrafficSnapshot(
-            messages=messages,
-            dropped=self.dropped,
-            rate=self._rate(),
-            mean_callback=self._busy / messages if messages else 0.0,
-            max_callback=self._longest,
-        )
 
     def _begin_stretch(self, number: int, now: float) -> None:
         self._before = self._begin if number > 1 else (1, now)
         self._begin = (number, now)
 
-    def _rate(self) -> float:
+    def rate(self) -> float:
+        """Return Hz over the last messages; 0 for less than two, falling while none come."""
         number, last, (first, since) = self.messages, self._last, self._before
         intervals = number - first
         if intervals < 1 or first == 0:

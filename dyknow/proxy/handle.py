@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Any, Optional
 
+from dyknow.model.statistics import NodeletStatistics
 from dyknow.nodelet.handle import NodeHandle as PlainNodeHandle
 from dyknow.proxy.port import PortPublisher, PortSubscriber
-from dyknow.proxy.proxy import NodeletProxy, ProxyStatistics, ReconfigureCallback
+from dyknow.proxy.proxy import NodeletProxy, ReconfigureCallback
 
 
 class NodeHandle(PlainNodeHandle):
@@ -28,11 +29,11 @@ class NodeHandle(PlainNodeHandle):
         super().__init__(node_handle.context, node_handle.namespace, node_handle.concurrent)
         self._proxy = NodeletProxy.of(node_handle.context)
 
-    def get_statistics(self) -> ProxyStatistics:
+    def get_statistics(self) -> NodeletStatistics:
         """Return what the nodelet and its ports have done since it was loaded.
 
         The service ``get_statistics`` answers the same: ``uptime``, ``reconfigurations``,
-        ``callback_errors``, and for each of ``ports`` its ``port`` and its ``traffic``.
+        ``callback_errors``, and for each of ``ports`` its ``messages``, ``rate``, ``dropped`` …
         """
         return self._proxy.get_statistics()
 

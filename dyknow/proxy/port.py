@@ -6,49 +6,18 @@ topic that it is connected to. Handles made on it later find that connection aga
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, List, Optional, Sequence
 
 from dyknow.locks import state_lock
+from dyknow.model.graph import PortState
+from dyknow.model.statistics import PortStatistics
+from dyknow.model.transformation import IN, OUT
 from dyknow.nodelet.bus import Endpoint
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.endpoints import NOTHING, Publication
 from dyknow.nodelet.pubsub import Publisher, Subscriber
-from dyknow.nodelet.traffic import Traffic, TrafficSnapshot
-
-IN, OUT = "in", "out"
-
-
-@dataclass(frozen=True)
-class PortConfig:
-    """A port as others see it.
-
-    Attributes:
-        name: unique in the nodelet.
-        direction: ``in`` or ``out``.
-        datatype: ROS type name, ``*`` for any.
-        topic: global name, empty when disconnected.
-    """
-
-    name: str
-    direction: str
-    datatype: str
-    topic: str
-
-
-@dataclass(frozen=True)
-class PortStatistics:
-    """What went through a port since the nodelet was loaded.
-
-    Attributes:
-        port: the port at this moment.
-        traffic: what went through.
-        latched: whether it keeps a message for whoever connects later.
-    """
-
-    port: PortConfig
-    traffic: TrafficSnapshot
-    latched: bool = False
+from dyknow.nodelet.traffic import Traffic
 
 
 class Port:
@@ -65,9 +34,9 @@ class Port:
         self._free: List[Traffic] = []
 
     @property
-    def config(self) -> PortConfig:
-        """The port at this moment."""
-        return PortConfig(self.name, self.direction, self.datatype._type, self.topic)
+    def state(self) -> PortState:
+        """The port at this moment; its tags are the transformation's to tell."""
+        return PortState(self.name, self.direction, self.datatype._type, self.topic)
 
     @property
     def kind(self) -> str:
@@ -90,8 +59,20 @@ class Port:
         self._free.append(endpoint.traffic)
 
     def statistics(self) -> PortStatistics:
-        """What went through."""
-        return PortStatistics(self.config, _together([each.snapshot() for each in self._traffics]))
+        """What went through all that share the port."""
+        traffics = self._traffics
+        calls = sum(each.messages for each in traffics)
+        busiest = max(traffics, key=lambda each: each.messages, default=None)
+        return PortStatistics(
+            self.name,
+            self.direction,
+            self.topic,
+            messages=busiest.messages if busiest is not None else 0,
+            dropped=max((each.dropped for each in traffics), default=0),
+            rate=busiest.rate() if busiest is not None else 0.0,
+            mean_callback=sum(each.busy for each in traffics) / calls if calls else 0.0,
+            max_callback=max((each.longest for each in traffics), default=0.0),
+        )
 
 
 class OutPort(Port):
@@ -176,18 +157,3 @@ class PortSubscriber(Subscriber):
         super().unregister()
         if joined:
             self._port.leave(self.subscription)
-
-
-def _together(snapshots: Sequence[TrafficSnapshot]) -> TrafficSnapshot:
-    if not snapshots:
-        return TrafficSnapshot()
-    busiest = max(snapshots, key=lambda each: each.messages)
-    calls = sum(each.messages for each in snapshots)
-    busy = sum(each.mean_callback * each.messages for each in snapshots)
-    return TrafficSnapshot(
-        messages=busiest.messages,
-        dropped=max(each.dropped for each in snapshots),
-        rate=busiest.rate,
-        mean_callback=busy / calls if calls else 0.0,
-        max_callback=max(each.max_callback for each in snapshots),
-    )

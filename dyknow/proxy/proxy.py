@@ -6,7 +6,6 @@ turns; nothing else waits for that turn, and it waits for no callback.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple, Union
 
 from dyknow import names
@@ -23,18 +22,18 @@ from dyknow.errors import (
     UnloadedMeanwhile,
 )
 from dyknow.locks import turn_lock
+from dyknow.model.graph import PortState
+from dyknow.model.statistics import NodeletStatistics
+from dyknow.model.transformation import IN
 from dyknow.nodelet.bus import Endpoint
 from dyknow.nodelet.context import Context, check_message_class
 from dyknow.nodelet.handle import NodeHandle
 from dyknow.nodelet.scheduler import Strand
 from dyknow.proxy.port import (
-    IN,
     InPort,
     OutPort,
     Port,
-    PortConfig,
     PortPublisher,
-    PortStatistics,
     PortSubscriber,
 )
 
@@ -43,23 +42,6 @@ PATIENCE = 0.5
 
 Change = Tuple[Port, str]
 ReconfigureCallback = Callable[[Dict[str, str], Dict[str, str]], None]
-
-
-@dataclass(frozen=True)
-class ProxyStatistics:
-    """What a nodelet did since it was loaded.
-
-    Attributes:
-        uptime: seconds, steady.
-        reconfigurations: number of times that ports were connected elsewhere.
-        callback_errors: callbacks that raised.
-        ports: in the order of their declaration.
-    """
-
-    uptime: float
-    reconfigurations: int
-    callback_errors: int
-    ports: Tuple[PortStatistics, ...]
 
 
 class NodeletProxy:
@@ -87,9 +69,9 @@ class NodeletProxy:
 
     # What the services offer
 
-    def get_config(self) -> List[PortConfig]:
+    def get_config(self) -> List[PortState]:
         """Return the ports, in the order of their declaration."""
-        return [port.config for port in list(self._ports.values())]
+        return [port.state for port in list(self._ports.values())]
 
     def set_config(self, config: Sequence[Tuple[str, str]]) -> None:
         """Connect ports to topics, all or none.
@@ -114,10 +96,10 @@ class NodeletProxy:
             if self._reconfigurations != before:
                 self.on_change()
 
-    def get_statistics(self) -> ProxyStatistics:
+    def get_statistics(self) -> NodeletStatistics:
         """Return the counts of this moment."""
         context = self._context
-        return ProxyStatistics(
+        return NodeletStatistics(
             uptime=context.runtime.clock() - context.started_at,
             reconfigurations=self._reconfigurations,
             callback_errors=context.callback_errors,

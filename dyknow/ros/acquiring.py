@@ -16,15 +16,13 @@ from typing import Any, Callable, Iterable, Optional, Tuple, Union
 
 import rospy
 
-from dyknow.errors import BadParameter, DyKnowError, HostError, PeerTimeout, Refused
+from dyknow.errors import BadParameter, DyKnowError, HostError, PeerTimeout, Refused, StreamRefused
 from dyknow.event_queue import EventQueue
-from dyknow.model.streams import ClaimState, StreamRequest
+from dyknow.model.streams import Acquisition, ClaimState, StreamEvent, StreamRequest, StreamStatus
 from dyknow.ros.client import CHANGE_TIMEOUT, ManagerClient
-from dyknow.ros.client_errors import StreamRefused
 from dyknow.ros.stream_session import StreamSession
-from dyknow.ros.stream_views import AcquiredView, StreamEventView, StreamView
 
-OnEvent = Callable[[StreamEventView], None]
+OnEvent = Callable[[StreamEvent], None]
 
 #: Seconds after which a claim ends that its client does not renew.
 LEASE = 30.0
@@ -46,7 +44,7 @@ class AcquiredStream:
         self,
         client: ManagerClient,
         session: StreamSession,
-        view: StreamView,
+        view: StreamStatus,
         lease: float,
         on_event: Optional[OnEvent],
     ) -> None:
@@ -58,7 +56,7 @@ class AcquiredStream:
         self.reused: Tuple[str, ...] = ()
         self._client = client
         self._session = session
-        self._telling: EventQueue[StreamEventView] = EventQueue(on_event or (lambda event: None))
+        self._telling: EventQueue[StreamEvent] = EventQueue(on_event or (lambda event: None))
         self._condition = threading.Condition()
         self._view = view
         self._released = False
@@ -142,7 +140,7 @@ class AcquiredStream:
         """How many changes were taken in: what was asked before one of them is out of date."""
         return self._events
 
-    def note(self, event: StreamEventView) -> None:
+    def note(self, event: StreamEvent) -> None:
         """Take in a change; nothing changes a claim that ended."""
         with self._condition:
             if not self._view.state.ended:
@@ -150,7 +148,7 @@ class AcquiredStream:
                 self._put(event)
         self._telling.deliver()
 
-    def note_view(self, view: StreamView, events: int) -> None:
+    def note_view(self, view: StreamStatus, events: int) -> None:
         """Take in what the claim was like after so many changes; news if one was missed."""
         with self._condition:
             if events == self._events:
@@ -166,16 +164,16 @@ class AcquiredStream:
             self._take(replace(self._view, **changes), reason)
         self._telling.deliver()
 
-    def _take(self, view: StreamView, reason: str) -> None:
+    def _take(self, view: StreamStatus, reason: str) -> None:
         before = self._view
         if before.state.ended:
             return
         if (view.state, view.topic, view.detail) != (before.state, before.topic, before.detail):
-            self._put(StreamEventView(rospy.get_time(), before, view, reason))
+            self._put(StreamEvent(rospy.get_time(), before, view, reason))
         else:
             self._view = view
 
-    def _put(self, event: StreamEventView) -> None:
+    def _put(self, event: StreamEvent) -> None:
         self._view = event.after
         self._condition.notify_all()
         self._telling.add(event)
@@ -247,9 +245,11 @@ def acquire(
 
 def _ask(
     client: ManagerClient, request: StreamRequest, pending: bool, timeout: float
-) -> Tuple[StreamView, Optional[AcquiredView]]:
+) -> Tuple[StreamStatus, Optional[Acquisition]]:
     """Ask for a stream; without an answer if it is not there yet."""
-    view = StreamView("", request.client_id, request.tag, "", "", ClaimState.PENDING, "", (), 0.0)
+    view = StreamStatus(
+        "", request.client_id, request.tag, "", "", ClaimState.PENDING, "", (), 0.0
+    )
     try:
         answer = client.acquire_stream(request, timeout=timeout)
     except StreamRefused as error:

@@ -7,45 +7,33 @@ from __future__ import annotations
 
 import logging
 import os
-import threading
-from dataclasses import dataclass
-from typing import Any, Dict, Mapping, Optional, Tuple
+from typing import Any, Dict, List, Mapping, Tuple
 
 import rosgraph.names
-from dyknow_msgs.msg import PortConfig
-from dyknow_msgs.srv import (
-    AcquireStream,
-    AddTransformation,
-    Destroy,
-    GetConfig,
-    GetModel,
-    GetStatistics,
-    ListStreams,
-    ReleaseStream,
-    RemoveTransformation,
-    RenewStream,
-    ReplanStream,
-    SetConfig,
-    SetProtection,
-    Spawn,
-)
+from dyknow_msgs import srv
 from genpy import Duration
 
 from dyknow import names
 from dyknow.errors import Refused
-from dyknow.model.graph import PortState
-from dyknow.model.streams import StreamRequest
+from dyknow.locks import state_lock
+from dyknow.model.client import BaseManagerClient
+from dyknow.model.graph import Model, PortState, SpawnRequest
+from dyknow.model.statistics import NodeletStatistics
+from dyknow.model.streams import Acquisition, Replanned, StreamRequest, StreamStatus
+from dyknow.model.transformation import Added
 from dyknow.ros.master import Master
-from dyknow.ros.service_client import ServiceClient
-from dyknow.ros.stream_views import (
-    AcquiredView,
-    ReplannedView,
-    StreamView,
-    acquired_view,
-    replanned_view,
-    stream_view,
+from dyknow.ros.messages import (
+    acquire_message,
+    acquisition_from,
+    config_message,
+    model_from,
+    port_from,
+    replanned_from,
+    spawn_message,
+    statistics_from,
+    stream_from,
 )
-from dyknow.ros.views import ModelView, Statistics, model_view, port_view, statistics_view
+from dyknow.ros.service_client import ServiceClient
 
 #: Seconds for calls that only ask.
 ASK_TIMEOUT = 5.0
@@ -58,25 +46,8 @@ _SPOKEN_OF = ("add_transformation", "replan_stream")
 _log = logging.getLogger("rosout.dyknow")
 
 
-@dataclass(frozen=True)
-class Added:
-    """What ``add_transformation`` added.
-
-    Attributes:
-        labels: of what was added or replaced.
-        warnings: what is probably not meant, one a line.
-    """
-
-    labels: Tuple[str, ...]
-    warnings: str
-
-
-class ManagerClient:
-    """Speaks with one DyKnow manager, and with the proxies of nodelets.
-
-    Every method raises ``Refused`` when the answer is no, ``HostError`` when nobody is there to
-    answer, and ``PeerTimeout`` when no answer comes in time.
-    """
+class ManagerClient(BaseManagerClient):
+    """Speaks with one DyKnow manager of the ROS graph, and with the proxies of nodelets."""
 
     def __init__(self, manager: str = "dyknow_manager", caller: str = "") -> None:
         """Prepare calls; nothing is sent yet.
@@ -88,125 +59,69 @@ class ManagerClient:
         """
         self.manager: str = rosgraph.names.script_resolve_name("dyknow", manager)
         self._master = Master(caller or f"/dyknow_client_{os.getpid()}")
-        self._lock = threading.Lock()
+        self._kept_lock = state_lock("kept services")
         self._kept: Dict[str, ServiceClient] = {}
 
     # Transformations
 
     def add_transformation(self, specification: str) -> Added:
-        """Add what a specification (XML text) says."""
-        answer = self._change("add_transformation", AddTransformation, specification=specification)
+        answer = self._change(
+            "add_transformation", srv.AddTransformation, specification=specification
+        )
         return Added(tuple(answer.labels), answer.message)
 
     def remove_transformation(self, label: str) -> None:
-        """Remove a transformation."""
-        self._change("remove_transformation", RemoveTransformation, label=label)
+        self._change("remove_transformation", srv.RemoveTransformation, label=label)
 
     # Nodelets
 
-    def spawn(
-        self,
-        label: str,
-        name: str,
-        config: Optional[Mapping[str, str]] = None,
-        is_protected: bool = False,
-        isolated: bool = False,
-        manager: str = "",
-    ) -> None:
-        """Make a nodelet; it runs and is connected when this returns.
-
-        Args:
-            label: of the transformation.
-            name: of the nodelet; a relative one begins in the manager's namespace.
-            config: topics by port.
-            is_protected: refuse to destroy it.
-            isolated: give it a process of its own.
-            manager: nodelet manager; empty for the manager's choice.
-        """
-        self._change(
-            "spawn",
-            Spawn,
-            label=label,
-            name=name,
-            is_protected=is_protected,
-            isolated=isolated,
-            config=_pairs(config or {}),
-            manager=manager,
-        )
+    def spawn_nodelet(self, request: SpawnRequest) -> None:
+        self._change("spawn", srv.Spawn, spawn_message(request))
 
     def destroy(self, name: str) -> None:
-        """Destroy a nodelet."""
-        self._change("destroy", Destroy, name=name)
+        self._change("destroy", srv.Destroy, name=name)
 
     def set_protection(self, name: str, is_protected: bool) -> None:
-        """Protect a nodelet from being destroyed, or release it."""
-        self._change("set_protection", SetProtection, name=name, is_protected=is_protected)
+        self._change("set_protection", srv.SetProtection, name=name, is_protected=is_protected)
 
-    def get_model(self, timeout: float = ASK_TIMEOUT) -> ModelView:
-        """Ask what runs and what can run."""
-        service = names.join(self.manager, "get_model")
-        return model_view(self._call(service, GetModel, timeout).model)
+    def get_model(self, timeout: float = ASK_TIMEOUT) -> Model:
+        return model_from(self._ask("get_model", srv.GetModel, timeout).model)
+
+    def nodelet_managers(self) -> List[str]:
+        return self._nodes_with("/load_nodelet")
 
     # Proxies
 
     def get_config(self, nodelet: str) -> Tuple[PortState, ...]:
-        """Ask a nodelet for its ports."""
-        answer = self._call(names.join(nodelet, "get_config"), GetConfig, ASK_TIMEOUT)
-        return tuple(port_view(port) for port in answer.ports)
+        answer = self._call(names.join(nodelet, "get_config"), srv.GetConfig, ASK_TIMEOUT)
+        return tuple(port_from(port) for port in answer.ports)
 
     def set_config(self, nodelet: str, config: Mapping[str, str]) -> None:
-        """Connect ports of a nodelet, all or none; an empty topic disconnects."""
-        service = names.join(nodelet, "set_config")
-        answer = self._call(service, SetConfig, CHANGE_TIMEOUT, config=_pairs(config))
+        service, request = names.join(nodelet, "set_config"), config_message(config)
+        answer = self._call(service, srv.SetConfig, CHANGE_TIMEOUT, config=request)
         if not answer.success:
             raise Refused(answer.message)
 
-    def get_statistics(self, nodelet: str) -> Statistics:
-        """Ask a nodelet what it has done."""
-        answer = self._call(names.join(nodelet, "get_statistics"), GetStatistics, ASK_TIMEOUT)
-        return statistics_view(answer)
+    def get_statistics(self, nodelet: str) -> NodeletStatistics:
+        service = names.join(nodelet, "get_statistics")
+        return statistics_from(self._call(service, srv.GetStatistics, ASK_TIMEOUT))
 
     # Streams
 
     def acquire_stream(
         self, request: StreamRequest, dry_run: bool = False, timeout: float = CHANGE_TIMEOUT
-    ) -> AcquiredView:
-        """Ask for a stream, or with ``dry_run`` for how it would be made.
-
-        Raises:
-            StreamRefused: it cannot be made now; the claim it names is made when it can.
-        """
-        answer = self._call(
-            names.join(self.manager, "acquire_stream"),
-            AcquireStream,
-            timeout,
-            tag=request.tag,
-            datatype=request.datatype,
-            client_id=request.client_id,
-            request_id=request.request_id,
-            bond_id=request.bond_id,
-            lease=Duration.from_sec(request.lease),
-            max_silence=request.max_silence,
-            exclude=list(request.exclude),
-            dry_run=dry_run,
-        )
-        return acquired_view(answer)
+    ) -> Acquisition:
+        message = acquire_message(request, dry_run)
+        return acquisition_from(self._ask("acquire_stream", srv.AcquireStream, timeout, message))
 
     def release_stream(self, claim_id: str) -> None:
-        """End a claim; ending it again is no error."""
-        self._change("release_stream", ReleaseStream, claim_id=claim_id)
+        self._change("release_stream", srv.ReleaseStream, claim_id=claim_id)
 
     def renew_stream(self, claim_id: str, lease: float) -> float:
-        """Let a claim live for so many seconds from now, 0 for until it is released.
-
-        The connection is kept, so that a later renewal needs no master.
-
-        Returns:
-            When it ends, in seconds of ROS time; 0 for until it is released.
-        """
-        answer = self._call(
-            names.join(self.manager, "renew_stream"),
-            RenewStream,
+        # The connection is kept, so that a later renewal needs no master.
+        answer = self._ask(
+            "renew_stream",
+            srv.RenewStream,
             ASK_TIMEOUT,
             kept=True,
             claim_id=claim_id,
@@ -216,23 +131,27 @@ class ManagerClient:
             raise Refused(answer.message)
         return float(answer.expires.to_sec())
 
-    def replan_stream(self, claim_id: str, dry_run: bool = False) -> ReplannedView:
-        """Take the way that is the cheapest now."""
-        answer = self._change("replan_stream", ReplanStream, claim_id=claim_id, dry_run=dry_run)
-        return replanned_view(answer)
+    def replan_stream(self, claim_id: str, dry_run: bool = False) -> Replanned:
+        return replanned_from(
+            self._change("replan_stream", srv.ReplanStream, claim_id=claim_id, dry_run=dry_run)
+        )
 
-    def list_streams(self, timeout: float = ASK_TIMEOUT) -> Tuple[StreamView, ...]:
-        """Ask for all claims, those that ended lately too; the connection is kept."""
-        service = names.join(self.manager, "list_streams")
-        answer = self._call(service, ListStreams, timeout, kept=True)
-        return tuple(stream_view(each) for each in answer.streams)
+    def list_streams(self, timeout: float = ASK_TIMEOUT) -> Tuple[StreamStatus, ...]:
+        answer = self._ask("list_streams", srv.ListStreams, timeout, kept=True)
+        return tuple(stream_from(each) for each in answer.streams)
 
     # Inside
 
-    def _change(self, service: str, service_class: Any, **fields: Any) -> Any:
-        answer = self._call(
-            names.join(self.manager, service), service_class, CHANGE_TIMEOUT, **fields
-        )
+    def _ask(
+        self, service: str, service_class: Any, timeout: float, *request: Any, **fields: Any
+    ) -> Any:
+        """Call a service of the manager."""
+        service = names.join(self.manager, service)
+        return self._call(service, service_class, timeout, *request, **fields)
+
+    def _change(self, service: str, service_class: Any, *request: Any, **fields: Any) -> Any:
+        """Call a service of the manager whose answer may be no."""
+        answer = self._ask(service, service_class, CHANGE_TIMEOUT, *request, **fields)
         if not answer.success:
             raise Refused(answer.message)
         if answer.message and service not in _SPOKEN_OF:
@@ -240,10 +159,16 @@ class ManagerClient:
         return answer
 
     def _call(
-        self, service: str, service_class: Any, timeout: float, kept: bool = False, **fields: Any
+        self,
+        service: str,
+        service_class: Any,
+        timeout: float,
+        *request: Any,
+        kept: bool = False,
+        **fields: Any,
     ) -> Any:
         client = self._service(self._master, service, service_class, kept)
-        return client.call(timeout, **fields)
+        return client.call(timeout, *request, **fields)
 
     def _service(
         self, master: Master, service: str, service_class: Any, kept: bool
@@ -251,13 +176,13 @@ class ManagerClient:
         """Return a client for one call, or one whose connection is kept for the next."""
         if not kept:
             return ServiceClient(master, service, service_class)
-        with self._lock:
+        with self._kept_lock:
             if service not in self._kept:
                 made = ServiceClient(master, service, service_class, persistent=True)
                 self._kept[service] = made
             return self._kept[service]
 
-
-def _pairs(config: Mapping[str, str]) -> list[PortConfig]:
-    ordered: Dict[str, str] = dict(sorted(config.items()))
-    return [PortConfig(port, topic) for port, topic in ordered.items()]
+    def _nodes_with(self, service: str) -> List[str]:
+        """Return the nodes that offer a service of such a name, sorted."""
+        _, _, services = self._master.ask("getSystemState")
+        return sorted(name[: -len(service)] for name, _ in services if name.endswith(service))

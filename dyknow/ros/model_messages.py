@@ -14,50 +14,14 @@ from typing import Any, Dict, Iterable, List, Tuple
 
 import rospy
 from dyknow_msgs.msg import Model as ModelMessage
-from dyknow_msgs.msg import Nodelet, Parameter, Port
-from dyknow_msgs.msg import Transformation as TransformationMessage
 from dyknow_msgs.srv import GetModelResponse
 
-from dyknow.manager.record import Model, Record
-from dyknow.model.graph import PortState
-from dyknow.model.transformation import OUT, Transformation
-from dyknow.model.transformation import Port as DeclaredPort
+from dyknow.model.graph import Model, NodeletStatus
+from dyknow.model.transformation import Transformation
+from dyknow.ros.messages import nodelet_message, transformation_message
 
 _HEAD = struct.Struct("<QQII")
 _COUNT = struct.Struct("<I")
-
-
-def nodelet_message(record: Record) -> Nodelet:
-    """Convert a nodelet."""
-    return Nodelet(
-        name=record.name,
-        transformation=record.label,
-        manager=record.manager,
-        is_protected=record.is_protected,
-        isolated=record.isolated,
-        rewired_by_reload=record.rewired_by_reload,
-        state=int(record.state),
-        detail=record.detail,
-        ports=[running_port(port) for port in record.ports],
-    )
-
-
-def running_port(port: PortState) -> Port:
-    """Convert a port of a nodelet."""
-    return Port(port.name, _side(port.direction), port.datatype, port.topic, list(port.tags))
-
-
-def transformation_message(transformation: Transformation) -> TransformationMessage:
-    """Convert a transformation."""
-    return TransformationMessage(
-        label=transformation.label,
-        type=transformation.type,
-        source=transformation.source,
-        cost=transformation.cost,
-        parameters=[Parameter(*each) for each in transformation.parameters],
-        ports=[_declared_port(port) for port in transformation.ports],
-        specification=transformation.to_xml(),
-    )
 
 
 class ModelMessages:
@@ -66,7 +30,7 @@ class ModelMessages:
     def __init__(self) -> None:
         """Begin with nothing kept."""
         self._lock = threading.Lock()
-        self._nodelets: Dict[str, Tuple[Record, bytes]] = {}
+        self._nodelets: Dict[str, Tuple[NodeletStatus, bytes]] = {}
         self._transformations: Dict[str, Tuple[Transformation, bytes]] = {}
         self._library: Tuple[int, bytes] = (-1, b"")
 
@@ -84,10 +48,10 @@ class ModelMessages:
         with self._lock:
             known = self._nodelets
             kept = {
-                record.name: known[record.name]
-                if known.get(record.name, (None,))[0] is record
-                else (record, _bytes(nodelet_message(record)))
-                for record in model.nodelets
+                each.name: known[each.name]
+                if known.get(each.name, (None,))[0] is each
+                else (each, _bytes(nodelet_message(each)))
+                for each in model.nodelets
             }
             self._nodelets = kept
         return head + _sequence(part for _, part in kept.values())
@@ -132,14 +96,6 @@ class _ReadyResponse(GetModelResponse):
     def serialize(self, buff: Any) -> None:
         """Write it."""
         buff.write(self._body)
-
-
-def _declared_port(port: DeclaredPort) -> Port:
-    return Port(port.name, _side(port.direction), port.datatype, "", list(port.tags))
-
-
-def _side(direction: str) -> int:
-    return int(Port.OUT if direction == OUT else Port.IN)
 
 
 def _bytes(message: Any) -> bytes:

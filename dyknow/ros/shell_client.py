@@ -15,18 +15,18 @@ import xmlrpc.client
 from typing import Any, Callable, Container, Dict, FrozenSet, List, Optional, Sequence, TypeVar
 from xml.parsers.expat import ExpatError
 
-from dyknow_msgs.msg import Model, StreamEvent
+from dyknow_msgs import msg
 
 from dyknow import names
-from dyknow.errors import PeerTimeout, Refused
+from dyknow.errors import ManagerUnreachable, NodeletUnreachable, PeerTimeout, Refused
+from dyknow.model.graph import Model
+from dyknow.model.streams import StreamEvent
 from dyknow.ros import client
 from dyknow.ros.client import ManagerClient
-from dyknow.ros.client_errors import ManagerUnreachable, NodeletUnreachable
 from dyknow.ros.master import TIMEOUT, Master
+from dyknow.ros.messages import event_from, model_from
 from dyknow.ros.service_client import ServiceFailed, ServiceLost
-from dyknow.ros.stream_views import StreamEventView, event_view
 from dyknow.ros.topic_reader import TopicReader
-from dyknow.ros.views import ModelView, model_view
 
 T = TypeVar("T")
 _UNSET = object()
@@ -44,7 +44,7 @@ class EventReader:
         """Read what a connection carries."""
         self._reader = reader
 
-    def next(self, timeout: float) -> Optional[StreamEventView]:
+    def next(self, timeout: float) -> Optional[StreamEvent]:
         """Return the next event, or None if none comes in time.
 
         Raises:
@@ -54,7 +54,7 @@ class EventReader:
             message = self._reader.read(timeout)
         except OSError as error:
             raise ManagerUnreachable(f"the manager is gone ({_words(error)})") from error
-        return None if message is None else event_view(message)
+        return None if message is None else event_from(message)
 
     def close(self) -> None:
         """Listen no more."""
@@ -84,13 +84,9 @@ class ShellClient(ManagerClient):
         self._asked = Master(caller, timeout=min(timeout or TIMEOUT, TIMEOUT))
         self._master_seen = False
 
-    def model(self) -> ModelView:
-        """Return the model with its transformations."""
-        return self.get_model()
-
-    def nodelets(self) -> ModelView:
+    def get_graph(self) -> Model:
         """Return the model without its transformations, which may be many."""
-        with self._topic("model", Model) as reader:
+        with self._topic("model", msg.Model) as reader:
             seconds = self._timeout or client.ASK_TIMEOUT
             try:
                 message = reader.read(seconds)
@@ -98,28 +94,24 @@ class ShellClient(ManagerClient):
                 raise self._no_manager(error, seconds) from error
         if message is None:
             raise self._no_manager(PeerTimeout(self.manager, seconds), seconds)
-        return model_view(message)
+        return model_from(message)
 
     def stream_events(self) -> EventReader:
         """Begin to listen to the events of all streams."""
-        return EventReader(self._topic("stream_events", StreamEvent))
+        return EventReader(self._topic("stream_events", msg.StreamEvent))
 
-    def wait_for_model(self, condition: Callable[[ModelView], bool]) -> bool:
+    def wait_for_model(self, condition: Callable[[Model], bool]) -> bool:
         """Wait until the manager's model shows a change, so that the next command sees it.
 
         Returns:
             Whether it does within the time that the model needs at most.
         """
         deadline = time.monotonic() + FOLLOW_TIMEOUT
-        while not condition(self.nodelets()):
+        while not condition(self.get_graph()):
             if time.monotonic() > deadline:
                 return False
             time.sleep(_FOLLOW_PERIOD)
         return True
-
-    def nodelet_managers(self) -> List[str]:
-        """Names of all nodelet managers of the ROS graph that are registered now."""
-        return self._nodes_with("/load_nodelet")
 
     def managers(self) -> List[str]:
         """Names of all DyKnow managers of the ROS graph that are registered now."""
@@ -163,14 +155,20 @@ class ShellClient(ManagerClient):
     # Inside
 
     def _call(
-        self, service: str, service_class: Any, timeout: float, kept: bool = False, **fields: Any
+        self,
+        service: str,
+        service_class: Any,
+        timeout: float,
+        *request: Any,
+        kept: bool = False,
+        **fields: Any,
     ) -> Any:
         self._find_master()
         seconds = self._timeout or timeout
         owner = names.parent(service)
         client = self._service(self._asked, service, service_class, kept)
         try:
-            return client.call(seconds, **fields)
+            return client.call(seconds, *request, **fields)
         except ServiceFailed as error:
             raise Refused(f"'{owner}': {error}") from error
         except ServiceLost as error:
@@ -194,9 +192,8 @@ class ShellClient(ManagerClient):
         except (LookupError, PeerTimeout, OSError) as error:
             raise self._no_manager(error, seconds) from error
 
-    def _nodes_with(self, suffix: str) -> List[str]:
-        _, _, services = self._on_master(lambda: self._asked.ask("getSystemState"))
-        return sorted(name[: -len(suffix)] for name, _ in services if name.endswith(suffix))
+    def _nodes_with(self, service: str) -> List[str]:
+        return self._on_master(lambda: super(ShellClient, self)._nodes_with(service))
 
     def _find_master(self) -> None:
         if not self._master_seen:

@@ -13,14 +13,15 @@ from functools import partial
 from typing import Any, Dict, List, Optional, Protocol
 
 import rospy
-from dyknow_msgs.msg import StreamEvent
+from dyknow_msgs.msg import StreamEvent as StreamEventMessage
 
 from dyknow import names
 from dyknow.errors import HostError, PeerTimeout, Refused
+from dyknow.model.streams import StreamEvent, StreamStatus
 from dyknow.periodic import PeriodicWorker, attempt
 from dyknow.ros.bonding.client_bond import ClientBond
 from dyknow.ros.client import ManagerClient
-from dyknow.ros.stream_views import StreamEventView, StreamView, event_view
+from dyknow.ros.messages import event_from
 
 #: A lease is renewed when this part of it is over.
 _RENEWED_AFTER = 1 / 3
@@ -41,10 +42,10 @@ class Follower(Protocol):
     def events(self) -> int:
         """How many changes were taken in."""
 
-    def note(self, event: StreamEventView) -> None:
+    def note(self, event: StreamEvent) -> None:
         """Take in a change."""
 
-    def note_view(self, view: StreamView, events: int) -> None:
+    def note_view(self, view: StreamStatus, events: int) -> None:
         """Take in what the claim was like after so many changes."""
 
     def note_end(self, why: str) -> None:
@@ -76,7 +77,7 @@ class StreamSession:
         self._due: Dict[str, float] = {}
         self._heart = ClientBond(client.manager)
         self._subscriber: Any = rospy.Subscriber(
-            names.join(client.manager, "stream_events"), StreamEvent, self._on_event
+            names.join(client.manager, "stream_events"), StreamEventMessage, self._on_event
         )
         self._await_connection()
         self._worker = PeriodicWorker("renewing leases", self._keep, self._until_due)
@@ -126,7 +127,7 @@ class StreamSession:
         with self._lock:
             stream = self._streams.get(message.after.claim_id)
         if stream is not None:
-            stream.note(event_view(message))
+            stream.note(event_from(message))
 
     def _keep(self) -> None:
         """Renew the leases that are due."""

@@ -23,7 +23,7 @@ from dyknow.wiring.ports import connections_of, types_fit
 from dyknow.wiring.wiring import WiredNodelet, Wiring
 
 if TYPE_CHECKING:
-    from dyknow.ros.views import ModelView, NodeletView
+    from dyknow.model.graph import Model, NodeletStatus
 
 
 #: Tells which values the parameter server has for parameters of a nodelet, by their names.
@@ -42,7 +42,7 @@ class Kept:
     """
 
     wanted: WiredNodelet
-    present: NodeletView
+    present: NodeletStatus
     differences: Tuple[str, ...] = ()
 
     @property
@@ -100,7 +100,7 @@ class Plan:
 
 def plan_load(
     wiring: Wiring,
-    snapshot: ModelView,
+    snapshot: Model,
     managers: Collection[str],
     is_own_manager: Callable[[str], bool] = lambda name: False,
     replace: bool = False,
@@ -218,7 +218,7 @@ def _plan_transformations(plan: Plan, wiring: Wiring, replace: bool) -> None:
 def _plan_present(
     plan: Plan,
     nodelet: WiredNodelet,
-    present: NodeletView,
+    present: NodeletStatus,
     replace: bool,
     stored: Optional[Stored],
 ) -> bool:
@@ -257,7 +257,7 @@ def _plan_present(
 
 
 def _otherwise_made(
-    blueprint: Transformation, present: NodeletView, stored: Optional[Stored]
+    blueprint: Transformation, present: NodeletStatus, stored: Optional[Stored]
 ) -> Tuple[str, ...]:
     """Compare what can be seen of a nodelet with the transformation of its label.
 

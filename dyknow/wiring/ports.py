@@ -8,8 +8,7 @@ from dyknow import names
 from dyknow.model.transformation import OUT
 
 if TYPE_CHECKING:
-    from dyknow.model.graph import PortState
-    from dyknow.ros.views import NodeletView
+    from dyknow.model.graph import NodeletStatus, PortState
 
 #: The type of ports that take any.
 ANY = "*"
@@ -20,7 +19,7 @@ def by_name(ports: Iterable[PortState]) -> List[PortState]:
     return sorted(ports, key=lambda port: port.name)
 
 
-def connections_of(nodelet: NodeletView) -> Dict[str, str]:
+def connections_of(nodelet: NodeletStatus) -> Dict[str, str]:
     """Topics of the ports that are connected, by port."""
     return {port.name: port.topic for port in by_name(nodelet.ports) if port.topic}
 
@@ -39,7 +38,7 @@ def choose_topic(
     nodelet: str,
     out: PortState,
     into: PortState,
-    nodelets: Iterable[NodeletView],
+    nodelets: Iterable[NodeletStatus],
     published: Container[str],
 ) -> str:
     """Choose the topic on which an out-port and an in-port meet.

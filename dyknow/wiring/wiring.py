@@ -11,7 +11,7 @@ from dyknow.model.transformation import Transformation
 from dyknow.wiring.ports import connections_of
 
 if TYPE_CHECKING:
-    from dyknow.ros.views import ModelView, NodeletView
+    from dyknow.model.graph import Model, NodeletStatus
 
 VERSION = "1"
 
@@ -41,7 +41,7 @@ class WiredNodelet:
     connections: Tuple[Tuple[str, str], ...] = ()
 
     @classmethod
-    def of(cls, nodelet: NodeletView) -> WiredNodelet:
+    def of(cls, nodelet: NodeletStatus) -> WiredNodelet:
         """Take a nodelet that runs as it is."""
         return cls(
             nodelet.name,
@@ -74,7 +74,7 @@ class Wiring:
         return "\n".join(lines)
 
 
-def wiring_of(snapshot: ModelView) -> Tuple[Wiring, List[NodeletView]]:
+def wiring_of(snapshot: Model) -> Tuple[Wiring, List[NodeletStatus]]:
     """Take the wiring out of a model.
 
     Returns:

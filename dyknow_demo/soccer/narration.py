@@ -5,11 +5,10 @@ from __future__ import annotations
 from typing import Dict, Iterator, List
 
 from dyknow import names
-from dyknow.model.graph import State
-from dyknow.ros.views import ModelView, NodeletView
+from dyknow.model.graph import Model, NodeletStatus, State
 
 
-def changes(before: ModelView, after: ModelView, space: str = "/") -> List[str]:
+def changes(before: Model, after: Model, space: str = "/") -> List[str]:
     """List nodelets that came, went or were re-wired, a line each.
 
     Out-ports that publish on the topic of their own name, as they mostly do, are not told.
@@ -33,11 +32,11 @@ def short(name: str, space: str) -> str:
     return name[len(prefix) :] if name.startswith(prefix) else name
 
 
-def _running(model: ModelView) -> Dict[str, NodeletView]:
+def _running(model: Model) -> Dict[str, NodeletStatus]:
     return {each.name: each for each in model.nodelets if each.state is State.RUNNING}
 
 
-def _wirings(old: NodeletView | None, new: NodeletView, space: str) -> Iterator[str]:
+def _wirings(old: NodeletStatus | None, new: NodeletStatus, space: str) -> Iterator[str]:
     for port in new.ports:
         before = old.port(port.name) if old is not None else None
         was = before.topic if before is not None else ""

@@ -7,12 +7,13 @@ from types import TracebackType
 from typing import Any, Callable, Dict, List, Optional, Type
 
 import rospy
-from dyknow_msgs.msg import Model
+from dyknow_msgs.msg import Model as ModelMessage
 from geometry_msgs.msg import PointStamped
 
 from dyknow import names
-from dyknow.ros.stream_views import StreamEventView
-from dyknow.ros.views import ModelView, model_view
+from dyknow.model.graph import Model
+from dyknow.model.streams import StreamEvent
+from dyknow.ros.messages import model_from
 from dyknow_demo.soccer.narration import changes
 from dyknow_demo.soccer.track import Track
 from dyknow_demo.soccer.world import World
@@ -37,14 +38,14 @@ class Observation:
             manager: global name of the manager.
             tell: prints a line.
         """
-        self.model: Optional[ModelView] = None
+        self.model: Optional[Model] = None
         self.reasons: List[str] = []
         self._tell = tell
         self._space = names.parent(manager)
         self._began = time.monotonic()
         self._stream: Any = None
         self._listening: List[Any] = [
-            rospy.Subscriber(names.join(manager, "model"), Model, self._on_model)
+            rospy.Subscriber(names.join(manager, "model"), ModelMessage, self._on_model)
         ]
 
     def __enter__(self) -> Observation:
@@ -82,13 +83,13 @@ class Observation:
             f"pause {latest.pause:.2f} s  {feeding(self.model)}"
         )
 
-    def note_event(self, event: StreamEventView) -> None:
+    def note_event(self, event: StreamEvent) -> None:
         """Take in an event of the claim."""
         self.reasons.append(event.reason)
         self.say(f"{event.after.state.name}: {event.reason}")
 
     def _on_model(self, message: Any) -> None:
-        before, self.model = self.model, model_view(message)
+        before, self.model = self.model, model_from(message)
         if before is not None:
             for line in changes(before, self.model, self._space):
                 self.say(line)
@@ -98,7 +99,7 @@ class Observation:
         self.track.note(time.monotonic(), stamp, point.x, point.y)
 
 
-def feeding(model: Optional[ModelView]) -> str:
+def feeding(model: Optional[Model]) -> str:
     """Label of the camera whose images the robot's tracking takes; empty for none."""
     nodelets = model.nodelets if model is not None else ()
     topics = {
@@ -117,7 +118,7 @@ def feeding(model: Optional[ModelView]) -> str:
     return feeders[0] if feeders else ""
 
 
-def tracking_of(model: ModelView) -> Dict[str, str]:
+def tracking_of(model: Model) -> Dict[str, str]:
     """Names of the nodelets of the robot's tracking, by label."""
     nodelets = model.nodelets
     return {each.transformation: each.name for each in nodelets if each.transformation in TRACKING}

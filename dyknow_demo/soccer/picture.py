@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import AbstractSet, Dict, List, Sequence, Tuple
 
 from dyknow.graphviz import quote, render
-from dyknow.model.graph import State
-from dyknow.ros.views import ModelView, NodeletView
+from dyknow.model.graph import Model, NodeletStatus, State
 from dyknow_demo.soccer.narration import short
 
 FORMS = ("png", "svg")
@@ -34,7 +33,7 @@ class Moment:
     """
 
     title: str
-    model: ModelView
+    model: Model
     needed: AbstractSet[str]
     goal: str
     space: str = "/"
@@ -45,7 +44,7 @@ class Moment:
         return quote(f"{head}\n{slash}{tail}" if head else slash + tail)
 
 
-def to_dot(moment: Moment, first: ModelView) -> str:
+def to_dot(moment: Moment, first: Model) -> str:
     """Write a picture in graphviz's DOT language.
 
     Ovals are nodelets and rectangles are topics; the topic of the client is drawn bold. Blue is
@@ -84,7 +83,7 @@ def draw(dot: str, folder: Path, name: str) -> List[Path]:
     return files
 
 
-def _running(model: ModelView) -> Dict[str, NodeletView]:
+def _running(model: Model) -> Dict[str, NodeletStatus]:
     return {each.name: each for each in model.nodelets if each.state is State.RUNNING}
 
 
@@ -92,7 +91,7 @@ def _filled(colour: str) -> str:
     return f'style=filled, fillcolor="{colour}"'
 
 
-def _streams(there: Dict[str, NodeletView], moment: Moment) -> List[str]:
+def _streams(there: Dict[str, NodeletStatus], moment: Moment) -> List[str]:
     """Topics that somebody listens to, and the arrows to and from them."""
     sources: Dict[str, List[Tuple[str, str]]] = {}
     targets: Dict[str, List[Tuple[str, str]]] = {moment.goal: []}

@@ -16,9 +16,9 @@ from geometry_msgs.msg import PointStamped
 import dyknow
 from dyknow import names
 from dyknow.errors import DyKnowError, Refused
+from dyknow.model.graph import Model
 from dyknow.model.streams import StreamRequest
 from dyknow.ros.client import ManagerClient
-from dyknow.ros.views import ModelView
 from dyknow_demo.soccer.observing import TRACKING, Observation, feeding, tracking_of
 from dyknow_demo.soccer.picture import Moment, draw, to_dot
 from dyknow_demo.soccer.track import shortcomings
@@ -93,7 +93,7 @@ class _Story:
         self._stream = stream
         self._topic: str = stream.topic
         self._problems: List[str] = []
-        self._first: Optional[ModelView] = None
+        self._first: Optional[Model] = None
         self._tracking: Dict[str, str] = {}
         self._camera = ""
 

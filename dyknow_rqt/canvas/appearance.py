@@ -14,7 +14,7 @@ from dyknow_rqt.graph.rates import PortRate
 from dyknow_rqt.graph.snapshot import PortRef, Snapshot
 
 if TYPE_CHECKING:
-    from dyknow.ros.views import NodeletView
+    from dyknow.model.graph import NodeletStatus
 
 _PORT_PITCH = 15.0
 #: Size of the letters on arrows, as a share of the others.
@@ -116,7 +116,7 @@ def edge_refs(edge: Edge) -> List[PortRef]:
     return [PortRef(key[len(nodelet) :], port) for key, port in ends if key.startswith(nodelet)]
 
 
-def _nodelet_tip(nodelet: NodeletView) -> str:
+def _nodelet_tip(nodelet: NodeletStatus) -> str:
     inputs = sum(port.direction == IN for port in nodelet.ports)
     facts = [
         word

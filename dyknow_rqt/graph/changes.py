@@ -14,7 +14,7 @@ from dyknow.model.transformation import Transformation
 from dyknow_rqt.graph.snapshot import PortRef, Snapshot
 
 if TYPE_CHECKING:
-    from dyknow.ros.views import NodeletView
+    from dyknow.model.graph import NodeletStatus
     from dyknow_rqt.remote import Remote
 
 Library = Mapping[str, Transformation]
@@ -204,7 +204,7 @@ class Protect(Change):
         return Protect(self.name, not self.is_protected)
 
 
-def _remake(nodelet: NodeletView) -> Change:
+def _remake(nodelet: NodeletStatus) -> Change:
     return SpawnNodelet(
         nodelet.transformation,
         nodelet.name,

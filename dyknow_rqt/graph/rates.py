@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Dict, Iterable, Tuple
 from dyknow_rqt.graph.snapshot import PortRef
 
 if TYPE_CHECKING:
-    from dyknow.ros.views import Statistics
+    from dyknow.model.statistics import NodeletStatistics
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Meter:
         self._last: Dict[PortRef, _Count] = {}
         self._traffic: Dict[PortRef, PortRate] = {}
 
-    def note(self, nodelet: str, statistics: Statistics, now: float) -> None:
+    def note(self, nodelet: str, statistics: NodeletStatistics, now: float) -> None:
         """Take in what a proxy counted.
 
         Args:

@@ -21,7 +21,7 @@ from dyknow.model.transformation import IN
 from dyknow.wiring.ports import topic_after
 
 if TYPE_CHECKING:
-    from dyknow.ros.views import NodeletView
+    from dyknow.model.graph import NodeletStatus
 
 #: One side of the master's system state: topics and the nodes that use them.
 Side = Sequence[Tuple[str, Sequence[str]]]
@@ -77,11 +77,11 @@ class Snapshot:
         taken: topics after out-ports that are not connected, where ordinary nodes publish.
     """
 
-    nodelets: Tuple[NodeletView, ...] = ()
+    nodelets: Tuple[NodeletStatus, ...] = ()
     nodes: Tuple[PlainNode, ...] = ()
     taken: FrozenSet[str] = frozenset()
 
-    def nodelet(self, name: str) -> Optional[NodeletView]:
+    def nodelet(self, name: str) -> Optional[NodeletStatus]:
         """Return the nodelet of that name, or None."""
         return self._by_name.get(name)
 
@@ -95,7 +95,7 @@ class Snapshot:
         return self._topics
 
     @cached_property
-    def _by_name(self) -> Dict[str, NodeletView]:
+    def _by_name(self) -> Dict[str, NodeletStatus]:
         return {each.name: each for each in self.nodelets}
 
     @cached_property
@@ -150,7 +150,7 @@ def plain_nodes(
 
 
 def taken_topics(
-    publishers: Side, nodelets: Sequence[NodeletView], hosts: AbstractSet[str]
+    publishers: Side, nodelets: Sequence[NodeletStatus], hosts: AbstractSet[str]
 ) -> FrozenSet[str]:
     """Find topics after out-ports that are not connected, where ordinary nodes publish.
 

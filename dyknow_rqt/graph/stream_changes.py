@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from dyknow.errors import StreamRefused
 from dyknow.model.streams import StreamRequest
-from dyknow.ros.client_errors import StreamRefused
 from dyknow_rqt.graph.changes import CannotUndo, Change, Library
 from dyknow_rqt.graph.snapshot import Snapshot
 

@@ -34,7 +34,7 @@ from dyknow_rqt.status_line import StatusLine
 from dyknow_rqt.stream_watch import StreamWatch
 
 if TYPE_CHECKING:
-    from dyknow.ros.stream_views import ReplannedView, StreamEventView, StreamView
+    from dyknow.model.streams import Replanned, StreamEvent, StreamStatus
 
 #: The first is what rows are known by; it says nothing to people and is not shown.
 _TITLES = ("Claim", "Tag", "State", "Topic", "Type", "Client")
@@ -147,8 +147,8 @@ class StreamsPanel(QWidget):
             if stream is not None:
                 self._ask_to_replan(stream)
 
-    def _ask_to_replan(self, stream: StreamView) -> None:
-        def ask(found: ReplannedView) -> None:
+    def _ask_to_replan(self, stream: StreamStatus) -> None:
+        def ask(found: Replanned) -> None:
             self.plan.setPlainText(found.plan)
             change = ReplanStream(stream.claim_id, stream.tag)
             self._line.ask(
@@ -175,7 +175,7 @@ class StreamsPanel(QWidget):
         self._follow()
 
     @qt_slot
-    def _show_event(self, event: StreamEventView) -> None:
+    def _show_event(self, event: StreamEvent) -> None:
         before = event.before.state.name.lower() + " → " if event.before is not None else ""
         moment = time.strftime("%H:%M:%S", time.localtime(event.stamp))
         self.events.appendPlainText(
@@ -250,7 +250,7 @@ class StreamsPanel(QWidget):
         whole.addWidget(parts, 1)
 
 
-def _state(stream: StreamView) -> str:
+def _state(stream: StreamStatus) -> str:
     """A stream that is there and of which there is something to say all the same says it."""
     state = stream.state.name.lower()
     is_there = stream.state is ClaimState.ACTIVE

@@ -19,10 +19,9 @@ from stream_suite import GOAL, StreamCase
 
 from dyknow.errors import HostError, PeerTimeout, Refused
 from dyknow.model.graph import State
-from dyknow.model.streams import ClaimState, StreamRequest
+from dyknow.model.streams import ClaimState, StreamEvent, StreamRequest
 from dyknow.ros.master import Master
 from dyknow.ros.service_client import ServiceClient
-from dyknow.ros.stream_views import StreamEventView
 
 #: Within so many seconds the manager knows that a host is away, or back.
 NOTICED = 5.0
@@ -30,7 +29,7 @@ NOTICED = 5.0
 CALL_TIMEOUT = 1.0
 
 
-def changes_of_state(events: Sequence[StreamEventView]) -> list[str]:
+def changes_of_state(events: Sequence[StreamEvent]) -> list[str]:
     """Why claims changed their states, in words; what is merely said of them is left out."""
     return [
         f"{each.after.state.name}: {each.reason}"

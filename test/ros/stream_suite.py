@@ -7,15 +7,15 @@ import time
 from typing import Any, Callable
 
 import rospy
-from dyknow_msgs.msg import StreamEvent
+from dyknow_msgs.msg import StreamEvent as StreamEventMessage
 from manager_suite import MANAGER, ManagerCase, ManagerProcess, eventually, nodes
 from processes import BUSY
 from std_msgs.msg import Header, String
 
 from dyknow.errors import DyKnowError
 from dyknow.model.graph import State
-from dyknow.model.streams import ClaimState
-from dyknow.ros.stream_views import StreamEventView, StreamView, event_view
+from dyknow.model.streams import ClaimState, StreamEvent, StreamStatus
+from dyknow.ros.messages import event_from
 
 
 def transformation(label: str, source: str, supplies: str, needs: str = "", cost: int = 1) -> str:
@@ -75,11 +75,11 @@ class Events:
     """The events of all claims, in order."""
 
     def __init__(self) -> None:
-        self.all: list[StreamEventView] = []
+        self.all: list[StreamEvent] = []
         self._subscriber = rospy.Subscriber(
             f"{MANAGER}/stream_events",
-            StreamEvent,
-            lambda message: self.all.append(event_view(message)),
+            StreamEventMessage,
+            lambda message: self.all.append(event_from(message)),
             queue_size=1000,
         )
 
@@ -129,7 +129,7 @@ class StreamCase(ManagerCase):
         finally:
             publisher.unregister()
 
-    def claim(self, manager: ManagerProcess, claim_id: str) -> StreamView:
+    def claim(self, manager: ManagerProcess, claim_id: str) -> StreamStatus:
         return next(each for each in manager.client.list_streams() if each.claim_id == claim_id)
 
     def become(

@@ -27,10 +27,9 @@ from nodelet.srv import NodeletUnload
 from std_msgs.msg import String
 from stream_suite import CAMERA, GOAL, SPARE_FILTER, TRACKER, StreamCase, transformation
 
-from dyknow.errors import DyKnowError
+from dyknow.errors import DyKnowError, StreamRefused
 from dyknow.model.graph import State
 from dyknow.model.streams import ClaimState, StreamRequest
-from dyknow.ros.client_errors import StreamRefused
 from dyknow.ros.os_process import ProcessId
 
 NEIGHBOURS = ("/counter", "/relay")

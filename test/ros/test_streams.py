@@ -16,9 +16,8 @@ from std_msgs.msg import Header
 from stream_suite import FILTER, GOAL, SENSOR, SPARE_FILTER, StreamCase
 
 import dyknow
-from dyknow.errors import Refused
+from dyknow.errors import Refused, Result, StreamRefused
 from dyknow.model.streams import NO_MESSAGE, ClaimState, StreamRequest
-from dyknow.ros.client_errors import Result, StreamRefused
 
 DYKNOW = [sys.executable, "-m", "dyknow.cli"]
 

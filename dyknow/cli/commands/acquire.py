@@ -13,12 +13,11 @@ from dyknow.cli.command import Command
 from dyknow.cli.json_output import event_json, stream_json
 from dyknow.cli.shell import FAILED, Shell
 from dyknow.cli.streams import demand_arguments, request_of
-from dyknow.errors import DyKnowError, Refused
-from dyknow.ros.client_errors import ManagerUnreachable, StreamRefused
+from dyknow.errors import DyKnowError, ManagerUnreachable, Refused, StreamRefused
 
 if TYPE_CHECKING:
+    from dyknow.model.streams import StreamEvent, StreamStatus
     from dyknow.ros.shell_client import EventReader
-    from dyknow.ros.stream_views import StreamEventView, StreamView
 
 #: Seconds that a claim outlives a command that was killed.
 _LEASE = 10.0
@@ -75,7 +74,7 @@ def _acquire(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
         holding.close()
 
 
-def _ask(arguments: argparse.Namespace, shell: Shell, lease: float) -> StreamView:
+def _ask(arguments: argparse.Namespace, shell: Shell, lease: float) -> StreamStatus:
     try:
         request = request_of(arguments, lease, arguments.max_silence)
         answer = shell.client.acquire_stream(request)
@@ -126,7 +125,7 @@ class _Holding:
             self._events.close()
             self._events = None
 
-    def _next_event(self, patience: float) -> Optional[StreamEventView]:
+    def _next_event(self, patience: float) -> Optional[StreamEvent]:
         if self._events is None:
             time.sleep(max(0.0, patience))
             return None
@@ -158,7 +157,7 @@ class _Holding:
         return True
 
 
-def _describe(claim: StreamView) -> Iterable[str]:
+def _describe(claim: StreamStatus) -> Iterable[str]:
     place = f"on {claim.topic} [{claim.datatype or 'unknown type'}]" if claim.topic else ""
     yield f"{claim.tag} {place or f'is {claim.state.name.lower()}: {claim.detail}'}"
     yield f"  claim {claim.claim_id}"

@@ -17,7 +17,7 @@ from dyknow.cli.topics import Topic, list_topics, topics_of
 from dyknow.graphviz import CannotDraw, render
 
 if TYPE_CHECKING:
-    from dyknow.ros.views import ModelView
+    from dyknow.model.graph import Model
 
 #: Seconds that graphviz may take.
 _TIMEOUT = 120.0
@@ -46,7 +46,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _graph(arguments: argparse.Namespace, shell: Shell) -> None:
-    snapshot = shell.client.nodelets()
+    snapshot = shell.client.get_graph()
     if arguments.namespace:
         snapshot = _inside(snapshot, shell.resolve(arguments.namespace))
     drawing = arguments.svg or arguments.png
@@ -75,7 +75,7 @@ def _graph(arguments: argparse.Namespace, shell: Shell) -> None:
         )
 
 
-def _inside(snapshot: ModelView, wanted: str) -> ModelView:
+def _inside(snapshot: Model, wanted: str) -> Model:
     inside = wanted.rstrip("/") + "/"
     nodelets = tuple(each for each in snapshot.nodelets if each.name.startswith(inside))
     return replace(snapshot, nodelets=nodelets)

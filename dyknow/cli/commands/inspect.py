@@ -16,7 +16,7 @@ from dyknow.model.transformation import IN, OUT
 from dyknow.wiring.ports import by_name
 
 if TYPE_CHECKING:
-    from dyknow.ros.views import ModelView, NodeletView
+    from dyknow.model.graph import Model, NodeletStatus
 
 _Ends = Dict[str, List[Tuple[str, str, str]]]
 
@@ -34,7 +34,7 @@ def _list_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _list(arguments: argparse.Namespace, shell: Shell) -> None:
-    nodelets = shell.client.nodelets().nodelets
+    nodelets = shell.client.get_graph().nodelets
     if arguments.namespace:
         inside = shell.resolve(arguments.namespace).rstrip("/") + "/"
         nodelets = tuple(each for each in nodelets if each.name.startswith(inside))
@@ -44,7 +44,7 @@ def _list(arguments: argparse.Namespace, shell: Shell) -> None:
     )
 
 
-def _long_list(nodelets: Sequence[NodeletView]) -> List[str]:
+def _long_list(nodelets: Sequence[NodeletStatus]) -> List[str]:
     rows = [("NODELET", "TRANSFORMATION", "STATE", "IN", "OUT", "MANAGER")]
     for each in nodelets:
         directions = [port.direction for port in each.ports]
@@ -72,7 +72,7 @@ def _info_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _info(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
-    snapshot = shell.client.nodelets()
+    snapshot = shell.client.get_graph()
     wanted = [shell.resolve(name) for name in arguments.names]
     found = [snapshot.nodelet(name) for name in wanted]
     for name, nodelet in zip(wanted, found):
@@ -85,7 +85,7 @@ def _info(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
     return None if len(present) == len(wanted) else FAILED
 
 
-def _describe(nodelet: NodeletView, snapshot: ModelView) -> Iterator[str]:
+def _describe(nodelet: NodeletStatus, snapshot: Model) -> Iterator[str]:
     yield "-" * 80
     yield f"Nodelet [{nodelet.name}]"
     yield f"Transformation: {nodelet.transformation or '(none: loaded by others)'}"
@@ -110,7 +110,7 @@ def _describe(nodelet: NodeletView, snapshot: ModelView) -> Iterator[str]:
     yield ""
 
 
-def _ends(snapshot: ModelView) -> _Ends:
+def _ends(snapshot: Model) -> _Ends:
     """The ports on each topic: direction, nodelet and port."""
     ends: _Ends = {}
     for nodelet in snapshot.nodelets:

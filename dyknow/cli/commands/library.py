@@ -13,9 +13,8 @@ from dyknow.cli.files import write_file
 from dyknow.cli.json_output import transformation_json
 from dyknow.cli.shell import FAILED, Shell
 from dyknow.cli.tables import columns, count
-from dyknow.errors import DyKnowError, Refused, UnknownTransformation
+from dyknow.errors import DyKnowError, ManagerUnreachable, Refused, UnknownTransformation
 from dyknow.model.transformation import IN, OUT, Transformation
-from dyknow.ros.client_errors import ManagerUnreachable
 from dyknow.similar import did_you_mean
 
 STDIN = "-"
@@ -62,7 +61,7 @@ def _long_list(transformations: Sequence[Transformation]) -> List[str]:
 
 
 def _chosen(shell: Shell, labels: Sequence[str]) -> List[Transformation]:
-    known = {each.label: each for each in shell.client.model().transformations}
+    known = {each.label: each for each in shell.client.get_model().transformations}
     if not labels:
         return list(known.values())
     unknown = [label for label in labels if label not in known]

@@ -11,12 +11,11 @@ from dyknow.cli.command import Command
 from dyknow.cli.json_output import nodelet_json
 from dyknow.cli.shell import FAILED, Shell
 from dyknow.cli.views import state_of
-from dyknow.errors import DuplicatePort, DyKnowError
-from dyknow.ros.client_errors import ManagerUnreachable
+from dyknow.errors import DuplicatePort, DyKnowError, ManagerUnreachable
 from dyknow.wiring.ports import connections_of
 
 if TYPE_CHECKING:
-    from dyknow.ros.views import ModelView
+    from dyknow.model.graph import Model
 
 
 def _spawn_arguments(parser: argparse.ArgumentParser) -> None:
@@ -69,7 +68,7 @@ def _spawn(arguments: argparse.Namespace, shell: Shell) -> None:
         shell.resolve(arguments.manager) if arguments.manager else "",
     )
     shell.client.wait_for_model(lambda model: _runs(model, name))
-    nodelet = shell.client.nodelets().nodelet(name)
+    nodelet = shell.client.get_graph().nodelet(name)
     if nodelet is None:  # it was destroyed in the meantime
         shell.show({"name": name}, [f"spawned {name}"])
         return
@@ -80,7 +79,7 @@ def _spawn(arguments: argparse.Namespace, shell: Shell) -> None:
     )
 
 
-def _runs(model: ModelView, name: str) -> bool:
+def _runs(model: Model, name: str) -> bool:
     nodelet = model.nodelet(name)
     return nodelet is not None and state_of(nodelet) != "starting"
 

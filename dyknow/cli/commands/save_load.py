@@ -32,7 +32,7 @@ def _save_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _save(arguments: argparse.Namespace, shell: Shell) -> None:
-    wiring, left_out = wiring_of(shell.client.model())
+    wiring, left_out = wiring_of(shell.client.get_model())
     for nodelet in left_out:
         shell.warn(f"'{nodelet.name}' is not saved: others loaded it, from no transformation")
     text = wiring.to_xml()
@@ -94,7 +94,7 @@ def _load(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
     client = shell.client
     plan = plan_load(
         wiring,
-        client.model(),
+        client.get_model(),
         client.nodelet_managers(),
         client.is_own_manager,
         arguments.replace,

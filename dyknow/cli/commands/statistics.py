@@ -15,17 +15,16 @@ from dyknow.cli.shell import FAILED, Shell
 from dyknow.cli.tables import columns
 from dyknow.cli.views import unknown_nodelet
 from dyknow.cli.watching import Screen
-from dyknow.errors import DyKnowError, Refused
-from dyknow.ros.client_errors import NodeletUnreachable
+from dyknow.errors import DyKnowError, NodeletUnreachable, Refused
 
 if TYPE_CHECKING:
-    from dyknow.ros.views import Statistics
+    from dyknow.model.statistics import NodeletStatistics
 
 _WORKERS = 16
 _PERIOD = 1.0
 
 #: The statistics of a nodelet, or the error.
-Answer = Union["Statistics", DyKnowError]
+Answer = Union["NodeletStatistics", DyKnowError]
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
@@ -72,7 +71,7 @@ def _stats(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
 
 
 def _show_once(shell: Shell, names: Sequence[str]) -> Optional[int]:
-    snapshot = shell.client.nodelets()
+    snapshot = shell.client.get_graph()
     present = [name for name in names if snapshot.nodelet(name) is not None]
     for name in names:
         if name not in present:
@@ -89,7 +88,7 @@ def _show_once(shell: Shell, names: Sequence[str]) -> Optional[int]:
 
 
 def _present(shell: Shell, names: Sequence[str]) -> List[str]:
-    return list(names) or [each.name for each in shell.client.nodelets().nodelets]
+    return list(names) or [each.name for each in shell.client.get_graph().nodelets]
 
 
 def _ask(shell: Shell, names: Sequence[str]) -> Dict[str, Answer]:

@@ -11,12 +11,11 @@ from dyknow.cli.json_output import stream_json
 from dyknow.cli.shell import FAILED, Shell
 from dyknow.cli.streams import demand_arguments, request_of
 from dyknow.cli.tables import columns
-from dyknow.errors import DyKnowError
+from dyknow.errors import DyKnowError, ManagerUnreachable
 from dyknow.manager.planning.explanation import tree_as_dot
-from dyknow.ros.client_errors import ManagerUnreachable
 
 if TYPE_CHECKING:
-    from dyknow.ros.stream_views import StreamView
+    from dyknow.model.streams import StreamStatus
 
 
 def _plan_arguments(parser: argparse.ArgumentParser) -> None:
@@ -60,7 +59,7 @@ def _streams(arguments: argparse.Namespace, shell: Shell) -> None:
     shell.show({"streams": [stream_json(each) for each in streams]}, lines)
 
 
-def _list(streams: Sequence[StreamView]) -> List[str]:
+def _list(streams: Sequence[StreamStatus]) -> List[str]:
     rows = [("CLAIM", "STATE", "TAG", "TOPIC", "TYPE", "DETAIL")]
     rows += [
         (
@@ -76,7 +75,7 @@ def _list(streams: Sequence[StreamView]) -> List[str]:
     return columns(rows)
 
 
-def _long_list(streams: Sequence[StreamView]) -> List[str]:
+def _long_list(streams: Sequence[StreamStatus]) -> List[str]:
     lines = []
     for each in streams:
         detail = f" ({each.detail})" if each.detail else ""

@@ -12,7 +12,7 @@ from dyknow.cli.tables import columns
 from dyknow.model.transformation import OUT
 
 if TYPE_CHECKING:
-    from dyknow.ros.views import ModelView
+    from dyknow.model.graph import Model
 
 
 @dataclass
@@ -31,7 +31,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _tags(arguments: argparse.Namespace, shell: Shell) -> None:
-    supplied = _supplied(shell.client.model())
+    supplied = _supplied(shell.client.get_model())
     chosen = {
         tag: supply
         for tag, supply in sorted(supplied.items())
@@ -54,7 +54,7 @@ def _tags(arguments: argparse.Namespace, shell: Shell) -> None:
     shell.show({"tags": shape}, columns(rows))
 
 
-def _supplied(model: ModelView) -> Dict[str, _Supply]:
+def _supplied(model: Model) -> Dict[str, _Supply]:
     found: Dict[str, _Supply] = {}
 
     def note(tags: List[str], datatype: str) -> List[_Supply]:

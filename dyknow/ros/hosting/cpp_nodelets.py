@@ -6,12 +6,11 @@ remappings, which the manager does. What goes through it nobody counts.
 
 from __future__ import annotations
 
-import math
 import time
+from dataclasses import replace
 from typing import Any, Dict, List
 
 import rospy
-from dyknow_msgs.msg import PortStatistics
 from dyknow_msgs.srv import (
     GetConfig,
     GetConfigResponse,
@@ -27,9 +26,9 @@ from dyknow.locks import turn_lock
 from dyknow.manager.manager import Manager
 from dyknow.manager.record import Record
 from dyknow.model.graph import State
+from dyknow.model.statistics import NodeletStatistics, PortStatistics
 from dyknow.ros.log_text import for_log
-from dyknow.ros.messages import config_pairs
-from dyknow.ros.model_messages import running_port
+from dyknow.ros.messages import config_pairs, port_message, statistics_message
 from dyknow.ros.nodelets.guard_parameters import caller_of
 
 
@@ -63,10 +62,9 @@ class CppNodelet:
         return found
 
     def _get_config(self, request: Any) -> GetConfigResponse:
-        ports = [running_port(port) for port in self._record().ports]
-        for port in ports:
-            port.tags = []
-        return GetConfigResponse(ports)
+        return GetConfigResponse(
+            [port_message(replace(port, tags=())) for port in self._record().ports]
+        )
 
     def _set_config(self, request: Any) -> SetConfigResponse:
         caller = caller_of(request)
@@ -89,18 +87,17 @@ class CppNodelet:
         return SetConfigResponse(True, "")
 
     def _get_statistics(self, request: Any) -> GetStatisticsResponse:
-        return GetStatisticsResponse(
-            uptime=rospy.Duration.from_sec(time.monotonic() - self._since),
-            reconfigurations=self._reconfigurations,
-            ports=[
-                PortStatistics(
-                    port=port.name,
-                    direction=running_port(port).direction,
-                    topic=port.topic,
-                    rate=math.nan,
-                )
-                for port in self._record().ports
-            ],
+        unknown = (None,) * 5
+        return statistics_message(
+            NodeletStatistics(
+                time.monotonic() - self._since,
+                self._reconfigurations,
+                None,
+                tuple(
+                    PortStatistics(port.name, port.direction, port.topic, *unknown)
+                    for port in self._record().ports
+                ),
+            )
         )
 
 

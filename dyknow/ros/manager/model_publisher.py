@@ -7,7 +7,7 @@ from typing import Callable, Optional, Tuple
 import rospy
 from dyknow_msgs.msg import Model as ModelMessage
 
-from dyknow.manager.record import Model
+from dyknow.model.graph import Model
 from dyknow.periodic import PeriodicWorker
 from dyknow.ros.model_messages import ModelMessages
 

@@ -13,13 +13,14 @@ from dyknow_msgs.msg import StreamEvent
 
 from dyknow.manager.claim import ClaimEvent
 from dyknow.manager.claims.advice import unknown_labels
+from dyknow.manager.claims.answers import StreamAnswers
 from dyknow.manager.claims.reconciler import StreamReconciler
 from dyknow.manager.manager import Manager
 from dyknow.periodic import in_background
 from dyknow.ros.bonding.claim_bonds import ClaimBonds
 from dyknow.ros.manager.reconcile_loop import ReconcileLoop
-from dyknow.ros.manager.stream_messages import StreamMessages
 from dyknow.ros.manager.stream_services import StreamServices
+from dyknow.ros.messages import event_message
 
 #: Events that may wait for a slow subscriber.
 _QUEUE_SIZE = 1000
@@ -41,7 +42,7 @@ class StreamNode:
             after_change: called after each attempt to change something, before it is answered.
         """
         self._manager = manager
-        self._messages = StreamMessages()
+        self._answers = StreamAnswers(rospy.get_time)
         self._publisher = rospy.Publisher("~stream_events", StreamEvent, queue_size=_QUEUE_SIZE)
         self._reconciler = reconciler
         self._known: Set[str] = {claim.claim_id for claim in self._reconciler.claims()}
@@ -52,7 +53,7 @@ class StreamNode:
         self._services = StreamServices(
             self._reconciler,
             manager.guards,
-            self._messages,
+            self._answers,
             after_change,
             lambda: manager.store.remark,
             lambda labels: unknown_labels(manager, labels) if labels else (),
@@ -88,6 +89,6 @@ class StreamNode:
             event.after.state.name,
             event.reason,
         )
-        self._publisher.publish(self._messages.event(event, is_new))
+        self._publisher.publish(event_message(self._answers.event(event, is_new)))
         self._bonds.follow(self._reconciler.claims())
         self._reconciling.note_change()

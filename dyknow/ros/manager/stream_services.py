@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from typing import Any, Callable, List, Optional, Sequence, Tuple, Type
+from typing import Any, Callable, List, Optional, Sequence
 
 import rospy
 from dyknow_msgs.srv import (
@@ -21,35 +21,25 @@ from dyknow_msgs.srv import (
 
 from dyknow.errors import (
     BadParameter,
-    Denied,
     DyKnowError,
-    InvalidTag,
-    LimitExceeded,
-    NoPlanFound,
-    PeerTimeout,
-    StreamTypeMismatch,
 )
 from dyknow.guards import Guards
 from dyknow.manager.claim import Claim
-from dyknow.manager.claims.reconciler import Acquired, StreamReconciler
-from dyknow.manager.planning.explanation import as_tree
+from dyknow.manager.claims.answers import StreamAnswers, refusal_of
+from dyknow.manager.claims.reconciler import StreamReconciler
 from dyknow.model.streams import StreamRequest
 from dyknow.ros.log_text import for_log
 from dyknow.ros.manager.remarks import with_remark
-from dyknow.ros.manager.stream_messages import StreamMessages
+from dyknow.ros.messages import (
+    acquire_from,
+    acquisition_message,
+    refusal_message,
+    replanned_message,
+    stream_message,
+)
 from dyknow.ros.nodelets.guard_parameters import caller_of
-from dyknow.ros.stream_views import with_warnings
 
 _log = logging.getLogger("rosout.dyknow")
-
-_RESULTS: Tuple[Tuple[Type[DyKnowError], int], ...] = (
-    (NoPlanFound, AcquireStreamResponse.NO_PLAN),
-    (InvalidTag, AcquireStreamResponse.INVALID_TAG),
-    (StreamTypeMismatch, AcquireStreamResponse.TYPE_MISMATCH),
-    (PeerTimeout, AcquireStreamResponse.TIMEOUT),
-    (Denied, AcquireStreamResponse.DENIED),
-    (LimitExceeded, AcquireStreamResponse.DENIED),
-)
 
 
 class StreamServices:
@@ -59,7 +49,7 @@ class StreamServices:
         self,
         reconciler: StreamReconciler,
         guards: Guards,
-        messages: StreamMessages,
+        answers: StreamAnswers,
         after_change: Callable[[], None],
         remark: Callable[[], str],
         unknown_labels: Callable[[Sequence[str]], Sequence[str]],
@@ -69,14 +59,14 @@ class StreamServices:
         Args:
             reconciler: does it.
             guards: what nobody may do.
-            messages: makes messages of claims.
+            answers: makes what clients are shown of claims.
             after_change: called after each attempt to change something, before it is answered.
             remark: what the answer to a change has to add; empty for nothing.
             unknown_labels: says which labels that a client excludes are those of nothing.
         """
         self._reconciler = reconciler
         self._guards = guards
-        self._messages = messages
+        self._answers = answers
         self._after_change = after_change
         self._unknown_labels = unknown_labels
         self._services: List[Any] = [
@@ -96,26 +86,17 @@ class StreamServices:
             self._services.pop().shutdown("the manager ends")
 
     def _acquire(self, request: Any) -> AcquireStreamResponse:
-        answer = AcquireStreamResponse()
+        answers: List[AcquireStreamResponse] = []
 
         def acquire() -> None:
             wanted = self._checked(request)
             acquired = self._reconciler.acquire(wanted, request.dry_run)
-            claim = acquired.claim
-            answer.claim_id, answer.topic = claim.claim_id, claim.topic
-            answer.datatype = claim.datatype
-            answer.message = with_warnings(claim.detail, self._unknown_labels(wanted.exclude))
-            answer.expires = self._messages.expires(claim)
-            _tell_plan(answer, acquired)
+            warnings = self._unknown_labels(wanted.exclude)
+            answers.append(acquisition_message(self._answers.acquisition(acquired, warnings)))
 
         what = f"{'planning' if request.dry_run else 'acquiring'} '{request.tag}'"
         error = self._try(request, what, acquire)
-        answer.success = error is None
-        if error is not None:
-            answer.message = str(error)
-            answer.result = _result(error)
-            answer.claim_id = getattr(error, "claim_id", "")
-        return answer
+        return answers[0] if error is None else refusal_message(refusal_of(error))
 
     def _release(self, request: Any) -> ReleaseStreamResponse:
         def release() -> None:
@@ -133,26 +114,22 @@ class StreamServices:
             claim: Claim = self._reconciler.renew(request.claim_id, _lease(request))
         except DyKnowError as error:
             return RenewStreamResponse(False, str(error), rospy.Time())
-        return RenewStreamResponse(True, "", self._messages.expires(claim))
+        return RenewStreamResponse(True, "", rospy.Time.from_sec(self._answers.expires(claim)))
 
     def _replan(self, request: Any) -> ReplanStreamResponse:
-        answer = ReplanStreamResponse()
+        answers: List[ReplanStreamResponse] = []
 
         def replan() -> None:
             self._guards.check_sizes([request.claim_id])
             acquired = self._reconciler.replan(request.claim_id, request.dry_run)
-            answer.message = acquired.claim.detail
-            _tell_plan(answer, acquired)
+            answers.append(replanned_message(self._answers.replanned(acquired)))
 
         error = self._try(request, f"replanning stream '{request.claim_id}'", replan)
-        answer.success = error is None
-        if error is not None:
-            answer.message = str(error)
-        return answer
+        return answers[0] if error is None else ReplanStreamResponse(False, str(error))
 
     def _list(self, request: Any) -> ListStreamsResponse:
         return ListStreamsResponse(
-            [self._messages.status(each) for each in self._reconciler.claims()]
+            [stream_message(self._answers.status(each)) for each in self._reconciler.claims()]
         )
 
     def _checked(self, request: Any) -> StreamRequest:
@@ -164,16 +141,8 @@ class StreamServices:
             raise BadParameter(
                 "max_silence", f"{request.max_silence:g}", "seconds from 0 (which means: never)"
             )
-        return StreamRequest(
-            tag=request.tag,
-            datatype=request.datatype,
-            client_id=request.client_id,
-            request_id=request.request_id,
-            lease=_lease(request),
-            max_silence=request.max_silence,
-            exclude=tuple(sorted(set(request.exclude))),
-            bond_id=request.bond_id,
-        )
+        _lease(request)
+        return acquire_from(request)
 
     def _try(self, request: Any, what: str, action: Callable[[], None]) -> Optional[Exception]:
         """Do what a request asks for; returns why it did not work."""
@@ -193,27 +162,8 @@ class StreamServices:
         return None
 
 
-def _tell_plan(answer: Any, acquired: Acquired) -> None:
-    answer.spawned = sorted(acquired.spawned)
-    answer.reused = sorted(acquired.reused)
-    if acquired.plan is not None:
-        answer.cost = float(acquired.cost)
-        answer.plan = as_tree(acquired.plan)
-
-
 def _lease(request: Any) -> float:
     lease = float(request.lease.to_sec())
     if lease < 0:
         raise BadParameter("lease", f"{lease:g}", "seconds from 0 (which means: until released)")
     return lease
-
-
-def _result(error: BaseException) -> int:
-    """Number of the cause, which other errors may be wrapped around."""
-    cause: Optional[BaseException] = error
-    while cause is not None:
-        for kind, number in _RESULTS:
-            if isinstance(cause, kind):
-                return number
-        cause = cause.__cause__
-    return int(AcquireStreamResponse.SPAWN_FAILED)

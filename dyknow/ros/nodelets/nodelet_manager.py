@@ -275,7 +275,9 @@ class NodeletManager(Closable):
             if isinstance(context.attached, NodeletProxy)
             and (not wanted or context.name in wanted)
         ]
-        return GetCountsResponse([counts_message(proxy) for proxy in proxies])
+        return GetCountsResponse(
+            [counts_message(proxy.name, proxy.get_statistics()) for proxy in proxies]
+        )
 
 
 def _resolved(name: str) -> str:

@@ -19,7 +19,7 @@ from dyknow.errors import DyKnowError
 from dyknow.nodelet.middleware import Closable
 from dyknow.proxy.proxy import NodeletProxy
 from dyknow.ros.log_text import for_log
-from dyknow.ros.messages import config_pairs, port_messages, statistics_message
+from dyknow.ros.messages import config_pairs, port_message, statistics_message
 from dyknow.ros.nodelets.guard_parameters import GuardParameters, caller_of
 
 
@@ -67,7 +67,7 @@ class ProxyServices(Closable):
         return answer
 
     def _get_config(self, request: Any) -> GetConfigResponse:
-        return GetConfigResponse(port_messages(self._proxy.get_config()))
+        return GetConfigResponse([port_message(port) for port in self._proxy.get_config()])
 
     def _set_config(self, request: Any) -> SetConfigResponse:
         caller, name = caller_of(request), self._proxy.name

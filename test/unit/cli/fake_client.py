@@ -13,18 +13,23 @@ from unit.manager.world import World
 from dyknow.cli.main import execute
 from dyknow.cli.parser import parse
 from dyknow.cli.shell import Shell
-from dyknow.errors import DyKnowError, HostError, NoPlanFound, Refused
+from dyknow.errors import (
+    DyKnowError,
+    HostError,
+    NodeletUnreachable,
+    NoPlanFound,
+    Refused,
+    Result,
+    StreamRefused,
+)
 from dyknow.manager.claim import Claim, ClaimEvent
 from dyknow.manager.claims.advice import unknown_labels
 from dyknow.manager.claims.reconciler import Acquired, StreamReconciler
 from dyknow.manager.planning.explanation import as_tree
-from dyknow.manager.record import Record
-from dyknow.model.graph import SpawnRequest
-from dyknow.model.streams import StreamRequest
-from dyknow.ros.client import Added
-from dyknow.ros.client_errors import NodeletUnreachable, Result, StreamRefused
-from dyknow.ros.stream_views import AcquiredView, ReplannedView, StreamEventView, StreamView
-from dyknow.ros.views import ModelView, NodeletView, PortTraffic, Statistics
+from dyknow.model.graph import Model, SpawnRequest
+from dyknow.model.statistics import NodeletStatistics, PortStatistics
+from dyknow.model.streams import Acquisition, Replanned, StreamEvent, StreamRequest, StreamStatus
+from dyknow.model.transformation import Added
 
 
 class FakeClient:
@@ -50,20 +55,11 @@ class FakeClient:
         #: What happens, one after the other, while a command waits for events.
         self.script: list[Callable[[], None]] = []
 
-    def nodelets(self) -> ModelView:
-        model = self.world.manager.graph_model()
-        return ModelView(
-            model.revision, model.library_revision, tuple(map(_view, model.nodelets)), ()
-        )
+    def get_graph(self) -> Model:
+        return self.world.manager.graph_model()
 
-    def model(self) -> ModelView:
-        model = self.world.manager.get_model()
-        return ModelView(
-            model.revision,
-            model.library_revision,
-            tuple(map(_view, model.nodelets)),
-            model.transformations,
-        )
+    def get_model(self) -> Model:
+        return self.world.manager.get_model()
 
     def add_transformation(self, specification: str) -> Added:
         self._note("add_transformation", specification)
@@ -107,19 +103,20 @@ class FakeClient:
         _answered(lambda: self.world.host.connect(nodelet, config))
         self.world.manager.look({nodelet})
 
-    def get_statistics(self, nodelet: str) -> Statistics:
+    def get_statistics(self, nodelet: str) -> NodeletStatistics:
         ports = self._asked(nodelet, lambda: self.world.host.ports(nodelet))
         counted = (None,) * 6 if nodelet in self.uncounted else (2, 300, 4, 5.0, 0.001, 0.0025)
-        return Statistics(
+        return NodeletStatistics(
             60.0,
             1,
             counted[0],
             tuple(
-                PortTraffic(port.name, port.direction, port.topic, *counted[1:]) for port in ports
+                PortStatistics(port.name, port.direction, port.topic, *counted[1:])
+                for port in ports
             ),
         )
 
-    def acquire_stream(self, request: StreamRequest, dry_run: bool = False) -> AcquiredView:
+    def acquire_stream(self, request: StreamRequest, dry_run: bool = False) -> Acquisition:
         self._note("plan" if dry_run else "acquire", request.tag)
         try:
             acquired = self.reconciler.acquire(request, dry_run)
@@ -128,7 +125,7 @@ class FakeClient:
         except DyKnowError as error:
             raise StreamRefused(str(error), Result.SPAWN_FAILED) from error
         claim = acquired.claim
-        return AcquiredView(
+        return Acquisition(
             claim.claim_id,
             claim.topic,
             claim.datatype,
@@ -150,19 +147,19 @@ class FakeClient:
         _answered(lambda: self.reconciler.renew(claim_id, lease))
         return lease
 
-    def replan_stream(self, claim_id: str, dry_run: bool = False) -> ReplannedView:
+    def replan_stream(self, claim_id: str, dry_run: bool = False) -> Replanned:
         self._note("replan", claim_id)
         done = _answered(lambda: self.reconciler.replan(claim_id, dry_run))
-        return ReplannedView(done.spawned, done.reused, done.cost, _tree(done), "")
+        return Replanned(done.spawned, done.reused, done.cost, _tree(done), "")
 
-    def list_streams(self) -> tuple[StreamView, ...]:
+    def list_streams(self) -> tuple[StreamStatus, ...]:
         return tuple(_stream_view(claim) for claim in self.reconciler.claims())
 
     def stream_events(self) -> FakeEvents:
         return FakeEvents(self)
 
-    def wait_for_model(self, condition: Callable[[ModelView], bool]) -> bool:
-        return condition(self.nodelets())
+    def wait_for_model(self, condition: Callable[[Model], bool]) -> bool:
+        return condition(self.get_graph())
 
     def nodelet_managers(self) -> list[str]:
         return sorted(self.world.host.processes)
@@ -206,12 +203,12 @@ class FakeEvents:
         self._client = client
         client.reconciler.on_event = self.waiting.append
 
-    def next(self, timeout: float) -> StreamEventView | None:
+    def next(self, timeout: float) -> StreamEvent | None:
         if self.waiting:
             event = self.waiting.pop(0)
             after = _stream_view(event.after)
             before = None if event.reason == "requested" else _stream_view(event.before)
-            return StreamEventView(0.0, before, after, event.reason)
+            return StreamEvent(0.0, before, after, event.reason)
         if not self._client.script:
             raise KeyboardInterrupt
         self._client.script.pop(0)()
@@ -254,26 +251,12 @@ def _answered(act: Callable[[], Any]) -> Any:
         raise Refused(str(error)) from error
 
 
-def _view(record: Record) -> NodeletView:
-    return NodeletView(
-        record.name,
-        record.label,
-        record.manager,
-        record.is_protected,
-        record.isolated,
-        record.rewired_by_reload,
-        record.state,
-        record.detail,
-        record.ports,
-    )
-
-
 def _tree(acquired: Acquired) -> str:
     return as_tree(acquired.plan) if acquired.plan is not None else ""
 
 
-def _stream_view(claim: Claim) -> StreamView:
-    return StreamView(
+def _stream_view(claim: Claim) -> StreamStatus:
+    return StreamStatus(
         claim.claim_id,
         claim.request.client_id,
         claim.request.tag,

@@ -35,7 +35,7 @@ def test_command_line_and_window_choose_the_same(
     for nodelet, place in topics.items():
         client.set_config(nodelet, {ports[nodelet]: place})
     publishers = [(each, ["/usb_cam"]) for each in ordinary]
-    nodelets = client.nodelets().nodelets
+    nodelets = client.get_graph().nodelets
     connected = {port.topic for nodelet in nodelets for port in nodelet.ports}
     snapshot = Snapshot(
         nodelets,

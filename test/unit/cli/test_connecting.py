@@ -21,7 +21,7 @@ def client() -> FakeClient:
 def topics(client: FakeClient) -> dict[str, str]:
     return {
         f"{nodelet.name}:{port.name}": port.topic
-        for nodelet in client.nodelets().nodelets
+        for nodelet in client.get_graph().nodelets
         for port in nodelet.ports
         if port.topic
     }

@@ -13,15 +13,14 @@ from unit.manager.world import World
 
 from dyknow.cli.drawing import to_dot
 from dyknow.graphviz import CannotDraw, render
-from dyknow.model.graph import PortState, State
-from dyknow.ros.views import ModelView, NodeletView
+from dyknow.model.graph import Model, NodeletStatus, PortState, State
 
 needs_graphviz = pytest.mark.skipif(shutil.which("dot") is None, reason="graphviz is missing")
 
 
-def nodelet(name: str, *ports: PortState, **more: object) -> NodeletView:
+def nodelet(name: str, *ports: PortState, **more: object) -> NodeletStatus:
     fields = {"transformation": "", "state": State.RUNNING, "is_protected": False, **more}
-    return NodeletView(
+    return NodeletStatus(
         name,
         fields["transformation"],
         "/m",
@@ -34,7 +33,7 @@ def nodelet(name: str, *ports: PortState, **more: object) -> NodeletView:
     )
 
 
-MODEL = ModelView(
+MODEL = Model(
     1,
     1,
     (
@@ -113,7 +112,7 @@ def test_pydot_reads_it() -> None:
 
 
 def test_the_order_of_the_model_does_not_matter() -> None:
-    backwards = ModelView(1, 1, MODEL.nodelets[::-1], ())
+    backwards = Model(1, 1, MODEL.nodelets[::-1], ())
     assert to_dot(backwards) == to_dot(MODEL)
 
 

@@ -8,7 +8,7 @@ import pytest
 from unit.cli.fake_client import FakeClient, run
 from unit.manager.world import World
 
-from dyknow.ros.client_errors import ManagerUnreachable
+from dyknow.errors import ManagerUnreachable
 
 
 @pytest.fixture
@@ -85,7 +85,7 @@ class TestSpawn:
     def test_says_what_runs_where(self, client: FakeClient) -> None:
         outcome = run(client, "spawn relay r --protected --connect in:/a out:b")
         assert outcome.lines == ["spawned /r from relay in /fake_0", "  in - /a", "  out - /b"]
-        assert client.nodelets().nodelet("/r").is_protected
+        assert client.get_graph().nodelet("/r").is_protected
 
     def test_json_is_the_nodelet(self, client: FakeClient) -> None:
         assert run(client, "spawn relay r --isolated --json").json["isolated"]
@@ -133,13 +133,13 @@ class TestLibrary:
 
     def test_export_is_read_by_import(self, client: FakeClient, tmp_path: Path) -> None:
         file = tmp_path / "all.xml"
-        before = client.model().transformations
+        before = client.get_model().transformations
         assert run(client, f"export -o {file}").code == 0
         for label in run(client, "library").lines:
             assert run(client, f"remove '{label}'").code == 0
         outcome = run(client, f"import {file} --json")
         assert outcome.json["failed"] == []
-        assert client.model().transformations == before
+        assert client.get_model().transformations == before
 
     def test_import_names_file_and_line_of_every_problem(
         self, client: FakeClient, tmp_path: Path

@@ -8,10 +8,9 @@ import pytest
 from unit.cli.fake_client import FakeClient, run
 from unit.manager.world import World
 
-from dyknow.errors import Refused
+from dyknow.errors import ManagerUnreachable, Refused
 from dyknow.manager.host import NodeletKind
 from dyknow.model.transformation import Port, Transformation
-from dyknow.ros.client_errors import ManagerUnreachable
 from dyknow.wiring.plan import readers_first
 from dyknow.wiring.wiring import WiredNodelet
 
@@ -36,7 +35,7 @@ def file(tmp_path: Path) -> Path:
 def graph(client: FakeClient) -> list[tuple[object, ...]]:
     return [
         (each.name, each.transformation, each.is_protected, each.isolated, each.ports)
-        for each in client.nodelets().nodelets
+        for each in client.get_graph().nodelets
     ]
 
 
@@ -80,10 +79,10 @@ def test_what_runs_is_brought_to_what_the_file_says(client: FakeClient, file: Pa
     client.world.spawn("camera", "other")
     outcome = run(client, f"load {file} --json")
     assert outcome.json["nodelets"]["changed"] == ["/robot/relay"]
-    relay = client.nodelets().nodelet("/robot/relay")
+    relay = client.get_graph().nodelet("/robot/relay")
     assert relay.is_protected
     assert {port.name: port.topic for port in relay.ports} == {"in": "/raw", "out": ""}
-    assert client.nodelets().nodelet("/other") is not None
+    assert client.get_graph().nodelet("/other") is not None
 
 
 def test_a_dry_run_only_tells(client: FakeClient, file: Path) -> None:
@@ -165,7 +164,7 @@ def test_nodelets_of_a_replaced_transformation_are_made_anew(
     assert outcome.json["nodelets"]["replaced"] == ["/cam"]
     assert outcome.json["nodelets"]["spawned"] == ["/n", "/robot/relay"]
     assert rate(client, "/cam") == 30
-    assert client.nodelets().nodelet("/cam").port("image").topic == "/raw"
+    assert client.get_graph().nodelet("/cam").port("image").topic == "/raw"
     assert rate(client, "/other") == 31  # the file does not name it
 
 
@@ -175,7 +174,7 @@ def test_a_nodelet_of_an_earlier_transformation_is_made_anew(
     give_the_library_another_camera(client)
     client.world.spawn("camera", "cam", config={"image": "/raw"})
     transformation = next(
-        each for each in FakeClient(World()).model().transformations if each.label == "camera"
+        each for each in FakeClient(World()).get_model().transformations if each.label == "camera"
     )
     client.world.manager.add_transformation(transformation.to_xml())
     outcome = run(client, f"load {file}")
@@ -209,7 +208,7 @@ def test_what_was_made_anew_is_brought_back_when_a_later_step_fails(
 ) -> None:
     give_the_library_another_camera(client)
     client.world.spawn("camera", "cam", config={"image": "elsewhere"})
-    before, library = graph(client), client.model().transformations
+    before, library = graph(client), client.get_model().transformations
 
     def fail(call: str, subject: str) -> None:
         if (call, subject) == ("spawn", "/n"):
@@ -220,7 +219,7 @@ def test_what_was_made_anew_is_brought_back_when_a_later_step_fails(
     assert outcome.err == "dyknow: spawning '/n': not today; everything is as it was\n"
     assert graph(client) == before
     assert rate(client, "/cam") == 31
-    assert client.model().transformations == library
+    assert client.get_model().transformations == library
 
 
 def test_a_step_that_is_refused_undoes_those_before(client: FakeClient, file: Path) -> None:
@@ -228,7 +227,7 @@ def test_a_step_that_is_refused_undoes_those_before(client: FakeClient, file: Pa
     text = client.world.manager.library.get("camera").to_xml()
     client.world.manager.add_transformation(text.replace(">30<", ">31<"))
     client.world.manager.remove_transformation("native")
-    before, library = graph(client), client.model().transformations
+    before, library = graph(client), client.get_model().transformations
 
     def fail(call: str, subject: str) -> None:
         if call == "set_protection":
@@ -241,7 +240,7 @@ def test_a_step_that_is_refused_undoes_those_before(client: FakeClient, file: Pa
         "dyknow: protecting '/robot/relay': not today; everything is as it was\n"
     )
     assert graph(client) == before
-    assert client.model().transformations == library
+    assert client.get_model().transformations == library
 
 
 def test_what_cannot_be_undone_is_told(client: FakeClient, file: Path) -> None:
@@ -303,7 +302,7 @@ def test_ports_that_are_not_declared_are_connected_after_the_spawn(
     run(client, f"save {file}")
     client.destroy("/b")
     assert run(client, f"load {file}").code == 0
-    assert client.nodelets().nodelet("/b").port("in").topic == "/x"
+    assert client.get_graph().nodelet("/b").port("in").topic == "/x"
 
 
 def test_what_others_loaded_is_left_out_with_a_warning(client: FakeClient, tmp_path: Path) -> None:

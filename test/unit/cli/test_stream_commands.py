@@ -10,7 +10,7 @@ from unit.cli.fake_client import FakeClient, run
 from unit.cli.test_completion import offered
 from unit.manager.world import World
 
-from dyknow.ros.client_errors import ManagerUnreachable
+from dyknow.errors import ManagerUnreachable
 
 ACQUIRE = "acquire 'Raw(camera)'"
 
@@ -66,7 +66,7 @@ class TestPlan:
             "Raw(camera): cost 1",
             "└─ camera.image (new, cost 1)",
         ]
-        assert client.nodelets().nodelets == ()
+        assert client.get_graph().nodelets == ()
 
     def test_as_a_drawing(self, client: FakeClient) -> None:
         outcome = run(client, "plan 'Raw(camera)' --dot")

@@ -61,7 +61,7 @@ def test_a_full_queue_drops_the_oldest_and_counts_it(world):
     publisher.publish(5)
     world.drain()
     assert numbers(got) == [3, 4, 5]
-    traffic = subscriber.subscription.traffic.snapshot()
+    traffic = subscriber.subscription.traffic
     assert (traffic.messages, traffic.dropped) == (3, 3)
 
 
@@ -317,27 +317,26 @@ class TestTraffic:
         for took in (0.1, 0.3):
             traffic.received(clock(), took)
             clock.seconds += 1.0
-        snapshot = traffic.snapshot()
-        assert snapshot.messages == 2
-        assert snapshot.mean_callback == pytest.approx(0.2)
-        assert snapshot.max_callback == 0.3
+        assert traffic.messages == 2
+        assert traffic.busy == pytest.approx(0.4)
+        assert traffic.longest == 0.3
 
     def test_rate_follows_and_falls_in_silence(self):
         clock = FakeClock()
         traffic = Traffic(clock)
-        assert traffic.snapshot().rate == 0.0
+        assert traffic.rate() == 0.0
         traffic.sent()
-        assert traffic.snapshot().rate == 0.0
+        assert traffic.rate() == 0.0
         for _ in range(200):
             clock.seconds += 0.1
             traffic.sent()
-        assert traffic.snapshot().rate == pytest.approx(10.0)
+        assert traffic.rate() == pytest.approx(10.0)
         clock.seconds += 63.0
-        assert traffic.snapshot().rate < 1.0
+        assert traffic.rate() < 1.0
         for _ in range(100):
             clock.seconds += 0.01
             traffic.sent()
-        assert traffic.snapshot().rate == pytest.approx(100.0)
+        assert traffic.rate() == pytest.approx(100.0)
 
 
 def test_the_same_error_is_logged_once_a_second_with_the_number_of_the_others(world, caplog):

@@ -21,8 +21,8 @@ class Bench:
         self.proxy = NodeletProxy.of(self.context)
 
     def port(self, name):
-        (found,) = [p for p in self.proxy.get_statistics().ports if p.port.name == name]
-        return found.traffic
+        (found,) = [p for p in self.proxy.get_statistics().ports if p.port == name]
+        return found
 
 
 @pytest.fixture(name="bench")
@@ -39,7 +39,7 @@ def test_uptime_is_steady_time_since_the_load(bench):
 def test_ports_come_in_the_order_of_their_declaration(bench):
     for name in ("z", "a", "m"):
         bench.nh.Publisher(name, Message)
-    assert [p.port.name for p in bench.proxy.get_statistics().ports] == ["z", "a", "m"]
+    assert [p.port for p in bench.proxy.get_statistics().ports] == ["z", "a", "m"]
 
 
 def test_what_an_unconnected_publisher_is_given_is_dropped_and_no_error(bench):
@@ -107,8 +107,8 @@ def test_counts_survive_a_switch(bench):
         publisher.publish(1)
     statistics = bench.proxy.get_statistics()
     assert statistics.reconfigurations == 3
-    assert statistics.ports[0].traffic.messages == 3
-    assert statistics.ports[0].port.topic == "/c"
+    assert statistics.ports[0].messages == 3
+    assert statistics.ports[0].topic == "/c"
 
 
 def test_several_handles_count_as_one_port(bench):
@@ -154,4 +154,4 @@ def test_a_nodelet_has_them_from_its_handle(bench):
     assert statistics == bench.proxy.get_statistics()
     assert (statistics.uptime, statistics.reconfigurations) == (2.0, 1)
     (out,) = statistics.ports
-    assert (out.port.name, out.port.topic, out.traffic.messages) == ("out", "/t", 1)
+    assert (out.port, out.topic, out.messages) == ("out", "/t", 1)

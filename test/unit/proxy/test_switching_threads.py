@@ -109,7 +109,7 @@ def test_a_chain_that_is_rewired_all_the_time_loses_and_doubles_nothing(world):
     assert last.faults == []
     assert last.last == pump.sent > SWITCHES
     assert proxy_of(first).get_statistics().reconfigurations == SWITCHES
-    assert proxy_of(first).get_statistics().ports[0].traffic.messages == pump.sent
+    assert proxy_of(first).get_statistics().ports[0].messages == pump.sent
     loader.close()
     assert world.registrations == []
 

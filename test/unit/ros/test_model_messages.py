@@ -10,11 +10,11 @@ import rospy
 from dyknow_msgs.msg import Model as ModelMessage
 from dyknow_msgs.srv import GetModelResponse
 
-from dyknow.manager.record import Model, Record
-from dyknow.model.graph import PortState, State
+from dyknow.manager.record import Record
+from dyknow.model.graph import Model, PortState, State
 from dyknow.model.transformation import Parameter, Port, Transformation
-from dyknow.ros.model_messages import ModelMessages, nodelet_message, transformation_message
-from dyknow.ros.views import model_view
+from dyknow.ros.messages import model_from, nodelet_message, transformation_message
+from dyknow.ros.model_messages import ModelMessages
 
 RELAY = Transformation(
     "relay",
@@ -46,27 +46,23 @@ def sent(message: Any) -> Any:
 def test_topic_and_response() -> None:
     rospy.rostime.set_rostime_initialized(True)
     messages = ModelMessages()
-    model = Model(7, 3, (NODELET, OTHER), (RELAY,))
+    model = Model(7, 3, (NODELET.status, OTHER.status), (RELAY,))
     on_topic = sent(messages.topic(model))
     assert (on_topic.revision, on_topic.library_revision) == (7, 3)
-    assert on_topic.nodelets == [nodelet_message(NODELET), nodelet_message(OTHER)]
+    assert on_topic.nodelets == [nodelet_message(NODELET.status), nodelet_message(OTHER.status)]
     assert on_topic.transformations == []
     answer = sent(messages.response(model)).model
     assert answer.nodelets == on_topic.nodelets
     assert answer.transformations == [transformation_message(RELAY)]
-    view = model_view(answer)
-    assert view.transformations == (RELAY,)
-    found = view.nodelet("/relay")
-    assert found is not None
-    assert (found.state, found.ports) == (State.LOST, NODELET.ports)
+    assert model_from(answer) == model
 
 
 def test_what_changes_is_made_anew() -> None:
     rospy.rostime.set_rostime_initialized(True)
     messages = ModelMessages()
-    messages.response(Model(1, 1, (NODELET, OTHER), (RELAY,)))
+    messages.response(Model(1, 1, (NODELET.status, OTHER.status), (RELAY,)))
     released = replace(NODELET, is_protected=False)
     cheap = RELAY._replace(cost=0)
-    answer = sent(messages.response(Model(2, 2, (released,), (cheap,)))).model
+    answer = sent(messages.response(Model(2, 2, (released.status,), (cheap,)))).model
     assert [each.is_protected for each in answer.nodelets] == [False]
     assert [each.cost for each in answer.transformations] == [0]

@@ -8,28 +8,27 @@ from unittest import mock
 
 import pytest
 
-from dyknow.model.streams import ClaimState
+from dyknow.model.streams import ClaimState, StreamEvent, StreamStatus
 from dyknow.ros.acquiring import AcquiredStream
-from dyknow.ros.stream_views import StreamEventView, StreamView
 
-ACTIVE = StreamView("c", "me", "A", "/a", "std_msgs/Header", ClaimState.ACTIVE, "", (), 0.0)
+ACTIVE = StreamStatus("c", "me", "A", "/a", "std_msgs/Header", ClaimState.ACTIVE, "", (), 0.0)
 DEGRADED = replace(ACTIVE, state=ClaimState.DEGRADED, detail="a part is in doubt")
 RELEASED = replace(ACTIVE, state=ClaimState.RELEASED)
 
 
 @pytest.fixture
-def told() -> List[StreamEventView]:
+def told() -> List[StreamEvent]:
     return []
 
 
 @pytest.fixture
-def stream(told: List[StreamEventView], monkeypatch: pytest.MonkeyPatch) -> AcquiredStream:
+def stream(told: List[StreamEvent], monkeypatch: pytest.MonkeyPatch) -> AcquiredStream:
     monkeypatch.setattr("rospy.get_time", lambda: 0.0)
     return AcquiredStream(mock.Mock(), mock.Mock(), ACTIVE, 30.0, told.append)
 
 
-def event(view: StreamView) -> StreamEventView:
-    return StreamEventView(0.0, ACTIVE, view, "because")
+def event(view: StreamStatus) -> StreamEvent:
+    return StreamEvent(0.0, ACTIVE, view, "because")
 
 
 def test_a_snapshot_from_before_an_event_does_not_win(stream: AcquiredStream) -> None:
@@ -42,7 +41,7 @@ def test_a_snapshot_from_before_an_event_does_not_win(stream: AcquiredStream) ->
 
 
 def test_a_late_event_does_not_revive_what_was_released(
-    stream: AcquiredStream, told: List[StreamEventView]
+    stream: AcquiredStream, told: List[StreamEvent]
 ) -> None:
     stream.release()
     stream.note(event(DEGRADED))
@@ -53,9 +52,9 @@ def test_a_late_event_does_not_revive_what_was_released(
 
 
 def test_a_callback_that_releases_is_told_so_afterwards(
-    stream: AcquiredStream, told: List[StreamEventView]
+    stream: AcquiredStream, told: List[StreamEvent]
 ) -> None:
-    def release(news: StreamEventView) -> None:
+    def release(news: StreamEvent) -> None:
         told.append(news)
         stream.release()
 

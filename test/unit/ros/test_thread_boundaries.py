@@ -11,7 +11,7 @@ import pytest
 import rospy
 
 from dyknow import periodic
-from dyknow.manager.record import Model
+from dyknow.model.graph import Model
 from dyknow.ros import stream_session
 from dyknow.ros.bonding import bonds, client_bond
 from dyknow.ros.manager.model_publisher import ModelPublisher

@@ -202,10 +202,10 @@ def test_a_change_that_was_made_twice_is_taken_back_in_turn():
 
 class _Counts:
     def __init__(self, uptime, messages, dropped):
-        from dyknow.ros.views import PortTraffic
+        from dyknow.model.statistics import PortStatistics
 
         self.uptime = uptime
-        self.ports = (PortTraffic("out", "out", "/t", messages, dropped, 7.0, 0.0, 0.0),)
+        self.ports = (PortStatistics("out", "out", "/t", messages, dropped, 7.0, 0.0, 0.0),)
 
 
 def test_rates_are_differences():

@@ -7,8 +7,7 @@ import subprocess
 import pydot
 import pytest
 
-from dyknow.model.graph import PortState, State
-from dyknow.ros.views import NodeletView
+from dyknow.model.graph import NodeletStatus, PortState, State
 from dyknow_rqt.graph.dot import BadLayout, read_layout, to_dot
 from dyknow_rqt.graph.figure import Options, VertexKind, figure_of
 from dyknow_rqt.graph.filters import BadFilter, completions, parse
@@ -26,7 +25,7 @@ def nodelet(name, *ports):
         port, _, topic = text.partition("=")
         direction = "in" if port.startswith(">") else "out"
         states.append(PortState(port.strip(">"), direction, "std_msgs/Header", topic))
-    return NodeletView(
+    return NodeletStatus(
         name, "label", "/nodelet_manager", False, False, False, State.RUNNING, "", tuple(states)
     )
 

@@ -6,8 +6,7 @@ import math
 
 import numpy as np
 
-from dyknow.model.graph import PortState, State
-from dyknow.ros.views import ModelView, NodeletView
+from dyknow.model.graph import Model, NodeletStatus, PortState, State
 from dyknow_demo.soccer.narration import changes
 from dyknow_demo.soccer.picture import Moment, draw, to_dot
 from dyknow_demo.soccer.track import Stretch, Track, shortcomings
@@ -17,11 +16,11 @@ def nodelet(name, state=State.RUNNING, **ports):
     """A nodelet with in-ports, and one out-port ``out``."""
     own = [PortState(port, "in", topic=topic) for port, topic in ports.items() if port != "out"]
     own.append(PortState("out", "out", topic=ports.get("out", f"{name}/out")))
-    return NodeletView(name, "", "/m", False, False, False, state, "", tuple(own))
+    return NodeletStatus(name, "", "/m", False, False, False, state, "", tuple(own))
 
 
 def model(*nodelets):
-    return ModelView(1, 1, nodelets, ())
+    return Model(1, 1, nodelets, ())
 
 
 BEFORE = model(nodelet("/ns/eye"), nodelet("/ns/tracker", image="/ns/eye/out", out="/goal"))

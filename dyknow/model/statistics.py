@@ -1,0 +1,50 @@
+"""What nodelets have done, as values."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Optional, Tuple
+
+
+@dataclass(frozen=True)
+class PortStatistics:
+    """What went through a port since its nodelet was loaded; None where nobody counts.
+
+    Attributes:
+        port: its name.
+        direction: ``in`` or ``out``.
+        topic: global name, empty when disconnected.
+        messages: received or sent.
+        dropped: refused by a full queue, or published while disconnected.
+        rate: Hz over the last messages; 0 for less than two, falling while none come.
+        mean_callback: seconds that a callback takes on average; 0 for an out-port.
+        max_callback: seconds that the longest callback took.
+        latched: an out-port that keeps a message for whoever connects later.
+    """
+
+    port: str
+    direction: str
+    topic: str
+    messages: Optional[int]
+    dropped: Optional[int]
+    rate: Optional[float]
+    mean_callback: Optional[float]
+    max_callback: Optional[float]
+    latched: bool = False
+
+
+@dataclass(frozen=True)
+class NodeletStatistics:
+    """What a nodelet has done since it was loaded.
+
+    Attributes:
+        uptime: seconds, steady.
+        reconfigurations: how often its ports were connected elsewhere.
+        callback_errors: callbacks that raised; None where nobody counts.
+        ports: what went through each port.
+    """
+
+    uptime: float
+    reconfigurations: int
+    callback_errors: Optional[int]
+    ports: Tuple[PortStatistics, ...]
