@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import tempfile
-from pathlib import Path
 from typing import Set, Tuple
 
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
-from unit.manager.field import LIBRARY, Field, counted_ids, transformation
+from hypothesis.stateful import invariant, precondition, rule
+from unit.manager.faulty_lives import NUMBERS, FaultyLife
+from unit.manager.field import LIBRARY, Field, transformation
 
 from dyknow.errors import DyKnowError, NoPlanFound
 from dyknow.model.streams import ClaimState
@@ -35,29 +34,24 @@ LABELS = st.sampled_from(
     ["bottom camera", "subsampler", "detector", "localization", "other localization", "stereo"]
 )
 TYPES = st.sampled_from(["soccer/Camera", "soccer/Detector", "/joint_states"])
-NUMBERS = st.integers(0, 20)
 
 
-class Claims(RuleBasedStateMachine):
+class Claims(FaultyLife):
     """One field with clients, users and accidents."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.ids = counted_ids()
-        self.ids.start()
-        self.folder = tempfile.TemporaryDirectory()
-        self.field = Field(str(Path(self.folder.name) / "state.db"))
         self.field.manager.add_transformation(OTHERS)
         self.hand = 0
         self.protected: Set[str] = set()
 
+    def make_field(self, path: str) -> Field:
+        return Field(path)
+
     def teardown(self) -> None:
-        self.ids.stop()
+        self.end_faults()
         field = self.field
-        field.host.silent.clear()
         field.host.topics.add("/joint_states")
-        for manager in list(field.host.processes):
-            field.host.wake(manager)
         field.manager.add_transformation(LIBRARY)
         field.manager.add_transformation(OTHERS)
         field.settle(100.0)
@@ -67,8 +61,7 @@ class Claims(RuleBasedStateMachine):
         for name in self.protected & set(field.host.running):
             field.manager.set_protection(name, False)
         field.tidy()
-        field.store.close()
-        self.folder.cleanup()
+        self.close()
 
     # Clients
 
@@ -86,45 +79,23 @@ class Claims(RuleBasedStateMachine):
         except DyKnowError:
             assert self.field.host.running == before
 
-    @precondition(lambda self: self.field.living())
-    @rule(number=NUMBERS)
-    def release(self, number: int) -> None:
-        living = self.field.living()
-        self.field.reconciler.release(living[number % len(living)].claim_id)
-
-    @precondition(lambda self: self.field.living())
-    @rule(number=NUMBERS)
-    def replan(self, number: int) -> None:
-        living = self.field.living()
-        try:
-            self.field.reconciler.replan(living[number % len(living)].claim_id)
-        except DyKnowError:
-            return
-
     # Users
 
     @rule(label=st.sampled_from(["bottom camera", "subsampler", "detector"]))
     def spawn(self, label: str) -> None:
         self.hand += 1
-        ports = {"bottom camera": {"image": "/by_hand/image"}, "subsampler": {}, "detector": {}}
-        try:
-            self.field.spawn(label, f"/by_hand_{self.hand}", config=ports[label])
-        except DyKnowError:
-            return
+        config = {"image": "/by_hand/image"} if label == "bottom camera" else {}
+        self.asked(lambda: self.field.spawn(label, f"/by_hand_{self.hand}", config=config))
 
     @precondition(lambda self: self.field.host.running)
     @rule(number=NUMBERS)
     def destroy(self, number: int) -> None:
-        name = self.field.host.running[number % len(self.field.host.running)]
-        try:
-            self.field.destroy_by_hand(name)
-        except DyKnowError:
-            return
+        self.asked(lambda: self.field.destroy_by_hand(self.any_nodelet(number)))
 
     @precondition(lambda self: self.field.host.running)
     @rule(number=NUMBERS)
     def protect(self, number: int) -> None:
-        name = self.field.host.running[number % len(self.field.host.running)]
+        name = self.any_nodelet(number)
         try:
             self.field.manager.set_protection(name, True)
             self.protected.add(name)
@@ -133,29 +104,13 @@ class Claims(RuleBasedStateMachine):
 
     @rule(label=LABELS)
     def remove_transformation(self, label: str) -> None:
-        try:
-            self.field.manager.remove_transformation(label)
-        except DyKnowError:
-            return
+        self.asked(lambda: self.field.manager.remove_transformation(label))
 
     @rule()
     def add_transformations(self) -> None:
         self.field.manager.add_transformation(LIBRARY)
 
     # Accidents
-
-    @rule(number=NUMBERS)
-    def kill(self, number: int) -> None:
-        processes = sorted(self.field.host.processes)
-        if processes:
-            self.field.host.kill(processes[number % len(processes)])
-
-    @rule(number=NUMBERS, hang=st.booleans())
-    def hang(self, number: int, hang: bool) -> None:
-        host = self.field.host
-        processes = [name for name in sorted(host.processes) if host.processes[name].state.alive]
-        if processes:
-            (host.hang if hang else host.wake)(processes[number % len(processes)])
 
     @rule(kind=TYPES, silent=st.booleans())
     def silence(self, kind: str, silent: bool) -> None:
@@ -165,10 +120,6 @@ class Claims(RuleBasedStateMachine):
     def sensor(self, there: bool) -> None:
         topics = self.field.host.topics
         (topics.add if there else topics.discard)("/joint_states")
-
-    @rule()
-    def kill_dyknow(self) -> None:
-        self.field.kill_manager()
 
     @rule(seconds=st.sampled_from([1.0, 10.0, 100.0]))
     def wait(self, seconds: float) -> None:

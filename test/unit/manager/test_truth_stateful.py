@@ -7,21 +7,19 @@ the fake host, and again when the manager had its round.
 from __future__ import annotations
 
 import itertools
-import tempfile
-from pathlib import Path
 from typing import List, Sequence
 
 import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import (
-    RuleBasedStateMachine,
     invariant,
     precondition,
     rule,
     run_state_machine_as_test,
 )
-from unit.manager.field import Field, counted_ids, specification
+from unit.manager.faulty_lives import NUMBERS, FaultyLife
+from unit.manager.field import Field, specification
 from unit.manager.witness import Concepts, Witness
 
 from dyknow.errors import DyKnowError, HostError
@@ -36,7 +34,6 @@ SUPPLIED = st.lists(st.sampled_from(GROUND), min_size=1, max_size=2, unique=True
 DEMANDED = st.sampled_from(GROUND + OPEN)
 LABELS = st.sampled_from([f"part {letter}" for letter in "abcdef"])
 ORDINARY = st.sampled_from(["/sensor", "/other_sensor"])
-NUMBERS = st.integers(0, 30)
 PLAN = st.tuples(
     st.lists(DEMANDED, max_size=2),
     st.lists(SUPPLIED, min_size=1, max_size=2),
@@ -45,18 +42,11 @@ PLAN = st.tuples(
 )
 
 
-class Truth(RuleBasedStateMachine):
+class Truth(FaultyLife):
     """A library, claims, and everything that can go wrong."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.ids = counted_ids()
-        self.ids.start()
-        self.folder = tempfile.TemporaryDirectory()
-        relay = {"dyknow/Relay": [("in", "in", "*"), ("out", "out", "*")]}
-        path = str(Path(self.folder.name) / "state.db")
-        self.field = Field(path, relay, "", CONCEPTS)
-        self.field.host.topics.clear()
         self.witness = Witness(self.field.host, CONCEPTS)
         self.witness.claims = lambda: self.field.reconciler.claims()
         self.types = itertools.count(1)
@@ -67,25 +57,32 @@ class Truth(RuleBasedStateMachine):
         self.add("part d", ["Image(?c)"], [["Ball(red)"], ["Ball(blue)"]])
         self.add("part e", ["Ball(?b)", "Image(right)"], [["Goal(red)"]])
 
+    def make_field(self, path: str) -> Field:
+        relay = {"dyknow/Relay": [("in", "in", "*"), ("out", "out", "*")]}
+        field = Field(path, relay, "", CONCEPTS)
+        field.host.topics.clear()
+        return field
+
+    def after_kill(self) -> None:
+        self.witness.excuse()
+
+    def after_hang(self) -> None:
+        self.look_at_everything()
+        self.witness.guilt.clear()
+        self.witness.excuse()
+
     def teardown(self) -> None:
-        self.ids.stop()
-        field = self.field
-        field.host.fail = lambda operation, argument: None
-        field.host.silent.clear()
-        field.host.slow.clear()
-        for manager in list(field.host.processes):
-            field.host.wake(manager)
+        self.end_faults()
         self.arrive_late()
         self.witness.excuse()
         for _ in range(3):
             self.pass_time(60.0)
-        for claim in field.living():
+        for claim in self.field.living():
             states = (ClaimState.ACTIVE, ClaimState.PENDING, ClaimState.DEGRADED)
             assert claim.state in states, (claim.state, claim.detail)
             if claim.state is ClaimState.ACTIVE and not self.witness.by_hand:
-                assert claim.topic in field.moving, claim
-        field.store.close()
-        self.folder.cleanup()
+                assert claim.topic in self.field.moving, claim
+        self.close()
 
     # Clients
 
@@ -93,19 +90,6 @@ class Truth(RuleBasedStateMachine):
     def acquire(self, tag: str, silence: float, exclude: bool) -> None:
         labels = ("part a",) if exclude else ()
         self.asked(lambda: self.field.acquire(tag, max_silence=silence, exclude=labels))
-
-    @precondition(lambda self: self.field.living())
-    @rule(number=NUMBERS)
-    def release(self, number: int) -> None:
-        living = self.field.living()
-        self.field.reconciler.release(living[number % len(living)].claim_id)
-
-    @precondition(lambda self: self.field.living())
-    @rule(number=NUMBERS)
-    def replan(self, number: int) -> None:
-        living = self.field.living()
-        claim_id = living[number % len(living)].claim_id
-        self.asked(lambda: self.field.reconciler.replan(claim_id))
 
     # The library
 
@@ -195,28 +179,11 @@ class Truth(RuleBasedStateMachine):
 
     # Accidents
 
-    @rule(number=NUMBERS)
-    def kill(self, number: int) -> None:
-        processes = sorted(self.field.host.processes)
-        if processes:
-            self.field.host.kill(processes[number % len(processes)])
-            self.witness.excuse()
-
     @precondition(lambda self: self.field.host.running)
     @rule(number=NUMBERS)
     def vanish(self, number: int) -> None:
         self.field.host.vanish(self.any_nodelet(number))
         self.witness.excuse()
-
-    @rule(number=NUMBERS, hang=st.booleans())
-    def hang(self, number: int, hang: bool) -> None:
-        host = self.field.host
-        processes = [name for name in sorted(host.processes) if host.processes[name].state.alive]
-        if processes:
-            (host.hang if hang else host.wake)(processes[number % len(processes)])
-            self.look_at_everything()
-            self.witness.guilt.clear()
-            self.witness.excuse()
 
     @precondition(lambda self: self.field.host.running)
     @rule(number=NUMBERS)
@@ -257,10 +224,6 @@ class Truth(RuleBasedStateMachine):
         (topics.add if there else topics.discard)(topic)
         self.witness.excuse()
 
-    @rule()
-    def kill_dyknow(self) -> None:
-        self.field.kill_manager()
-
     @rule(seconds=st.sampled_from([1.0, 10.0]))
     def wait(self, seconds: float) -> None:
         self.pass_time(seconds)
@@ -283,17 +246,6 @@ class Truth(RuleBasedStateMachine):
         assert self.witness.fed_while_pending() == []
 
     # How it is done
-
-    @staticmethod
-    def asked(action) -> None:
-        try:
-            action()
-        except DyKnowError:
-            return
-
-    def any_nodelet(self, number: int) -> str:
-        running = self.field.host.running
-        return running[number % len(running)]
 
     def topics(self) -> List[str]:
         """Every topic that anything is connected to."""
@@ -344,4 +296,4 @@ def test_nobody_receives_what_was_not_asked_for() -> None:
 
 @pytest.mark.long
 def test_nobody_receives_what_was_not_asked_for_in_long_lives() -> None:
-    check(100, 300)
+    check(50, 300)  # about ten seconds a life
