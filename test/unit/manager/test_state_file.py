@@ -373,3 +373,15 @@ def test_rejected_rows_are_set_aside_with_the_cause(tmp_path: Path) -> None:
     file.complaint.encode("utf-8")  # as the message that the log makes of it
     file.close()
     assert reopened(path) == ROWS
+
+
+def test_entries_without_a_meaning_leave_no_file_if_the_state_is_in_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    file = StateFile(":memory:")
+    file.write({("claims", "a"): "nonsense", ("claims", "b"): "{}"})
+    file.reject("claims", {"a": "it is nonsense"})
+    assert file.rows("claims") == {"b": "{}"}
+    assert "it is nonsense" in file.complaint
+    assert list(tmp_path.iterdir()) == []
