@@ -393,9 +393,7 @@ class StartTest(ManagerCase):
         manager.parameters["spawn_timeout"] = 10.0
         manager.parameters["ontology"] = "field.ttl"
         manager.start()
-        self.assertIn(
-            "~ontology says nothing to the manager; did you mean ~ontologies?", manager.output
-        )
+        self.assertIn("unknown parameter ~ontology; did you mean ~ontologies?", manager.output)
         del manager.parameters["ontology"]
         manager.stop()
         [state] = Path(manager.state).glob("*.sqlite3")

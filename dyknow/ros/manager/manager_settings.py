@@ -106,7 +106,7 @@ def _warn_of_strangers() -> None:
         if name not in _PARAMETERS:
             hint = did_you_mean(name, _PARAMETERS, at_most=1, prefix="~")
             hint = hint or "; known: ~" + " ~".join(_PARAMETERS)
-            rospy.logwarn("the parameter ~%s says nothing to the manager%s", name, hint)
+            rospy.logwarn("unknown parameter ~%s%s", name, hint)
 
 
 def _refuse(name: str, expected: str, value: Any) -> DyKnowError:

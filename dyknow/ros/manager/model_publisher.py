@@ -1,4 +1,4 @@
-"""The latched topic of the model: each change is followed by a message, a storm by few."""
+"""The latched topic of the model: a message follows each change, and few follow many."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from dyknow.model.graph import Model
 from dyknow.periodic import PeriodicWorker
 from dyknow.ros.model_messages import ModelMessages
 
-#: Least seconds from one message to the next.
+#: Least seconds between two messages.
 PERIOD = 0.05
 
 
 class ModelPublisher:
-    """Publishes the model after it changed, from a thread of its own."""
+    """Publishes the model after its changes, from a thread of its own."""
 
     def __init__(
         self,
@@ -29,9 +29,9 @@ class ModelPublisher:
 
         Args:
             topic: its name.
-            take: gives the model of this moment.
-            messages: makes the messages.
-            before: called ahead of each message.
+            take: returns the model of this moment.
+            messages: converts it.
+            before: called before each message.
         """
         self._take = take
         self._messages = messages
@@ -46,7 +46,7 @@ class ModelPublisher:
         self._worker.wake()
 
     def close(self) -> None:
-        """Publish no more."""
+        """Withdraw the topic."""
         self._worker.close(1.0)
         self._publisher.unregister()
 

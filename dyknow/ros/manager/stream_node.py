@@ -1,7 +1,7 @@
 """The part of the node dyknow_manager that is about streams.
 
-Who owns what: ``StreamNode`` owns the reconciler of the claims, the thread that lets it work, the
-bonds with clients, the services and the topic of events.
+Who owns what: ``StreamNode`` owns the thread that reconciles claims, the bonds with clients, the
+services and the topic of events.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ _END_PATIENCE = 3.0
 
 
 class StreamNode:
-    """Claims and their surroundings; the manager must have been started."""
+    """Connects the reconciler of claims with ROS; the manager must have been started."""
 
     def __init__(
         self, manager: Manager, reconciler: StreamReconciler, after_change: Callable[[], None]
     ) -> None:
-        """Take up the claims of an earlier life, and offer the services.
+        """Take over the claims of an earlier life, and offer the services.
 
         Args:
             manager: makes and destroys nodelets.
-            reconciler: keeps the claims; it was there before the manager was started.
+            reconciler: keeps the claims; made before the manager was started.
             after_change: called after each attempt to change something, before it is answered.
         """
         self._manager = manager
@@ -61,14 +61,14 @@ class StreamNode:
         self._reconciling.start()
 
     def note_change(self) -> None:
-        """Say that the graph or the library changed; returns at once."""
+        """Ask for a round, since the graph or the library changed; does not wait."""
         self._reconciling.note_change()
 
     def close(self) -> None:
         """End all claims; the nodelets of the streams are not touched."""
         self._services.close()
         self._reconciling.close(1.0)
-        # A repair that is going on is waited for, but not long.
+        # The end of a repair that is going on is awaited, but not for long.
         in_background("ending the claims", self._reconciler.end).join(_END_PATIENCE)
         self._bonds.close()  # the topic is withdrawn with the node, when the last is sent
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import logging
-from typing import Any, Callable, List, Optional, Sequence
+from typing import Any, Callable, List, Sequence
 
 import rospy
 from dyknow_msgs.srv import (
@@ -19,17 +18,13 @@ from dyknow_msgs.srv import (
     ReplanStreamResponse,
 )
 
-from dyknow.errors import (
-    BadParameter,
-    DyKnowError,
-)
+from dyknow.errors import BadParameter, DyKnowError
 from dyknow.guards import Guards
 from dyknow.manager.claim import Claim
 from dyknow.manager.claims.answers import StreamAnswers, refusal_of
 from dyknow.manager.claims.reconciler import StreamReconciler
 from dyknow.model.streams import StreamRequest
-from dyknow.ros.log_text import for_log
-from dyknow.ros.manager.remarks import with_remark
+from dyknow.ros.manager.service_group import ServiceGroup
 from dyknow.ros.messages import (
     acquire_from,
     acquisition_message,
@@ -37,13 +32,10 @@ from dyknow.ros.messages import (
     replanned_message,
     stream_message,
 )
-from dyknow.ros.nodelets.guard_parameters import caller_of
-
-_log = logging.getLogger("rosout.dyknow")
 
 
 class StreamServices:
-    """Offers the services until it is closed."""
+    """Services about streams."""
 
     def __init__(
         self,
@@ -54,36 +46,28 @@ class StreamServices:
         remark: Callable[[], str],
         unknown_labels: Callable[[Sequence[str]], Sequence[str]],
     ) -> None:
-        """Offer them.
+        """Offer the services.
 
         Args:
-            reconciler: does it.
-            guards: what nobody may do.
+            reconciler: does what they are asked for.
+            guards: what is forbidden.
             answers: makes what clients are shown of claims.
             after_change: called after each attempt to change something, before it is answered.
             remark: what the answer to a change has to add; empty for nothing.
-            unknown_labels: says which labels that a client excludes are those of nothing.
+            unknown_labels: says which of the labels that a client excludes belong to nothing.
         """
         self._reconciler = reconciler
         self._guards = guards
         self._answers = answers
-        self._after_change = after_change
         self._unknown_labels = unknown_labels
-        self._services: List[Any] = [
-            rospy.Service(name, service_class, with_remark(handler, remark))
-            for name, service_class, handler in (
-                ("~acquire_stream", AcquireStream, self._acquire),
-                ("~release_stream", ReleaseStream, self._release),
-                ("~renew_stream", RenewStream, self._renew),
-                ("~replan_stream", ReplanStream, self._replan),
-                ("~list_streams", ListStreams, self._list),
-            )
-        ]
-
-    def close(self) -> None:
-        """Withdraw them."""
-        while self._services:
-            self._services.pop().shutdown("the manager ends")
+        self._group = ServiceGroup(after_change, remark)
+        self._attempt = self._group.attempt
+        self.close = self._group.close
+        self._group.offer("acquire_stream", AcquireStream, self._acquire)
+        self._group.offer("release_stream", ReleaseStream, self._release)
+        self._group.offer("renew_stream", RenewStream, self._renew)
+        self._group.offer("replan_stream", ReplanStream, self._replan)
+        self._group.offer("list_streams", ListStreams, self._list)
 
     def _acquire(self, request: Any) -> AcquireStreamResponse:
         answers: List[AcquireStreamResponse] = []
@@ -95,7 +79,7 @@ class StreamServices:
             answers.append(acquisition_message(self._answers.acquisition(acquired, warnings)))
 
         what = f"{'planning' if request.dry_run else 'acquiring'} '{request.tag}'"
-        error = self._try(request, what, acquire)
+        error = self._attempt(request, what, acquire)
         return answers[0] if error is None else refusal_message(refusal_of(error))
 
     def _release(self, request: Any) -> ReleaseStreamResponse:
@@ -104,7 +88,7 @@ class StreamServices:
             self._guards.check_writable(f"releasing '{request.claim_id}'")
             self._reconciler.release(request.claim_id)
 
-        error = self._try(request, f"releasing stream '{request.claim_id}'", release)
+        error = self._attempt(request, f"releasing stream '{request.claim_id}'", release)
         return ReleaseStreamResponse(error is None, str(error or ""))
 
     def _renew(self, request: Any) -> RenewStreamResponse:
@@ -124,7 +108,7 @@ class StreamServices:
             acquired = self._reconciler.replan(request.claim_id, request.dry_run)
             answers.append(replanned_message(self._answers.replanned(acquired)))
 
-        error = self._try(request, f"replanning stream '{request.claim_id}'", replan)
+        error = self._attempt(request, f"replanning stream '{request.claim_id}'", replan)
         return answers[0] if error is None else ReplanStreamResponse(False, str(error))
 
     def _list(self, request: Any) -> ListStreamsResponse:
@@ -143,23 +127,6 @@ class StreamServices:
             )
         _lease(request)
         return acquire_from(request)
-
-    def _try(self, request: Any, what: str, action: Callable[[], None]) -> Optional[Exception]:
-        """Do what a request asks for; returns why it did not work."""
-        what, caller = for_log(what), for_log(caller_of(request))
-        try:
-            try:
-                action()
-            finally:
-                self._after_change()
-        except DyKnowError as error:
-            rospy.logwarn("%s for %s: refused: %s", what, caller, for_log(error))
-            return error
-        except Exception as error:  # the boundary of the service
-            _log.exception("%s for %s failed", what, caller)
-            return DyKnowError(f"internal error: {type(error).__name__}: {error}")
-        rospy.loginfo("%s for %s: done", what, caller)
-        return None
 
 
 def _lease(request: Any) -> float:

@@ -1,4 +1,4 @@
-"""Keeps the manager's picture true: two looks a second, and one when something happens."""
+"""Keeps the manager's picture true: a look every half second, and at once after an event."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ PERIOD = 0.5
 
 
 class Watch:
-    """One thread that looks."""
+    """Lets the manager look at its nodelet managers, on a thread of its own."""
 
     def __init__(self, manager: Manager, after: Callable[[], None]) -> None:
-        """Prepare; nothing is looked at yet.
+        """Prepare; ``start`` starts the thread.
 
         Args:
-            manager: who looks.
+            manager: looks.
             after: called after each look.
         """
         self._manager = manager
@@ -32,7 +32,7 @@ class Watch:
         self.close = self._worker.close
 
     def refresh(self, name: str) -> None:
-        """Look closely at a nodelet, soon."""
+        """Ask for a look that asks a nodelet for its ports; does not wait."""
         self._changed.append(name)
         self._worker.wake()
 
@@ -43,8 +43,7 @@ class Watch:
         changed = self._postponed
         while self._changed:
             changed.add(self._changed.popleft())
-        # A nodelet that somebody works on is skipped by this look, so the next one has to look at
-        # it closely.
+        # This look skips busy nodelets, so the next one has to ask for their ports.
         self._postponed = {name for name in changed if self._manager.graph.is_busy(name)}
         try:
             self._manager.look(changed)

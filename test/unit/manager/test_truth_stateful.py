@@ -296,4 +296,4 @@ def test_nobody_receives_what_was_not_asked_for() -> None:
 
 @pytest.mark.long
 def test_nobody_receives_what_was_not_asked_for_in_long_lives() -> None:
-    check(50, 300)  # about ten seconds a life
+    check(100, 300)  # about ten seconds a life
