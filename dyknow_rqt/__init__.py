@@ -1,1 +1,1 @@
-"""The rqt plugin of DyKnow and its window of its own."""
+"""The window of DyKnow, as an rqt plugin and on its own."""

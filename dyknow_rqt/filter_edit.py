@@ -1,4 +1,4 @@
-"""A field for a filter of names: completes, and shows when it cannot be understood."""
+"""A field for a filter of names, with completion and a sign for errors."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from dyknow_rqt.qt_slot import qt_slot
 
 
 class FilterEdit(QLineEdit):
-    """Holds the last filter that could be understood."""
+    """Keeps the last valid filter."""
 
-    #: The filter is another one.
+    #: The filter has changed.
     filter_changed = Signal()
-    #: It cannot be understood: why.
+    #: The text is no filter: the reason.
     refused = Signal(str)
-    #: It can be understood after all: what was said before.
+    #: The text is a filter again: the reason that was given before.
     mended = Signal(str)
 
     def __init__(self, what: str, parent: Optional[QWidget] = None) -> None:
@@ -44,7 +44,7 @@ class FilterEdit(QLineEdit):
         self.textChanged.connect(self._read)
 
     def set_names(self, names: Iterable[str]) -> None:
-        """Say what exists."""
+        """Set the names that are completed."""
         self._names = sorted(names)
 
     @qt_slot

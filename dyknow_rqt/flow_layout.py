@@ -1,4 +1,4 @@
-"""A layout that goes on in the next line, as words do, so that a window can be narrow."""
+"""A layout that wraps into lines, as text does, so that a window can be narrow."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _SPACING = (12, 3)
 class FlowLayout(QLayout):
     """Widgets side by side, in as many lines as they need.
 
-    Those that can grow in a line share what it has left, in proportion to their size.
+    Widgets that can grow share the rest of their line, in proportion to their size.
     """
 
     def __init__(self, parent: Optional[QWidget] = None) -> None:
@@ -21,36 +21,36 @@ class FlowLayout(QLayout):
         self._items: List[QLayoutItem] = []
 
     def addItem(self, item: QLayoutItem) -> None:  # noqa: N802
-        """Take one more."""
+        """Add an item."""
         self._items.append(item)
 
     def count(self) -> int:
-        """How many there are."""
+        """The number of items."""
         return len(self._items)
 
     def itemAt(self, index: int) -> Optional[QLayoutItem]:  # noqa: N802
-        """One of them."""
+        """Return an item, or None."""
         return self._items[index] if 0 <= index < len(self._items) else None
 
     def takeAt(self, index: int) -> Optional[QLayoutItem]:  # noqa: N802
-        """Give one up."""
+        """Remove an item and return it."""
         return self._items.pop(index) if 0 <= index < len(self._items) else None
 
     def hasHeightForWidth(self) -> bool:  # noqa: N802
-        """Narrow is high."""
+        """The height depends on the width."""
         return True
 
     def heightForWidth(self, width: int) -> int:  # noqa: N802
-        """How high it is when it is so wide."""
+        """The height for a width."""
         return self._arrange(QRect(0, 0, width, 0), moving=False)
 
     def setGeometry(self, area: QRect) -> None:  # noqa: N802
-        """Put everything in place."""
+        """Place the items."""
         super().setGeometry(area)
         self._arrange(area, moving=True)
 
     def sizeHint(self) -> QSize:  # noqa: N802
-        """As small as the widest of them allows."""
+        """The same as the minimum."""
         return self.minimumSize()
 
     def minimumSize(self) -> QSize:  # noqa: N802

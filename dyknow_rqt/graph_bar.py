@@ -1,4 +1,4 @@
-"""The bar above the graph: what to show and how, where users of rqt_graph look for it."""
+"""The bar above the graph: options of the drawing, placed as in rqt_graph."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ _TYPING = 250  # ms
 
 
 class GraphBar(QWidget):
-    """Gives the options, and keeps its own state in a dictionary of plain values."""
+    """Edits the options; its state is a dictionary of texts."""
 
-    #: What is to be shown is another.
+    #: The options have changed.
     options_changed = Signal()
-    #: So much so that the places of before mean nothing any more.
+    #: They have changed so much that the old layout has no meaning.
     structure_changed = Signal()
 
     def __init__(self, parent: Optional[QWidget] = None) -> None:
         super().__init__(parent)
         self.refresh = QPushButton("&Refresh")
-        self.refresh.setToolTip("Look at everything now (F5, Ctrl+R)")
+        self.refresh.setToolTip("Read everything now (F5, Ctrl+R)")
         self.mode = QComboBox()
         self.mode.addItems(["Nodelets/Topics", "Nodelets only"])
         self.mode.setAccessibleName("What to draw")
@@ -49,7 +49,7 @@ class GraphBar(QWidget):
         self.depth.setValue(2)
         self.depth.setToolTip("How many parts of a namespace make a box; 0 for none")
         self.dead_sinks = QCheckBox("Dead sin&ks")
-        self.dead_sinks.setToolTip("Hide topics that nobody receives")
+        self.dead_sinks.setToolTip("Hide topics without a receiver")
         self.leaf_topics = QCheckBox("&Leaf topics")
         self.leaf_topics.setToolTip("Hide topics with only one end")
         self.debug = QCheckBox("Debu&g")
@@ -59,23 +59,23 @@ class GraphBar(QWidget):
         self.nodes.setToolTip("Show ordinary nodes that use these topics, greyed")
         self.highlight = QCheckBox("&Highlight")
         self.highlight.setChecked(True)
-        self.highlight.setToolTip("Light up what hangs together with the thing under the pointer")
+        self.highlight.setToolTip("Highlight the neighbours of the thing under the pointer")
         self.period = QDoubleSpinBox()
         self.period.setRange(0.2, 60.0)
         self.period.setSingleStep(0.5)
         self.period.setDecimals(1)
         self.period.setValue(1.0)
         self.period.setSuffix(" s")
-        self.period.setToolTip("How often to look at rates; changes are shown at once anyway")
+        self.period.setToolTip("How often rates are read; changes are shown at once")
         self.fit = QPushButton("&Fit")
         self.fit.setToolTip("Fit everything into the view (Ctrl+0)")
         self.tidy = QPushButton("Tid&y")
-        self.tidy.setToolTip("Lay everything out anew (Ctrl+L)")
+        self.tidy.setToolTip("Make a new layout (Ctrl+L)")
         self.undo = QPushButton("Undo")
         self.redo = QPushButton("Redo")
         self.save = QToolButton()
         self.save.setText("Sa&ve")
-        self.save.setToolTip("Save the drawing, or the wiring to be loaded another day")
+        self.save.setToolTip("Save the drawing, or the wiring")
         self.save.setPopupMode(QToolButton.InstantPopup)
         self.save_menu = QMenu(self.save)
         self.save.setMenu(self.save_menu)
@@ -95,7 +95,7 @@ class GraphBar(QWidget):
         self._listen()
 
     def options(self) -> Options:
-        """What the user wants to see."""
+        """The options that are set."""
         return Options(
             topics=self.mode.currentIndex() == 0,
             nodelet_filter=self.nodelets.filter,
@@ -108,7 +108,7 @@ class GraphBar(QWidget):
         )
 
     def state(self) -> Dict[str, str]:
-        """Settings to be kept, as texts."""
+        """The settings to save, as texts."""
         checks = {name: str(int(box.isChecked())) for name, box in self._boxes().items()}
         return {
             **checks,
@@ -120,7 +120,7 @@ class GraphBar(QWidget):
         }
 
     def restore(self, state: Dict[str, Any]) -> None:
-        """Take settings up again; what is missing or makes no sense stays as it is."""
+        """Restore settings; missing or invalid ones are ignored."""
         for name, box in self._boxes().items():
             if state.get(name) in ("0", "1"):
                 box.setChecked(state[name] == "1")
@@ -135,7 +135,7 @@ class GraphBar(QWidget):
                 continue
 
     def show_history(self, undo: str, redo: str) -> None:
-        """Say what undo and redo would do."""
+        """Show what undo and redo would do."""
         for button, text, keys in ((self.undo, undo, "Ctrl+Z"), (self.redo, redo, "Ctrl+Shift+Z")):
             button.setEnabled(bool(text))
             button.setToolTip(f"{button.text().replace('&', '')}: {text or 'nothing'} ({keys})")

@@ -1,4 +1,4 @@
-"""Context menus of the graph: what can be done with a thing."""
+"""Context menus of the graph."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from dyknow_rqt.graph.snapshot import PortRef, Snapshot
 
 
 class GraphActions(QObject):
-    """What the user asks for in the graph; the parts of the window that can do it connect."""
+    """What the user asks for in the graph; the parts of the window that do it connect."""
 
     #: Connect a port; the nodelet, and the port or an empty text.
     connection_wanted = Signal(str, str)
@@ -39,7 +39,7 @@ class GraphActions(QObject):
 def menu_for(
     item: Optional[Item], snapshot: Snapshot, actions: GraphActions, parent: QWidget
 ) -> QMenu:
-    """Make the menu for a thing of the graph, or for the ground."""
+    """Make the menu of an item, or of the background."""
     menu = QMenu(parent)
     if isinstance(item, PortItem):
         _add_port(menu, item.ref, snapshot, actions)

@@ -1,4 +1,4 @@
-"""The graph with its bar: draws what the monitor knows, and turns gestures into changes."""
+"""The graph with its bar: draws the monitor's snapshot, and turns gestures into changes."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ _KINDS = ("DOT (*.dot)", "SVG (*.svg)", "PNG (*.png)")
 
 
 class GraphPanel(QWidget):
-    """Bar, drawing, and a sign for when there is nothing to draw."""
+    """Bar, drawing, and a message when there is nothing to draw."""
 
-    #: Something went wrong, in words.
+    #: An error, in words.
     failed = Signal(str)
-    #: It is no longer so.
+    #: The error no longer holds.
     mended = Signal(str)
 
     def __init__(self, monitor: Monitor, parent: Optional[QWidget] = None) -> None:
@@ -61,16 +61,16 @@ class GraphPanel(QWidget):
         self._show_sign()
 
     def report(self, text: str) -> None:
-        """Say that something went wrong."""
+        """Report an error."""
         self.failed.emit(text)
 
     def close_down(self) -> None:
-        """End what runs outside."""
+        """End the process that makes layouts."""
         self.layouter.close()
 
     @property
     def drawn(self) -> Figure:
-        """What is on the screen."""
+        """The figure on the screen."""
         figure: Figure = self.view.scene().figure
         return figure
 
@@ -78,7 +78,7 @@ class GraphPanel(QWidget):
 
     @qt_slot
     def redraw(self) -> None:
-        """Draw what has changed; the layout is made anew only if things came or went."""
+        """Draw the changes; a new layout is made only if vertices or edges came or went."""
         snapshot = self._monitor.snapshot
         self.bar.nodelets.set_names(each.name for each in snapshot.nodelets)
         self.bar.topics.set_names(snapshot.topics())
@@ -92,13 +92,13 @@ class GraphPanel(QWidget):
 
     @qt_slot
     def tidy(self) -> None:
-        """Lay everything out anew, wherever that puts things."""
+        """Make a new layout without regard to the old one."""
         self._wants_tidy = True
         self.redraw()
 
     @qt_slot
     def find(self) -> None:
-        """Go to the field that finds things."""
+        """Put the focus into the search field."""
         self.bar.search.setFocus()
         self.bar.search.selectAll()
 
@@ -109,7 +109,7 @@ class GraphPanel(QWidget):
             item.setSelected(key in wanted)
 
     def save(self, path: str) -> None:
-        """Write the drawing as what the name of the file says; DOT if it says nothing.
+        """Write the drawing in the format of the file's extension, DOT by default.
 
         Raises:
             OSError: it cannot be written.
@@ -145,7 +145,7 @@ class GraphPanel(QWidget):
         elif not monitor.snapshot.nodelets:
             text = "No nodelets yet: make one in 'Create', or ask for a stream in 'Streams'"
             if not monitor.library:
-                text = "No nodelets yet: import in 'Library' what they can be made of"
+                text = "No nodelets and no transformations yet: import some in 'Library'"
         elif not self._figure.vertices:
             text = "The filters hide everything"
         self.sign.setText(text)
@@ -173,7 +173,7 @@ class GraphPanel(QWidget):
 
     @qt_slot
     def _delete(self) -> None:
-        """Disconnect the arrows that are selected; destroy nodelets that are, after asking."""
+        """Disconnect the selected arrows, or else destroy the selected nodelets, after asking."""
         scene = self.view.scene()
         refs = tuple(dict.fromkeys(edge_refs(edge)[0] for edge in scene.selected_edges()))
         if refs:
@@ -199,7 +199,7 @@ class GraphPanel(QWidget):
 
     @qt_slot
     def _next_hit(self) -> None:
-        """Select the next thing that was found, and show it."""
+        """Select the next item that was found, and scroll to it."""
         hits = self.view.scene().find(self.bar.search.text())
         if hits:
             chosen = [number for number, item in enumerate(hits) if item.isSelected()]
@@ -210,7 +210,7 @@ class GraphPanel(QWidget):
         suffix = kind.rpartition(".")[2].rstrip(")")
         dialog = QFileDialog(self, "Save the graph", "", kind)
         dialog.setAcceptMode(QFileDialog.AcceptSave)
-        dialog.setDefaultSuffix(suffix)  # before it asks whether to write over a file
+        dialog.setDefaultSuffix(suffix)  # set before it asks whether to overwrite a file
         dialog.selectFile(f"dyknow.{suffix}")
         dialog.finished.connect(dialog.deleteLater)
         if dialog.exec_():
@@ -223,7 +223,7 @@ class GraphPanel(QWidget):
     # Inside
 
     def eventFilter(self, watched: object, event: QEvent) -> bool:  # noqa: N802
-        """Keep the sign in the middle, and the colours those of the palette."""
+        """Keep the message in the middle, and follow changes of the palette."""
         if event.type() == QEvent.Resize:
             self._show_sign()
         elif event.type() == QEvent.PaletteChange:
@@ -281,7 +281,7 @@ class GraphPanel(QWidget):
         self._monitor.look()
 
     def actions_of(self) -> Iterator[QAction]:
-        """What keys do, wherever in the window the focus is."""
+        """The actions of keys that work wherever the focus is."""
         for keys, function in (
             (("F5", "Ctrl+R"), self._refresh),
             (("Ctrl+0",), self.view.fit),

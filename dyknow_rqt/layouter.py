@@ -1,4 +1,4 @@
-"""Lays figures out in a process of its own, with a limit of time."""
+"""Makes layouts in another process, with a time limit."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ _Order = Tuple[Figure, Mapping[str, Size]]
 
 
 class Layouter(QObject):
-    """Runs ``dot`` for one figure at a time; of those that wait only the last counts."""
+    """Runs ``dot`` for one figure at a time; of several that wait only the last is laid out."""
 
     #: A figure, its sizes and its layout.
     ready = Signal(object, object, object)
-    #: graphviz was of no use, and a plainer layout took its place: why.
+    #: graphviz failed and a simpler layout was used: the reason.
     failed = Signal(str)
 
     def __init__(self, program: str = "dot", limit: float = LIMIT) -> None:
@@ -47,7 +47,7 @@ class Layouter(QObject):
         self._limit.timeout.connect(self._too_slow)
 
     def lay_out(self, figure: Figure, sizes: Mapping[str, Size], gap: float = 52.0) -> None:
-        """Have a figure laid out; ``ready`` tells when it is."""
+        """Lay a figure out; ``ready`` is emitted when it is done."""
         self._next, self._gap = (figure, sizes), gap
         if self._current is None:
             self._begin()
@@ -61,7 +61,7 @@ class Layouter(QObject):
             self._process.waitForFinished(1000)
 
     def report(self, text: str) -> None:
-        """Say that something went wrong."""
+        """Report an error."""
         self.failed.emit(text)
 
     def _begin(self) -> None:
@@ -93,7 +93,7 @@ class Layouter(QObject):
 
     @qt_slot
     def _could_not(self, error: int) -> None:
-        # After a crash or a kill `finished` follows; only what did not start ends here.
+        # `finished` follows a crash or a kill, but not a process that did not start.
         if error == QProcess.FailedToStart and self._current is not None:
             self._fall_back(f"'{self._program}' cannot be run; is graphviz installed?")
 

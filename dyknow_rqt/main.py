@@ -20,7 +20,7 @@ _LOG = logging.getLogger("rosout.dyknow_rqt")
 
 
 class DyKnowWindow(QMainWindow):
-    """Holds the widget, and keeps its settings."""
+    """Contains the widget and saves its settings."""
 
     def __init__(self, widget: DyKnowWidget, settings: QSettings) -> None:
         super().__init__()
@@ -35,7 +35,7 @@ class DyKnowWindow(QMainWindow):
         widget.restore({name: value for name, value in kept.items() if value is not None})
 
     def closeEvent(self, event: object) -> None:  # noqa: N802
-        """Keep the settings and end."""
+        """Save the settings and end."""
         for name, value in self._widget.state().items():
             self._settings.setValue(name, value)
         self._settings.setValue("geometry", self.saveGeometry())
@@ -63,14 +63,14 @@ def main(argv: Optional[List[str]] = None) -> int:
     def survive(
         kind: Type[BaseException], error: BaseException, trace: Optional[TracebackType]
     ) -> None:
-        # Without a hook PyQt ends the process at an exception that leaves a slot.
+        # Without a hook PyQt aborts the process when an exception leaves a slot.
         _LOG.error("not caught", exc_info=(kind, error, trace))
         widget.line.report(f"{kind.__name__}: {error}")
 
     sys.excepthook = survive
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *unused: window.close())
-    # Python runs handlers of signals only between its own instructions: give it some.
+    # Python runs signal handlers only between its own instructions: a timer executes some.
     alive = QTimer()
     alive.timeout.connect(lambda: None)
     alive.start(200)

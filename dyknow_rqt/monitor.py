@@ -1,7 +1,7 @@
-"""What the window knows of the computation graph, kept up to date, and how it changes it.
+"""Keeps the window's snapshot of the computation graph up to date, and makes its changes.
 
-``Monitor`` owns the remote side and the calls in the background. What it knows changes in the
-thread of the window only; whatever may block is called in the background.
+``Monitor`` owns the remote side and the calls in the background. Its state changes in the thread
+of the window only; everything that may block is called in the background.
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 _LOG = logging.getLogger("rosout.dyknow_rqt")
-#: Nodelets that are asked for statistics in one look; the others have their turn in the next.
+#: Nodelets whose statistics are read in one look; the others follow in the next.
 _ASKED = 40
-#: Seconds that the questions for statistics of one look may take together.
+#: Seconds that reading the statistics may take in one look.
 _ASKING = 1.0
 
 
@@ -57,11 +57,11 @@ class _Looked:
 
 
 class Monitor(QObject):
-    """Looks at the graph when told of a change, and at a rate."""
+    """Reads the graph after each change, and periodically."""
 
-    #: The graph is another one: a ``Snapshot``.
+    #: The graph has changed: a ``Snapshot``.
     changed = Signal(object)
-    #: The library is another one: transformations by label.
+    #: The library has changed: transformations by label.
     library_changed = Signal(object)
     #: Rates have been measured: ``PortRate`` by ``PortRef``.
     measured = Signal(object)
@@ -69,17 +69,17 @@ class Monitor(QObject):
     stream_event = Signal(object)
     #: The manager answers, or why it does not.
     linked = Signal(bool, str)
-    #: Something went wrong, in words.
+    #: An error, in words.
     failed = Signal(str)
-    #: Something was done, in words.
+    #: A change was made, in words.
     done = Signal(str)
-    #: A change has come to its end, good or bad.
+    #: A change has succeeded or failed.
     settled = Signal()
     #: What undo and redo would do now.
     history_changed = Signal(str, str)
 
     def __init__(self, remote: Remote, period: float = 1.0) -> None:
-        """Prepare to look; nothing is asked yet.
+        """Set up the monitor; ``start`` begins to read.
 
         Args:
             remote: the other side.
@@ -107,7 +107,7 @@ class Monitor(QObject):
         self.set_period(period)
 
     def start(self) -> None:
-        """Begin to listen and to look."""
+        """Begin to listen and to read."""
         self.remote.start(
             lambda model: self._calls.deliver(lambda: self._hear(model)),
             lambda event: self._calls.deliver(lambda: self.stream_event.emit(event)),
@@ -123,7 +123,7 @@ class Monitor(QObject):
         self.remote.close()
 
     def set_period(self, seconds: float) -> None:
-        """Look so often."""
+        """Set the period, in seconds."""
         self._timer.setInterval(max(100, int(seconds * 1000)))
 
     @property
@@ -132,16 +132,16 @@ class Monitor(QObject):
         return self._changing
 
     def report(self, text: str) -> None:
-        """Say that something went wrong."""
+        """Report an error."""
         self.failed.emit(text)
 
     @qt_slot
     def look(self) -> None:
-        """Look at everything now, unless a look is under way."""
+        """Read everything now, unless that is under way."""
         if not self._looking:
             self._looking = True
             names, self._turn = in_turns(
-                # One that is lost would only hold up the others.
+                # A lost one would delay the others.
                 (n.name for n in self.snapshot.nodelets if n.state is State.RUNNING),
                 self._turn,
                 _ASKED,
@@ -150,7 +150,7 @@ class Monitor(QObject):
 
     @qt_slot
     def read_library(self) -> None:
-        """Ask for all that can run."""
+        """Read the library."""
         if not self._reading:
             self._reading = True
             self._calls.run(self.remote.library, self._take_library, self._take_no_library)
@@ -161,18 +161,18 @@ class Monitor(QObject):
         then: Callable[[T], None],
         failed: Optional[Callable[[str], None]] = None,
     ) -> None:
-        """Ask the other side something in a worker.
+        """Call the remote side in the background.
 
         Args:
             question: may block.
             then: called in the thread of the window with the answer.
-            failed: called there with what went wrong, in words; by default it is reported.
+            failed: called there with the error in words; by default it is reported.
         """
         say = failed or self.report
         self._calls.run(lambda: question(self.remote), then, lambda error: say(_words(error)))
 
     def do(self, change: Change, then: Callable[[], None] = lambda: None) -> None:
-        """Make a change; it can be undone after that, as far as that is possible.
+        """Make a change, which can then be undone if it has an inverse.
 
         Args:
             change: what to do.
@@ -188,7 +188,7 @@ class Monitor(QObject):
 
     @qt_slot
     def undo(self) -> None:
-        """Take back what was done last."""
+        """Undo the last change."""
         step = self.history.last
         if step is None:
             raise CannotUndo("there is nothing to undo")
@@ -205,7 +205,7 @@ class Monitor(QObject):
 
     @qt_slot
     def redo(self) -> None:
-        """Do again what was taken back last."""
+        """Redo the change that was undone last."""
         change = self.history.next
         if change is None:
             raise CannotUndo("there is nothing to redo")
@@ -225,9 +225,9 @@ class Monitor(QObject):
         checked: bool = False,
         no_way: Callable[[], None] = lambda: None,
     ) -> None:
-        """Make one change at a time: the way back of the next depends on what this one leaves.
+        """Make one change at a time: the inverse of the next depends on the state after this one.
 
-        ``no_way`` is called if it was refused, and not if nobody answered.
+        ``no_way`` is called if it was refused, but not if nothing answered.
         """
         if self._changing:
             self.failed.emit("another change is under way; try again when it is done")
@@ -262,7 +262,7 @@ class Monitor(QObject):
         self.history_changed.emit(*self.history.texts)
 
     def _looked(self, names: Tuple[str, ...]) -> _Looked:
-        """Ask everything that a look needs; in a worker."""
+        """Read everything for a look; in the background."""
         model = self.remote.graph()
         topics = {port.topic for each in model.nodelets for port in each.ports if port.topic}
         hosts = {each.manager for each in model.nodelets}
@@ -292,7 +292,7 @@ class Monitor(QObject):
         self._set_linked(True, "")
         if linked_anew or looked.model.revision >= self._revision:
             if self._heard is not None and self._heard.revision <= looked.model.revision:
-                self._heard = None  # it would be a step back
+                self._heard = None  # an older model
             self._take_model(looked.model, looked.nodes, looked.taken)
         self._meter.keep(each.name for each in self.snapshot.nodelets)
         for name, statistics, moment in looked.statistics:
@@ -300,7 +300,7 @@ class Monitor(QObject):
         self.measured.emit(self._meter.traffic)
 
     def _hear(self, model: Model) -> None:
-        """Keep the last model until the one before it has been drawn, and as long again."""
+        """Delay a model until the one before it has been drawn, and for the same time again."""
         self._heard = model
         if not self._drawing.isActive():
             self._drawing.start()

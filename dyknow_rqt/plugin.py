@@ -1,4 +1,4 @@
-"""The plugin of rqt; the one module that knows rqt."""
+"""The rqt plugin; the only module that imports rqt."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _KEY = "dyknow"
 
 
 class DyKnowPlugin(Plugin):
-    """Docks the window into rqt, which has made the process a node already."""
+    """Docks the window into rqt; rqt has initialised the node."""
 
     def __init__(self, context: Any) -> None:
         super().__init__(context)
@@ -29,19 +29,19 @@ class DyKnowPlugin(Plugin):
         self._widget.shut_down()
 
     def save_settings(self, plugin_settings: Any, instance_settings: Any) -> None:
-        """Keep filters, options and the place of the splitter."""
+        """Save filters, options and the position of the splitter."""
         for name, value in self._widget.state().items():
             instance_settings.set_value(f"{_KEY}_{name}", value)
 
     def restore_settings(self, plugin_settings: Any, instance_settings: Any) -> None:
-        """Take them up again."""
+        """Restore them."""
         names = self._widget.state()
         found = {name: instance_settings.value(f"{_KEY}_{name}") for name in names}
         self._widget.restore({name: value for name, value in found.items() if value is not None})
 
 
 def _manager(argv: Any) -> str:
-    """Name of the manager: ``rqt --args --manager NAME``; the usual one if not given."""
+    """The name of the manager, from ``rqt --args --manager NAME`` or the default."""
     words = list(argv)
     if "--manager" in words[:-1]:
         return str(words[words.index("--manager") + 1])

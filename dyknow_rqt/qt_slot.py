@@ -1,4 +1,4 @@
-"""Keeps exceptions inside slots and events: one that leaves them aborts the whole process."""
+"""Catches exceptions in slots and events: PyQt aborts the process if one leaves them."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 def qt_slot(method: _Function) -> _Function:
     """Let a method be called by Qt.
 
-    What it raises is shown by the ``report`` of its object, if that has one, in its own words if
-    it was raised on purpose; everything else is logged with its traceback too. Arguments of a
-    signal that the method does not take are left out.
+    An exception is shown by the ``report`` of the object, if it has one: expected errors in their
+    own words, others with their type, and logged with their traceback. Arguments of a signal that
+    the method does not take are dropped.
     """
     most = len(inspect.signature(method).parameters) - 1
 

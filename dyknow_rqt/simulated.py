@@ -172,7 +172,7 @@ class SimulatedRemote(Remote):
         self._changed()
 
     def set_protection(self, name: str, is_protected: bool) -> None:
-        """Set it."""
+        """Set the protection."""
         self._answer("set_protection", name)
         self.alter(name, is_protected=is_protected)
 

@@ -1,4 +1,4 @@
-"""One line at the foot of the window: what was done, what went wrong, what is asked."""
+"""The line at the bottom of the window: results, errors and questions."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _KEPT = 50
 
 
 class StatusLine(QWidget):
-    """Errors stay until they are dismissed or something succeeds; nothing is ever in the way."""
+    """Shows errors until they are dismissed or something succeeds, without dialogs."""
 
     def __init__(self, parent: Optional[QWidget] = None) -> None:
         super().__init__(parent)
@@ -45,21 +45,21 @@ class StatusLine(QWidget):
 
     @property
     def text(self) -> str:
-        """What the line says."""
+        """The text of the line."""
         return str(self._text.text())
 
     def report(self, text: str) -> None:
-        """Show an error; its first line in the window, all of it in the tool tip."""
+        """Show an error: its first line in the window, all of it in the tool tip."""
         self._show(text, alarm=True)
         self.dismiss.show()
 
     def withdraw(self, text: str) -> None:
-        """Take an error back that is no longer one, if it is still what the line says."""
+        """Remove an error that no longer holds, if the line still shows it."""
         if self._text.toolTip() == text:
             self.clear()
 
     def note(self, text: str) -> None:
-        """Show for a while that something was done."""
+        """Show for a while what was done."""
         if self._answer is None:
             self._show(text, alarm=False)
             self._timer.start(_NOTE_TIME)
@@ -75,7 +75,7 @@ class StatusLine(QWidget):
 
     @qt_slot
     def keyPressEvent(self, event: Any) -> None:  # noqa: N802
-        """Escape says no."""
+        """Escape declines."""
         if event.key() == Qt.Key_Escape:
             self.clear()
         else:
@@ -83,7 +83,7 @@ class StatusLine(QWidget):
 
     @qt_slot
     def clear(self) -> None:
-        """Say nothing."""
+        """Empty the line."""
         self._answer = None
         self._timer.stop()
         self._text.setText("")

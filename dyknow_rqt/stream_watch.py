@@ -1,4 +1,4 @@
-"""Which streams there are, kept up to date."""
+"""Keeps the list of streams up to date."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ if TYPE_CHECKING:
 
 
 class StreamWatch(QObject):
-    """Asks for the list after each event and change, and with each look: events can be missed."""
+    """Reads the list after each event, each change and each look: events can be lost."""
 
-    #: The streams are others.
+    #: The list has changed.
     changed = Signal()
 
     def __init__(self, monitor: Monitor) -> None:
@@ -33,7 +33,7 @@ class StreamWatch(QObject):
 
     @qt_slot
     def ask(self) -> None:
-        """Ask for all claims; one question at a time, and one more if something came between."""
+        """Read all claims; one call at a time, and once more if it was asked for meanwhile."""
         if self._asking:
             self._again = True
             return
@@ -49,5 +49,5 @@ class StreamWatch(QObject):
             self.ask()
 
     def _take_none(self, reason: str) -> None:
-        # That the manager does not answer is said of every look already.
+        # The looks of the monitor report already that the manager does not answer.
         self._asking = False

@@ -1,4 +1,4 @@
-"""All of the window: control panel on the left, graph in the middle, one line at the foot."""
+"""The whole window: control panel on the left, graph on the right, one line at the bottom."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from dyknow_rqt.status_line import StatusLine
 
 
 class DyKnowWidget(QWidget):
-    """What rqt docks and what a window of its own holds.
+    """The widget that rqt docks and that the window on its own contains.
 
     It owns the monitor; ``shut_down`` ends it.
     """
@@ -61,21 +61,21 @@ class DyKnowWidget(QWidget):
         self._listen()
 
     def start(self) -> None:
-        """Begin to look."""
+        """Begin to read the graph."""
         self.monitor.start()
 
     def shut_down(self) -> None:
-        """Stop looking, end what runs outside; returns at once."""
+        """End everything that the widget started; returns at once."""
         self.monitor.close()
         self.graph.close_down()
 
     def state(self) -> Dict[str, str]:
-        """Settings to be kept, as texts."""
+        """The settings to save, as texts."""
         sizes = ",".join(str(size) for size in self.parts.sizes())
         return {**self.graph.bar.state(), "tab": str(self.tabs.currentIndex()), "parts": sizes}
 
     def restore(self, state: Dict[str, Any]) -> None:
-        """Take settings up again; what makes no sense is left out."""
+        """Restore settings; invalid ones are ignored."""
         self.graph.bar.restore(state)
         tab = str(state.get("tab", ""))
         if tab.isdigit() and int(tab) < self.tabs.count():
@@ -110,5 +110,5 @@ class DyKnowWidget(QWidget):
 
     @qt_slot
     def _show_chosen(self, names: List[str]) -> None:
-        """Select in the graph what is selected in a table."""
+        """Select in the graph the nodelets that are selected in a table."""
         self.graph.select_nodelets(names)

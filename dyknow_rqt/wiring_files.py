@@ -1,4 +1,4 @@
-"""Whole wirings in files, as ``dyknow save`` and ``dyknow load`` know them."""
+"""Wirings in files, in the format of ``dyknow save`` and ``dyknow load``."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ _FILES = "Wirings (*.xml);;All files (*)"
 
 
 class WiringFiles:
-    """Saves what runs, and loads it again."""
+    """Saves the wiring and loads it."""
 
     def __init__(self, monitor: Monitor, window: QWidget) -> None:
         self._monitor, self._window = monitor, window
         self.report = monitor.report
 
     def save(self, path: str) -> None:
-        """Write what runs, with the transformations that it is made from."""
+        """Write the nodelets, their connections and their transformations to a file."""
 
         def write(remote: Remote) -> Tuple[int, List[str]]:
             wiring, left_out = wiring_of(remote.library())
@@ -42,11 +42,11 @@ class WiringFiles:
         self._monitor.ask(write, say)
 
     def load(self, path: str) -> None:
-        """Make what runs as a file says; what it does not name is left alone.
+        """Load the wiring of a file; nodelets that it does not name are left alone.
 
         Raises:
             OSError: the file cannot be read.
-            SpecificationError: it is no wiring; with all of its problems.
+            SpecificationError: it is no wiring; with all problems.
         """
         with open(path, "rb") as file:
             wiring = read_wiring(file.read(), path.rpartition("/")[2])
@@ -54,7 +54,7 @@ class WiringFiles:
 
     @qt_slot
     def ask_where_to_save(self) -> None:
-        """Let the user choose a file, then save."""
+        """Ask for a file, then save."""
         path, _ = QFileDialog.getSaveFileName(
             self._window, "Save the wiring", "wiring.xml", _FILES
         )
@@ -63,7 +63,7 @@ class WiringFiles:
 
     @qt_slot
     def ask_what_to_load(self) -> None:
-        """Let the user choose a file, then load."""
+        """Ask for a file, then load."""
         path, _ = QFileDialog.getOpenFileName(self._window, "Load a wiring", "", _FILES)
         if path:
             self.load(path)

@@ -1,1 +1,1 @@
-"""The drawing of the graph: items, the scene that holds them, the view that is looked through."""
+"""The drawing of the graph: items, their scene, and the view of it."""

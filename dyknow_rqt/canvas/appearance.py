@@ -1,4 +1,4 @@
-"""What the items of the graph look like: states, words, sizes; where they are is the layout's."""
+"""The appearance of the items of the graph: states, texts, sizes. The layout places them."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
     from dyknow.model.graph import NodeletStatus
 
 _PORT_PITCH = 15.0
-#: Size of the letters on arrows, as a share of the others.
+#: Font size on arrows, relative to that of vertices.
 RATE_SCALE = 0.78
 
 
 class Appearance(NamedTuple):
-    """What is to be seen of a vertex besides its name."""
+    """What a vertex shows besides its name."""
 
     state: State = State.RUNNING
     is_protected: bool = False
@@ -31,7 +31,7 @@ class Appearance(NamedTuple):
 
 
 def sizes_of(figure: Figure, font: QFont) -> Dict[str, Size]:
-    """Sizes in which the names fit, and the ports side by side."""
+    """Sizes of vertices with room for their names and ports."""
     metrics = QFontMetricsF(font)
     sizes = {}
     for vertex in figure.vertices:
@@ -55,7 +55,7 @@ def gap_of(font: QFont) -> float:
 
 
 def appearances_of(snapshot: Snapshot, figure: Figure) -> Dict[str, Appearance]:
-    """Looks of all vertices of a figure."""
+    """The appearances of all vertices of a figure, by key."""
     topics = snapshot.topics()
     nodelets = {each.name: each for each in snapshot.nodelets}
     appearances = {}
@@ -79,7 +79,7 @@ def appearances_of(snapshot: Snapshot, figure: Figure) -> Dict[str, Appearance]:
 
 
 def port_tip(snapshot: Snapshot, ref: PortRef, traffic: Optional[PortRate]) -> str:
-    """What is told of a port when the pointer rests on it."""
+    """The tool tip of a port."""
     port = snapshot.port(ref)
     if port is None:
         return ""
@@ -97,7 +97,7 @@ def port_tip(snapshot: Snapshot, ref: PortRef, traffic: Optional[PortRate]) -> s
 
 
 def edge_traffic(edge: Edge, traffic: Mapping[PortRef, PortRate]) -> Optional[PortRate]:
-    """What goes over an arrow: as its source counts, or else its sink; None if not known."""
+    """The rate of an arrow, counted by its source or else its sink; None if unknown."""
     nodelet = VertexKind.NODELET.value + "_"
     sink = source = None
     if edge.tail.startswith(nodelet):
@@ -110,7 +110,7 @@ def edge_traffic(edge: Edge, traffic: Mapping[PortRef, PortRate]) -> Optional[Po
 
 
 def edge_refs(edge: Edge) -> List[PortRef]:
-    """Ports at the ends of an arrow, the receiving one first."""
+    """The ports at the ends of an arrow, the in-port first."""
     nodelet = VertexKind.NODELET.value + "_"
     ends = ((edge.head, edge.head_port), (edge.tail, edge.tail_port))
     return [PortRef(key[len(nodelet) :], port) for key, port in ends if key.startswith(nodelet)]
@@ -123,7 +123,7 @@ def _nodelet_tip(nodelet: NodeletStatus) -> str:
         for word, holds in (
             ("protected", nodelet.is_protected),
             ("in a process of its own", nodelet.isolated),
-            ("C++, connecting it loads it anew", nodelet.rewired_by_reload),
+            ("C++, connecting it loads it again", nodelet.rewired_by_reload),
         )
         if holds
     ]

@@ -1,4 +1,4 @@
-"""Arrows, with what goes over them."""
+"""Arrows and their rates."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _ARROW = 8.0
 
 
 class EdgeItem(Item):
-    """An arrow, with the rate of what goes over it."""
+    """An arrow with its rate."""
 
     def __init__(self, edge: Edge, colours: Colours, font: QFont) -> None:
         super().__init__(colours)
@@ -45,7 +45,7 @@ class EdgeItem(Item):
         self.setAcceptHoverEvents(True)
 
     def set_curve(self, curve: Sequence[Point], start: QPointF, end: QPointF) -> None:
-        """Lead it along a curve, whose ends are bent to where the ports are."""
+        """Draw it along a curve, with the ends moved to the ports."""
         self.prepareGeometryChange()
         points = [QPointF(*point) for point in curve]
         at_start, at_end = start - points[0], end - points[-1]
@@ -62,7 +62,7 @@ class EdgeItem(Item):
         self._path = path
 
     def set_traffic(self, traffic: Optional[PortRate]) -> None:
-        """Show another rate."""
+        """Show a rate."""
         if traffic != self.traffic:
             self.prepareGeometryChange()
             self.traffic = traffic
@@ -70,7 +70,7 @@ class EdgeItem(Item):
 
     @property
     def label(self) -> str:
-        """The words at the middle."""
+        """The text at its middle."""
         parts = [self.edge.topic] if self.shows_name else []
         if self.traffic is not None:
             parts.append(self.traffic.text)
@@ -82,7 +82,7 @@ class EdgeItem(Item):
         return area.united(self._label_area())
 
     def shape(self) -> QPainterPath:
-        """Where the pointer is on it: somewhat wider than the line."""
+        """The area in which the pointer hits it: wider than the line."""
         stroker = QPainterPathStroker()
         stroker.setWidth(10)
         return stroker.createStroke(self._path)
@@ -111,12 +111,12 @@ class EdgeItem(Item):
 
     @qt_slot
     def hoverEnterEvent(self, event: Any) -> None:  # noqa: N802
-        """Light up its ends."""
+        """Highlight its ends."""
         self.scene().highlight_edge(self.edge)
 
     @qt_slot
     def hoverLeaveEvent(self, event: Any) -> None:  # noqa: N802
-        """Put the lights out."""
+        """End the highlighting."""
         self.scene().highlight(None)
 
     def _head(self) -> QPolygonF:
@@ -133,7 +133,7 @@ class EdgeItem(Item):
         lines: List[str] = self.label.split("\n")
         width = max(metrics.horizontalAdvance(line) for line in lines) + 4
         height = metrics.height() * len(lines)
-        # What is dropped stands below the line, all else above it.
+        # Drops are written below the line, everything else above it.
         dropping = self.traffic is not None and self.traffic.drop_rate > 0
         upper = len(lines) - (1 if dropping else 0)
         middle = self._path.pointAtPercent(0.5)

@@ -1,4 +1,4 @@
-"""Colours of the drawing, taken from the palette, so that dark themes look right."""
+"""Colours of the drawing, derived from the palette, so that dark themes work."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from python_qt_binding.QtGui import QColor, QPalette
 
 
 class Tone(enum.Enum):
-    """What a thing is to the one under the pointer."""
+    """The relation of an item to the one under the pointer."""
 
     NONE = "none"
     SELF = "self"
@@ -19,7 +19,7 @@ class Tone(enum.Enum):
 
 
 class Colours(NamedTuple):
-    """What the items are painted with."""
+    """The colours of the items."""
 
     line: QColor
     text: QColor
@@ -37,7 +37,7 @@ class Colours(NamedTuple):
     both: QColor
 
     def of(self, tone: Tone) -> QColor:
-        """Colour for things that are highlighted."""
+        """The colour of a highlighted item."""
         return {
             Tone.SELF: self.self_,
             Tone.IN: self.in_,

@@ -1,4 +1,4 @@
-"""What all items of the drawing share, and the small ones: boxes and ports."""
+"""The base class of the items, and the small ones: boxes and ports."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PORT_RADIUS = 4.0
 
 
 class Item(QGraphicsItem):
-    """What all items share: colours, a tone, a way to say that something went wrong."""
+    """The base of all items: colours, a tone, and a way to report errors."""
 
     def __init__(self, colours: Colours, parent: Optional[QGraphicsItem] = None) -> None:
         super().__init__(parent)
@@ -26,18 +26,18 @@ class Item(QGraphicsItem):
         self.tone = Tone.NONE
 
     def report(self, text: str) -> None:
-        """Hand on what went wrong."""
+        """Report an error."""
         if self.scene() is not None:
             self.scene().report(text)
 
     def set_tone(self, tone: Tone) -> None:
-        """Paint it as what it is to the thing under the pointer."""
+        """Paint it in a tone."""
         if tone is not self.tone:
             self.tone = tone
             self.update()
 
     def set_colours(self, colours: Colours) -> None:
-        """Follow another palette."""
+        """Use the colours of another palette."""
         self.colours = colours
         self.update()
 
@@ -53,7 +53,7 @@ class BoxItem(Item):
         self.setZValue(-10 + len(group))
 
     def set_area(self, area: Rectangle) -> None:
-        """Put it there."""
+        """Set its place and size."""
         self.prepareGeometryChange()
         self._area = QRectF(area.left, area.top, area.right - area.left, area.bottom - area.top)
 
@@ -91,7 +91,7 @@ class PortItem(Item):
         self._hovered = False
 
     def set_offered(self, offered: Optional[bool]) -> None:
-        """Whether the connection that is being drawn could end here; None when none is."""
+        """Show whether the connection that is drawn could end here; None if none is drawn."""
         self.offered = offered
         self.setOpacity(0.3 if offered is False else 1.0)
         self.update()
@@ -101,7 +101,7 @@ class PortItem(Item):
         return self.shape().boundingRect().united(self._name_area())
 
     def shape(self) -> QPainterPath:
-        """Where the pointer is on it: somewhat larger than the dot."""
+        """The area in which the pointer hits it: larger than the dot."""
         path = QPainterPath()
         path.addEllipse(QPointF(0, 0), PORT_RADIUS + 4, PORT_RADIUS + 4)
         return path
@@ -122,7 +122,7 @@ class PortItem(Item):
             painter.drawText(self._name_area(), side | Qt.AlignBottom, self.ref.port)
 
     def _name_area(self) -> QRectF:
-        """Outside the nodelet, above the arrow."""
+        """The area of its name: outside the nodelet, above the arrow."""
         metrics = QFontMetricsF(self._font)
         width = metrics.horizontalAdvance(self.ref.port) + 2
         left = -width - 8 if self.direction == IN else 8.0

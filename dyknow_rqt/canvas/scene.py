@@ -1,4 +1,4 @@
-"""Holds the items of the drawing and changes them with the graph."""
+"""Holds the items of the drawing and updates them with the graph."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class GraphScene(QGraphicsScene):
         self.setBackgroundBrush(self._colours.paper)
 
     def show_figure(self, figure: Figure, layout: Layout, sizes: Mapping[str, Size]) -> None:
-        """Draw another figure; what is in both stays the same item, selection and all."""
+        """Draw another figure; what is in both keeps its item and its selection."""
         self.figure, self.layout = figure, layout
         self._match(self.vertices, {v.key: v for v in figure.vertices}, self._new_vertex)
         self._match(self.edges, {e: e for e in figure.edges}, self._new_edge)
@@ -66,7 +66,7 @@ class GraphScene(QGraphicsScene):
         self.set_snapshot(self._snapshot)
 
     def set_snapshot(self, snapshot: Snapshot) -> None:
-        """Show the states of what is drawn."""
+        """Show the states of the nodelets that are drawn."""
         self._snapshot = snapshot
         for key, appearance in appearances_of(snapshot, self.figure).items():
             if key in self.vertices:
@@ -79,7 +79,7 @@ class GraphScene(QGraphicsScene):
         self.set_traffic(self._traffic)
 
     def set_traffic(self, traffic: Mapping[PortRef, PortRate]) -> None:
-        """Show other rates."""
+        """Show rates."""
         self._traffic = traffic
         for edge, item in self.edges.items():
             item.set_traffic(edge_traffic(edge, traffic))
@@ -90,7 +90,7 @@ class GraphScene(QGraphicsScene):
                 port.setToolTip(port_tip(self._snapshot, ref, traffic.get(ref)))
 
     def set_palette(self, palette: QPalette) -> None:
-        """Follow another palette."""
+        """Use the colours of another palette."""
         self._colours = colours_of(palette)
         self.setBackgroundBrush(self._colours.paper)
         for item in (*self.vertices.values(), *self.edges.values(), *self._boxes.values()):
@@ -99,7 +99,7 @@ class GraphScene(QGraphicsScene):
     # Highlighting, searching
 
     def highlight(self, key: Optional[str]) -> None:
-        """Light up a vertex and its neighbours: itself red, in blue, out green, both teal."""
+        """Highlight a vertex (red) and its neighbours: sources blue, sinks green, both teal."""
         tones: Dict[object, Tone] = {}
         if key is not None and self.highlights:
             before = {e.tail for e in self.figure.edges if e.head == key}
@@ -116,12 +116,12 @@ class GraphScene(QGraphicsScene):
         self._paint_tones(tones)
 
     def highlight_edge(self, edge: Edge) -> None:
-        """Light up an arrow and its ends."""
+        """Highlight an arrow and its ends."""
         if self.highlights:
             self._paint_tones({edge: Tone.SELF, edge.tail: Tone.IN, edge.head: Tone.OUT})
 
     def find(self, text: str) -> List[VertexItem]:
-        """Mark the vertices whose name holds a text; returns them from left to right."""
+        """Mark the vertices whose name contains a text; return them from left to right."""
         wanted = text.strip().lower()
         hits = []
         for item in self.vertices.values():
@@ -145,7 +145,7 @@ class GraphScene(QGraphicsScene):
         return sorted(edge for edge, item in self.edges.items() if item.isSelected())
 
     def offer(self, refs: Optional[Set[PortRef]]) -> None:
-        """Mark the ports where a connection could end; None for all as usual."""
+        """Mark the ports where a connection could end; None to mark none."""
         for item in self.vertices.values():
             for port in item.ports.values():
                 port.set_offered(None if refs is None else port.ref in refs)
@@ -158,7 +158,7 @@ class GraphScene(QGraphicsScene):
     # Pictures
 
     def drawing_area(self) -> QRectF:
-        """What the drawing covers."""
+        """The area of the drawing."""
         area = QRectF()
         for item in (*self.vertices.values(), *self.edges.values(), *self._boxes.values()):
             area = area.united(item.sceneBoundingRect())
@@ -172,7 +172,7 @@ class GraphScene(QGraphicsScene):
         """
         area = self._picture_area()
         with open(path, "wb"):
-            pass  # the generator keeps silent about files that it cannot write
+            pass  # the generator ignores files that it cannot write
         generator = QSvgGenerator()
         generator.setFileName(path)
         generator.setSize(area.size().toSize())

@@ -36,7 +36,7 @@ class VertexItem(Item):
         self.setZValue(10)
 
     def set_vertex(self, vertex: Vertex, size: Size) -> None:
-        """Take in another size and other ports."""
+        """Change its size and ports."""
         self.prepareGeometryChange()
         self.vertex, self._size = vertex, size
         wanted = {**dict.fromkeys(vertex.inputs, IN), **dict.fromkeys(vertex.outputs, OUT)}
@@ -52,24 +52,24 @@ class VertexItem(Item):
                 self.ports[name].setPos(self._port_place(number, len(names), side))
 
     def set_appearance(self, appearance: Appearance) -> None:
-        """Show another state."""
+        """Show a state."""
         self.appearance = appearance
         self.setToolTip(appearance.tip)
         self.update()
 
     def set_found(self, found: bool) -> None:
-        """Mark it as what a search looks for."""
+        """Mark it as found by a search."""
         self.found = found
         self.update()
 
     def set_colours(self, colours: Colours) -> None:
-        """Follow another palette, ports too."""
+        """Use the colours of another palette, for its ports too."""
         super().set_colours(colours)
         for port in self.ports.values():
             port.set_colours(colours)
 
     def anchor(self, port: str, leaving: bool) -> QPointF:
-        """Where arrows of a port end, or those of the whole thing."""
+        """The end of the arrows of a port, or of the vertex itself."""
         if port in self.ports:
             return self.pos() + self.ports[port].pos()
         return self.pos() + QPointF((1 if leaving else -1) * self._size.width / 2, 0)
@@ -81,11 +81,11 @@ class VertexItem(Item):
         return QRectF(-width / 2, -height / 2, width, height)
 
     def boundingRect(self) -> QRectF:  # noqa: N802
-        """Its area and what may stick out."""
+        """Its area, and what reaches out of it."""
         return self.area.adjusted(-5, -5, 5, 5)
 
     def shape(self) -> QPainterPath:
-        """Where the pointer is on it."""
+        """The area in which the pointer hits it."""
         path = QPainterPath()
         if self.vertex.kind is VertexKind.TOPIC:
             path.addRect(self.area)
@@ -116,12 +116,12 @@ class VertexItem(Item):
 
     @qt_slot
     def hoverEnterEvent(self, event: Any) -> None:  # noqa: N802
-        """Light up what it hangs together with."""
+        """Highlight it and its neighbours."""
         self.scene().highlight(self.vertex.key)
 
     @qt_slot
     def hoverLeaveEvent(self, event: Any) -> None:  # noqa: N802
-        """Put the lights out."""
+        """End the highlighting."""
         self.scene().highlight(None)
 
     def _port_place(self, number: int, count: int, side: str) -> QPointF:

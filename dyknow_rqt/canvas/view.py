@@ -1,4 +1,4 @@
-"""The view that the drawing is looked at through, and what hands do in it."""
+"""The view of the drawing: zoom, drags and keys."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from dyknow_rqt.graph.snapshot import PortRef
 from dyknow_rqt.qt_slot import qt_slot
 
 _STEP = 1.2
-#: How much larger a drawing has to be possible before it is fitted anew.
+#: The drawing is fitted again if it could be larger by this factor.
 _ROOM = 1.5
 _SMALLEST, _LARGEST = 0.05, 8.0
 _ARROWS = {
@@ -29,7 +29,7 @@ _ARROWS = {
 
 
 class GraphView(QGraphicsView):
-    """Wheel zooms where the pointer is, a drag on the ground moves, one from a port connects."""
+    """The wheel zooms at the pointer, a drag on the background moves, one from a port connects."""
 
     #: A connection was drawn from a port to another port.
     port_dropped = Signal(object, object)
@@ -39,7 +39,7 @@ class GraphView(QGraphicsView):
     drag_began = Signal(object)
     #: The Delete key was pressed.
     delete_pressed = Signal()
-    #: A menu is asked for: the item, or None for the ground, and where on the screen.
+    #: A context menu is wanted: the item, or None for the background, and the place on the screen.
     menu_wanted = Signal(object, QPoint)
 
     def __init__(self, report: Callable[[str], None], parent: Optional[QWidget] = None) -> None:
@@ -55,7 +55,7 @@ class GraphView(QGraphicsView):
         self.setHorizontalScrollBarPolicy(Qt.ScrollBarAlwaysOff)
         self.setVerticalScrollBarPolicy(Qt.ScrollBarAlwaysOff)
         self.setAccessibleName("Computation graph")
-        #: Whether hands have chosen what is to be seen.
+        #: Whether the user has zoomed or moved the view.
         self.is_chosen = False
         self._from: Optional[PortItem] = None
         self._band: Optional[QGraphicsPathItem] = None
@@ -63,7 +63,7 @@ class GraphView(QGraphicsView):
     # Zoom
 
     def fit(self) -> None:
-        """Show everything, not larger than life; and go on doing so until hands say otherwise."""
+        """Show everything, at most at full size, until the user zooms or moves."""
         self.is_chosen = False
         area = self.scene().drawing_area().adjusted(-24, -24, 24, 24)
         if not area.isEmpty():
@@ -75,7 +75,7 @@ class GraphView(QGraphicsView):
     def keep_in_view(self) -> None:
         """Fit if something is out of view, or much smaller than it could be.
 
-        Not if hands have chosen what is to be seen.
+        Nothing happens if the user has zoomed or moved the view.
         """
         if self.is_chosen:
             return
@@ -87,7 +87,7 @@ class GraphView(QGraphicsView):
 
     @property
     def zoom(self) -> float:
-        """Pixels on the screen for a pixel of the drawing."""
+        """The scale: pixels of the screen per pixel of the drawing."""
         return float(self.transform().m11())
 
     def zoom_by(self, factor: float) -> None:
@@ -98,7 +98,7 @@ class GraphView(QGraphicsView):
 
     @qt_slot
     def resizeEvent(self, event: Any) -> None:  # noqa: N802
-        """Go on showing everything, unless hands have chosen what is to be seen."""
+        """Fit again, unless the user has zoomed or moved the view."""
         super().resizeEvent(event)
         if not self.is_chosen:
             self.fit()
@@ -116,7 +116,7 @@ class GraphView(QGraphicsView):
         """Begin a connection on a port; anything else as usual."""
         port = self._port_at(event.pos()) if event.button() == Qt.LeftButton else None
         if port is None:
-            # What is pressed on the ground is a hand that moves the view.
+            # A press on the background begins to move the view.
             self.is_chosen = self.is_chosen or self._item_at(event.pos()) is None
             super().mousePressEvent(event)
             return
@@ -171,7 +171,7 @@ class GraphView(QGraphicsView):
 
     @qt_slot
     def keyPressEvent(self, event: Any) -> None:  # noqa: N802
-        """Arrows select the next thing in their direction; with Ctrl they move the view."""
+        """Arrow keys select the next item in their direction; with Ctrl they move the view."""
         key = event.key()
         if key == Qt.Key_Escape and self._from is not None:
             self._end_drag()
@@ -189,13 +189,13 @@ class GraphView(QGraphicsView):
             super().keyPressEvent(event)
 
     def select(self, item: Item) -> None:
-        """Select one thing alone and bring it into view."""
+        """Select one item only and scroll to it."""
         self.scene().clearSelection()
         item.setSelected(True)
         self.ensureVisible(item.sceneBoundingRect(), 40, 40)
 
     def select_towards(self, direction: QPointF) -> None:
-        """Select the nearest thing in a direction from what is selected."""
+        """Select the nearest item in a direction from the selected one."""
         chosen = [item for item in self.scene().selectedItems() if isinstance(item, VertexItem)]
         others: List[VertexItem] = list(self.scene().vertices.values())
         if not others:

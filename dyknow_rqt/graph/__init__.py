@@ -1,1 +1,1 @@
-"""What the window shows and how it is changed, as values: nothing here knows Qt or ROS."""
+"""The graph that the window shows, and changes of it, as values; without Qt and ROS."""

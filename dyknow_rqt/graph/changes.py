@@ -1,7 +1,7 @@
-"""Changes of the computation graph as values: each can be made, and most can be taken back.
+"""Changes of the computation graph as values: each can be applied, and most undone.
 
-A change speaks with ``Remote`` and raises what that raises. ``inverse`` is asked with the graph as
-it was before the change.
+A change calls ``Remote`` and raises its exceptions. ``inverse`` is called with the graph as it was
+before the change.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ Library = Mapping[str, Transformation]
 
 
 class CannotUndo(DyKnowError):
-    """There is no way back from a change."""
+    """A change cannot be undone; the text says why."""
 
 
 class Change:
-    """Something to be done; ``text`` says what, for people."""
+    """A change that the user makes."""
 
     @property
     def text(self) -> str:
-        """What is done, in a few words."""
+        """The change in a few words."""
         raise NotImplementedError
 
     def apply(self, remote: Remote) -> Change:
-        """Do it; returns it as it was done, with what was learnt."""
+        """Make the change; return it with what is known afterwards."""
         raise NotImplementedError
 
     def inverse(self, snapshot: Snapshot, library: Library) -> Change:
-        """Return what takes the change back, given how things are before it.
+        """Return the change that undoes this one, given the state before it.
 
         Raises:
             CannotUndo: there is no way back.
@@ -45,12 +45,12 @@ class Change:
         raise CannotUndo("there is no way back")
 
     def check(self, remote: Remote) -> None:
-        """Ask whether others have changed since what an inverse is to change.
+        """Check that nobody else has changed the same things since; called before an undo.
 
-        What the window knows may be older than its own last change.
+        The snapshot of the window may be older than its own last change.
 
         Raises:
-            CannotUndo: they have.
+            CannotUndo: somebody has.
         """
 
 
@@ -59,10 +59,10 @@ class Rewire(Change):
     """Connects ports of any number of nodelets: all of them, or none.
 
     Attributes:
-        topics: by port, what each is to be connected to; empty to disconnect.
-        expected: what each has to be connected to for the change to make sense; empty to take
-            whatever there is.
-        text_: what is done, in a few words.
+        topics: the topic for each port; empty to disconnect it.
+        text_: the change in a few words.
+        expected: the topic that each port must have for the change to make sense; empty to
+            check nothing.
     """
 
     topics: Tuple[Tuple[PortRef, str], ...]
@@ -75,7 +75,7 @@ class Rewire(Change):
         return self.text_
 
     def apply(self, remote: Remote) -> Change:
-        """Connect nodelet by nodelet; if one refuses, bring back those before it."""
+        """Connect one nodelet after the other; if one fails, restore those before it."""
         before = dict(self.expected)
         done: List[str] = []
         configs = self._by_nodelet(dict(self.topics))
@@ -101,7 +101,7 @@ class Rewire(Change):
         return Rewire(tuple(now), f"undo: {self.text_}", self.topics)
 
     def check(self, remote: Remote) -> None:
-        """Ask whether the ports are still connected as the change left them."""
+        """Check that the ports are still connected as the change left them."""
         for nodelet, config in self._by_nodelet(dict(self.expected)).items():
             try:
                 present = {port.name: port.topic for port in remote.ports(nodelet)}
@@ -156,7 +156,7 @@ class SpawnNodelet(Change):
 
 @dataclass(frozen=True)
 class DestroyNodelet(Change):
-    """Ends a nodelet."""
+    """Destroys a nodelet."""
 
     name: str
 
@@ -171,13 +171,13 @@ class DestroyNodelet(Change):
         return self
 
     def inverse(self, snapshot: Snapshot, library: Library) -> Change:
-        """Make it anew, connected as it is now."""
+        """Make it again, connected as it is now."""
         nodelet = snapshot.nodelet(self.name)
         if nodelet is None:
-            raise CannotUndo(f"nothing is known of {self.name}")
+            raise CannotUndo(f"{self.name} is unknown")
         if nodelet.transformation not in library:
             raise CannotUndo(
-                f"{self.name} cannot be made anew: the library has no transformation of it"
+                f"{self.name} cannot be made again: its transformation is not in the library"
             )
         return _remake(nodelet)
 
@@ -195,12 +195,12 @@ class Protect(Change):
         return f"{'protect' if self.is_protected else 'release'} {self.name}"
 
     def apply(self, remote: Remote) -> Change:
-        """Set it."""
+        """Set the protection."""
         remote.set_protection(self.name, self.is_protected)
         return self
 
     def inverse(self, snapshot: Snapshot, library: Library) -> Change:
-        """Set it back."""
+        """Set the protection to what it is now."""
         return Protect(self.name, not self.is_protected)
 
 

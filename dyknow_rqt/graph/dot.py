@@ -1,4 +1,4 @@
-"""A figure as DOT, for graphviz and for people; and back from what graphviz answers.
+"""Writes a figure as DOT, and reads the layout that graphviz makes of it.
 
 The text depends on nothing but the figure and the sizes, and is sorted: equal figures are laid out
 equally.
@@ -16,13 +16,13 @@ from dyknow_rqt.graph.geometry import Layout, Point, Rectangle, Size
 
 #: Points of graphviz in an inch; a point is taken for a pixel.
 _DPI = 72.0
-#: Vertices beyond which graphviz is told to take less trouble.
+#: With more vertices graphviz is told to optimise less.
 _MANY = 150
 _SHAPES = {VertexKind.NODELET: "ellipse", VertexKind.TOPIC: "box", VertexKind.NODE: "ellipse"}
 
 
 class BadLayout(ValueError):
-    """What came back from graphviz is not the layout of the figure."""
+    """The answer of graphviz is not a layout of the figure."""
 
 
 def to_dot(figure: Figure, sizes: Mapping[str, Size], gap: float = 52.0) -> str:

@@ -1,4 +1,4 @@
-"""From a snapshot to what is drawn of it: vertices, edges, boxes; filters and modes applied."""
+"""Selects what is drawn of a snapshot: vertices, edges and boxes, by filters and modes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from dyknow.model.transformation import IN
 from dyknow_rqt.graph.filters import Filter
 from dyknow_rqt.graph.snapshot import PortRef, Snapshot, Topic
 
-#: Names that are in every graph and seldom meant.
+#: Names that are in every graph and seldom of interest.
 _QUIET = Filter(
     (
         lambda name: name
@@ -22,12 +22,12 @@ _QUIET = Filter(
     )
 )
 
-#: Letters that stand in one line.
+#: The most characters in a line of a label.
 _LONG = 15
 
 
 class VertexKind(enum.Enum):
-    """What a vertex stands for; the values begin the keys of vertices."""
+    """The kind of a vertex; its value begins the vertex's key."""
 
     NODELET = "n"
     TOPIC = "t"
@@ -39,8 +39,8 @@ class Vertex:
     """An oval or a rectangle.
 
     Attributes:
-        key: unique in the figure, the same for the same thing in every figure.
-        kind: what it stands for.
+        key: unique in the figure, and the same for the same thing in every figure.
+        kind: nodelet, topic or ordinary node.
         name: global name.
         group: namespace of the box that it stands in, in parts.
         inputs: names of in-ports, in the order of declaration.
@@ -56,7 +56,7 @@ class Vertex:
 
     @property
     def label(self) -> str:
-        """The name as it is drawn: without that of its box, a long one in two lines."""
+        """The name as it is drawn: without the namespace of its box; a long one in two lines."""
         text = self.name
         if self.group:
             text = text.lstrip("/").split("/", len(self.group))[-1]
@@ -88,9 +88,9 @@ class Options:
         topics: draw topics as rectangles; else arrows lead from nodelet to nodelet.
         nodelet_filter: which nodelets and nodes.
         topic_filter: which topics.
-        hide_dead_sinks: leave out topics that nobody receives.
+        hide_dead_sinks: leave out topics without a receiver.
         hide_leaf_topics: leave out topics with one end only.
-        hide_debug: leave out what is in every graph.
+        hide_debug: leave out names that are in every graph.
         show_nodes: show ordinary nodes that use these topics.
         depth: how many parts of a namespace make a box; 0 for no boxes.
     """
@@ -132,7 +132,7 @@ def key_of(kind: VertexKind, name: str) -> str:
 
 
 def figure_of(snapshot: Snapshot, options: Options) -> Figure:
-    """Select what is drawn and how it hangs together."""
+    """Make the figure of a snapshot."""
     nodelets = {
         n.name: n for n in snapshot.nodelets if _wanted(n.name, options.nodelet_filter, options)
     }
@@ -178,7 +178,7 @@ def _wanted(name: str, chosen: Filter, options: Options) -> bool:
 
 
 class _Ends:
-    """Where topics begin and end, among what is shown."""
+    """The ends of topics, among the vertices that are shown."""
 
     def __init__(self, snapshot: Snapshot, nodelets: Set[str], nodes: Set[str]) -> None:
         self._snapshot = snapshot
@@ -186,7 +186,7 @@ class _Ends:
         self._nodes = nodes
 
     def shown(self, topic: Topic, options: Options) -> bool:
-        """Whether the options leave the topic in."""
+        """Whether the options show the topic."""
         if not any(ref.nodelet in self._nodelets for ref in topic.sources + topic.sinks):
             return False
         readers = len(topic.sinks) + self._count(topic.name, subscribing=True)
@@ -239,7 +239,7 @@ class _Ends:
 
 
 def _boxed(vertices: List[Vertex], depth: int) -> Iterator[Vertex]:
-    """Put vertices into the boxes of their namespaces; a box needs more than topics."""
+    """Assign vertices to the boxes of their namespaces; topics alone make no box."""
     spaces = {v.key: tuple(v.name.strip("/").split("/")[:-1])[:depth] for v in vertices}
     homes: Dict[Tuple[str, ...], int] = {}
     for vertex in vertices:

@@ -19,11 +19,11 @@ class BadFilter(ValueError):
 
 @dataclass(frozen=True)
 class Filter:
-    """Decides over names.
+    """Selects names.
 
     A part without special characters stands for that name and for the namespace of that name;
     any other is a regular expression for the beginning of a name. A part that begins with ``-``
-    excludes. Without parts that include, all is included.
+    excludes. If all parts exclude, everything else is included.
     """
 
     includes: Tuple[Callable[[str], bool], ...] = ()

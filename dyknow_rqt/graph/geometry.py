@@ -1,4 +1,4 @@
-"""Places on the drawing: x grows to the right, y grows downwards, lengths in pixels."""
+"""Geometry of the drawing: x to the right, y downwards, in pixels."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Point(NamedTuple):
         return Point(self.x - other.x, self.y - other.y)
 
     def distance(self, other: Point) -> float:
-        """The larger of the distances along x and y."""
+        """The larger of the distances in x and in y."""
         return max(abs(self.x - other.x), abs(self.y - other.y))
 
 
@@ -48,7 +48,7 @@ class Rectangle(NamedTuple):
         return Rectangle(left - margin, top - margin, right + margin, bottom + margin)
 
     def joined(self, other: Rectangle) -> Rectangle:
-        """The smallest that holds both."""
+        """The smallest rectangle around both."""
         return Rectangle(
             min(self.left, other.left),
             min(self.top, other.top),
@@ -76,7 +76,7 @@ def around(centre: Point, size: Size) -> Rectangle:
 
 @dataclass(frozen=True)
 class Layout:
-    """Where everything of a figure is.
+    """The places of the vertices, edges and boxes of a figure.
 
     Attributes:
         centres: of the vertices, by key.

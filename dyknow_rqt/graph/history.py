@@ -1,4 +1,4 @@
-"""What was changed from this window, for undo and redo."""
+"""The changes made in this window, for undo and redo."""
 
 from __future__ import annotations
 
@@ -7,57 +7,57 @@ from typing import List, Optional, Tuple, Union
 
 from dyknow_rqt.graph.changes import CannotUndo, Change
 
-#: So many changes can be taken back.
+#: The most changes that can be undone.
 DEPTH = 100
 
 
 @dataclass(frozen=True)
 class DoneChange:
-    """A change that was made, and the way back or why there is none."""
+    """A change that was made, and its inverse or the reason why it has none."""
 
     change: Change
     back: Union[Change, CannotUndo]
 
 
 class UndoHistory:
-    """Two stacks: what can be taken back, and what can be done again."""
+    """Two stacks: changes to undo and changes to redo."""
 
     def __init__(self) -> None:
         self._done: List[DoneChange] = []
         self._undone: List[Change] = []
 
     def note(self, change: Change, back: Union[Change, CannotUndo]) -> None:
-        """A change was made by hand: nothing can be done again after it."""
+        """Note a change; nothing can be redone after it."""
         self._done.append(DoneChange(change, back))
         del self._done[:-DEPTH]
         self._undone.clear()
 
     def note_undone(self) -> None:
-        """The last step was taken back."""
+        """Note that the last change was undone."""
         self._undone.append(self._done.pop().change)
 
     def note_redone(self, change: Change, back: Union[Change, CannotUndo]) -> None:
-        """The last undone change was made again."""
+        """Note that the last undone change was redone."""
         self._undone.pop()
         self._done.append(DoneChange(change, back))
 
     def drop(self) -> None:
-        """Forget the last step: there is no way back, and those before it are to be reached."""
+        """Forget the last change, which cannot be undone, so that those before it can be."""
         self._done.pop()
 
     @property
     def last(self) -> Optional[DoneChange]:
-        """What undo takes back."""
+        """The change that undo undoes, or None."""
         return self._done[-1] if self._done else None
 
     @property
     def next(self) -> Optional[Change]:
-        """What redo does."""
+        """The change that redo makes, or None."""
         return self._undone[-1] if self._undone else None
 
     @property
     def texts(self) -> Tuple[str, str]:
-        """What undo and redo would do; empty for nothing."""
+        """The changes that undo and redo would make, in words; empty for none."""
         return (
             self.last.change.text if self.last is not None else "",
             self.next.text if self.next is not None else "",

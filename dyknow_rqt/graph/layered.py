@@ -1,4 +1,4 @@
-"""A plain layout by layers, for when graphviz is missing or takes too long."""
+"""A simple layout in layers, used if graphviz is missing or too slow."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _SWEEPS = 4
 
 
 def layered(figure: Figure, sizes: Mapping[str, Size]) -> Layout:
-    """Put each vertex right of all that lead to it; near what it hangs together with."""
+    """Place each vertex to the right of its sources and near its neighbours."""
     layers = _layers(figure)
     columns: Dict[int, List[str]] = {}
     for vertex in sorted(figure.vertices, key=lambda v: (v.group, v.name, v.key)):
@@ -38,7 +38,7 @@ def layered(figure: Figure, sizes: Mapping[str, Size]) -> Layout:
 
 
 def _layers(figure: Figure) -> Dict[str, int]:
-    """Longest way to each vertex, without the edges that close a cycle."""
+    """The length of the longest path to each vertex; edges that close a cycle are ignored."""
     followers: Dict[str, List[str]] = {vertex.key: [] for vertex in figure.vertices}
     for edge in figure.edges:
         followers[edge.tail].append(edge.head)
@@ -72,7 +72,7 @@ def _layers(figure: Figure) -> Dict[str, int]:
 
 
 def _untangle(columns: Mapping[int, List[str]], figure: Figure) -> None:
-    """Order each column by where its neighbours in the others stand."""
+    """Sort each column by the places of its neighbours in the other columns."""
     neighbours = {key: sorted(keys) for key, keys in figure.neighbours().items()}
     for sweep in range(_SWEEPS):
         rows = {key: row / len(keys) for keys in columns.values() for row, key in enumerate(keys)}

@@ -1,4 +1,4 @@
-"""Changes of the library: transformations come and go."""
+"""Changes of the library."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class AddTransformations(Change):
-    """Adds what a specification says.
+    """Adds the transformations of a specification.
 
     Attributes:
         specification: XML text.
         origin: where it comes from, for people.
-        labels: of what it adds; known when it has been done.
+        labels: of what it adds; known after the change.
     """
 
     specification: str
@@ -37,7 +37,7 @@ class AddTransformations(Change):
         return replace(self, labels=remote.add_transformation(self.specification).labels)
 
     def inverse(self, snapshot: Snapshot, library: Library) -> Change:
-        """Remove what is new, put back what is replaced."""
+        """Remove the new transformations, restore the replaced ones."""
         if not self.labels:
             raise CannotUndo("it is not known what the specification adds")
         replaced = [library[label] for label in self.labels if label in library]
@@ -47,7 +47,7 @@ class AddTransformations(Change):
 
 @dataclass(frozen=True)
 class RestoreTransformations(Change):
-    """Puts transformations into the library and takes others out of it."""
+    """Puts transformations into the library and removes others."""
 
     put: Tuple[Transformation, ...]
     take: Tuple[str, ...]
@@ -59,7 +59,7 @@ class RestoreTransformations(Change):
         return self.text_
 
     def apply(self, remote: Remote) -> Change:
-        """Put and take."""
+        """Add and remove them."""
         if self.put:
             remote.add_transformation(as_specification(self.put))
         for label in self.take:
@@ -67,7 +67,7 @@ class RestoreTransformations(Change):
         return self
 
     def inverse(self, snapshot: Snapshot, library: Library) -> Change:
-        """Bring the library to what it is now."""
+        """Restore these labels to what they are now."""
         touched = [each.label for each in self.put] + list(self.take)
         return RestoreTransformations(
             tuple(library[label] for label in touched if label in library),

@@ -10,10 +10,9 @@ from dyknow_rqt.graph.geometry import Layout
 
 
 def without_crossings(figure: Figure, layout: Layout) -> List[Vertex]:
-    """Change the order of the ports, from top to bottom, to that of their arrows.
+    """Sort the ports, from top to bottom, by their arrows.
 
-    Ports without an arrow stay where they are declared; the others change places among
-    themselves.
+    Ports without an arrow keep their places; the others change places among themselves.
     """
     heights: Dict[Tuple[str, str], List[Tuple[float, float]]] = {}
     for edge in figure.edges:

@@ -1,4 +1,4 @@
-"""Rates of ports, from what their proxies counted between two looks."""
+"""Rates of ports, from the counts of two readings of their statistics."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class PortRate:
-    """What goes through a port now, in messages a second, and since its nodelet was loaded."""
+    """The traffic of a port: messages a second now, and counts since its nodelet was loaded."""
 
     rate: float
     drop_rate: float
@@ -22,7 +22,7 @@ class PortRate:
 
     @property
     def text(self) -> str:
-        """For the label of an arrow."""
+        """The text of an arrow's label."""
         if self.drop_rate > 0:
             return f"{_number(self.rate)} Hz\n−{_number(self.drop_rate)}/s"
         return f"{_number(self.rate)} Hz"
@@ -37,14 +37,14 @@ class _Count:
 
 
 class Meter:
-    """Remembers the last counts of each port, and takes differences."""
+    """Computes rates from differences to the last counts of each port."""
 
     def __init__(self) -> None:
         self._last: Dict[PortRef, _Count] = {}
         self._traffic: Dict[PortRef, PortRate] = {}
 
     def note(self, nodelet: str, statistics: NodeletStatistics, now: float) -> None:
-        """Take in what a proxy counted.
+        """Take the statistics of a nodelet.
 
         Args:
             nodelet: its name.
@@ -54,13 +54,13 @@ class Meter:
         for port in statistics.ports:
             ref = PortRef(nodelet, port.port)
             if port.messages is None or port.dropped is None or port.rate is None:
-                self._last.pop(ref, None)  # nobody counts there
+                self._last.pop(ref, None)  # messages of this port are not counted
                 self._traffic.pop(ref, None)
                 continue
             count = _Count(now, statistics.uptime, port.messages, port.dropped)
             last = self._last.get(ref)
             rate, drops = port.rate, 0.0
-            # Counts begin anew when a nodelet is loaded anew.
+            # Counts start at zero when a nodelet is loaded again.
             if last is not None and count.uptime >= last.uptime and now > last.time:
                 rate = (count.messages - last.messages) / (now - last.time)
                 drops = (count.dropped - last.dropped) / (now - last.time)
@@ -70,19 +70,19 @@ class Meter:
             )
 
     def keep(self, nodelets: Iterable[str]) -> None:
-        """Forget all others."""
+        """Forget all other nodelets."""
         names = set(nodelets)
         for ref in [ref for ref in self._last if ref.nodelet not in names]:
             del self._last[ref], self._traffic[ref]
 
     @property
     def traffic(self) -> Dict[PortRef, PortRate]:
-        """What goes through each port that was asked for."""
+        """The rates of all ports that were measured."""
         return dict(self._traffic)
 
 
 def in_turns(names: Iterable[str], start: int, count: int) -> Tuple[Tuple[str, ...], int]:
-    """Take some names after the others, so that each gets its turn.
+    """Return the next names in a round.
 
     Returns:
         The names, and where to begin next time.

@@ -1,9 +1,9 @@
 """Keeps a drawing where it is when a part of it changes.
 
-graphviz begins anew each time: one nodelet more can move all others. Where it would move more than
-a few, what was there stays, and only what is new, or had no connection yet, takes a place beside
-its neighbours. When connections alone have changed, or much has, this ends where streams would
-flow backwards for no need: then the new layout is taken as it is.
+graphviz computes each layout from nothing: one more nodelet can move all others. If it would move
+more than a few, the old places are kept, and only new vertices, or those that had no connection
+before, are placed beside their neighbours. If that makes arrows point backwards that need not, or
+if much has changed, the new layout is used as it is.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from dyknow_rqt.graph.geometry import (
     curve_between,
 )
 
-#: So many may move when something is added or removed.
+#: So many vertices may move when something is added or removed.
 MOST_MOVED = 4
-#: So many nodelets may come or go without the others being laid out anew.
+#: If at most so many nodelets come or go, the others keep their places.
 FEW = 2
-#: So many things are placed one by one; where more are new, nobody misses the old places.
+#: At most so many new vertices are placed one by one; with more the new layout is used.
 MOST_PLACED = 12
-#: Pixels that nobody takes for a move.
+#: Pixels; a shorter distance does not count as a move.
 STILL = 8.0
 _GAP = 14.0
-#: Steps up and down that are tried for something new, and pixels to the sides.
+#: Steps up and down, and pixels to the sides, that are tried for a new vertex.
 _TRIES = 10
 _SIDESTEPS = (0.0, -30.0, 30.0, -60.0)
 
@@ -38,7 +38,7 @@ _SIDESTEPS = (0.0, -30.0, 30.0, -60.0)
 def stabilise(
     old: Layout, before: Figure, new: Layout, after: Figure, sizes: Mapping[str, Size]
 ) -> Layout:
-    """Bring a new layout as near to the old one as its looks allow.
+    """Move the vertices of a new layout to their old places, if that looks well.
 
     Args:
         old: what is on the screen.
@@ -74,7 +74,7 @@ def stabilise(
 
 
 def moved(old: Layout, new: Layout) -> List[str]:
-    """Vertices of both layouts that stand elsewhere in the new one."""
+    """The vertices that have another place in the new layout."""
     return [
         key
         for key in sorted(set(old.centres) & set(new.centres))
@@ -83,7 +83,7 @@ def moved(old: Layout, new: Layout) -> List[str]:
 
 
 def backwards(centres: Mapping[str, Point], figure: Figure, sizes: Mapping[str, Size]) -> int:
-    """Count the arrows that do not lead to the right."""
+    """Count the arrows that do not point to the right."""
     return sum(
         centres[edge.tail].x + sizes[edge.tail].width / 2
         > centres[edge.head].x - sizes[edge.head].width / 2
@@ -98,7 +98,7 @@ def _nodelets(figure: Figure) -> Set[str]:
 def _place(
     kept: Mapping[str, Point], fresh: Layout, after: Figure, sizes: Mapping[str, Size]
 ) -> Dict[str, Point]:
-    """Find free places for what is not kept, from left to right."""
+    """Find free places for the vertices that are not kept, from left to right."""
     centres = dict(kept)
     neighbours = after.neighbours()
     vertices = {vertex.key: vertex for vertex in after.vertices}
@@ -124,7 +124,7 @@ def _free_place(
     vertices: Mapping[str, Vertex],
     sizes: Mapping[str, Size],
 ) -> Point:
-    """Look around for a place that is free, in a box that does not grow into others."""
+    """Find a free place near the wanted one whose box does not grow into other boxes."""
     taken = {key: around(place, sizes[key]) for key, place in centres.items()}
     step = sizes[vertex.key].height / 2 + _GAP
     boxes = boxes_around({key: vertices[key].group for key in centres}, centres, sizes)
@@ -148,7 +148,7 @@ def _free_place(
 def _strangers(
     vertices: Sequence[Vertex], centres: Mapping[str, Point], sizes: Mapping[str, Size]
 ) -> bool:
-    """Whether something stands in the box of a namespace that it does not belong to."""
+    """Whether a vertex is in the box of another namespace, or two boxes overlap."""
     boxes = boxes_around({v.key: v.group for v in vertices}, centres, sizes)
     groups = sorted(boxes)
     return any(
@@ -167,7 +167,7 @@ def _strangers(
 def _curves(
     fresh: Layout, centres: Mapping[str, Point], after: Figure, sizes: Mapping[str, Size]
 ) -> Dict[Edge, Tuple[Point, ...]]:
-    """Take over the curves whose two ends moved alike; lead the others anew."""
+    """Shift the curves whose two ends moved equally; compute the others again."""
     curves: Dict[Edge, Tuple[Point, ...]] = {}
     for edge in after.edges:
         tail = centres[edge.tail].minus(fresh.centres[edge.tail])

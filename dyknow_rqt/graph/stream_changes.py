@@ -1,4 +1,4 @@
-"""Asking for streams, releasing them and planning them anew, as changes."""
+"""Acquiring, releasing and replanning streams, as changes."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class AcquireStream(Change):
-    """Asks for a stream; one that is not possible yet is made when it becomes so.
+    """Acquires a stream; one that is not possible yet is made when it becomes possible.
 
     Attributes:
         request: what is asked for.
-        claim_id: of the claim; known when it has been done.
-        outcome: what became of it, for people; known when it has been done.
+        claim_id: of the claim; known after the change.
+        outcome: what became of it, for people; known after the change.
     """
 
     request: StreamRequest
@@ -66,13 +66,13 @@ class ReleaseStream(Change):
         return self
 
     def inverse(self, snapshot: Snapshot, library: Library) -> Change:
-        """Nothing brings back the claim of a client."""
+        """A released claim cannot be restored."""
         raise CannotUndo("a stream that is acquired again is another one, on a topic of its own")
 
 
 @dataclass(frozen=True)
 class ReplanStream(Change):
-    """Takes the way for a stream that is the cheapest now."""
+    """Switches a stream to the plan that is the cheapest now."""
 
     claim_id: str
     tag: str
@@ -88,5 +88,5 @@ class ReplanStream(Change):
         return self
 
     def inverse(self, snapshot: Snapshot, library: Library) -> Change:
-        """Nothing brings back a dearer way."""
+        """A more expensive plan cannot be restored."""
         raise CannotUndo("the way before was not the cheapest")

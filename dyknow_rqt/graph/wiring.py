@@ -1,4 +1,4 @@
-"""Which ports fit together, over which topic, and the changes that connect them."""
+"""Decides which ports fit together, over which topic, and makes the changes that connect them."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def connect(snapshot: Snapshot, one: PortRef, other: PortRef) -> Rewire:
 
 
 def connect_topic(snapshot: Snapshot, ref: PortRef, topic: str) -> Rewire:
-    """Connect a port to a topic that somebody named.
+    """Connect a port to a named topic.
 
     Raises:
         DoNotFit: the graph knows another type of the topic, or there is no such port.
@@ -100,7 +100,7 @@ def disconnect(snapshot: Snapshot, refs: Tuple[PortRef, ...]) -> Rewire:
 
 
 def rewire(snapshot: Snapshot, topics: Tuple[Tuple[PortRef, str], ...], text: str) -> Rewire:
-    """Change connections; ports that are connected so already are left alone."""
+    """Change connections; ports that are already connected as wanted are left out."""
     found = [(ref, topic, snapshot.port(ref)) for ref, topic in topics]
     needed = [
         (ref, topic, port.topic if port is not None else "")

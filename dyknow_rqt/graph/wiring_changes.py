@@ -1,4 +1,4 @@
-"""Loading a whole wiring as a change that can be taken back."""
+"""Loading a wiring, as a change that can be undone."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ if TYPE_CHECKING:
 
 
 class CannotLoad(DyKnowError):
-    """Something stands against the loading of a wiring; nothing was changed."""
+    """A wiring cannot be loaded; nothing was changed."""
 
 
 @dataclass(frozen=True)
 class LoadWiring(Change):
-    """Makes what runs as a wiring says; what it does not name is left alone.
+    """Loads a wiring; nodelets that it does not name are left alone.
 
     Attributes:
         wiring: what is wanted.
         origin: where it comes from, for people.
-        plan: what was changed; known when it has been done.
+        plan: what was changed; known after the change.
     """
 
     wiring: Wiring
@@ -51,7 +51,7 @@ class LoadWiring(Change):
         return f"load {self.origin}"
 
     def apply(self, remote: Remote) -> Change:
-        """Check all of it, then change what differs; if a step fails, take back those before."""
+        """Check the whole wiring, then change what differs; undo that if a step fails."""
         model, managers = remote.library(), remote.nodelet_managers()
         plan = plan_load(self.wiring, model, managers, replace=True, any_manager=True)
         if plan.problems:
@@ -60,7 +60,7 @@ class LoadWiring(Change):
         return replace(self, plan=plan)
 
     def inverse(self, snapshot: Snapshot, library: Library) -> Change:
-        """Destroy what was made, bring the rest to what it was."""
+        """Destroy the new nodelets and restore the others."""
         if self.plan is None:
             raise CannotUndo("it is not known what was changed")
         return Several(tuple(_ways_back(self.plan)), f"undo: {self.text}")
@@ -79,13 +79,13 @@ class Several(Change):
         return self.text_
 
     def apply(self, remote: Remote) -> Change:
-        """Do them all; the first that is refused ends it."""
+        """Apply the changes up to the first that is refused."""
         for change in self.changes:
             change.apply(remote)
         return self
 
     def check(self, remote: Remote) -> None:
-        """Ask whether others have changed something of it."""
+        """Check that nobody else has changed the same things since."""
         for change in self.changes:
             change.check(remote)
 

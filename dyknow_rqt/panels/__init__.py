@@ -1,1 +1,1 @@
-"""The tabs of the control panel, one a module."""
+"""The tabs of the control panel, a module for each."""

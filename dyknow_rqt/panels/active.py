@@ -1,4 +1,4 @@
-"""The tab Active: what runs."""
+"""The tab Active: the nodelets that run."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from dyknow.model.transformation import IN
 from dyknow_rqt.graph.changes import DestroyNodelet, Protect
 from dyknow_rqt.graph.snapshot import Snapshot
 from dyknow_rqt.monitor import Monitor
+from dyknow_rqt.panels.panel import Panel
 from dyknow_rqt.panels.tables import KeyedTable
 from dyknow_rqt.qt_slot import qt_slot
 from dyknow_rqt.status_line import StatusLine
@@ -19,8 +20,8 @@ from dyknow_rqt.status_line import StatusLine
 _TITLES = ("Nodelet", "Transformation", "In", "Out", "State", "Manager")
 
 
-class ActivePanel(QWidget):
-    """Nodelets with their transformations and ports; ends them, protects them."""
+class ActivePanel(Panel):
+    """Lists nodelets; destroys and protects them."""
 
     #: Nodelets were selected: their names.
     chosen = Signal(object)
@@ -28,9 +29,7 @@ class ActivePanel(QWidget):
     def __init__(
         self, monitor: Monitor, line: StatusLine, parent: Optional[QWidget] = None
     ) -> None:
-        super().__init__(parent)
-        self._monitor, self._line = monitor, line
-        self.report = line.report
+        super().__init__(monitor, line, parent)
         self.table = KeyedTable(_TITLES, "Active nodelets")
         self.destroy = QPushButton("Des&troy …")
         self.protect = QPushButton("&Protect")
@@ -51,20 +50,16 @@ class ActivePanel(QWidget):
 
     @qt_slot
     def ask_to_destroy(self, names: Sequence[str]) -> None:
-        """Ask whether nodelets are to be destroyed, and do so if yes."""
+        """Ask whether to destroy nodelets, and destroy them on agreement."""
         what = names[0] if len(names) == 1 else f"{len(names)} nodelets ({', '.join(names)})"
-        self._line.ask(f"Destroy {what}?", "Destroy", lambda: self._destroy(list(names)))
+        changes = [DestroyNodelet(name) for name in names]
+        self._line.ask(f"Destroy {what}?", "Destroy", lambda: self._do_in_turn(changes))
 
     @qt_slot
     def _destroy_chosen(self) -> None:
         names = self.table.chosen()
         if names:
             self.ask_to_destroy(names)
-
-    def _destroy(self, names: Sequence[str]) -> None:
-        """One after the other; one that is refused ends it."""
-        if names:
-            self._monitor.do(DestroyNodelet(names[0]), lambda: self._destroy(names[1:]))
 
     @qt_slot
     def _protect_chosen(self) -> None:

@@ -31,12 +31,13 @@ from dyknow_rqt.graph.wiring import (
     topics_for,
 )
 from dyknow_rqt.monitor import Monitor
+from dyknow_rqt.panels.panel import Panel
 from dyknow_rqt.qt_slot import qt_slot
 from dyknow_rqt.status_line import StatusLine
 
 
 class _PortChoice:
-    """Two boxes, a nodelet and one of its ports."""
+    """Two boxes: a nodelet, and one of its ports."""
 
     def __init__(self, what: str) -> None:
         self.nodelet, self.port = QComboBox(), QComboBox()
@@ -64,15 +65,13 @@ class _PortChoice:
             self.port.setCurrentIndex(found)
 
 
-class ConnectPanel(QWidget):
-    """Offers only what fits."""
+class ConnectPanel(Panel):
+    """Offers only ports and topics that fit."""
 
     def __init__(
         self, monitor: Monitor, line: StatusLine, parent: Optional[QWidget] = None
     ) -> None:
-        super().__init__(parent)
-        self._monitor = monitor
-        self.report = line.report
+        super().__init__(monitor, line, parent)
         self.source, self.sink, self.single = (
             _PortChoice("From"),
             _PortChoice("To"),
@@ -114,7 +113,7 @@ class ConnectPanel(QWidget):
         state = (found.port(port) if port else None) or found.ports[-1]
         ref = PortRef(nodelet, state.name)
         if state.direction == IN:
-            # The source is chosen first, since only what fits it is offered for the other end.
+            # The source is chosen first: only what fits it is offered for the other end.
             for other in partners(snapshot, ref):
                 self.source.choose(other)
                 break
@@ -144,7 +143,7 @@ class ConnectPanel(QWidget):
 
     @qt_slot
     def _follow(self) -> None:
-        """Offer what fits to what is chosen; choices stay where they can."""
+        """Offer what fits the choice; choices that still fit are kept."""
         snapshot = self._monitor.snapshot
         self._offer(self.source, snapshot, lambda ref: _direction(snapshot, ref) == OUT)
         fitting = set(partners(snapshot, self.source.ref)) if self.source.ref else set()
@@ -174,7 +173,7 @@ class ConnectPanel(QWidget):
         self.connect.setEnabled(possible)
 
     def _offer(self, choice: _PortChoice, snapshot: Snapshot, fits) -> None:  # type: ignore[no-untyped-def]
-        """Offer the ports that fit, and the nodelets that have some."""
+        """Offer the ports that fit, and the nodelets that have such ports."""
         ports = {
             nodelet.name: [p for p in nodelet.ports if fits(PortRef(nodelet.name, p.name))]
             for nodelet in snapshot.nodelets
@@ -225,7 +224,7 @@ def _words(port: PortState) -> str:
 
 
 def _refill(box: QComboBox, wanted: List) -> None:  # type: ignore[type-arg]
-    """Put other entries into a box; the chosen one stays chosen if it is among them."""
+    """Replace the entries of a box; the chosen one stays chosen if it is among them."""
     present = [(box.itemText(i), box.itemData(i)) for i in range(box.count())]
     if present == wanted:
         return

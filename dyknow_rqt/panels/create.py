@@ -1,4 +1,4 @@
-"""The tab Create: makes a nodelet of a transformation."""
+"""The tab Create: makes a nodelet from a transformation."""
 
 from __future__ import annotations
 
@@ -23,21 +23,20 @@ from dyknow.model.transformation import NODELET, Transformation
 from dyknow_rqt.graph.changes import SpawnNodelet
 from dyknow_rqt.graph.snapshot import Snapshot
 from dyknow_rqt.monitor import Monitor
+from dyknow_rqt.panels.panel import Panel
 from dyknow_rqt.qt_slot import qt_slot
 from dyknow_rqt.status_line import StatusLine
 
 _ANY = "(the manager's choice)"
 
 
-class CreatePanel(QWidget):
-    """Name, transformation, protection, process."""
+class CreatePanel(Panel):
+    """Edits transformation, name, protection and process."""
 
     def __init__(
         self, monitor: Monitor, line: StatusLine, parent: Optional[QWidget] = None
     ) -> None:
-        super().__init__(parent)
-        self._monitor, self._line = monitor, line
-        self.report = line.report
+        super().__init__(monitor, line, parent)
         self.name = QLineEdit()
         self.name.setPlaceholderText("/robot/ball_detector")
         self.label = QComboBox()
@@ -82,7 +81,7 @@ class CreatePanel(QWidget):
         self._follow()
 
     def begin(self, label: str = "") -> None:
-        """Prepare for a nodelet of a transformation."""
+        """Choose a transformation."""
         if label:
             self.label.setCurrentText(label)
             self.name.setText(self._proposal(label))

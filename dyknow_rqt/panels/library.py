@@ -1,4 +1,4 @@
-"""The tab Library: what can run."""
+"""The tab Library: the transformations."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ from dyknow_rqt.graph.library_changes import (
     remove_transformations,
 )
 from dyknow_rqt.monitor import Monitor
+from dyknow_rqt.panels.panel import Panel
 from dyknow_rqt.panels.tables import KeyedTable
 from dyknow_rqt.qt_slot import qt_slot
 from dyknow_rqt.status_line import StatusLine
@@ -31,18 +32,16 @@ from dyknow_rqt.status_line import StatusLine
 _FILES = "Specifications (*.xml);;All files (*)"
 
 
-class LibraryPanel(QWidget):
+class LibraryPanel(Panel):
     """Transformations by label; imports, exports and deletes them."""
 
-    #: A nodelet of a transformation is wanted: the label.
+    #: A nodelet is to be made from a transformation: its label.
     create_wanted = Signal(str)
 
     def __init__(
         self, monitor: Monitor, line: StatusLine, parent: Optional[QWidget] = None
     ) -> None:
-        super().__init__(parent)
-        self._monitor, self._line = monitor, line
-        self.report = line.report
+        super().__init__(monitor, line, parent)
         self.search = QLineEdit()
         self.search.setPlaceholderText("label")
         self.search.setClearButtonEnabled(True)
@@ -84,7 +83,7 @@ class LibraryPanel(QWidget):
         self._follow_selection()
 
     def import_file(self, path: str) -> None:
-        """Have the manager read a specification.
+        """Add the transformations of a file.
 
         Raises:
             OSError: the file cannot be read.

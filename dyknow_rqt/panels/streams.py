@@ -1,4 +1,4 @@
-"""The tab Streams: asks for streams by what they are about, shows what has become of them."""
+"""The tab Streams: asks for streams by their tags, and shows their states."""
 
 from __future__ import annotations
 
@@ -28,6 +28,7 @@ from dyknow.model.streams import ClaimState, StreamRequest
 from dyknow.model.transformation import OUT, Transformation
 from dyknow_rqt.graph.stream_changes import AcquireStream, ReleaseStream, ReplanStream
 from dyknow_rqt.monitor import Monitor
+from dyknow_rqt.panels.panel import Panel
 from dyknow_rqt.panels.tables import KeyedTable
 from dyknow_rqt.qt_slot import qt_slot
 from dyknow_rqt.status_line import StatusLine
@@ -36,13 +37,13 @@ from dyknow_rqt.stream_watch import StreamWatch
 if TYPE_CHECKING:
     from dyknow.model.streams import Replanned, StreamEvent, StreamStatus
 
-#: The first is what rows are known by; it says nothing to people and is not shown.
+#: The first column, the key of the rows, is not shown.
 _TITLES = ("Claim", "Tag", "State", "Topic", "Type", "Client")
 _EVENTS_KEPT = 500
 
 
-class StreamsPanel(QWidget):
-    """Previews and acquires streams; releases and replans them; tells what becomes of them."""
+class StreamsPanel(Panel):
+    """Previews, acquires, releases and replans streams; shows their states."""
 
     #: A stream was selected: the names of its nodelets.
     chosen = Signal(object)
@@ -50,9 +51,7 @@ class StreamsPanel(QWidget):
     def __init__(
         self, monitor: Monitor, line: StatusLine, parent: Optional[QWidget] = None
     ) -> None:
-        super().__init__(parent)
-        self._monitor, self._line = monitor, line
-        self.report = line.report
+        super().__init__(monitor, line, parent)
         self.watch = StreamWatch(monitor)
         self.tag, self.datatype, self.exclude = QLineEdit(), QLineEdit(), QLineEdit()
         self.tag.setPlaceholderText("FieldPosition(ball)")
@@ -69,7 +68,7 @@ class StreamsPanel(QWidget):
         self.silence.setRange(0.0, 3600.0)
         self.silence.setSuffix(" s")
         self.silence.setSpecialValueText("never")
-        self.silence.setToolTip("A part that is silent for longer counts as broken")
+        self.silence.setToolTip("The stream is repaired if it is silent for longer")
         self.preview, self.acquire = QPushButton("&Preview"), QPushButton("Ac&quire")
         self.plan = _text("Plan")
         self.plan.setPlaceholderText("How the stream would be made is shown here")
@@ -90,7 +89,7 @@ class StreamsPanel(QWidget):
     # Asking for streams
 
     def request(self) -> StreamRequest:
-        """What the fields ask for."""
+        """The request that the fields describe."""
         labels = (part.strip() for part in self.exclude.text().split(";"))
         return StreamRequest(
             tag=self.tag.text().strip(),
@@ -129,19 +128,14 @@ class StreamsPanel(QWidget):
 
     @qt_slot
     def _release(self) -> None:
-        """One after the other; one that is refused ends it."""
-        self._release_all(self.table.chosen())
-
-    def _release_all(self, claims: list[str]) -> None:
-        streams = [stream for stream in map(self.watch.stream, claims) if stream is not None]
-        if streams:
-            rest = [stream.claim_id for stream in streams[1:]]
-            change = ReleaseStream(streams[0].claim_id, streams[0].tag)
-            self._monitor.do(change, lambda: self._release_all(rest))
+        streams = map(self.watch.stream, self.table.chosen())
+        self._do_in_turn(
+            [ReleaseStream(each.claim_id, each.tag) for each in streams if each is not None]
+        )
 
     @qt_slot
     def _replan(self) -> None:
-        """Show the way that is the cheapest now, and ask whether to take it."""
+        """Show the plan that is the cheapest now, and ask whether to switch to it."""
         for claim_id in self.table.chosen()[:1]:
             stream = self.watch.stream(claim_id)
             if stream is not None:
@@ -152,7 +146,7 @@ class StreamsPanel(QWidget):
             self.plan.setPlainText(found.plan)
             change = ReplanStream(stream.claim_id, stream.tag)
             self._line.ask(
-                f"Take this way for {stream.tag}, at a cost of {found.cost:g}?",
+                f"Switch {stream.tag} to this plan, at a cost of {found.cost:g}?",
                 "Replan",
                 lambda: self._monitor.do(change),
             )
@@ -251,7 +245,7 @@ class StreamsPanel(QWidget):
 
 
 def _state(stream: StreamStatus) -> str:
-    """A stream that is there and of which there is something to say all the same says it."""
+    """The state of a stream; an active one with a detail shows that too."""
     state = stream.state.name.lower()
     is_there = stream.state is ClaimState.ACTIVE
     return f"{state}: {stream.detail}" if is_there and stream.detail else state

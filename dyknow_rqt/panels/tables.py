@@ -1,4 +1,4 @@
-"""Tables that keep selection and place when their contents change, however long they are."""
+"""Tables that keep selection and scroll position when their contents change, at any length."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from python_qt_binding.QtWidgets import (
 
 from dyknow_rqt.qt_slot import qt_slot
 
-#: Rows that decide how wide columns are.
+#: The number of rows that determine the width of columns.
 _SAMPLED = 200
-#: Pixels that the first columns may take by themselves.
+#: The most pixels that the first columns take.
 _WIDEST = (160, 115)
-#: What a row shows, and what it tells besides when the pointer rests on it.
+#: The cells of a row, and its tool tip.
 Row = Tuple[Tuple[str, ...], str]
 
 
 class _Rows(QAbstractTableModel):
-    """Sorts and filters its rows itself: through a proxy each comparison would be a call."""
+    """Sorts and filters its rows itself: a proxy model would call Python for each comparison."""
 
     def __init__(self, titles: Sequence[str], parent: QWidget) -> None:
         super().__init__(parent)
@@ -36,12 +36,12 @@ class _Rows(QAbstractTableModel):
         self._column, self._backwards, self._filter = 0, False, ""
 
     def replace(self, rows: Sequence[Row]) -> None:
-        """Take other rows."""
+        """Replace the rows."""
         self.all = list(rows)
         self._arrange()
 
     def set_filter(self, text: str) -> None:
-        """Show rows only whose first cell holds a text."""
+        """Show only rows whose first cell contains a text."""
         self._filter = text.lower()
         self._arrange()
 
@@ -87,9 +87,9 @@ class _Rows(QAbstractTableModel):
 
 
 class KeyedTable(QTableView):
-    """Rows are known by their first cell."""
+    """A table whose rows have their first cell as key."""
 
-    #: Other rows are selected, and not because the contents changed: their first cells.
+    #: The user selected other rows: their keys.
     picked = Signal(object)
 
     def __init__(self, titles: Sequence[str], name: str, parent: Optional[QWidget] = None) -> None:
@@ -126,7 +126,7 @@ class KeyedTable(QTableView):
         self.addAction(action)
 
     def show_rows(self, rows: Sequence[Row]) -> None:
-        """Show other rows; what is selected stays so, and nothing scrolls."""
+        """Replace the rows; selection and scroll position stay."""
         if list(rows) == self._rows.all:
             return
         chosen, top = self.chosen(), self.verticalScrollBar().value()
@@ -144,20 +144,20 @@ class KeyedTable(QTableView):
         self.verticalScrollBar().setValue(top)
 
     def set_filter(self, text: str) -> None:
-        """Show rows only whose first cell holds a text."""
+        """Show only rows whose first cell contains a text."""
         self._rows.set_filter(text)
 
     def chosen(self) -> List[str]:
-        """First cells of the rows that are selected, from top to bottom."""
+        """The keys of the selected rows, from top to bottom."""
         rows = sorted(index.row() for index in self.selectionModel().selectedRows())
         return [self._name(row) for row in rows]
 
     def names(self) -> List[str]:
-        """First cells of all rows that are shown, from top to bottom."""
+        """The keys of all rows that are shown, from top to bottom."""
         return [row[0][0] for row in self._rows.shown]
 
     def choose(self, names: Iterable[str], current: Optional[str] = None) -> None:
-        """Select rows, and make one the current."""
+        """Select rows by key, and make one the current row."""
         selection = self.selectionModel()
         places = [self._rows.places[name] for name in names if name in self._rows.places]
         if current in self._rows.places:

@@ -12,6 +12,7 @@ from dyknow.wiring.reader import read_wiring
 from dyknow.wiring.wiring import WiredNodelet, Wiring
 
 names = st.from_regex(r"(/[a-z][a-z0-9_]{0,6}){1,3}", fullmatch=True)
+ports = st.sampled_from(["in", "~image", "/a/b", "x<&'\"y", "é"])
 nodelets = st.builds(
     WiredNodelet,
     names,
@@ -19,7 +20,7 @@ nodelets = st.builds(
     st.booleans(),
     st.booleans(),
     st.one_of(st.just(""), names),
-    st.dictionaries(labels, names, max_size=3).map(lambda topics: tuple(sorted(topics.items()))),
+    st.dictionaries(ports, names, max_size=3).map(lambda topics: tuple(sorted(topics.items()))),
 )
 
 

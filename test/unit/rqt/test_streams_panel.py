@@ -76,6 +76,6 @@ def test_the_cheapest_way_is_taken_after_asking(qtbot, window, remote):
     until(qtbot, lambda: bool(panel.table.names()) and not window.monitor.is_changing)
     panel.table.choose(["claim-1"])
     click(qtbot, panel.replan)
-    until(qtbot, lambda: "Take this way for Track(ball), at a cost of 0?" in window.line.text)
+    until(qtbot, lambda: "Switch Track(ball) to this plan, at a cost of 0?" in window.line.text)
     click(qtbot, window.line.yes)
     until(qtbot, lambda: window.line.text == "done: replan Track(ball)")
