@@ -150,7 +150,7 @@ def give_the_library_another_camera(client: FakeClient) -> None:
     client.world.manager.add_transformation(text.replace(">30<", ">31<"))
 
 
-def test_nodelets_of_a_replaced_transformation_are_made_anew(
+def test_nodelets_of_a_replaced_transformation_are_made_again(
     client: FakeClient, file: Path
 ) -> None:
     give_the_library_another_camera(client)
@@ -168,7 +168,7 @@ def test_nodelets_of_a_replaced_transformation_are_made_anew(
     assert rate(client, "/other") == 31  # the file does not name it
 
 
-def test_a_nodelet_of_an_earlier_transformation_is_made_anew(
+def test_a_nodelet_of_an_earlier_transformation_is_made_again(
     client: FakeClient, file: Path
 ) -> None:
     give_the_library_another_camera(client)
@@ -193,7 +193,7 @@ def test_a_nodelet_of_an_earlier_transformation_is_made_anew(
     assert run(client, f"load {file} --replace --json").json["nodelets"]["replaced"] == []
 
 
-def test_a_protected_nodelet_is_not_made_anew(client: FakeClient, file: Path) -> None:
+def test_a_protected_nodelet_is_not_made_again(client: FakeClient, file: Path) -> None:
     give_the_library_another_camera(client)
     client.world.spawn("camera", "cam", is_protected=True)
     outcome = run(client, f"load {file} --replace")
@@ -203,7 +203,7 @@ def test_a_protected_nodelet_is_not_made_anew(client: FakeClient, file: Path) ->
     assert client.calls == []
 
 
-def test_what_was_made_anew_is_brought_back_when_a_later_step_fails(
+def test_what_was_made_again_is_brought_back_when_a_later_step_fails(
     client: FakeClient, file: Path
 ) -> None:
     give_the_library_another_camera(client)

@@ -130,7 +130,7 @@ def test_changes_can_be_taken_back(remote):
         there_and_back(remote, change)
 
 
-def test_a_wiring_that_replaces_a_transformation_makes_its_nodelets_anew(remote):
+def test_a_wiring_that_replaces_a_transformation_makes_its_nodelets_again(remote):
     saved, _ = wiring_of(remote.library())
     wiring = replace(
         saved,
@@ -165,9 +165,9 @@ def test_what_others_changed_is_not_taken_back(remote):
         back.check(remote)
 
 
-def test_a_nodelet_of_nobodys_making_cannot_be_made_anew(remote):
+def test_a_nodelet_without_its_transformation_cannot_be_made_again(remote):
     remote.remove_transformation("tracker")
-    with pytest.raises(CannotUndo, match="no transformation"):
+    with pytest.raises(CannotUndo, match="not in the library"):
         DestroyNodelet("/field/tracker").inverse(seen(remote), library(remote))
 
 
