@@ -7,19 +7,15 @@ from typing import TYPE_CHECKING, Dict, List, Sequence, Tuple
 
 from dyknow.cli.arguments import PortReference
 from dyknow.cli.views import state_of, unknown_nodelet
-from dyknow.errors import DyKnowError, NodeletUnreachable
+from dyknow.errors import NodeletUnreachable
 from dyknow.model.graph import PortState
 from dyknow.model.transformation import IN, OUT
 from dyknow.similar import did_you_mean
-from dyknow.wiring.ports import by_name, choose_topic, types_fit
+from dyknow.wiring.ports import CannotConnect, by_name, check_ends, choose_topic
 from dyknow.wiring.steps import ReversibleStep, StepFailed, carry_out
 
 if TYPE_CHECKING:
     from dyknow.ros.shell_client import ShellClient
-
-
-class CannotConnect(DyKnowError):
-    """Two ports cannot be connected, or a port cannot be moved; the text says why."""
 
 
 @dataclass(frozen=True)
@@ -69,27 +65,6 @@ def find_port(reference: PortReference, ports: Sequence[PortState]) -> PortState
     )
 
 
-def check_ends(
-    source: PortReference, out: PortState, target: PortReference, into: PortState
-) -> None:
-    """Refuse ports whose directions or types do not fit.
-
-    Raises:
-        CannotConnect: with everything that does not fit.
-    """
-    problems: List[str] = []
-    if out.direction != OUT:
-        problems.append(f"'{source}' is an in-port, expected an out-port first")
-    if into.direction != IN:
-        problems.append(f"'{target}' is an out-port, expected an in-port second")
-    if len(problems) == 2:
-        problems = [f"'{source}' is an in-port and '{target}' an out-port; swap the two"]
-    if not types_fit(out.datatype, into.datatype):
-        problems.append(f"'{source}' carries {out.datatype}, '{target}' expects {into.datatype}")
-    if problems:
-        raise CannotConnect(f"cannot connect: {'; '.join(problems)}")
-
-
 def connect(
     client: ShellClient, source: PortReference, target: PortReference, topic: str = ""
 ) -> Tuple[str, List[PortMove]]:
@@ -103,7 +78,7 @@ def connect(
     """
     out = find_port(source, ports_of(client, source.nodelet))
     into = find_port(target, ports_of(client, target.nodelet))
-    check_ends(source, out, target, into)
+    check_ends(str(source), out, str(target), into)
     topic = topic or out.topic
     if not topic:
         nodelets = client.get_graph().nodelets

@@ -1,11 +1,12 @@
-"""Short looks at ports: what they are connected to, which fit together, and where they meet."""
+"""Which ports fit together, and the topic on which they meet."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Container, Dict, Iterable, List
 
 from dyknow import names
-from dyknow.model.transformation import OUT
+from dyknow.errors import DyKnowError
+from dyknow.model.transformation import IN, OUT
 
 if TYPE_CHECKING:
     from dyknow.model.graph import NodeletStatus, PortState
@@ -27,6 +28,35 @@ def connections_of(nodelet: NodeletStatus) -> Dict[str, str]:
 def types_fit(one: str, other: str) -> bool:
     """Whether streams of two types may be connected; an unknown type fits every one."""
     return one == other or not one or not other or ANY in (one, other)
+
+
+class CannotConnect(DyKnowError):
+    """Ports or topics cannot be connected; the text says why."""
+
+
+def check_ends(source: str, out: PortState, target: str, into: PortState) -> None:
+    """Refuse two ports whose directions or types do not fit.
+
+    Args:
+        source: the port that the stream comes from, `NODELET:PORT`.
+        out: its state.
+        target: the port that the stream goes to.
+        into: its state.
+
+    Raises:
+        CannotConnect: with everything that does not fit.
+    """
+    problems: List[str] = []
+    if out.direction != OUT:
+        problems.append(f"'{source}' is an in-port, expected an out-port first")
+    if into.direction != IN:
+        problems.append(f"'{target}' is an out-port, expected an in-port second")
+    if len(problems) == 2:
+        problems = [f"'{source}' is an in-port and '{target}' an out-port; swap the two"]
+    if not types_fit(out.datatype, into.datatype):
+        problems.append(f"'{source}' carries {out.datatype}, '{target}' expects {into.datatype}")
+    if problems:
+        raise CannotConnect(f"cannot connect: {'; '.join(problems)}")
 
 
 def topic_after(nodelet: str, port: str) -> str:

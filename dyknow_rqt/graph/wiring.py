@@ -5,17 +5,12 @@ from __future__ import annotations
 from typing import Iterator, List, Tuple
 
 from dyknow import names
-from dyknow.errors import DyKnowError
 from dyknow.model.graph import PortState
 from dyknow.model.transformation import IN
 from dyknow.wiring import ports
-from dyknow.wiring.ports import types_fit
+from dyknow.wiring.ports import CannotConnect, types_fit
 from dyknow_rqt.graph.changes import Rewire
 from dyknow_rqt.graph.snapshot import PortRef, Snapshot
-
-
-class DoNotFit(DyKnowError):
-    """Two ports, or a port and a topic, cannot be connected."""
 
 
 def fit(one: PortState, other: PortState) -> bool:
@@ -49,17 +44,12 @@ def choose_topic(snapshot: Snapshot, source: PortRef, sink: PortRef) -> str:
     """Choose the topic for a connection, as ``dyknow connect`` does.
 
     Raises:
-        DoNotFit: no stream can lead from one port to the other.
+        CannotConnect: no stream can lead from one port to the other.
     """
     out_port, in_port = snapshot.port(source), snapshot.port(sink)
     if out_port is None or in_port is None:
-        raise DoNotFit(f"{source if out_port is None else sink} is gone")
-    if out_port.direction == IN or in_port.direction != IN:
-        raise DoNotFit(f"a stream leads from an out-port to an in-port: {source}, {sink}")
-    if not types_fit(out_port.datatype, in_port.datatype):
-        raise DoNotFit(
-            f"{source} sends {out_port.datatype}, but {sink} expects {in_port.datatype}"
-        )
+        raise CannotConnect(f"{source if out_port is None else sink} is gone")
+    ports.check_ends(str(source), out_port, str(sink), in_port)
     published = snapshot.taken.union(*(node.publishes for node in snapshot.nodes))
     return ports.choose_topic(source.nodelet, out_port, in_port, snapshot.nodelets, published)
 
@@ -68,7 +58,7 @@ def connect(snapshot: Snapshot, one: PortRef, other: PortRef) -> Rewire:
     """Connect two ports, given in any order, over a topic that is chosen for them.
 
     Raises:
-        DoNotFit: they do not fit.
+        CannotConnect: they do not fit.
     """
     port = snapshot.port(one)
     source, sink = (other, one) if port is not None and port.direction == IN else (one, other)
@@ -80,16 +70,18 @@ def connect_topic(snapshot: Snapshot, ref: PortRef, topic: str) -> Rewire:
     """Connect a port to a named topic.
 
     Raises:
-        DoNotFit: the graph knows another type of the topic, or there is no such port.
+        CannotConnect: the graph knows another type of the topic, or there is no such port.
         InvalidName: it is no name of a topic.
     """
     port = snapshot.port(ref)
     if port is None:
-        raise DoNotFit(f"{ref} is gone")
+        raise CannotConnect(f"{ref} is gone")
     topic = names.resolve(names.check(topic, "topic"), names.parent(ref.nodelet), ref.nodelet)
     known = snapshot.topics().get(topic)
     if known is not None and not types_fit(port.datatype, known.datatype):
-        raise DoNotFit(f"{ref} is of type {port.datatype}, but {topic} carries {known.datatype}")
+        raise CannotConnect(
+            f"{ref} is of type {port.datatype}, but {topic} carries {known.datatype}"
+        )
     return rewire(snapshot, ((ref, topic),), f"connect {ref} to {topic}")
 
 

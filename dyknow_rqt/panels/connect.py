@@ -20,9 +20,9 @@ from python_qt_binding.QtWidgets import (
 
 from dyknow.model.graph import PortState
 from dyknow.model.transformation import IN, OUT
+from dyknow.wiring.ports import CannotConnect
 from dyknow_rqt.graph.snapshot import PortRef, Snapshot
 from dyknow_rqt.graph.wiring import (
-    DoNotFit,
     choose_topic,
     connect,
     connect_topic,
@@ -163,7 +163,7 @@ class ConnectPanel(Panel):
         if source is not None and sink is not None:
             try:
                 text = choose_topic(snapshot, source, sink)
-            except DoNotFit as error:
+            except CannotConnect as error:
                 text = str(error)
             else:
                 ends = snapshot.port(source), snapshot.port(sink)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 
 from dyknow.errors import InvalidName, Refused
+from dyknow.wiring.ports import CannotConnect
 from dyknow.wiring.wiring import wiring_of
 from dyknow_rqt.graph.changes import (
     CannotUndo,
@@ -19,7 +20,6 @@ from dyknow_rqt.graph.library_changes import AddTransformations, remove_transfor
 from dyknow_rqt.graph.rates import Meter, in_turns
 from dyknow_rqt.graph.snapshot import PortRef, Snapshot
 from dyknow_rqt.graph.wiring import (
-    DoNotFit,
     connect,
     connect_topic,
     disconnect,
@@ -90,11 +90,13 @@ def test_an_in_port_that_waits_alone_on_a_topic_is_met_there(remote):
 
 
 def test_what_does_not_fit_is_refused_with_both_types(remote):
-    with pytest.raises(DoNotFit, match="sends geometry_msgs/PointStamped, but .* sensor_msgs/Im"):
+    with pytest.raises(
+        CannotConnect, match="carries geometry_msgs/PointStamped, .* expects sensor_msgs/Im"
+    ):
         connect(seen(remote), CEILING, HSV_IN)
-    with pytest.raises(DoNotFit, match="from an out-port to an in-port"):
+    with pytest.raises(CannotConnect, match="expected an in-port second"):
         connect(seen(remote), CEILING, LOCALIZED)
-    with pytest.raises(DoNotFit, match="carries geometry_msgs/PointStamped"):
+    with pytest.raises(CannotConnect, match="carries geometry_msgs/PointStamped"):
         connect_topic(seen(remote), HSV_IN, "/field/ball")
     with pytest.raises(InvalidName):
         connect_topic(seen(remote), HSV_IN, "not a topic")

@@ -52,7 +52,7 @@ def test_while_a_connection_is_drawn_only_what_fits_is_offered(window):
 def test_a_drag_to_a_port_that_does_not_fit_says_why(qtbot, window, remote):
     view = window.graph.view
     drag(view, view.place_of(CEILING), view.place_of(HSV_IN))
-    assert "but /nao1/line_detector:hsv expects sensor_msgs/Image" in window.line.text
+    assert "'/nao1/line_detector:hsv' expects sensor_msgs/Image" in window.line.text
     assert topic(remote, CEILING) == "" and no_boxes()
 
 
