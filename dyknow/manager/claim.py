@@ -42,7 +42,7 @@ class Claim:
 
     @property
     def is_made(self) -> bool:
-        """Whether something was made, or found, that is to publish for it."""
+        """Whether something was made or found that publishes for it."""
         return bool(self.goal[0] or self.sources)
 
     @property
@@ -51,7 +51,7 @@ class Claim:
         return tuple(sorted(self.wiring))
 
     def body(self, now: Moment) -> Dict[str, Any]:
-        """Write the claim for the store; the lease as what is left of it, and since when."""
+        """Return what the store keeps; of the lease, what is left of it and when."""
         body = asdict(self)
         body["state"] = int(self.state)
         body["left"] = None if self.deadline is None else self.deadline - now.steady
@@ -61,10 +61,10 @@ class Claim:
 
     @classmethod
     def from_body(cls, body: Mapping[str, Any], now: Moment) -> Claim:
-        """Read what ``body`` wrote; the lease has gone on meanwhile.
+        """Read what ``body`` returned; the lease has run on meanwhile.
 
         Raises:
-            KeyError, TypeError, ValueError, InvalidTag: it is something else.
+            KeyError, TypeError, ValueError, InvalidTag: the body is something else.
         """
         fields = dict(body)
         left = fields.pop("left")

@@ -1,7 +1,7 @@
 """The seam between the manager and the nodelet managers.
 
 The manager reaches nodelets only through a ``Host``. The real one speaks ROS
-(``dyknow.ros.hosting.host``), the public fake beside this file keeps everything in memory.
+(``dyknow.ros.hosting.host``), the public fake (``fake_host``) keeps everything in memory.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ class ManagerState:
         isolated_for: the nodelet that it was started for alone, empty for shared ones.
         own: whether the host started it, and starts it again.
         responsive: whether it answered when it was asked last.
-        away: whether its host does not answer, so that nobody knows if it is there.
-        unseen: whether it was not looked for yet; what was known of it before holds till then.
+        away: whether its host does not answer, so that it is not known whether it is there.
+        unseen: whether it was not looked for yet; until then holds what was known of it before.
     """
 
     name: str
@@ -66,14 +66,14 @@ class ManagerState:
 class Crash:
     """A nodelet manager's process that ended by a fault of its own: a native crash, ``_exit``.
 
-    One that was told to end, or killed by others, is none.
+    A process that was told to end, or was killed by others, did not crash.
 
     Attributes:
         manager: its name.
         cause: signal or exit code, in words.
-        running: marks (``names.mark``) of the nodelets whose code was running; None if nobody can
-            tell, as of the stock nodelet manager.
-        unloading: marks of those whose unload somebody had asked for.
+        running: marks (``names.mark``) of the nodelets whose code was running; None if that is not
+            known, as of the stock nodelet manager.
+        unloading: marks of the nodelets that were being unloaded on request.
     """
 
     manager: str
@@ -101,13 +101,13 @@ class LoadRequest:
 
 @dataclass(frozen=True)
 class Count:
-    """How many messages had gone through a port, or come on a topic, at a moment between two.
+    """Messages that had gone through a port, or come on a topic, between two moments.
 
     Attributes:
-        messages: since the port, or the listening, began.
+        messages: how many, since the port was made or the listening began.
         asked: they were counted no earlier than this, in seconds of a steady clock.
         answered: nor later than this.
-        latched: whether the port keeps a message for whoever connects later.
+        latched: whether the port keeps a message for subscribers that connect later.
     """
 
     messages: int
@@ -121,11 +121,11 @@ class Listening(ABC):
 
     @abstractmethod
     def count(self) -> Optional[Count]:
-        """Messages since the listening began; None as long as it has not begun."""
+        """Return the messages since the listening began; None until it has."""
 
     @abstractmethod
     def close(self) -> None:
-        """Listen no more; returns at once."""
+        """End the listening; does not wait."""
 
 
 class Host(ABC):
@@ -133,7 +133,7 @@ class Host(ABC):
 
     @abstractmethod
     def kind_of(self, source: str) -> NodeletKind:
-        """Tell what kind of nodelet a declared type is.
+        """Return the kind of a declared nodelet type.
 
         Raises:
             HostError: no package declares it.
@@ -144,10 +144,10 @@ class Host(ABC):
         """List the nodelet managers that nodelets can be given to, dead ones included."""
 
     def crashes(self) -> List[Crash]:
-        """Crashes since the last call, as far as they are seen.
+        """Return the crashes since the last call, as far as they were seen.
 
-        A nodelet manager that ``managers`` shows as dead, or anew, after a crash is told of by
-        the next call.
+        After ``managers`` has shown a nodelet manager as dead, or as restarted, the next call
+        reports its crash.
         """
         return []
 
@@ -155,7 +155,7 @@ class Host(ABC):
     def look_for(self, manager: str) -> None:
         """Look at once whether a nodelet manager of others is there by now.
 
-        Those that do not answer are not waited for.
+        A nodelet manager that does not answer is not awaited.
         """
 
     @abstractmethod
@@ -179,27 +179,27 @@ class Host(ABC):
     def unload(self, manager: str, name: str) -> None:
         """Unload a nodelet, also one that is still being loaded.
 
-        If its process dies of that, ``managers`` shows so by the time that this raises.
+        If its process dies of that, ``managers`` shows it by the time that this raises.
         """
 
     @abstractmethod
     def forget(self, name: str, parameters: Sequence[Parameter]) -> None:
-        """Delete the parameters that ``load`` set; those set by others stay."""
+        """Delete the parameters that ``load`` set; parameters set by others stay."""
 
     @abstractmethod
     def list(self, manager: str) -> List[str]:
-        """Names of the nodelets that a nodelet manager runs."""
+        """Return the names of the nodelets that a nodelet manager runs."""
 
     @abstractmethod
     def lists(self, managers: Iterable[ManagerState]) -> Dict[str, List[str]]:
-        """Names of the nodelets of several nodelet managers, asked side by side.
+        """Return the names of the nodelets of several nodelet managers, asked side by side.
 
-        One that does not answer, or is another process by now, is left out.
+        Nodelet managers that do not answer, or were restarted meanwhile, are left out.
         """
 
     @abstractmethod
     def ports(self, name: str) -> Tuple[PortState, ...]:
-        """Ports of a nodelet that has a proxy.
+        """Return the ports of a nodelet that has a proxy.
 
         Raises:
             HostError: the proxy does not answer.
@@ -210,15 +210,15 @@ class Host(ABC):
         """Connect ports of a nodelet that has a proxy, all or none.
 
         Raises:
-            HostError: the proxy refused or does not answer; its words are in the text.
+            HostError: the proxy refused, for a reason that is in the text, or does not answer.
         """
 
     @abstractmethod
     def published(self, topics: Iterable[str]) -> FrozenSet[str]:
-        """Tell which of these ordinary topics have a publisher now.
+        """Return those of these ordinary topics that have a publisher now.
 
         Raises:
-            HostError: nobody can tell, since the ROS master does not answer.
+            HostError: the ROS master does not answer.
         """
 
     @abstractmethod
@@ -227,17 +227,17 @@ class Host(ABC):
     ) -> Dict[str, Optional[Mapping[str, Count]]]:
         """Ask nodelet managers, side by side, how many messages nodelets have sent.
 
-        An absent or hung nodelet manager delays this by half a second, once; as long as its answer
-        is due it is not waited for.
+        A nodelet manager that does not answer delays this by half a second, once: as long as its
+        answer is due, it is not awaited again.
 
         Args:
             wanted: names of nodelets, by nodelet manager.
 
         Returns:
-            For each nodelet the counts of its out-ports; None for one that is not there. Those
-            that are not known yet are left out; when they are, the next call returns them.
+            For each nodelet the counts of its out-ports; None for a nodelet that is not there.
+            Nodelets without an answer yet are left out until a later call.
         """
 
     @abstractmethod
     def listen(self, topic: str) -> Listening:
-        """Begin to listen to a topic whose publishers cannot be asked; returns at once."""
+        """Begin to listen to a topic whose publishers cannot be asked; does not wait."""

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class Library:
-    """Transformations by label, in memory and in the store."""
+    """Transformations by label, in memory and in the store; safe from any thread."""
 
     def __init__(
         self,
@@ -27,11 +27,11 @@ class Library:
         ontology: Optional[Ontology] = None,
         limits: SpecificationLimits = DEFAULT_LIMITS,
     ) -> None:
-        """Read what the store has.
+        """Read the transformations in the store.
 
         Args:
             store: where the transformations are kept.
-            ontology: where templates look for the individuals of concepts.
+            ontology: has the individuals of concepts, for templates.
             limits: caps for texts and for the library.
         """
         self._store = store
@@ -56,7 +56,7 @@ class Library:
             return [self._by_label[label] for label in sorted(self._by_label)]
 
     def topics(self) -> List[Transformation]:
-        """Return the transformations that are existing topics, by label."""
+        """Return the transformations of type topic, by label."""
         with self._state_lock:
             if self._topics_at != self.revision:
                 found = [each for each in self._by_label.values() if each.type == TOPIC]
@@ -78,14 +78,14 @@ class Library:
         raise UnknownTransformation(label, did_you_mean(label, labels))
 
     def add(self, text: str, file_name: str = "specification") -> Specifications:
-        """Add what a specification says; the label's older transformation is replaced.
+        """Add the transformations of a specification; those of known labels are replaced.
 
         Args:
             text: XML.
             file_name: where it comes from, for messages.
 
         Raises:
-            SpecificationError: something is wrong with the text; nothing was added.
+            SpecificationError: the text is wrong; nothing was added.
             LimitExceeded: the library would grow beyond its limit; nothing was added.
         """
         specifications = parse(text, file_name, self._ontology, self._limits)
@@ -101,7 +101,7 @@ class Library:
         return specifications
 
     def remove(self, label: str) -> Transformation:
-        """Remove a transformation; nodelets that were made from it run on.
+        """Remove a transformation; its nodelets run on.
 
         Raises:
             UnknownTransformation: there is none of that label.

@@ -1,4 +1,4 @@
-"""Making and destroying nodelets: each a transaction that leaves nothing behind when it fails."""
+"""Making and destroying nodelets; what fails leaves nothing behind."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from dyknow.manager.suspects import Suspects
 from dyknow.model.graph import PortState, SpawnRequest, State
 from dyknow.model.transformation import TOPIC, Transformation
 
-#: Seconds to wait for a look, or for somebody else, to be done with a nodelet.
+#: Seconds to wait for a look, or another operation, to be done with a nodelet.
 PATIENCE = 5.0
 
 _log = logging.getLogger("rosout.dyknow")
@@ -41,13 +41,21 @@ class Lifecycle:
     def __init__(
         self, host: Host, graph: Graph, guards: Guards, spawn_timeout: float, suspects: Suspects
     ) -> None:
-        """Work on ``graph`` through ``host``; ``suspects`` are kept apart."""
+        """Prepare.
+
+        Args:
+            host: reaches the nodelet managers.
+            graph: the nodelets.
+            guards: what is forbidden.
+            spawn_timeout: seconds that a nodelet may take to come up.
+            suspects: nodelets that get processes of their own.
+        """
         self._host = host
         self._graph = graph
         self._guards = guards
         self._timeout = spawn_timeout
         self._suspects = suspects
-        #: Which of a nodelet's connections can be made when it is brought back.
+        #: Returns the connections of a nodelet that can be made when it is brought back.
         self.fitting: Callable[[Record], Mapping[str, str]] = lambda record: record.topics
 
     def spawn(
@@ -102,7 +110,7 @@ class Lifecycle:
             try:
                 self._graph.put(record)
                 running = self._bring_up(record)
-            except NameTaken:  # by a nodelet of others that nobody has seen yet: it stays
+            except NameTaken:  # by a nodelet of others that was not seen yet: it stays
                 self._graph.remove(record.name)
                 with contextlib.suppress(HostError):
                     if record.isolated and record.name not in self._host.list(manager):
@@ -118,21 +126,23 @@ class Lifecycle:
             return running
 
     def restore(self, record: Record) -> Record:
-        """Bring back a nodelet that died, where it was or, isolated, in a new process.
+        """Bring back a nodelet that died, where it was or, if it is isolated, in a new process.
 
-        One that is suspected of having crashed its process is isolated from now on. The record
-        says FAILED, with the reason, when that does not work.
+        A nodelet that is suspected of having crashed its process is isolated from now on.
+
+        Returns:
+            Its record, which says FAILED, with the reason, if that did not work.
         """
         transformation = record.transformation
         assert transformation is not None
         suspicion = self._suspects.verdict(record.name)
         if suspicion and not record.isolated:
             _log.warning("%s is given a process of its own; %s", record.name, suspicion)
-            # The process that it leaves is not its own, to be ended with it.
+            # Without the name of the process that it leaves, which does not end with it.
             record = replace(record, isolated=True, manager="")
         record = replace(record, suspicion=suspicion or record.suspicion)
         starting = replace(record, state=State.STARTING, detail=record.suspicion)
-        self._graph.put(starting)  # from here on others see where it will be
+        self._graph.put(starting)  # from now on it counts where it will be
         starting = replace(starting, topics=self.fitting(starting))
         try:
             if record.isolated:
@@ -140,7 +150,7 @@ class Lifecycle:
                 starting = replace(starting, manager=self._host.ensure(kind, record.name))
             running = self._bring_up(starting)
         except NameTaken:
-            return record  # it is there: the next look takes it up
+            return record  # it is there: the next look finds it
         except DyKnowError as error:
             self._take_down(starting)
             detail = "; ".join(filter(None, (str(error), record.suspicion)))
@@ -154,9 +164,9 @@ class Lifecycle:
         Raises:
             UnknownNodelet: there is none of that name.
             Protected: it is protected.
-            HostTimeout: its nodelet manager does not answer; the nodelet is destroyed when it
-                does again.
-            HostError: its nodelet manager did not do it.
+            HostTimeout: its nodelet manager does not answer; the nodelet is destroyed as soon as
+                it does.
+            HostError: its nodelet manager refused.
         """
         self._graph.get(name)
         with self._graph.changing(name, patience=PATIENCE) as record:
@@ -178,7 +188,7 @@ class Lifecycle:
             self._graph.remove(name)
 
     def finish_destroying(self, record: Record) -> None:
-        """Destroy what could not be destroyed before, since its nodelet manager did not answer."""
+        """Destroy a nodelet whose nodelet manager did not answer when it should be destroyed."""
         try:
             self._unload(record)
         except HostError as error:
@@ -186,15 +196,15 @@ class Lifecycle:
             return
         self._dispose(record)
         self._graph.remove(record.name)
-        _log.info("%s was to be destroyed, and is now", record.name)
+        _log.info("%s, which was to be destroyed, is destroyed now", record.name)
 
     def clear(self, record: Record) -> None:
-        """Destroy a nodelet whatever its state, as part of the manager's end."""
+        """Destroy a nodelet, whatever its state."""
         self._take_down(record)
         self._graph.remove(record.name)
 
     def forget(self, record: Record) -> None:
-        """Follow somebody else who unloaded a nodelet on purpose."""
+        """Forget a nodelet that others unloaded on purpose."""
         self._dispose(record)
         self._graph.remove(record.name)
 
@@ -207,14 +217,14 @@ class Lifecycle:
         self._graph.get(name)
         with self._graph.changing(name, patience=PATIENCE) as record:
             if record is None or record.transformation is None or not record.rewired_by_reload:
-                raise HostError(f"nodelet '{name}' is not one that is re-wired by a reload")
+                raise HostError(f"nodelet '{name}' is not re-wired by a reload")
             changes = self._resolved(record.transformation, name, config)
             changed = replace(record, topics={**record.topics, **changes})
             if changed.topics == record.topics:
                 return
-            # It comes up anew: what people connected meanwhile does not come back with it.
+            # Connections that must not be made at present do not come back with it.
             changed = replace(changed, topics={**self.fitting(changed), **changes})
-            # Whoever finds it unloaded after the manager was killed here has to bring it back.
+            # If the manager is killed here, its next life brings the nodelet back.
             self._graph.put(replace(record, state=State.STARTING))
             try:
                 self._host.unload(record.manager, name)
@@ -239,7 +249,7 @@ class Lifecycle:
                 raise
 
     def _is_gone(self, record: Record) -> bool:
-        """Whether a nodelet that could not be unloaded is certainly not there any more."""
+        """Whether a nodelet that could not be unloaded is certainly gone."""
         state = self._state(record.manager)
         if record.isolated or state is None:
             return True
@@ -350,10 +360,10 @@ class Lifecycle:
 
 
 def _remappings(record: Record, transformation: Transformation) -> Dict[str, str]:
-    """Wire a plain C++ nodelet.
+    """Return the remappings that wire a plain C++ nodelet.
 
-    It would use the plain name of a port that is connected to nothing, so that is remapped too,
-    to a topic that nobody else uses.
+    A port that is not remapped would use its own name as its topic. So a port that is connected to
+    nothing is remapped, too, to a topic that nothing else uses.
     """
     return {
         names.resolve(port.name, names.parent(record.name), record.name): record.topics.get(

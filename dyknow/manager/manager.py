@@ -57,15 +57,15 @@ class Manager:
         run: Callable[[Callable[[], None]], None] = at_once,
         clock: Clock = STEADY,
     ) -> None:
-        """Put the parts together; nothing is touched before ``start``.
+        """Put the parts together; ``start`` comes first.
 
         Args:
             host: reaches the nodelet managers.
             store: durable state.
             library: transformations.
-            guards: what nobody may do.
+            guards: what is forbidden.
             settings: how to behave.
-            run: does the work of bringing back what died, which may take its time.
+            run: calls what brings a nodelet back, which may take long.
             clock: steady time.
         """
         self.library = library
@@ -82,7 +82,7 @@ class Manager:
 
     @property
     def on_change(self) -> Callable[[], None]:
-        """Called after every change of the graph, on the thread that made it."""
+        """Called after every change of the graph, by the thread that made it."""
         return self.graph.on_change
 
     @on_change.setter
@@ -90,11 +90,11 @@ class Manager:
         self.graph.on_change = callback
 
     def start(self) -> None:
-        """Take over what still runs from an earlier life, and bring back what does not."""
+        """Take over the nodelets of an earlier life that still run, and bring back the others."""
         self.observer.adopt(self.store.nodelets())
 
     def look(self, changed: Optional[Set[str]] = None) -> None:
-        """Compare the picture with reality; ``changed`` names nodelets to look at closely."""
+        """Compare the picture with reality; ask nodelets that ``changed`` for their ports."""
         self.store.write_pending()
         self.observer.look(changed or set())
 
@@ -108,10 +108,10 @@ class Manager:
     # Transformations
 
     def add_transformation(self, text: str) -> Specifications:
-        """Add what a specification says.
+        """Add the transformations of a specification.
 
         Raises:
-            SpecificationError: something is wrong with it; nothing was added.
+            SpecificationError: it is wrong; nothing was added.
             Denied: the mode is read-only.
         """
         self.guards.check_writable("adding transformations")
@@ -122,7 +122,7 @@ class Manager:
         return specifications
 
     def remove_transformation(self, label: str) -> Transformation:
-        """Remove a transformation; nodelets made from it run on.
+        """Remove a transformation; its nodelets run on.
 
         Raises:
             UnknownTransformation: there is none.
@@ -138,7 +138,7 @@ class Manager:
     def existing_topics(self) -> List[Transformation]:
         """Return the transformations of type topic with their topics made global.
 
-        Relative ones begin in the manager's namespace, as names of nodelets do.
+        Relative topics resolve in the manager's namespace, as names of nodelets do.
         """
         namespace = self._settings.namespace
         return [
@@ -152,17 +152,17 @@ class Manager:
         """Make the name of a nodelet global.
 
         Raises:
-            InvalidName: it is no name.
+            InvalidName: it is not a valid name.
         """
         return names.resolve(
             names.check(name, "nodelet name"), self._settings.namespace, "/", "nodelet name"
         )
 
     def spawn(self, request: SpawnRequest) -> Record:
-        """Make a nodelet; it runs and is connected when this returns.
+        """Make a nodelet, which runs and is connected when this returns.
 
         Raises:
-            DyKnowError: it did not work, and nothing is left of it.
+            DyKnowError: it did not work; nothing is left of it.
         """
         request = replace(request, name=self.resolve(request.name))
         self.guards.check_writable(f"spawning '{request.name}'")
@@ -174,7 +174,7 @@ class Manager:
         Raises:
             UnknownNodelet: there is none of that name.
             Protected: it is protected.
-            HostError: its nodelet manager did not do it.
+            HostError: its nodelet manager refused or does not answer.
         """
         name = self.resolve(name)
         self.guards.check_writable(f"destroying '{name}'")
@@ -197,7 +197,7 @@ class Manager:
             self.graph.put(replace(record, is_protected=is_protected))
 
     def reconfigure(self, name: str, config: Mapping[str, str]) -> None:
-        """Connect ports of a plain C++ nodelet elsewhere, by loading it anew.
+        """Connect ports of a plain C++ nodelet elsewhere, which loads it again.
 
         Raises:
             DyKnowError: it did not work; the nodelet is wired as before.

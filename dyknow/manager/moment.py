@@ -1,4 +1,4 @@
-"""Moments that a later process can measure from, whatever happened to the clock of the day."""
+"""Moments from which a later process can measure, although the wall clock may have been set."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class Moment:
 
     Attributes:
         steady: seconds on the steady clock, which all processes share until the machine restarts.
-        wall: seconds of the day's clock, which somebody may set.
+        wall: seconds of the wall clock, which may be set.
         boot: names the steady clock; empty where it cannot be named.
     """
 

@@ -1,8 +1,8 @@
-"""Keeps the picture true, and brings back what died.
+"""Keeps the picture true, and brings back nodelets that died.
 
 What others unload or connect on purpose is taken as their will: the record follows. A nodelet was
-unloaded on purpose if the process that ran it runs on and lists it no more; a process that is
-about to end gives no list. Everything else is death, and repaired.
+unloaded on purpose if the process that ran it runs on and no longer lists it; a process that is
+about to end returns no list. Every other end of a nodelet is a death, and repaired.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _log = logging.getLogger("rosout.dyknow")
 
 
 def at_once(work: Callable[[], None]) -> None:
-    """Do it now, in the thread of the caller."""
+    """Call ``work`` now, in the thread of the caller."""
     work()
 
 
@@ -48,14 +48,14 @@ class Observer:
         clock: Callable[[], float] = time.monotonic,
         run: Callable[[Callable[[], None]], None] = at_once,
     ) -> None:
-        """Observe; nothing happens before ``adopt`` or ``look``.
+        """Prepare; ``adopt`` comes first, then one ``look`` after the other.
 
         Args:
-            host: who is asked.
-            graph: the picture.
+            host: asked for its nodelet managers and their nodelets.
+            graph: the picture of what runs.
             lifecycle: brings nodelets back.
             suspects: told of crashes.
-            clock: seconds, steady.
+            clock: steady time, in seconds.
             run: does the work of bringing nodelets back; a look does not wait for it.
         """
         self._host = host
@@ -66,21 +66,21 @@ class Observer:
         self._backoff = Backoff(clock, _FIRST_PAUSE)
         self._run = run
         self._state_lock = state_lock("nodelets that are brought back")
-        self._dead: Set[str] = set()  # found by this look
-        self._crashes: Dict[str, Crash] = {}  # told of since the look before it, by manager
+        self._dead: Set[str] = set()  # found by the present look
+        self._crashes: Dict[str, Crash] = {}  # since the look before it, by nodelet manager
         self._returning: Set[str] = set()  # being brought back
-        self._to_ask: Set[str] = set()  # their ports changed, and could not be asked for
-        #: Called with the record of a nodelet that was made for a claim and died.
+        self._to_ask: Set[str] = set()  # ports that could not be asked for
+        #: Called with the record of a nodelet of a claim that died.
         self.on_death: Callable[[Record], None] = lambda record: None
-        #: Called with the transformation of one that was at work when its process crashed, and
-        #: that whoever made it has cleared away since.
+        #: Called with the label of a nodelet whose code ran when its process crashed, and that
+        #: was destroyed since.
         self.on_crash: Callable[[str], None] = lambda label: None
 
     def adopt(self, records: Iterable[Record]) -> None:
         """Take over the records of an earlier life.
 
-        One that was never acknowledged is taken down; what still runs is left as it is; what does
-        not is brought back by the first look.
+        A nodelet whose spawn never returned is destroyed. What still runs is left as it is, and
+        the first look brings back the others.
         """
         for record in records:
             self._suspects.know(record)
@@ -143,9 +143,9 @@ class Observer:
         doubtful: Iterable[Tuple[Record, ManagerState | None]],
         listed: Mapping[str, Set[str]],
     ) -> None:
-        """Mark what is lost with its nodelet manager.
+        """Mark the nodelets that are lost with their nodelet manager.
 
-        It is one step: who uses several of them, such as a claim, is to see one loss.
+        All in one step: a claim that uses several of them sees one loss.
         """
         lost = []
         with contextlib.ExitStack() as held:
@@ -153,7 +153,7 @@ class Observer:
                 try:
                     current = held.enter_context(self._graph.changing(record.name))
                 except Busy:
-                    continue  # somebody works on it; the next look sees the outcome
+                    continue  # another operation works on it; the next look sees the outcome
                 if current is None or current.manager != record.manager:
                     continue
                 trouble = self._trouble(current, state, listed)
@@ -169,9 +169,9 @@ class Observer:
     def _trouble(
         self, record: Record, state: ManagerState | None, listed: Mapping[str, Set[str]]
     ) -> str:
-        """Say how a nodelet is lost with its nodelet manager; empty if it is not."""
+        """Say why a nodelet is lost with its nodelet manager; empty if it is not."""
         if record.transformation is None or record.unwanted or (state and state.unseen):
-            return ""  # where nobody has looked yet, it is as it was
+            return ""  # until its host was looked for, it is as it was
         if _has_died(record, state, listed):
             if self._was_being_unloaded(record):
                 return ""
@@ -183,7 +183,7 @@ class Observer:
         return f"nodelet manager {record.manager} does not answer"
 
     def _was_being_unloaded(self, record: Record) -> bool:
-        """Whether its process crashed as somebody had it unloaded."""
+        """Whether a nodelet's process crashed while the nodelet was unloaded on request."""
         crash = self._crashes.get(record.manager)
         return crash is not None and names.mark(record.name) in crash.unloading
 
@@ -201,7 +201,7 @@ class Observer:
                 self._compare(current, state, listed, changed)
         except Busy:
             self._to_ask.update({record.name} & changed)
-            return  # somebody works on it; the next look sees the outcome
+            return  # another operation works on it; the next look sees the outcome
 
     def _compare(
         self,
@@ -214,7 +214,7 @@ class Observer:
         if alive and record.name in listed[record.manager] and not record.unwanted:
             self._follow(record, state, record.name in changed)
         elif state is not None and state.unseen:
-            return  # it is as it was until somebody has looked
+            return  # until its host was looked for, it is as it was
         elif record.transformation is None:
             self._graph.remove(record.name)
         elif record.unwanted:
@@ -226,13 +226,13 @@ class Observer:
             if record.state is State.RUNNING:
                 _log.info("%s was unloaded by others; it is not brought back", record.name)
                 self._lifecycle.forget(record)
-            else:  # it failed, or the manager was killed while it brought it back
+            else:  # it failed, or the manager was killed while it was bringing it back
                 self._dead.add(record.name)
         elif _has_died(record, state, listed):
             if self._was_being_unloaded(record):
                 _log.info("%s was being unloaded when its process died", record.name)
                 self._lifecycle.forget(record)
-            elif record.state is not State.RUNNING:  # else somebody worked on it a moment ago
+            elif record.state is not State.RUNNING:  # else another operation has just worked on it
                 self._dead.add(record.name)
 
     def _follow(self, record: Record, state: ManagerState | None, closely: bool) -> None:
@@ -253,15 +253,15 @@ class Observer:
             else:
                 record = replace(record, ports=ports)
                 record = replace(record, topics=topics_of(record))
-        if not record.ports:  # as it should be, where it cannot be asked
+        if not record.ports:  # it cannot be asked, so it is taken to be as it should be
             record = replace(record, ports=declared_ports(record))
         self._graph.put(record, durable=record.transformation is not None)
 
     def _complete(self, record: Record) -> bool:
-        """Finish what an earlier life began: it was killed while it brought the nodelet back."""
+        """Finish bringing a nodelet back, which an earlier life of the manager had begun."""
         wiring = {port: topic for port, topic in self._lifecycle.fitting(record).items() if topic}
         try:
-            if record.rewired_by_reload:  # with which wiring it runs nobody knows
+            if record.rewired_by_reload:  # its present wiring cannot be known
                 self._host.unload(record.manager, record.name)
                 return False
             if wiring:
@@ -287,14 +287,14 @@ class Observer:
                     self._backoff.failed(name)
                     self._lifecycle.finish_destroying(record)
                 elif record is not None and record.state is not State.RUNNING:
-                    if record.claimed:  # whoever claims a stream decides what takes its place
+                    if record.claimed:  # the claim's repair decides what replaces it
                         self.on_death(record)
                         self._lifecycle.forget(record)
                         return
                     self._backoff.failed(name)
                     self._restore(record)
         except Busy:
-            return  # somebody works on it; the next look sees the outcome
+            return  # another operation works on it; the next look sees the outcome
         finally:
             with self._state_lock:
                 self._returning.discard(name)
@@ -329,13 +329,13 @@ class Observer:
         try:
             ports = self._host.ports(name)
         except HostError:
-            ports = ()  # a plain nodelet has no proxy
+            ports = ()  # a plain C++ nodelet has no proxy
         return Record(name, None, manager, state=State.RUNNING, ports=ports)
 
     def _is_unlisted(self, record: Record) -> bool:
-        """Whether the process of a nodelet runs on without it, and not only since the look began.
+        """Whether the process of a nodelet runs on without it.
 
-        Which process it is that answered is asked after the answer.
+        The list is asked for again, and after the answer which process it came from.
         """
         try:
             if record.name in self._host.list(record.manager):
@@ -349,7 +349,7 @@ class Observer:
 
 
 def _has_died(record: Record, state: ManagerState | None, listed: Mapping[str, Set[str]]) -> bool:
-    """Whether the process that ran a nodelet is no more, as far as anybody can tell."""
+    """Whether the process that ran a nodelet has ended, as far as is known."""
     if state is None or (state.own and not state.alive):
         return True
     return (
@@ -360,7 +360,7 @@ def _has_died(record: Record, state: ManagerState | None, listed: Mapping[str, S
 
 
 def _as_it_was(record: Record, state: ManagerState | None, listed: Dict[str, Set[str]]) -> bool:
-    """Whether a nodelet runs on in the process that was seen last: the look is done with it."""
+    """Whether a nodelet runs on in the process that was seen last: nothing is to be done."""
     return (
         state is not None
         and record.state is State.RUNNING

@@ -20,12 +20,13 @@ def choose(
 ) -> str:
     """Choose, and start if need be, a nodelet manager for a new nodelet.
 
-    A manager that was asked for; else a new process for an isolated nodelet; else where most of
-    the stream's neighbours run, since messages there go by reference; else where fewest run.
+    It is the one that was asked for; else a new process for an isolated nodelet; else the one that
+    runs most neighbours of the nodelet, since messages go by reference there; else the one that
+    runs fewest nodelets.
 
     Raises:
         HostError: the manager asked for is unknown, down, of the other kind or there for another
-            nodelet alone, or a process of its own was asked for at the same time.
+            nodelet alone, or a process for the nodelet alone was asked for as well.
     """
     if asked and isolated_for:
         raise HostError(

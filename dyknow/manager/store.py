@@ -1,9 +1,9 @@
 """Durable state: what the manager promised, kept over ``kill -9``.
 
-A change is on disk before the call that makes it returns, so what was acknowledged is there after
-the manager was killed at any moment. A disk that does not take it stops nobody: ``trouble`` says
-what is wrong, and the change is written when the disk takes it again (``state_file``). Entries
-that mean nothing are set aside, and the rest is used.
+A change is on disk before the call that makes it returns, so what was acknowledged survives when
+the manager is killed. A disk that does not take a change stops no operation: ``trouble`` says what
+is wrong, and the change is written as soon as the disk takes it (``state_file``). Entries that have
+no meaning are set aside, and the others are used.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from dyknow.manager.well_typed import check_types
 from dyknow.model.graph import State
 from dyknow.model.transformation import Parameter, Port, Transformation
 
-#: What reading an entry may raise that is none.
+#: What reading an entry without a meaning may raise.
 MEANINGLESS = (DyKnowError, ValueError, TypeError, KeyError, AttributeError, RecursionError)
 
 _Entry = TypeVar("_Entry")
@@ -58,14 +58,14 @@ def unpack(body: str) -> Transformation:
 
 
 class Store:
-    """The manager's state on disk; every method is safe from any thread."""
+    """The manager's state on disk; safe from any thread."""
 
     def __init__(self, path: str = IN_MEMORY, clock: Callable[[], float] = time.monotonic) -> None:
         """Open the state, or start an empty one.
 
         Args:
             path: the file; the default keeps everything in memory.
-            clock: seconds, steady.
+            clock: steady time, in seconds.
 
         Raises:
             StoreError: the folder cannot be made, or the file is there and cannot be read at all.
@@ -74,7 +74,7 @@ class Store:
 
     @property
     def complaint(self) -> str:
-        """What could not be used of what was found, and where it was put; empty if all is well."""
+        """What could not be used, and where it was put; empty if all was."""
         return self._file.complaint
 
     @property
@@ -88,7 +88,7 @@ class Store:
         return f"done, but not on disk yet: {self.trouble}" if self.trouble else ""
 
     def write_pending(self) -> None:
-        """Write what the disk did not take, if it takes it now."""
+        """Write what the disk did not take, if it does now."""
         self._file.write_pending()
 
     # Facts: small numbers that outlive the process
@@ -159,7 +159,7 @@ class Store:
         self._file.write({("claims", claim_id): None})
 
     def reject_claims(self, causes: Mapping[str, str]) -> None:
-        """Set claims aside that mean nothing to their owner, with the causes by id."""
+        """Set claims aside that have no meaning, with the causes by id."""
         self._file.reject("claims", causes)
 
     def end(self) -> None:
@@ -179,7 +179,7 @@ class Store:
     # Inside
 
     def _read(self, table: str, read: Callable[[str, str], _Entry]) -> Dict[str, _Entry]:
-        """Read a table; what means nothing is set aside."""
+        """Read a table; entries without a meaning are set aside."""
         found: Dict[str, _Entry] = {}
         causes: Dict[str, str] = {}
         for key, text in self._file.rows(table).items():

@@ -1,11 +1,11 @@
-"""Which nodelets are kept apart, since their processes crash while their code runs.
+"""Which nodelets get processes of their own, since their processes crash while their code runs.
 
-A nodelet that crashes its process takes its neighbours along each time that it comes back. Who was
-at work when a process crashed is accused; after two accusations it is restored in a process of its
-own, where it harms nobody else.
+A nodelet that crashes its process takes its neighbours along each time that it comes back. The
+nodelets whose code ran when a process crashed are accused. After two accusations a nodelet is
+restored in a process of its own, where it harms no other.
 
-A nodelet that was made for a claim does not come back: another one is made of its transformation,
-which may have another name. So there it is the transformation that is accused and kept apart.
+A nodelet of a claim does not come back: another nodelet, perhaps of another name, is made of its
+transformation. So the transformation is accused instead.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from dyknow.locks import state_lock
 from dyknow.manager.host import Crash
 from dyknow.manager.record import Record
 
-#: Accusations after which a nodelet is kept apart: once may be chance.
+#: Accusations after which a nodelet gets a process of its own: one may be chance.
 ENOUGH = 2
 #: Seconds after which an accusation that led to nothing is forgotten.
 MEMORY = 600.0
@@ -32,19 +32,23 @@ class _Account:
 
 
 class Suspects:
-    """Accusations by nodelet or transformation; every method is safe from any thread."""
+    """Accusations by nodelet or transformation; safe from any thread."""
 
     def __init__(self, clock: Callable[[], float]) -> None:
-        """Suspect nobody; ``clock`` gives seconds, steady."""
+        """Begin without an accusation.
+
+        Args:
+            clock: steady time, in seconds.
+        """
         self._clock = clock
         self._state_lock = state_lock("suspects")
         self._accounts: Dict[int, _Account] = {}
-        #: Transformations of the nodelets that were made for claims, also of those that are gone
-        #: when their crash is told; names are used again, so there are not many.
+        #: Transformations of the nodelets of claims, those that are gone included, since crashes
+        #: are reported late; names are used again, so there are not many.
         self._labels: Dict[int, str] = {}
 
     def know(self, record: Record) -> None:
-        """Hear of a nodelet before it is first asked about, and before its code runs."""
+        """Take note of a nodelet, before its code runs."""
         mark = names.mark(record.name)
         with self._state_lock:
             if record.claimed:
@@ -53,12 +57,12 @@ class Suspects:
                 self._labels.pop(mark, None)
 
     def label(self, mark: int) -> str:
-        """Return the transformation of what was made for a claim; empty for other nodelets."""
+        """Return the transformation of a claim's nodelet; empty for other nodelets."""
         with self._state_lock:
             return self._labels.get(mark, "")
 
     def accuse(self, crash: Crash, hosted: Iterable[str]) -> None:
-        """Accuse those who were at work, or, where nobody can tell, all that the process hosted.
+        """Accuse the nodelets whose code ran or, where that is not known, all of the process.
 
         Args:
             crash: what happened.
@@ -75,7 +79,7 @@ class Suspects:
                 self._accounts[mark] = _Account(count + 1, now, crash.cause)
 
     def verdict(self, name: str) -> str:
-        """Return why a nodelet is to have a process of its own; empty if it need not."""
+        """Return why a nodelet needs a process of its own; empty if it needs none."""
         with self._state_lock:
             account = self._recent(self._accused(names.mark(name)), self._clock())
         if account is None or account.accusations < ENOUGH:
@@ -86,17 +90,17 @@ class Suspects:
         )
 
     def acquit(self, name: str) -> None:
-        """Forget what a nodelet is accused of: somebody destroyed it, and may have mended it."""
+        """Forget the accusations of a nodelet: its code may have been mended."""
         with self._state_lock:
             self._accounts.pop(self._accused(names.mark(name)), None)
 
     def acquit_transformation(self, label: str) -> None:
-        """Forget what a transformation is accused of: somebody replaced it."""
+        """Forget the accusations of a transformation, which was replaced."""
         with self._state_lock:
             self._accounts.pop(_mark_of_label(label), None)
 
     def _accused(self, mark: int) -> int:
-        """Whose account it is that the crashes of a nodelet are written to."""
+        """Return the account of a nodelet: its own, or that of its transformation."""
         label = self._labels.get(mark, "")
         return _mark_of_label(label) if label else mark
 

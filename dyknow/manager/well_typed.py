@@ -13,7 +13,7 @@ def check_types(value: Any) -> None:
     """Check the fields of a dataclass or named tuple, and what they hold.
 
     Raises:
-        TypeError: a field holds something else than it declares.
+        TypeError: a field holds something else than is declared.
     """
     for name, hint in _fields(value.__class__).items():
         if not _fits(getattr(value, name), hint):
