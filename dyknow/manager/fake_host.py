@@ -1,4 +1,4 @@
-"""A host in memory: the public fake beside the real one, for whole scenarios in unit tests."""
+"""A host in memory, for whole scenarios without processes and without ROS."""
 
 from __future__ import annotations
 
@@ -38,7 +38,14 @@ from dyknow.model.transformation import Parameter
 
 @dataclass
 class FakeNodelet:
-    """A nodelet that runs nowhere."""
+    """A nodelet in memory.
+
+    Attributes:
+        request: what it was loaded with.
+        ports: by name.
+        sent: messages by out-port.
+        latched: out-ports that keep a message for subscribers that connect later.
+    """
 
     request: LoadRequest
     ports: Dict[str, PortState] = field(default_factory=dict)
@@ -46,53 +53,53 @@ class FakeNodelet:
     latched: set[str] = field(default_factory=set)
 
     def topics(self, direction: str) -> List[str]:
-        """Topics that its in-ports or its out-ports are connected to."""
+        """Return the topics of its ``in``-ports or its ``out``-ports."""
         ports = self.ports.values()
         return [port.topic for port in ports if port.direction == direction and port.topic]
 
 
 @dataclass
 class FakeManager:
-    """A nodelet manager that runs nowhere."""
+    """A nodelet manager in memory, and its nodelets by name."""
 
     state: ManagerState
     nodelets: Dict[str, FakeNodelet] = field(default_factory=dict)
 
 
 class FakeListening(Listening):
-    """Counts what ``FakeHost.flow`` lets pass on one topic."""
+    """Counts the messages of one topic; ``FakeHost.flow`` sends them."""
 
     def __init__(self, host: FakeHost, topic: str) -> None:
-        """Begin."""
+        """Begin at 0."""
         self.topic = topic
         self.messages = 0
         self._host = host
 
     def count(self) -> Optional[Count]:
-        """Report what was heard."""
+        """Return the messages since the listening began."""
         now = self._host.clock()
         return Count(self.messages, now, now)
 
     def close(self) -> None:
-        """Listen no more."""
+        """End the listening."""
         self._host.listeners.remove(self)
 
 
 class FakeHost(Host):
-    """Keeps everything in dictionaries; faults are injected by hand.
+    """Keeps everything in dictionaries; tests inject the faults.
 
     Attributes:
         sources: ports of each nodelet type, as (name, direction, datatype).
         cpp: types that are plain C++ nodelets.
         topics: ordinary topics that are published.
         silent: nodelets, by name or type, and ordinary topics that send nothing.
-        slow: nodelets to which a connection takes longer than the manager waits for it: it
-            counts as failed, and is made when it arrives (``arrive``).
+        slow: nodelets to which a connection takes longer than the manager waits: it fails, and is
+            made later all the same (``arrive``).
         fail: called before each operation with its name and argument; may raise.
         on_change: called after each change of what runs and how it is connected.
         calls: every operation, in order.
-        clock: when messages are counted.
-        listeners: those that listen to a topic now.
+        clock: steady time, in seconds.
+        listeners: open listenings.
     """
 
     def __init__(
@@ -100,7 +107,12 @@ class FakeHost(Host):
         sources: Mapping[str, Sequence[Tuple[str, str, str]]],
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Make a host that knows these nodelet types; ``clock`` gives steady seconds."""
+        """Make a host without a nodelet manager.
+
+        Args:
+            sources: ports of each nodelet type, as (name, direction, datatype).
+            clock: steady time, in seconds.
+        """
         self.sources = dict(sources)
         self.clock = clock
         self.listeners: List[FakeListening] = []
@@ -119,10 +131,10 @@ class FakeHost(Host):
         self._cut: Dict[str, ManagerState] = {}
         self._on_the_way: List[Tuple[FakeNodelet, Dict[str, str]]] = []
 
-    # By hand
+    # Faults and other events
 
     def kill(self, manager: str) -> None:
-        """Kill a nodelet manager with all that it hosts."""
+        """Kill a nodelet manager, and its nodelets with it."""
         process = self.processes[manager]
         process.nodelets.clear()
         self._hung.discard(manager)
@@ -131,12 +143,12 @@ class FakeHost(Host):
     def crash(
         self, manager: str, running: Optional[Iterable[str]] = (), unloading: Iterable[str] = ()
     ) -> None:
-        """Let a nodelet manager die of a fault of its own.
+        """Let a nodelet manager crash.
 
         Args:
             manager: its name.
-            running: nodelets whose code it ran; None if nobody can tell.
-            unloading: those that it was unloading because somebody asked for it.
+            running: nodelets whose code was running; None if that is not known.
+            unloading: nodelets that were being unloaded on request.
         """
         at_work = None if running is None else frozenset(map(names.mark, running))
         unloaded = frozenset(map(names.mark, unloading))
@@ -148,7 +160,7 @@ class FakeHost(Host):
         self._hung.add(manager)
 
     def wake(self, manager: str) -> None:
-        """Let it go on; it does what it was told meanwhile."""
+        """Let a stopped process go on; it does what was asked of it meanwhile."""
         self._hung.discard(manager)
         self.arrive()
 
@@ -157,7 +169,7 @@ class FakeHost(Host):
         return manager in self._hung
 
     def arrive(self) -> List[str]:
-        """Let connections that took too long be made after all, where nothing hangs.
+        """Make the connections that took too long, but not those to stopped processes.
 
         Returns:
             Names of the nodelets that were connected.
@@ -177,17 +189,17 @@ class FakeHost(Host):
         return arrived
 
     def add(self, manager: str, kind: NodeletKind = NodeletKind.PYTHON) -> None:
-        """Start a nodelet manager of others, or start it again."""
+        """Start, or restart, a nodelet manager of others."""
         state = ManagerState(manager, kind, str(next(self._incarnations)), own=False)
         self.processes[manager] = FakeManager(state)
 
     def cut(self, manager: str, known: bool = True, unseen: bool = False) -> None:
-        """Cut off the host of a nodelet manager of others.
+        """Cut the network to the host of a nodelet manager of others.
 
         Args:
             manager: its name.
             known: whether it answered since the DyKnow manager was started.
-            unseen: whether it was not even looked for since then.
+            unseen: whether it was not looked for since then.
         """
         self._cut[manager] = replace(
             self.processes[manager].state,
@@ -198,14 +210,14 @@ class FakeHost(Host):
         )
 
     def mend(self, manager: str) -> None:
-        """Connect it again."""
+        """Connect a host that was cut off."""
         del self._cut[manager]
 
     def flow(self) -> set[str]:
-        """Let one message pass wherever one can: every nodelet that is fed sends one on each port.
+        """Send one message on every topic that is published; nodelets with input pass it on.
 
         Returns:
-            The topics on which one passed.
+            The topics on which a message was sent.
         """
         moving = self.topics - self.silent
         waiting = [
@@ -236,8 +248,15 @@ class FakeHost(Host):
         next(p for p in self.processes.values() if name in p.nodelets).nodelets.pop(name)
 
     def nodelet(self, name: str) -> FakeNodelet:
-        """Look at a running nodelet."""
-        return self._find(name)
+        """Return a running nodelet.
+
+        Raises:
+            HostError: it does not run.
+        """
+        process = self._place_of(name)
+        if process is None:
+            raise HostError(f"nodelet '{name}' does not run")
+        return process.nodelets[name]
 
     @property
     def running(self) -> List[str]:
@@ -245,7 +264,7 @@ class FakeHost(Host):
         return sorted(name for process in self.processes.values() for name in process.nodelets)
 
     def publishers(self, topic: str) -> List[str]:
-        """Names of the nodelets that publish on a topic; those that hang do not count."""
+        """Names of the nodelets that publish on a topic and are not stopped."""
         return sorted(
             name
             for manager, process in self.processes.items()
@@ -256,7 +275,7 @@ class FakeHost(Host):
     # The host
 
     def kind_of(self, source: str) -> NodeletKind:
-        """Tell the kind of a declared type."""
+        """Return the kind of a declared type."""
         if source not in self.sources:
             raise HostError(f"no package declares a nodelet type '{source}'")
         return NodeletKind.CPP if source in self.cpp else NodeletKind.PYTHON
@@ -270,12 +289,12 @@ class FakeHost(Host):
         ]
 
     def crashes(self) -> List[Crash]:
-        """Tell of the crashes since the last call."""
+        """Return the crashes since the last call."""
         crashes, self._crashes = self._crashes, []
         return crashes
 
     def look_for(self, manager: str) -> None:
-        """Do nothing: who is there is known at once."""
+        """Do nothing: nodelet managers are known as soon as they are there."""
 
     def ensure(self, kind: NodeletKind, isolated_for: str = "") -> str:
         """Start a nodelet manager if there is none."""
@@ -339,7 +358,7 @@ class FakeHost(Host):
         return found
 
     def ports(self, name: str) -> Tuple[PortState, ...]:
-        """Report the ports."""
+        """Return the ports of a nodelet."""
         self._step("ports", name)
         return tuple(self._process_of(name).nodelets[name].ports.values())
 
@@ -363,14 +382,14 @@ class FakeHost(Host):
         self._apply(ports, config)
 
     def published(self, topics: Iterable[str]) -> FrozenSet[str]:
-        """Tell which topics are published."""
+        """Return those of the topics that are published."""
         self._step("published", "")
         return frozenset(topics) & self.topics
 
     def counts(
         self, wanted: Mapping[str, Collection[str]]
     ) -> Dict[str, Optional[Mapping[str, Count]]]:
-        """Report what was sent; nothing is known of who hangs."""
+        """Return the counts of out-ports; stopped nodelet managers do not answer."""
         found: Dict[str, Optional[Mapping[str, Count]]] = {}
         for manager in sorted(wanted):
             for name in sorted(wanted[manager]):
@@ -396,7 +415,7 @@ class FakeHost(Host):
         return found
 
     def listen(self, topic: str) -> Listening:
-        """Count what passes on a topic."""
+        """Count the messages of a topic."""
         self._step("listen", topic)
         listener = FakeListening(self, topic)
         self.listeners.append(listener)
@@ -428,16 +447,10 @@ class FakeHost(Host):
 
     def _type_of(self, topic: str, but: str) -> str:
         for name in self.running:
-            for port in self._find(name).ports.values():
+            for port in self.nodelet(name).ports.values():
                 if port.topic == topic and name != but:
                     return port.datatype
         return ""
-
-    def _find(self, name: str) -> FakeNodelet:
-        process = self._place_of(name)
-        if process is None:
-            raise HostError(f"nodelet '{name}' does not run")
-        return process.nodelets[name]
 
     def _process_of(self, name: str) -> FakeManager:
         process = self._place_of(name)

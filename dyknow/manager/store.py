@@ -2,8 +2,8 @@
 
 A change is on disk before the call that makes it returns, so what was acknowledged survives when
 the manager is killed. A disk that does not take a change stops no operation: ``trouble`` says what
-is wrong, and the change is written as soon as the disk takes it (``state_file``). Entries that have
-no meaning are set aside, and the others are used.
+is wrong, and the change is written as soon as the disk takes it (``state_file``). Entries without
+a meaning are set aside, and the others are used.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """Explains a plan: as a tree for people, and as a drawing in the language of Graphviz.
 
-What is used more than once is new where it stands first and shared everywhere else, so the prices
-add up to that of the plan. The tree can be read back, so that whoever was sent one can draw it::
+A part that is used more than once is new where it stands first and shared everywhere else, so the
+prices add up to that of the plan. The tree can be read back, so a tree that was sent by a service
+can be drawn::
 
     FieldPosition(ball): cost 2
     └─ localization.position (new, cost 1)
@@ -30,7 +31,7 @@ class Entry(NamedTuple):
         depth: 0 for the goal.
         port: in-port that it supplies, empty for the goal.
         what: transformation and out-port, or topic.
-        how: how it comes about.
+        how: whether it runs, is new or shared, or is a topic.
     """
 
     depth: int
@@ -60,10 +61,10 @@ def as_tree(answer: Answer) -> str:
 
 
 def read_tree(text: str) -> Tuple[str, List[Entry]]:
-    """Read what ``as_tree`` wrote of a plan: its title and its lines.
+    """Read the title and the lines of a plan that ``as_tree`` wrote.
 
     Raises:
-        ValueError: it is something else.
+        ValueError: the text is something else.
     """
     title, *lines = text.rstrip("\n").split("\n")
     entries = []
@@ -79,10 +80,10 @@ def read_tree(text: str) -> Tuple[str, List[Entry]]:
 
 
 def tree_as_dot(text: str) -> str:
-    """Draw a plan that was written as a tree: what is to be made is dashed, topics are rectangles.
+    """Draw a plan that was written as a tree: new nodelets are dashed, topics are rectangles.
 
     Raises:
-        ValueError: it is something else.
+        ValueError: the text is something else.
     """
     title, entries = read_tree(text)
     nodes: Dict[str, str] = {}
@@ -110,7 +111,7 @@ def tree_as_dot(text: str) -> str:
 def _entries(plan: Plan) -> List[Entry]:
     steps: Dict[str, PlanStep] = {step.action.label: step for step in plan.steps}
     entries: List[Entry] = []
-    told: Set[str] = set()
+    seen_labels: Set[str] = set()
     waiting: List[Tuple[int, str, Source]] = [(0, "", plan.goal)]
     while waiting:
         depth, port, source = waiting.pop()
@@ -123,11 +124,11 @@ def _entries(plan: Plan) -> List[Entry]:
             continue
         step = steps[source.label]
         how = f"new, cost {step.action.cost}" if step.action.cost else "at no cost"
-        if source.label in told:
+        if source.label in seen_labels:
             how = _ABOVE
         entries.append(Entry(depth, port, f"{source.label}.{source.port}", how))
-        if source.label not in told:
-            told.add(source.label)
+        if source.label not in seen_labels:
+            seen_labels.add(source.label)
             for in_port, supplier in reversed(step.inputs):
                 waiting.append((depth + 1, in_port, supplier))
     return entries

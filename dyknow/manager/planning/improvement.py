@@ -1,10 +1,10 @@
 """Counts shared parts once: from the cheapest tree to the cheapest plan.
 
-The problem is that of a Steiner arborescence with AND nodes, so exactness has its price. What
-cannot be part of a cheaper plan is left out first: no plan undercuts the maximum over its inputs.
-On the rest a search with bounds is exact when it ends within its budget; what it cannot finish, an
-exchange of single parts improves. The budget counts steps and not seconds, so equal problems have
-equal plans on fast and slow machines.
+The problem is that of a Steiner arborescence with AND nodes, which is NP-hard. First every action
+is left out that cannot be part of a cheaper plan, since no plan costs less than the maximum over
+its inputs. On the others a branch-and-bound search is exact if it ends within its budget; if it
+does not, an exchange of single parts improves the plan. The budget counts steps, not seconds, so
+equal problems have equal plans on fast and slow machines.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from typing import AbstractSet, Dict, List, NamedTuple, Optional, Set, Tuple
 from dyknow.manager.planning.knuth import LIVE, cheapest
 from dyknow.manager.planning.network import Chosen, Network, Reach
 
-#: Actions beyond which a search through all choices is not begun.
+#: Actions beyond which the search is not begun.
 _SEARCHABLE = 2_000
-#: Actions beyond which nobody would run the plan anyway.
-_REASONABLE = 10_000
+#: Actions beyond which a plan is not improved.
+_MOST_ACTIONS = 10_000
 
 
 class PlanDraft(NamedTuple):
-    """A way to the goal: what is chosen, the actions with suppliers first, and their cost."""
+    """A way to the goal: the choices, the actions with suppliers first, and their cost."""
 
     chosen: Chosen
     actions: List[int]
@@ -31,12 +31,12 @@ class PlanDraft(NamedTuple):
 def drafted(
     network: Network, reach: Reach, chosen: Chosen, free: AbstractSet[int]
 ) -> Optional[PlanDraft]:
-    """Follow a choice from the goal; None if it has a cycle."""
+    """Follow choices from the goal; None if they have a cycle."""
     needs, costs = network.needs, network.costs
     order: List[int] = []
     if chosen[reach.goal] == LIVE:
         return PlanDraft(chosen, order, 0)
-    done: Dict[int, bool] = {}  # False: its inputs are being followed
+    done: Dict[int, bool] = {}  # False while its inputs are being followed
     stack = [chosen[reach.goal]]  # actions to enter; ~action to leave it again
     while stack:
         action = stack.pop()
@@ -62,16 +62,16 @@ def drafted(
 def improve(
     network: Network, reach: Reach, draft: PlanDraft, free: AbstractSet[int], steps: int
 ) -> PlanDraft:
-    """Find a way of less cost, or return the given one.
+    """Return a draft of less cost, or the given one.
 
     Args:
-        network: the numbers.
+        network: the library.
         reach: what the goal can reach.
         draft: the cheapest tree.
         free: actions that cost nothing.
-        steps: how much may be tried.
+        steps: the budget.
     """
-    if len(draft.actions) > _REASONABLE:
+    if len(draft.actions) > _MOST_ACTIONS:
         return draft
     bound = cheapest(network, reach, free, use_sum=False, below=draft.cost)
     floor = bound.value.get(reach.goal)
@@ -91,7 +91,7 @@ def improve(
 
 
 def _worthwhile(network: Network, reach: Reach, bound: Dict[int, int]) -> Reach:
-    """Leave out what needs something that alone costs as much as the plan at hand."""
+    """Leave out actions with an input that alone costs as much as the present draft."""
     part = Reach(reach.goal, live=reach.live)
     for action, demands in reach.served.items():
         if all(need in bound for need in network.needs[action]):
@@ -113,7 +113,11 @@ def _search(
     floor: int,
     steps: int,
 ) -> Tuple[PlanDraft, bool]:
-    """Look at every choice that could undercut the best way; exact if it ends in time."""
+    """Search all choices that may cost less than the best draft.
+
+    Returns:
+        The best draft, and whether the search ended within its budget.
+    """
     needs = network.needs
     cost_of = {action: 0 if action in free else network.costs[action] for action in part.served}
     offers: Dict[int, List[int]] = {demand: [] for demand in part.consumers}
@@ -128,14 +132,14 @@ def _search(
     for found in offers.values():
         found.sort(key=price)
     for demand in part.live:
-        offers[demand] = [LIVE]  # costs and needs nothing: nothing is better
+        offers[demand] = [LIVE]  # costs nothing and needs nothing, so no offer is better
 
     chosen: Chosen = {}
-    users: Dict[int, int] = {}  # how many choices rest on an action
+    users: Dict[int, int] = {}  # how many choices use an action
     open_demands: List[int] = [part.goal]
     cost = 0
-    # One frame for each decision: the demand, its offers, the next of them, and how many demands
-    # the present one opened (-1: none is taken yet).
+    # One frame for each decision: the demand, its offers, the position of the next offer, and how
+    # many demands the present one opened (-1 before the first).
     frames: List[Tuple[int, List[int], int, int]] = []
 
     def least() -> int:
@@ -157,7 +161,7 @@ def _search(
     enter()
     while frames:
         demand, order, position, opened = frames.pop()
-        if opened >= 0:  # take the last choice back
+        if opened >= 0:  # undo the last choice
             action = chosen.pop(demand)
             if action != LIVE:
                 users[action] -= 1
@@ -198,7 +202,7 @@ def _search(
 def _exchange(
     network: Network, part: Reach, draft: PlanDraft, free: AbstractSet[int], floor: int, steps: int
 ) -> PlanDraft:
-    """Leave one part after the other out, and see whether the rest serves better."""
+    """Leave out one action after the other, as long as the draft becomes cheaper."""
     size = len(part.served) + len(part.consumers)
     improved = True
     while improved and draft.cost > floor:

@@ -19,7 +19,7 @@ LIVE = -1
 
 @dataclass
 class Values:
-    """What the cheapest way to each demand costs, and how it begins."""
+    """Cost of the cheapest way to each demand, and the action with which it ends."""
 
     value: Dict[int, int] = field(default_factory=dict)
     chosen: Chosen = field(default_factory=dict)
@@ -37,14 +37,14 @@ def cheapest(
     """Value the demands that can be met.
 
     Args:
-        network: the numbers.
-        reach: the part to look at.
+        network: the library.
+        reach: the part of it to value.
         free: actions that cost nothing.
         banned: actions that must not be used.
-        use_sum: price of a tree, in which shared parts are paid again; else the maximum over the
-            inputs, which no plan can undercut.
-        until: stop once this demand is valued.
-        below: stop at this value: what costs as much is not valued.
+        use_sum: use the sum over the inputs, the cost of a tree, in which shared parts are paid
+            again; else the maximum over the inputs, which is a lower bound for every plan.
+        until: stop after this demand.
+        below: value only what costs less than this.
     """
     values = Values()
     value, chosen = values.value, values.chosen

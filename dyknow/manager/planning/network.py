@@ -1,8 +1,8 @@
-"""The AND/OR graph of the library, in numbers: demands and actions are counted as they come.
+"""The AND/OR graph of the library, in numbers: demands and actions are numbered as they come.
 
-Numbers make the planner quick: a library of 100,000 transformations is searched through lists of
-integers. Who supplies a demand is looked up once and remembered until a transformation that could
-change the answer comes or goes.
+Numbers make the planner fast: a library of 100,000 transformations is searched through lists of
+integers. The suppliers of a demand are looked up once, and again after a transformation came or
+went that could change the answer.
 """
 
 from __future__ import annotations
@@ -67,11 +67,11 @@ class Network:
 
     @property
     def waste(self) -> int:
-        """How many numbers stand for what is gone, or was asked for once."""
+        """Numbers of actions that are gone, and of demands that only one request had."""
         return len(self.labels) - len(self._by_label) + self._asked
 
     def numbers(self, labels: AbstractSet[str]) -> Set[int]:
-        """Return the actions of those labels that are known."""
+        """Return the actions of labels; unknown ones are left out."""
         by_label = self._by_label
         return {by_label[label] for label in labels if label in by_label}
 
@@ -102,7 +102,7 @@ class Network:
         return found
 
     def suppliers(self, number: int) -> Dict[int, New]:
-        """Who supplies a demand: actions in the order of their labels, each with its out-port."""
+        """Return the actions that supply a demand, by label, each with its out-port."""
         found = self._suppliers[number]
         if found is None:
             found = {}
@@ -112,7 +112,7 @@ class Network:
         return found
 
     def reach(self, goal: Demand, streams: Supply[Live], exclude: AbstractSet[str]) -> Reach:
-        """Collect what the goal can reach; where a live stream is, nothing more is needed."""
+        """Collect what the goal can reach; a demand with a live stream needs nothing else."""
         self._forget_suppliers()
         self._asked += goal not in self._by_demand
         reach = Reach(self.number(goal))
@@ -122,7 +122,7 @@ class Network:
         any_live = len(streams) > 0
         consumers[reach.goal] = []
         waiting = [reach.goal]
-        for number in waiting:  # grows while it is walked through
+        for number in waiting:  # grows meanwhile
             if any_live:
                 alive = streams.suppliers(self.demands[number])
                 if alive:
@@ -142,7 +142,7 @@ class Network:
         return reach
 
     def sources(self, reach: Reach, chosen: Chosen) -> Dict[int, Source]:
-        """Name what was chosen for each demand that was reached."""
+        """Return the source that was chosen for each demand."""
         known, live = self._suppliers, reach.live
         return {
             demand: live[demand] if action < 0 else (known[demand] or {})[action]
@@ -181,7 +181,7 @@ class Network:
         self.actions.append(Action(label, cost, tuple(needs)))
 
     def _demanded(self, tags: Tuple[str, ...], datatype: str) -> Optional[int]:
-        """Return the number of what an in-port asks for, None if it has no tags."""
+        """Return the number of an in-port's demand; None if it has no tags."""
         key = tags, datatype
         found = self._by_text.get(key)
         if found is None:
@@ -192,7 +192,7 @@ class Network:
         return found
 
     def _forget_suppliers(self) -> None:
-        """Look up again who supplies the demands that a change may concern."""
+        """Forget the suppliers of the demands that a change may concern."""
         for functor in self._touched:
             for name in self.ontology.names_above(functor):
                 for number in self._by_functor.get(name, ()):

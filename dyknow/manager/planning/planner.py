@@ -1,10 +1,10 @@
 """Finds the cheapest way to a stream.
 
-First Knuth's generalisation of Dijkstra's algorithm (``knuth``) gives the cheapest *tree*, in
+First Knuth's generalisation of Dijkstra's algorithm (``knuth``) finds the cheapest *tree*, in
 which a part that is used twice is paid twice. Then the plan is improved by counting shared parts
-once (``improvement``): exactly while the problem is small, within a number of steps beyond. Costs
-are Python's integers: stacked diamonds make trees of 2**1000 without overflow. Nothing is
-recursive. Equal costs are decided by labels and ports, so equal problems have equal plans.
+once (``improvement``): exactly if the problem is small, else within a number of steps. Costs are
+Python's integers: stacked diamonds make trees that cost 2**1000, without overflow. No function is
+recursive. Labels and ports decide between equal costs, so equal problems have equal plans.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ STEPS = 100_000
 
 
 class Planner:
-    """Plans over a library that changes a little at a time; one call at a time."""
+    """Plans with a library that changes a little at a time; one call at a time."""
 
     def __init__(self, ontology: Subsumption = NO_ONTOLOGY) -> None:
         """Start with an empty library."""
@@ -38,7 +38,7 @@ class Planner:
 
     @property
     def waste(self) -> int:
-        """How much it remembers in vain; a new planner remembers nothing of that."""
+        """Numbers that are kept in vain; a new planner would have none."""
         return self._network.waste
 
     def add(self, transformations: Iterable[Transformation]) -> None:
@@ -63,11 +63,11 @@ class Planner:
 
         Args:
             demand: tags and type of the stream.
-            live: streams that are there, with their tags; they cost nothing.
+            live: streams that exist, with their tags; they cost nothing.
             exclude: labels that must not be used, live or new.
-            free: labels of which a nodelet is there that can be re-wired: they cost nothing.
-            steps: how much the improvement may try.
-            paused: labels of which nothing new is to be made; what is live may be used.
+            free: labels of which there is a nodelet that can be connected elsewhere: no cost.
+            steps: budget of the improvement.
+            paused: labels of which no new nodelet is to be made; live streams may be used.
         """
         network = self._network
         streams: Supply[Live] = Supply(network.ontology)
@@ -104,7 +104,7 @@ def _no_plan(network: Network, reach: Reach, trees: Values) -> NoPlan:
     for action, demands in reach.served.items():
         for demand in demands:
             offers[demand].append(action)
-    unmet = {reach.goal}  # reached through unmet demands only: each of them is a reason
+    unmet = {reach.goal}  # and what is reached from it through unmet demands only
     waiting = [reach.goal]
     while waiting:
         for action in offers[waiting.pop()]:
@@ -128,7 +128,7 @@ def _no_collection() -> Iterator[None]:
         yield
     finally:
         if not gc.get_freeze_count():
-            # Hands what is new to the oldest generation as it is: no walk through it here either.
+            # Moves new objects to the oldest generation without a walk through them.
             gc.freeze()
             gc.unfreeze()
         gc.enable()

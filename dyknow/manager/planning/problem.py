@@ -13,12 +13,12 @@ from dyknow.manager.planning.supply import Demand
 
 
 class Live(NamedTuple):
-    """A stream that is there already: it costs nothing.
+    """A stream that exists: it costs nothing.
 
     Attributes:
         topic: global name.
         port: out-port that publishes it, empty for topics of ordinary nodes.
-        nodelet: who publishes it, empty for topics of ordinary nodes.
+        nodelet: its publisher, empty for topics of ordinary nodes.
         label: the transformation behind it.
         datatype: ROS type.
     """
@@ -31,7 +31,7 @@ class Live(NamedTuple):
 
 
 class New(NamedTuple):
-    """An out-port of a transformation that is to be made."""
+    """An out-port of a nodelet that is to be made of a transformation."""
 
     label: str
     port: str
@@ -52,7 +52,7 @@ class Action(NamedTuple):
 
     Attributes:
         label: its name.
-        cost: what it costs to have it, 0 if a nodelet of it can be re-wired.
+        cost: of a nodelet of it; 0 if there is one that can be connected elsewhere.
         needs: tagged in-ports, in the order written.
     """
 
@@ -62,7 +62,7 @@ class Action(NamedTuple):
 
 
 class PlanStep(NamedTuple):
-    """A transformation to be made, and where its inputs come from."""
+    """A nodelet to be made of a transformation, and where its inputs come from."""
 
     action: Action
     inputs: Tuple[Tuple[str, Source], ...]
@@ -97,7 +97,7 @@ class NoPlan(NamedTuple):
     Attributes:
         demand: what was asked for.
         missing: demands that nothing supplies, sorted by their text.
-        circular: whether, instead, everything that supplies it needs it first.
+        circular: whether nothing is missing, but everything that supplies it needs it first.
     """
 
     demand: Demand
@@ -114,4 +114,4 @@ class NoPlan(NamedTuple):
 
 Answer = Union[Plan, NoPlan]
 NO_LABELS: FrozenSet[str] = frozenset()
-"""Nothing is excluded."""
+"""No label."""

@@ -1,4 +1,4 @@
-"""Who supplies what: an index of out-ports and live streams by the tags that they satisfy."""
+"""An index of out-ports and live streams by the tags that they satisfy."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ Supplier = TypeVar("Supplier", bound=Hashable)
 
 #: Types that go with every other.
 _ANY = ("", "*")
-#: Combinations of superordinate names that are spelled out in the index for one tag.
-_SPELLED_OUT = 64
+#: Combinations of superordinate names that the index has for one tag.
+_MOST_KEYS = 64
 
 
 class Demand(NamedTuple):
@@ -44,7 +44,7 @@ class Demand(NamedTuple):
 def meets(
     tags: Iterable[Term], datatype: str, demand: Demand, ontology: Subsumption = NO_ONTOLOGY
 ) -> bool:
-    """Tell whether one stream of these tags and type is what is demanded."""
+    """Return whether a stream of these tags and type is what is demanded."""
     supplied = [tag for tag in tags if tag.is_ground]
     if demand.datatype not in _ANY and datatype not in (*_ANY, demand.datatype):
         return False
@@ -56,18 +56,16 @@ def meets(
 class Supply(Generic[Supplier]):
     """An index that grows and shrinks; ground demands are one look-up."""
 
-    def __init__(
-        self, ontology: Subsumption = NO_ONTOLOGY, spelled_out: int = _SPELLED_OUT
-    ) -> None:
+    def __init__(self, ontology: Subsumption = NO_ONTOLOGY, most_keys: int = _MOST_KEYS) -> None:
         """Start empty.
 
         Args:
             ontology: what is a kind of what.
-            spelled_out: combinations of superordinate names to spell out for one tag; tags with
-                more are compared one by one.
+            most_keys: combinations of superordinate names that the index has for one tag; tags
+                with more are compared one by one.
         """
         self._ontology = ontology
-        self._spelled_out = spelled_out
+        self._most_keys = most_keys
         self._by_term: Dict[Term, Set[Supplier]] = {}
         self._by_functor: Optional[Dict[_Functor, Dict[Supplier, Set[Term]]]] = None
         self._wide: Dict[Supplier, Set[Term]] = {}
@@ -79,7 +77,7 @@ class Supply(Generic[Supplier]):
         return len(self._datatypes)
 
     def add(self, supplier: Supplier, tags: Iterable[Term], datatype: str) -> None:
-        """Add an out-port or stream; tags with variables supply nothing and are passed over."""
+        """Add an out-port or stream; its tags with variables supply nothing."""
         tags = tuple(tags)
         self._tags[supplier] = self._tags.get(supplier, ()) + tags
         self._datatypes[supplier] = datatype
@@ -114,7 +112,7 @@ class Supply(Generic[Supplier]):
                 self._by_term.get(key, set()).discard(supplier)
 
     def suppliers(self, demand: Demand) -> List[Supplier]:
-        """Who satisfies every tag of the demand with the demanded type, in no special order."""
+        """Return the suppliers of every tag of a demand with the demanded type, in any order."""
         found: Optional[AbstractSet[Supplier]] = None
         for term in demand.tags:
             one = self._of_term(term)
@@ -143,7 +141,7 @@ class Supply(Generic[Supplier]):
         return found
 
     def _with_functor(self, functor: _Functor) -> Dict[Supplier, Set[Term]]:
-        """Who supplies a functor; the index of functors is made when it is first asked for."""
+        """Return the suppliers of a functor, by an index that is made at the first call."""
         if self._by_functor is None:
             self._by_functor = {}
             for supplier, terms in self._tags.items():
@@ -160,7 +158,7 @@ class Supply(Generic[Supplier]):
             place.setdefault(supplier, set()).add(term)
 
     def _keys(self, term: Term) -> Optional[Iterable[Term]]:
-        """Every ground demand that a tag satisfies, or None if these are too many."""
+        """Return every ground demand that a tag satisfies; None if these are too many."""
         if self._ontology is NO_ONTOLOGY:
             return (term,)
         above = self._ontology.names_above
@@ -169,6 +167,6 @@ class Supply(Generic[Supplier]):
         count = len(functors)
         for names in choices:
             count *= len(names)
-        if count > self._spelled_out:
+        if count > self._most_keys:
             return None
         return [Term(name, args) for name in functors for args in itertools.product(*choices)]

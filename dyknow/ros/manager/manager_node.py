@@ -1,9 +1,10 @@
 """The node dyknow_manager: the paper's manager, with all that it needs from ROS.
 
-Who owns what: ``ManagerNode`` owns the store, the children, the host, the manager and what speaks
-for it: services, the topic of the model, the streams, the watch, the workers that bring back what
-died. Being told to end (SIGINT, SIGTERM, rosnode kill) is an end on purpose: nodelets, claims and
-nodelet managers end too. A manager that is killed leaves them, and its next life takes them over.
+Who owns what: ``ManagerNode`` owns the store, the nodelet managers that it started, the host, the
+manager, and its connections with ROS: services, the topic of the model, the streams, the watch and
+the workers that bring nodelets back. SIGINT, SIGTERM and rosnode kill end it on purpose: nodelets,
+claims and nodelet managers end too. A manager that is killed leaves them, and its next life takes
+them over.
 """
 
 from __future__ import annotations
@@ -98,7 +99,7 @@ class ManagerNode(Closable):
         self._listener = Listener(self._watch.refresh)
 
     def start(self) -> None:
-        """Take over what runs, bring back what does not, and offer the services."""
+        """Take over the nodelets of an earlier life, and offer the services."""
         self._children.adopt()
         self._children.want(NodeletKind.PYTHON, self._settings.num_nodelet_managers)
         self._load_transformations()
@@ -107,7 +108,7 @@ class ManagerNode(Closable):
         )
         self.manager.on_change = self._publisher.note_change
         ontology = NO_ONTOLOGY if self._ontology is None else self._ontology
-        # Before the start, since it decides how nodelets that come back are connected.
+        # Made before the start, since it decides how nodelets that come back are connected.
         reconciler = StreamReconciler(self.manager, ontology)
         self.manager.start()
         self._retire_empty()
@@ -153,16 +154,15 @@ class ManagerNode(Closable):
     def _forget_transformations(self) -> None:
         """Delete ``~transformations``: they are in the durable library, until they are removed.
 
-        Otherwise the parameter would add them to the library of whoever comes next, also where
-        that was never told to.
+        Otherwise the parameter would add them to the library of the next manager of this name.
         """
         try:
             self._master.ask("deleteParam", names.join(self._master.caller, "transformations"))
         except (LookupError, PeerTimeout):
-            return  # it was not set, or nobody is there to keep it
+            return  # it was not set, or the ROS master is gone
 
     def _retire_empty(self) -> None:
-        """End processes for nodelets that nobody was told of."""
+        """End processes that were started for nodelets whose spawn never returned."""
         for state in self._host.managers():
             if state.isolated_for and self.manager.graph.find(state.isolated_for) is None:
                 self._host.retire(state.name)
@@ -190,7 +190,7 @@ class ManagerNode(Closable):
 
     def _after_change(self) -> None:
         self._cpp.follow()
-        self._host.protect(self._protected())  # first: with the next line they are handed over
+        self._host.protect(self._protected())  # first, since the next line hands them over
         self._listener.follow(self._python_managers())
 
     def _after_look(self) -> None:
@@ -201,7 +201,7 @@ class ManagerNode(Closable):
 def _is_running(argv: Sequence[str]) -> bool:
     """Whether a manager of that name runs already.
 
-    The master would tell it to end, and with it all its nodelets would end.
+    The master would tell that one to end, and its nodelets with it.
     """
     mappings = rosgraph.names.load_mappings(argv)
     namespace = mappings.get("__ns", rosgraph.names.get_ros_namespace(argv=[]))
@@ -211,7 +211,7 @@ def _is_running(argv: Sequence[str]) -> bool:
         uri = master.node(name)
         pid = master.pid(name, uri, _ANSWER_TIMEOUT) if uri else 0
     except (PeerTimeout, LookupError):
-        return False  # rospy waits for the master; what does not answer is dead or about to be
+        return False  # rospy waits for the master; a node that does not answer is dead or ends
     if pid:
         print(f"{name} runs already (process {pid}); end it first: rosnode kill {name}")
     return bool(pid)

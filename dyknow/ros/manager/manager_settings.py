@@ -33,17 +33,17 @@ _PARAMETERS = (
 
 @dataclass(frozen=True)
 class ManagerSettings:
-    """What the parameters say.
+    """Values of the parameters.
 
     Attributes:
         nodelet_managers: global names of nodelet managers of others to use as well.
         num_nodelet_managers: nodelet managers of its own.
         state_dir: folder of the durable state.
-        ontologies: files that templates look concepts up in.
+        ontologies: files with the concepts of templates.
         transformations: files of specifications to add at the start.
         spawn_timeout: seconds that a nodelet may take to come up.
-        orphan_timeout: seconds that its nodelet managers go on without it; 0 for ever.
-        guards: what nobody may do.
+        orphan_timeout: seconds for which its nodelet managers outlive it; 0 for ever.
+        guards: what is forbidden.
         limits: how large specifications may be.
     """
 
@@ -65,7 +65,7 @@ class ManagerSettings:
             DyKnowError: a parameter has no sensible value.
         """
         node = rospy.get_name()
-        _warn_of_strangers()
+        _warn_of_unknown()
         return cls(
             nodelet_managers=tuple(
                 names.resolve(name, names.parent(node), node, "name in ~nodelet_managers")
@@ -93,14 +93,14 @@ class ManagerSettings:
         )
 
     def state_path(self, ending: str) -> str:
-        """File of the durable state: there is one for each master and each name of the node."""
+        """Return a file of the durable state, of which each master and node name has its own."""
         host, port = rosgraph.network.parse_http_host_and_port(rosgraph.get_master_uri())
         key = re.sub(r"[^A-Za-z0-9.]+", "-", f"{host}-{port}{rospy.get_name()}")
         return os.path.join(self.state_dir, f"{key}.{ending}")
 
 
-def _warn_of_strangers() -> None:
-    """A parameter with a wrong name would silently change nothing."""
+def _warn_of_unknown() -> None:
+    """Warn of unknown parameters, which would change nothing without a word."""
     given = rospy.get_param("~", {})
     for name in sorted(given) if isinstance(given, dict) else ():
         if name not in _PARAMETERS:
@@ -121,7 +121,7 @@ def _string(name: str) -> str:
 
 
 def _strings(name: str) -> Tuple[str, ...]:
-    """A list, or one text with white space between the entries, as launch files write it."""
+    """Read a list, or a text with white space between the entries, as launch files have it."""
     value = rospy.get_param("~" + name, [])
     if isinstance(value, str):
         value = value.split()
@@ -152,5 +152,5 @@ def _seconds(name: str, default: float, least: float) -> float:
 
 
 def _limits(kind: Any, *limits: str) -> Dict[str, int]:
-    """Limits by name, as ``~limits/NAME`` sets them."""
+    """Read limits by name, as ``~limits/NAME`` sets them."""
     return {limit: _integer(f"limits/{limit}", getattr(kind, limit)) for limit in limits}

@@ -88,9 +88,9 @@ WANTED = st.builds(
     st.sampled_from(["", "t/A"]),
     st.integers(0, 64),
 )
-def test_the_index_finds_exactly_what_matching_says(offers, tags, datatype, spelled_out) -> None:  # type: ignore[no-untyped-def]
+def test_the_index_finds_exactly_what_matching_says(offers, tags, datatype, most_keys) -> None:  # type: ignore[no-untyped-def]
     ontology = Kinds()
-    supply: Supply[int] = Supply(ontology, spelled_out=spelled_out)
+    supply: Supply[int] = Supply(ontology, most_keys=most_keys)
     for number, (terms, kind) in enumerate(offers):
         supply.add(number, terms, kind)
     expected = [
