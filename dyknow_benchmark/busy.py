@@ -13,8 +13,8 @@ from typing import Dict, Optional
 from dyknow_benchmark import machine, options, progress
 from dyknow_benchmark.chains import Chains
 from dyknow_benchmark.control import Block, Order
-from dyknow_benchmark.managers import Manager
-from dyknow_benchmark.outcome import Outcome
+from dyknow_benchmark.managers import RunningManager
+from dyknow_benchmark.outcome import Results
 from dyknow_benchmark.session import Session
 from dyknow_benchmark.summary import Summary
 
@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run(arguments: argparse.Namespace) -> Outcome:
+def run(arguments: argparse.Namespace) -> Results:
     """Measure and put the results together."""
     hops = arguments.hops
     turns = -(-arguments.messages // _BLOCK)
@@ -42,10 +42,10 @@ def run(arguments: argparse.Namespace) -> Outcome:
     with Session() as session:
         chains = Chains(session)
         chain = chains.build("dyknow", hops, [hops])
-        cases: Dict[str, Optional[Manager]] = {
+        cases: Dict[str, Optional[RunningManager]] = {
             "none": None,
             "same manager": chains.python,
-            "own manager": Manager.python(session, "/manager_of_the_burner"),
+            "own manager": RunningManager.python(session, "/manager_of_the_burner"),
         }
         blocks = {case: Block() for case in cases}
         load = machine.Load()
@@ -57,7 +57,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
             blocks[case].add(chain.finish(order, chain.begin(order)))
             if manager is not None:
                 manager.unload(_BURNER)
-    outcome = Outcome()
+    outcome = Results()
     rows = []
     for case, block in blocks.items():
         s = Summary.of(block.latencies[hops])

@@ -19,7 +19,7 @@ from dyknow_benchmark import figure, machine, options, progress, ratios, tables
 from dyknow_benchmark.chains import Chains
 from dyknow_benchmark.control import Block, ChainControl, Order, run_alternating
 from dyknow_benchmark.kinds import KINDS, THE_PAPERS
-from dyknow_benchmark.outcome import Outcome
+from dyknow_benchmark.outcome import Results
 from dyknow_benchmark.session import Session
 from dyknow_benchmark.summary import Summary, median, median_interval
 from dyknow_benchmark.targets import Verdict
@@ -35,7 +35,7 @@ PAIR_MESSAGES = 25
 
 
 @dataclass(frozen=True)
-class Plan:
+class ChainPlan:
     """What is to be measured.
 
     Attributes:
@@ -71,8 +71,8 @@ class Plan:
 
 
 _HOPS = (1, 2, 5, 10, 20, 50)
-PAPER = Plan(THE_PAPERS, _HOPS, 5.0, 1000, 10, 20, PAIR_MESSAGES, 200)
-QUICK = Plan(THE_PAPERS, _HOPS, 100.0, 400, 4, 20, 10, 30)
+PAPER = ChainPlan(THE_PAPERS, _HOPS, 5.0, 1000, 10, 20, PAIR_MESSAGES, 200)
+QUICK = ChainPlan(THE_PAPERS, _HOPS, 100.0, 400, 4, 20, 10, 30)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -112,11 +112,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def plan_of(arguments: argparse.Namespace) -> Plan:
+def plan_of(arguments: argparse.Namespace) -> ChainPlan:
     """Fill in what the command line leaves open: the paper's setting, or the quick one."""
     default = QUICK if arguments.quick else PAPER
     given = set(arguments.kinds or default.kinds)
-    return Plan(
+    return ChainPlan(
         kinds=tuple(kind for kind in KINDS if kind in given),
         hops=tuple(sorted(set(arguments.hops or default.hops))),
         frequency=arguments.rate or default.frequency,
@@ -132,7 +132,7 @@ def plan_of(arguments: argparse.Namespace) -> Plan:
     )
 
 
-def run(arguments: argparse.Namespace) -> Outcome:
+def run(arguments: argparse.Namespace) -> Results:
     """Measure and put the results together."""
     plan = plan_of(arguments)
     with Session() as session:
@@ -150,7 +150,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     return outcome(plan, blocks, differences, further, load.rows())
 
 
-def measure(plan: Plan, controls: Dict[str, ChainControl]) -> Dict[str, Block]:
+def measure(plan: ChainPlan, controls: Dict[str, ChainControl]) -> Dict[str, Block]:
     """Let the kinds take turns; the order is reversed from turn to turn."""
     blocks = {kind: Block() for kind in plan.kinds}
     turns = [
@@ -163,7 +163,7 @@ def measure(plan: Plan, controls: Dict[str, ChainControl]) -> Dict[str, Block]:
     return blocks
 
 
-def pair(plan: Plan, controls: Dict[str, ChainControl]) -> Dict[int, List[float]]:
+def pair(plan: ChainPlan, controls: Dict[str, ChainControl]) -> Dict[int, List[float]]:
     """Differences of the median times, dyknow minus nodelet, by hops.
 
     Medians, because one message that the machine delays would outweigh all that is measured.
@@ -182,12 +182,12 @@ def pair(plan: Plan, controls: Dict[str, ChainControl]) -> Dict[int, List[float]
 
 
 def outcome(
-    plan: Plan,
+    plan: ChainPlan,
     blocks: Dict[str, Block],
     differences: Dict[int, List[float]],
     further: Sequence[Verdict],
     load: Sequence[Tuple[str, tables.Cell]],
-) -> Outcome:
+) -> Results:
     """Make tables, the figure and the verdicts of what was measured."""
     summaries = {
         (kind, hops): Summary.of(blocks[kind].latencies.get(hops, []))
@@ -204,7 +204,7 @@ def outcome(
         if values
     ]
     means = {key: summary.mean for key, summary in summaries.items() if summary.count}
-    outcome = Outcome([*judge(plan, means, differences), *further])
+    outcome = Results([*judge(plan, means, differences), *further])
     outcome.table("figure4", "time to arrival", HEADER, rows)
     if overhead:
         outcome.table("overhead", "what the proxy adds", OVERHEAD_HEADER, overhead)
@@ -215,7 +215,7 @@ def outcome(
 
 
 def judge(
-    plan: Plan, means: Dict[Tuple[str, int], float], differences: Dict[int, List[float]]
+    plan: ChainPlan, means: Dict[Tuple[str, int], float], differences: Dict[int, List[float]]
 ) -> List[Verdict]:
     """Compare with the targets that apply; they are stated for 50 hops."""
     verdicts = []

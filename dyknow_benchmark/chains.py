@@ -6,7 +6,7 @@ import sys
 from typing import Callable, Dict, Optional, Sequence
 
 from dyknow_benchmark.control import ChainControl
-from dyknow_benchmark.managers import Manager
+from dyknow_benchmark.managers import RunningManager
 from dyknow_benchmark.session import Session, executable
 
 #: What the names of a kind's nodelets begin with.
@@ -18,8 +18,8 @@ class Chains:
 
     def __init__(self, session: Session) -> None:
         self._session = session
-        self._python: Optional[Manager] = None
-        self._cpp: Optional[Manager] = None
+        self._python: Optional[RunningManager] = None
+        self._cpp: Optional[RunningManager] = None
         self._builders: Dict[str, Callable[[str, int, Sequence[int], str], None]] = {
             "dyknow": self._dyknow,
             "nodelet": self._nodelet,
@@ -31,17 +31,17 @@ class Chains:
         }
 
     @property
-    def python(self) -> Manager:
+    def python(self) -> RunningManager:
         """DyKnow's nodelet manager, started when first needed."""
         if self._python is None:
-            self._python = Manager.python(self._session)
+            self._python = RunningManager.python(self._session)
         return self._python
 
     @property
-    def cpp(self) -> Manager:
+    def cpp(self) -> RunningManager:
         """The stock nodelet manager, started when first needed."""
         if self._cpp is None:
-            self._cpp = Manager.cpp(self._session)
+            self._cpp = RunningManager.cpp(self._session)
         return self._cpp
 
     def build(
@@ -132,7 +132,7 @@ class Chains:
 
 
 def load_hops(
-    manager: Manager,
+    manager: RunningManager,
     prefix: str,
     control: str,
     length: int,
@@ -154,7 +154,7 @@ def load_hops(
 
 
 def load_hop(
-    manager: Manager,
+    manager: RunningManager,
     prefix: str,
     control: str,
     hop: int,
@@ -171,7 +171,7 @@ def load_hop(
     )
 
 
-def load_source(manager: Manager, prefix: str, control: str, payload: str = "time") -> None:
+def load_source(manager: RunningManager, prefix: str, control: str, payload: str = "time") -> None:
     """Load the source of a chain; the arguments are those of ``load_hops``."""
     manager.load(
         f"{control}/source",
@@ -182,7 +182,12 @@ def load_source(manager: Manager, prefix: str, control: str, payload: str = "tim
 
 
 def _load_chain(
-    manager: Manager, kind: str, control: str, length: int, record: Sequence[int], payload: str
+    manager: RunningManager,
+    kind: str,
+    control: str,
+    length: int,
+    record: Sequence[int],
+    payload: str,
 ) -> None:
     load_hops(manager, _PREFIXES[kind], control, length, record, payload)
     load_source(manager, _PREFIXES[kind], control, payload)

@@ -20,7 +20,7 @@ from std_msgs.msg import Empty, Header
 import dyknow
 from dyknow.ros.acquiring import AcquiredStream
 from dyknow_benchmark import machine, options, progress, system
-from dyknow_benchmark.outcome import Outcome
+from dyknow_benchmark.outcome import Results
 from dyknow_benchmark.session import Session, wait_until
 from dyknow_benchmark.targets import Verdict
 
@@ -62,7 +62,7 @@ class _Listener:
             return self._last[life]
 
 
-def run(arguments: argparse.Namespace) -> Outcome:
+def run(arguments: argparse.Namespace) -> Results:
     """Measure and put the results together."""
     rows = []
     verdicts = []
@@ -77,7 +77,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
             rows.append((failure.kind, len(times), *system.spread(times)))
             what = f"{failure.kind}: replaced, median in s"
             verdicts.append(Verdict(what, system.spread(times)[1], failure.target))
-    outcome = Outcome(verdicts)
+    outcome = Results(verdicts)
     outcome.table("failover", "failover of a claimed stream", HEADER, rows)
     outcome.table("machine", "the machine", machine.HEADER, load.rows())
     return outcome

@@ -13,7 +13,7 @@ from dyknow_benchmark import machine, options, progress
 from dyknow_benchmark.chains import Chains
 from dyknow_benchmark.control import Block, Order
 from dyknow_benchmark.kinds import KINDS
-from dyknow_benchmark.outcome import Outcome
+from dyknow_benchmark.outcome import Results
 from dyknow_benchmark.session import Session
 from dyknow_benchmark.summary import Summary
 
@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run(arguments: argparse.Namespace) -> Outcome:
+def run(arguments: argparse.Namespace) -> Results:
     """Measure and put the results together."""
     blocks: Dict[Tuple[str, int], List[Block]] = {
         (kind, receivers): []
@@ -57,7 +57,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
         steps = [key for _ in range(turns) for key in blocks]
         for key in progress.steps(steps, "fan", len(steps)):
             blocks[key].append(controls[key].finish(order, controls[key].begin(order)))
-    outcome = Outcome()
+    outcome = Results()
     rows = []
     for (kind, receivers), measured in blocks.items():
         s = Summary.of([last for block in measured for last in last_arrivals(block)])

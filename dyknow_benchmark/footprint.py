@@ -14,7 +14,7 @@ from typing import Iterable, Sequence, Tuple
 from dyknow_benchmark import machine, options, progress, tables
 from dyknow_benchmark.chains import Chains
 from dyknow_benchmark.kinds import KINDS
-from dyknow_benchmark.outcome import Outcome
+from dyknow_benchmark.outcome import Results
 from dyknow_benchmark.session import Session
 
 HEADER = ("kind", "parts", "kib_each", "threads_each", "processes")
@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--nodes", type=options.positive, default=20, help="default: %(default)d")
 
 
-def run(arguments: argparse.Namespace) -> Outcome:
+def run(arguments: argparse.Namespace) -> Results:
     """Measure and put the results together."""
     rows = []
     with Session() as session:
@@ -45,7 +45,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
             parts = arguments.nodelets if kind in _NODELETS else arguments.nodes
             progress.say(f"setting up {parts}: {KINDS[kind]}")
             rows.append(_measure(session, chains, kind, parts))
-    outcome = Outcome()
+    outcome = Results()
     outcome.table("footprint", "what a nodelet or a node takes", HEADER, rows)
     outcome.table("machine", "the machine", machine.HEADER, load.rows())
     return outcome

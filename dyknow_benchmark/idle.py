@@ -7,8 +7,8 @@ import time
 
 from dyknow_benchmark import machine, options, progress
 from dyknow_benchmark.chains import load_hops
-from dyknow_benchmark.managers import Manager
-from dyknow_benchmark.outcome import Outcome
+from dyknow_benchmark.managers import RunningManager
+from dyknow_benchmark.outcome import Results
 from dyknow_benchmark.session import Session
 
 HEADER = ("nodelets", "seconds", "cpu_seconds", "cpu_percent")
@@ -22,10 +22,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=float, default=30.0)
 
 
-def run(arguments: argparse.Namespace) -> Outcome:
+def run(arguments: argparse.Namespace) -> Results:
     """Measure and put the results together."""
     with Session() as session:
-        manager = Manager.python(session)
+        manager = RunningManager.python(session)
         load_hops(manager, "", "/benchmark/idle", arguments.nodelets)
         time.sleep(_REST)
         load = machine.Load()
@@ -33,7 +33,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
         begin, used = time.monotonic(), machine.cpu_seconds(manager.pid)
         time.sleep(arguments.seconds)
         seconds, used = time.monotonic() - begin, machine.cpu_seconds(manager.pid) - used
-    outcome = Outcome()
+    outcome = Results()
     row = (arguments.nodelets, seconds, used, 100.0 * used / seconds)
     outcome.table("idle", "an idle nodelet manager", HEADER, [row])
     outcome.table("machine", "the machine", machine.HEADER, load.rows())

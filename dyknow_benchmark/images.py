@@ -12,7 +12,7 @@ from typing import Dict, Sequence
 from dyknow_benchmark import machine, options, progress
 from dyknow_benchmark.chains import Chains
 from dyknow_benchmark.control import Block, Order, run_alternating
-from dyknow_benchmark.outcome import Outcome
+from dyknow_benchmark.outcome import Results
 from dyknow_benchmark.session import MeasurementFailed, Session
 from dyknow_benchmark.summary import Summary
 from dyknow_benchmark.targets import Verdict
@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run(arguments: argparse.Namespace) -> Outcome:
+def run(arguments: argparse.Namespace) -> Results:
     """Measure and put the results together."""
     hops = arguments.hops
     payloads = ["time", *dict.fromkeys(arguments.sizes)]
@@ -58,7 +58,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
         load = machine.Load()
         blocks = measure(chains, payloads, hops, arguments.rate, arguments.messages)
     summaries = {name: Summary.of(block.latencies[hops]) for name, block in blocks.items()}
-    outcome = Outcome([verdict(blocks, size, hops) for size in payloads[1:] if size == LARGEST])
+    outcome = Results([verdict(blocks, size, hops) for size in payloads[1:] if size == LARGEST])
     rows = [
         (name, hops, s.count, blocks[name].sent - s.count, s.mean, s.median, s.p99, s.max)
         for name, s in summaries.items()

@@ -15,8 +15,8 @@ from pathlib import Path
 import rosgraph
 
 from dyknow_benchmark import machine, options, progress
-from dyknow_benchmark.managers import Manager
-from dyknow_benchmark.outcome import Outcome
+from dyknow_benchmark.managers import RunningManager
+from dyknow_benchmark.outcome import Results
 from dyknow_benchmark.session import Session
 from dyknow_benchmark.switching import ENDS, Switching
 from dyknow_benchmark.targets import Verdict
@@ -38,7 +38,7 @@ class Census:
     resident_kib: int
 
     @classmethod
-    def take(cls, manager: Manager) -> Census:
+    def take(cls, manager: RunningManager) -> Census:
         """Count."""
         process = Path(f"/proc/{manager.pid}")
         state = rosgraph.Master("/benchmark").getSystemState()
@@ -57,10 +57,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run(arguments: argparse.Namespace) -> Outcome:
+def run(arguments: argparse.Namespace) -> Results:
     """Measure and put the results together."""
     with Session() as session:
-        manager = Manager.python(session)
+        manager = RunningManager.python(session)
         switching = Switching(manager, rate=100.0)
         load = machine.Load()
         for _ in range(_WARM_UP):
@@ -71,7 +71,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
         after = _settled(manager)
     names = [field.name for field in fields(Census)]
     rows = list(zip(names, astuple(before), astuple(after)))
-    outcome = Outcome(
+    outcome = Results(
         [
             Verdict(f"{name} left by {arguments.cycles} cycles", now - then, 0)
             for name, then, now in rows
@@ -83,7 +83,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     return outcome
 
 
-def _cycle(manager: Manager, switching: Switching) -> None:
+def _cycle(manager: RunningManager, switching: Switching) -> None:
     for end in ENDS:
         switching.switch(end)
     name = "/benchmark/leak/hop"
@@ -92,7 +92,7 @@ def _cycle(manager: Manager, switching: Switching) -> None:
     manager.unload(name)
 
 
-def _settled(manager: Manager) -> Census:
+def _settled(manager: RunningManager) -> Census:
     """Count until two counts in a row, a second apart, are the same, or time is up."""
     end = time.monotonic() + _SETTLE
     census = Census.take(manager)

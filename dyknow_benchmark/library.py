@@ -12,7 +12,7 @@ from dyknow.manager.planning.supply import Demand
 from dyknow.manager.specifications.specification import parse
 from dyknow.manager.specifications.tags import parse_tag
 from dyknow_benchmark import machine, options, progress, system
-from dyknow_benchmark.outcome import Outcome
+from dyknow_benchmark.outcome import Results
 from dyknow_benchmark.session import MeasurementFailed, Session
 from dyknow_benchmark.targets import Verdict
 
@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--transformations", type=options.positive, default=100_000)
 
 
-def run(arguments: argparse.Namespace) -> Outcome:
+def run(arguments: argparse.Namespace) -> Results:
     """Measure and put the results together."""
     count = arguments.transformations
     text = system.library_text(count)
@@ -42,7 +42,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     transformations = parse(text).transformations
     parsing = time.monotonic() - begin
     indexing, plans = _plan(transformations, count)
-    outcome = Outcome(
+    outcome = Results(
         [
             Verdict("plan, median in s", system.spread(plans)[1], 0.5),
             Verdict("plan with the planner's index made first, in s", indexing + plans[0], 2.0),

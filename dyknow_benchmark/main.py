@@ -26,7 +26,7 @@ from dyknow_benchmark import (
     rewire,
     throughput,
 )
-from dyknow_benchmark.outcome import Outcome, obstacle
+from dyknow_benchmark.outcome import Results, obstacle
 from dyknow_benchmark.session import MeasurementFailed, interruptible
 
 #: Measurements by name; each module has ``add_arguments``, ``run`` and a docstring.
@@ -78,7 +78,7 @@ def main(argv: Optional[Sequence[str]] = None) -> int:
     return TARGET_NOT_MET if arguments.check and not outcome.met else 0
 
 
-def _write(outcome: Outcome, directory: Path) -> bool:
+def _write(outcome: Results, directory: Path) -> bool:
     """Write the files and say so; or why not."""
     try:
         paths = outcome.write(directory)

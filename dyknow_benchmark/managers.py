@@ -11,7 +11,7 @@ from nodelet.srv import NodeletList, NodeletLoad, NodeletUnload
 from dyknow_benchmark.session import START_PATIENCE, MeasurementFailed, Session, executable
 
 
-class Manager:
+class RunningManager:
     """A nodelet manager that runs; both kinds have the same services."""
 
     def __init__(self, session: Session, name: str, pid: int) -> None:
@@ -29,14 +29,14 @@ class Manager:
                 raise MeasurementFailed(f"{name} offers no services: {error}") from error
 
     @classmethod
-    def python(cls, session: Session, name: str = "/dyknow_manager_process") -> Manager:
+    def python(cls, session: Session, name: str = "/dyknow_manager_process") -> RunningManager:
         """Start DyKnow's."""
         script = executable("dyknow", "nodelet_manager")
         process = session.start([sys.executable, script, f"__name:={name[1:]}"])
         return cls(session, name, process.pid)
 
     @classmethod
-    def cpp(cls, session: Session, name: str = "/cpp_manager_process") -> Manager:
+    def cpp(cls, session: Session, name: str = "/cpp_manager_process") -> RunningManager:
         """Start the stock one."""
         program = executable("nodelet", "nodelet")
         process = session.start([program, "manager", f"__name:={name[1:]}"])

@@ -10,7 +10,7 @@ import rospy
 from dyknow_msgs.msg import Model
 
 from dyknow_benchmark import machine, options, progress, system
-from dyknow_benchmark.outcome import Outcome
+from dyknow_benchmark.outcome import Results
 from dyknow_benchmark.session import Session
 from dyknow_benchmark.targets import Verdict
 
@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--nodelets", type=options.positive, default=500)
 
 
-def run(arguments: argparse.Namespace) -> Outcome:
+def run(arguments: argparse.Namespace) -> Results:
     """Measure and put the results together."""
     spawns: List[float] = []
     answers: List[float] = []
@@ -53,7 +53,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
         progress.say(f"listening for {_QUIET:g} s while nothing changes")
         time.sleep(_QUIET)
         subscriber.unregister()
-    outcome = Outcome(
+    outcome = Results(
         [
             Verdict("spawn, median in ms", system.spread(spawns)[1], 30.0),
             Verdict("GetModel, median in ms", system.spread(answers)[1], 50.0),

@@ -6,7 +6,7 @@ from typing import Any
 
 import dyknow
 from dyknow_benchmark import wiring
-from dyknow_benchmark.parts import Hop, Ring, Source, payload_of
+from dyknow_benchmark.parts import Hop, MessageSource, Ring, payload_of
 
 
 class ChainSource(dyknow.Nodelet):
@@ -20,7 +20,7 @@ class ChainSource(dyknow.Nodelet):
         handle = self._handle()
         payload = payload_of(handle.get_param("~payload", "time"))
         publisher = handle.Publisher("out", payload.datatype, queue_size=10)
-        self._source = Source(publisher.publish, payload)
+        self._source = MessageSource(publisher.publish, payload)
         wiring.listen_send(self.node_handle, handle.get_param("~control"), self._source)
 
     def on_shutdown(self) -> None:

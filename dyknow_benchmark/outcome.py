@@ -13,7 +13,7 @@ from dyknow_benchmark.targets import Verdict
 
 
 @dataclass(frozen=True)
-class Table:
+class ResultTable:
     """Rows that are shown under a title and written to ``NAME.csv``."""
 
     name: str
@@ -23,11 +23,11 @@ class Table:
 
 
 @dataclass
-class Outcome:
+class Results:
     """Results of one measurement, in the order in which they are shown."""
 
     verdicts: Sequence[Verdict] = ()
-    tables: List[Table] = field(default_factory=list)
+    tables: List[ResultTable] = field(default_factory=list)
     pictures: List[Tuple[str, Callable[[Path], None]]] = field(default_factory=list)
 
     @property
@@ -39,7 +39,7 @@ class Outcome:
         self, name: str, title: str, header: Sequence[str], rows: Sequence[Sequence[Cell]]
     ) -> None:
         """Add a table."""
-        self.tables.append(Table(name, title, header, rows))
+        self.tables.append(ResultTable(name, title, header, rows))
 
     def draw(self, name: str, draw: Callable[[Path], None]) -> None:
         """Add a picture, written as PNG and SVG."""
@@ -56,7 +56,7 @@ class Outcome:
         directory.mkdir(parents=True, exist_ok=True)
         written = []
         verdicts = [verdict.row for verdict in self.verdicts]
-        for each in [*self.tables, Table("targets", "", targets.HEADER, verdicts)]:
+        for each in [*self.tables, ResultTable("targets", "", targets.HEADER, verdicts)]:
             path = directory / f"{each.name}.csv"
             write(path, each.header, each.rows)
             written.append(path)

@@ -16,7 +16,7 @@ import rospy
 from dyknow_benchmark import machine, options, progress
 from dyknow_benchmark.chains import Chains
 from dyknow_benchmark.control import Block, ChainControl, Order, run_alternating
-from dyknow_benchmark.outcome import Outcome
+from dyknow_benchmark.outcome import Results
 from dyknow_benchmark.parts import payload_of
 from dyknow_benchmark.session import Session, wait_until
 from dyknow_benchmark.summary import Summary
@@ -47,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run(arguments: argparse.Namespace) -> Outcome:
+def run(arguments: argparse.Namespace) -> Results:
     """Measure and put the results together."""
     hops = arguments.hops
     numbers = sorted({min(hops, max(0, number)) for number in arguments.listened})
@@ -67,7 +67,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
         for _ in progress.steps(range(turns), "outside", turns):
             for block, measured in zip(blocks, run_alternating(controls, order)):
                 block.add(measured)
-    outcome = Outcome()
+    outcome = Results()
     rows = []
     for number, block in zip(numbers, blocks):
         s = Summary.of(block.latencies[hops])

@@ -73,7 +73,7 @@ def payload_of(name: str) -> Payload:
     )
 
 
-class Source:
+class MessageSource:
     """Publishes stamped messages at a fixed frequency, on a thread of its own."""
 
     def __init__(self, publish: Publish, payload: Payload) -> None:

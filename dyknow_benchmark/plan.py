@@ -17,7 +17,7 @@ from dyknow.manager.planning.supply import Demand
 from dyknow.manager.specifications.tags import parse_tag
 from dyknow.model.transformation import IN, OUT, Port, Transformation
 from dyknow_benchmark import machine, options, progress
-from dyknow_benchmark.outcome import Outcome
+from dyknow_benchmark.outcome import Results
 from dyknow_benchmark.session import MeasurementFailed
 from dyknow_benchmark.summary import median
 from dyknow_benchmark.targets import Verdict
@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--transformations", type=options.positive, default=100_000)
 
 
-def run(arguments: argparse.Namespace) -> Outcome:
+def run(arguments: argparse.Namespace) -> Results:
     """Measure and put the results together."""
     load = machine.Load()
     verdicts: List[Verdict] = []
@@ -47,7 +47,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
         ]
         row = (name, arguments.transformations, steps, loading)
         rows.append((*row, times[0], median(times), max(times)))
-    outcome = Outcome(verdicts)
+    outcome = Results(verdicts)
     outcome.table("plan", "plans over large libraries", HEADER, rows)
     outcome.table("machine", "the machine", machine.HEADER, load.rows())
     return outcome

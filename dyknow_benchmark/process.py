@@ -13,7 +13,7 @@ from typing import Sequence
 import rospy
 
 from dyknow_benchmark import wiring
-from dyknow_benchmark.parts import Hop, Publish, Ring, Source, payload_of
+from dyknow_benchmark.parts import Hop, MessageSource, Publish, Ring, payload_of
 
 
 def main() -> None:
@@ -63,7 +63,7 @@ class Chain:
         publish: Publish = _nobody
         for number in range(length, 0, -1):
             publish = self._hop(number, publish).receive
-        wiring.listen_send(rospy, self._control, Source(publish, self._payload))
+        wiring.listen_send(rospy, self._control, MessageSource(publish, self._payload))
 
     def add_topics(self, numbers: Sequence[int]) -> None:
         """Add hops, the last first, so that each finds its listener."""
@@ -72,7 +72,7 @@ class Chain:
 
     def add_source(self) -> None:
         """Add the source."""
-        source = Source(self._publisher(0), self._payload)
+        source = MessageSource(self._publisher(0), self._payload)
         wiring.listen_send(rospy, self._control, source)
 
     def add_ring(self, length: int) -> None:

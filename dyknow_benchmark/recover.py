@@ -17,7 +17,7 @@ import rospy
 from std_msgs.msg import Header
 
 from dyknow_benchmark import machine, options, progress, system
-from dyknow_benchmark.outcome import Outcome
+from dyknow_benchmark.outcome import Results
 from dyknow_benchmark.session import Session, wait_until
 from dyknow_benchmark.targets import Verdict
 
@@ -50,7 +50,7 @@ class _Streams:
             return all(last > moment for last in self._last.values())
 
 
-def run(arguments: argparse.Namespace) -> Outcome:
+def run(arguments: argparse.Namespace) -> Results:
     """Measure and put the results together."""
     times: List[float] = []
     with Session() as session:
@@ -71,7 +71,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
             times.append(time.monotonic() - killed)
             progress.say(f"all streams back after {times[-1]:.2f} s")
     row = (arguments.nodelets, arguments.kills, *system.spread(times))
-    outcome = Outcome([Verdict("all streams back, longest in s", max(times), 3.0)])
+    outcome = Results([Verdict("all streams back, longest in s", max(times), 3.0)])
     outcome.table("recover", "recovery of a killed nodelet manager", HEADER, [row])
     outcome.table("machine", "the machine", machine.HEADER, load.rows())
     return outcome

@@ -12,8 +12,8 @@ import time
 from typing import Dict, List, Sequence, Tuple
 
 from dyknow_benchmark import machine, options, progress
-from dyknow_benchmark.managers import Manager
-from dyknow_benchmark.outcome import Outcome
+from dyknow_benchmark.managers import RunningManager
+from dyknow_benchmark.outcome import Results
 from dyknow_benchmark.session import Session
 from dyknow_benchmark.summary import Summary
 from dyknow_benchmark.switching import ENDS, Seen, Switching
@@ -41,11 +41,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run(arguments: argparse.Namespace) -> Outcome:
+def run(arguments: argparse.Namespace) -> Results:
     """Measure and put the results together."""
     asked: Dict[str, List[float]] = {end: [] for end in ENDS}
     with Session() as session:
-        switching = Switching(Manager.python(session), arguments.rate)
+        switching = Switching(RunningManager.python(session), arguments.rate)
         load = machine.Load()
         for number in progress.steps(
             range(arguments.switches), "rewire", arguments.switches, "switch"
@@ -61,7 +61,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     lost = sum(each.lost for each in seen.values())
     doubled = sum(each.doubled for each in seen.values())
     overall = Summary.of([value for values in times.values() for value in values])
-    outcome = Outcome(
+    outcome = Results(
         [
             Verdict("set_config to first message, median (ms)", overall.median, LIMIT),
             Verdict(f"lost in {arguments.switches} switches", lost, 0),

@@ -12,7 +12,7 @@ from dyknow_msgs.msg import PortConfig
 from dyknow_msgs.srv import SetConfig
 from std_msgs.msg import Empty, Float64MultiArray
 
-from dyknow_benchmark.managers import Manager
+from dyknow_benchmark.managers import RunningManager
 from dyknow_benchmark.session import START_PATIENCE, MeasurementFailed, wait_until
 
 _CONTROL = "/benchmark/switch"
@@ -42,7 +42,7 @@ class Seen:
 class Switching:
     """The two nodelets, loaded into a manager; all four topics are live."""
 
-    def __init__(self, manager: Manager, rate: float) -> None:
+    def __init__(self, manager: RunningManager, rate: float) -> None:
         """Load the nodelets and connect them.
 
         Args:

@@ -18,8 +18,8 @@ from std_msgs.msg import Empty, Float64MultiArray
 from dyknow_benchmark import machine, options, progress
 from dyknow_benchmark.chains import load_hops
 from dyknow_benchmark.control import LEAD, TAIL
-from dyknow_benchmark.managers import Manager
-from dyknow_benchmark.outcome import Outcome
+from dyknow_benchmark.managers import RunningManager
+from dyknow_benchmark.outcome import Results
 from dyknow_benchmark.session import START_PATIENCE, MeasurementFailed, Session
 from dyknow_benchmark.summary import median
 from dyknow_benchmark.targets import Verdict
@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--repeats", type=options.positive, default=5, help="runs of each kind")
 
 
-def run(arguments: argparse.Namespace) -> Outcome:
+def run(arguments: argparse.Namespace) -> Results:
     """Measure and put the results together."""
     rates: Dict[str, List[float]] = {"dyknow": [], "rospy": []}
     lost = dict.fromkeys(rates, 0)
@@ -57,7 +57,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     middle = {kind: median(values) for kind, values in rates.items()}
     if not middle["rospy"]:
         raise MeasurementFailed("no message came round in rospy's chain")
-    outcome = Outcome(
+    outcome = Results(
         [
             Verdict(
                 f"messages per second of DyKnow / of rospy in one process, {arguments.hops} hops",
@@ -122,7 +122,7 @@ class RingControl:
 def _build(session: Session, kind: str, length: int) -> RingControl:
     control = f"/benchmark/ring_{kind}"
     if kind == "dyknow":
-        manager = Manager.python(session)
+        manager = RunningManager.python(session)
         load_hops(manager, "", control, length)
         manager.load(
             f"{control}/ring",

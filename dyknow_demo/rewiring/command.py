@@ -73,16 +73,16 @@ def _run(options: Any) -> bool:
         start_nodelet_manager,
         uses_simulated_time,
     )
-    from dyknow_demo.rewiring.graph import CallFailed, Graph
+    from dyknow_demo.rewiring.graph import CallFailed, HandWiredGraph
     from dyknow_demo.rewiring.story import Story
-    from dyknow_demo.rewiring.table import Table
+    from dyknow_demo.rewiring.table import ReportTable
 
-    table = Table()
+    table = ReportTable()
     sources, told = _frames(options)
     table.line(f"frames: {told}, {options.rate:g} Hz from each of two cameras")
     with Processes() as processes:
         table.line(f"ROS master: {find_master(processes)}")
-        graph = Graph(MANAGER)
+        graph = HandWiredGraph(MANAGER)
         if graph.is_up():
             raise DyKnowError(
                 f"{MANAGER} is registered at this master already: another demonstration runs "

@@ -27,7 +27,7 @@ class CallFailed(DyKnowError):
         super().__init__(f"{service}: {message}")
 
 
-class Graph:
+class HandWiredGraph:
     """Nodelets of one manager, all in the manager's namespace."""
 
     def __init__(self, manager: str) -> None:

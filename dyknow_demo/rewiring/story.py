@@ -15,8 +15,8 @@ from typing import Any, Callable, Dict, List, Sequence, Tuple
 
 from dyknow_demo.rewiring.accounting import Account, Arrival, Published, Switch, account, gaps
 from dyknow_demo.rewiring.frame_names import FrameName
-from dyknow_demo.rewiring.graph import Graph
-from dyknow_demo.rewiring.table import Table
+from dyknow_demo.rewiring.graph import HandWiredGraph
+from dyknow_demo.rewiring.table import ReportTable
 
 _CAMERAS = ("camera_1", "camera_2")
 _CHAIN = ("colour", "subsample", "reporter")
@@ -66,8 +66,8 @@ class Story:
 
     def __init__(
         self,
-        graph: Graph,
-        table: Table,
+        graph: HandWiredGraph,
+        table: ReportTable,
         check: Callable[[], None],
         sources: Sequence[Sequence[Path]],
         rate: float,

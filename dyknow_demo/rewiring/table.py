@@ -13,7 +13,7 @@ _HEAD = (
 )
 
 
-class Table:
+class ReportTable:
     """Prints to a stream; the line of progress is only for people who watch a terminal."""
 
     def __init__(self, stream: TextIO = sys.stdout) -> None:

@@ -65,7 +65,7 @@ class Example:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class DetectionScore:
     """What was found on days.
 
     Attributes:
@@ -126,14 +126,16 @@ def score(examples: Sequence[Example], forest: Any) -> List[Scored]:
     return scored
 
 
-def judge(scored: Sequence[Scored], balls: int, threshold: float, only_best: bool) -> Verdict:
+def judge(
+    scored: Sequence[Scored], balls: int, threshold: float, only_best: bool
+) -> DetectionScore:
     """Count; only the best find of a frame counts, or all of them."""
     hits = false = 0
     for frame in scored:
         finds = [hit for value, hit in frame if value >= threshold][: 1 if only_best else None]
         hits += int(any(finds))
         false += len(finds) - int(any(finds))
-    return Verdict(balls, hits, false)
+    return DetectionScore(balls, hits, false)
 
 
 def choose(scored: Sequence[Scored], only_best: bool) -> float:

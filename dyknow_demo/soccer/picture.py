@@ -21,7 +21,7 @@ _HEAD = """digraph story {
 
 
 @dataclass(frozen=True)
-class Moment:
+class PictureContents:
     """What there is to draw.
 
     Attributes:
@@ -44,7 +44,7 @@ class Moment:
         return quote(f"{head}\n{slash}{tail}" if head else slash + tail)
 
 
-def to_dot(moment: Moment, first: Model) -> str:
+def to_dot(moment: PictureContents, first: Model) -> str:
     """Write a picture in graphviz's DOT language.
 
     Ovals are nodelets and rectangles are topics; the topic of the client is drawn bold. Blue is
@@ -91,7 +91,7 @@ def _filled(colour: str) -> str:
     return f'style=filled, fillcolor="{colour}"'
 
 
-def _streams(there: Dict[str, NodeletStatus], moment: Moment) -> List[str]:
+def _streams(there: Dict[str, NodeletStatus], moment: PictureContents) -> List[str]:
     """Topics that somebody listens to, and the arrows to and from them."""
     sources: Dict[str, List[Tuple[str, str]]] = {}
     targets: Dict[str, List[Tuple[str, str]]] = {moment.goal: []}

@@ -20,7 +20,7 @@ from dyknow.model.graph import Model
 from dyknow.model.streams import StreamRequest
 from dyknow.ros.client import ManagerClient
 from dyknow_demo.soccer.observing import TRACKING, Observation, feeding, tracking_of
-from dyknow_demo.soccer.picture import Moment, draw, to_dot
+from dyknow_demo.soccer.picture import PictureContents, draw, to_dot
 from dyknow_demo.soccer.track import shortcomings
 
 TAG = "FieldPosition(ball)"
@@ -128,7 +128,7 @@ class _Story:
             self._problems.append(f"others do the tracking: {tracking_of(model)}")
         needed = frozenset(self._stream.nodelets)
         space = names.parent(self._client.manager)
-        dot = to_dot(Moment(title, model, needed, self._topic, space), self._first)
+        dot = to_dot(PictureContents(title, model, needed, self._topic, space), self._first)
         files = draw(dot, self._script.pictures, f"soccer_{act}")
         self._tell("drawn: " + ", ".join(str(file) for file in files))
 

@@ -11,17 +11,10 @@ PACKAGES = ("dyknow", "dyknow_rqt", "dyknow_demo", "dyknow_benchmark")
 
 #: Names that still stand for several things, and the packages that are to give way.
 OPEN = {
-    "Graph": "dyknow_demo",
-    "Manager": "dyknow_benchmark",
-    "Moment": "dyknow_demo",
     "NodeHandle": "dyknow.nodelet",
-    "Outcome": "dyknow_benchmark",
-    "Plan": "dyknow.wiring, dyknow_benchmark",
+    "Plan": "dyknow.wiring",
     "Port": "dyknow.proxy",
-    "Source": "dyknow_benchmark",
-    "Table": "dyknow_demo, dyknow_benchmark",
     "Topic": "dyknow_rqt",
-    "Verdict": "dyknow_demo, dyknow_benchmark",
 }
 
 

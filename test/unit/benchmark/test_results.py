@@ -5,11 +5,11 @@ import csv
 import pytest
 
 from dyknow_benchmark import chain, ratios, tables
-from dyknow_benchmark.chain import HEADER, OVERHEAD_HEADER, Plan
+from dyknow_benchmark.chain import HEADER, OVERHEAD_HEADER, ChainPlan
 from dyknow_benchmark.control import Block, Order, select
 from dyknow_benchmark.fan import last_arrivals
 from dyknow_benchmark.main import FAILED, main, parser, with_measurement
-from dyknow_benchmark.outcome import Outcome
+from dyknow_benchmark.outcome import Results
 from dyknow_benchmark.outside import spread
 from dyknow_benchmark.parts import payload_of
 from dyknow_benchmark.targets import Verdict
@@ -22,7 +22,7 @@ def read(path):
 
 def measured(frequency=100.0, hops=(1, 50), pairs=20):
     kinds = ["dyknow", "nodelet", "cpp_nodelet"]
-    plan = Plan(kinds, hops, frequency, 4, 2, pairs)
+    plan = ChainPlan(kinds, hops, frequency, 4, 2, pairs)
     factor = {"dyknow": 2.0, "nodelet": 1.9, "cpp_nodelet": 10.0}
     blocks = {kind: Block(4, {each: [factor[kind] * each] * 3 for each in hops}) for kind in kinds}
     differences = {each: [0.1 * each + index for index in range(pairs)] for each in hops}
@@ -98,11 +98,11 @@ def test_a_verdict_says_whether_the_target_is_met():
     assert Verdict("x", 2.0, 2.0).met and Verdict("x", 20.0, 20.0, at_least=True).met
     assert not Verdict("x", 2.1, 2.0).met and not Verdict("x", 19.9, 20.0, at_least=True).met
     assert Verdict("x", 19.9, 20.0, at_least=True).row == ("x", 19.9, ">= 20", "NOT met")
-    assert not Outcome([Verdict("x", 1, 2), Verdict("x", 3, 2)]).met
+    assert not Results([Verdict("x", 1, 2), Verdict("x", 3, 2)]).met
 
 
 def test_a_chain_that_delivered_nothing_has_rows_but_no_verdict():
-    plan = Plan(["dyknow", "cpp_nodelet"], [50], 5.0, 4, 1, 0)
+    plan = ChainPlan(["dyknow", "cpp_nodelet"], [50], 5.0, 4, 1, 0)
     outcome = chain.outcome(plan, {kind: Block(4, {50: []}) for kind in plan.kinds}, {}, [], [])
     assert [tuple(row[:4]) for row in outcome.tables[0].rows] == [
         ("dyknow", 50, 0, 4),
@@ -119,10 +119,10 @@ def test_the_warm_up_is_left_out_at_every_hop_alike():
 
 
 def test_the_blocks_of_a_plan_add_up():
-    orders = Plan(["dyknow"], [1], 5.0, 1003, 10, 0).orders()
+    orders = ChainPlan(["dyknow"], [1], 5.0, 1003, 10, 0).orders()
     assert sum(order.count for order in orders) == 1003
     assert {order.count for order in orders} == {100, 101}
-    assert len(Plan(["dyknow"], [1], 5.0, 3, 10, 0).orders()) == 3
+    assert len(ChainPlan(["dyknow"], [1], 5.0, 3, 10, 0).orders()) == 3
 
 
 def test_numbers_stand_to_the_right_in_a_table():

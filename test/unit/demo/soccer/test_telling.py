@@ -8,7 +8,7 @@ import numpy as np
 
 from dyknow.model.graph import Model, NodeletStatus, PortState, State
 from dyknow_demo.soccer.narration import changes
-from dyknow_demo.soccer.picture import Moment, draw, to_dot
+from dyknow_demo.soccer.picture import PictureContents, draw, to_dot
 from dyknow_demo.soccer.track import Stretch, Track, shortcomings
 
 
@@ -76,7 +76,9 @@ def test_what_came_went_and_was_re_wired_is_told():
 
 
 def test_a_picture_shows_who_was_kept_came_and_went(tmp_path):
-    moment = Moment("A title", AFTER, frozenset(["/ns/tracker", "/ns/ceiling"]), "/goal", "/ns")
+    moment = PictureContents(
+        "A title", AFTER, frozenset(["/ns/tracker", "/ns/ceiling"]), "/goal", "/ns"
+    )
     dot = to_dot(moment, BEFORE)
     assert '"n/ns/tracker" [label="tracker", style=filled, fillcolor="#cfe2f3"]' in dot
     assert '"n/ns/ceiling" [label="ceiling", style=filled, fillcolor="#c6e7c8"]' in dot
@@ -90,5 +92,5 @@ def test_a_picture_shows_who_was_kept_came_and_went(tmp_path):
 
 
 def test_a_nodelet_that_the_stream_needs_no_more_is_grey():
-    dot = to_dot(Moment("", BEFORE, frozenset(["/ns/tracker"]), "/goal"), BEFORE)
+    dot = to_dot(PictureContents("", BEFORE, frozenset(["/ns/tracker"]), "/goal"), BEFORE)
     assert '[label="ns\\n/eye", style=filled, fillcolor="#eeeeee"]' in dot
