@@ -53,7 +53,7 @@ def run(arguments: argparse.Namespace) -> Results:
         for case in progress.steps(steps, "busy", len(steps)):
             manager = cases[case]
             if manager is not None:
-                manager.load(_BURNER, "dyknow/Burner")
+                manager.load(_BURNER, "dyknow_benchmark/Burner")
             blocks[case].add(chain.finish(order, chain.begin(order)))
             if manager is not None:
                 manager.unload(_BURNER)

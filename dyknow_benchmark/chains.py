@@ -165,7 +165,7 @@ def load_hop(
     """Load a hop that listens to a topic; the arguments are those of ``load_hops``."""
     manager.load(
         f"{control}/nodelet_{hop}",
-        f"dyknow/{prefix}ChainHop",
+        f"dyknow_benchmark/{prefix}ChainHop",
         {f"{control}/in": topic, f"{control}/out": f"{control}/hop_{hop}"},
         {"control": control, "payload": payload, "hop": hop, "record": record},
     )
@@ -175,7 +175,7 @@ def load_source(manager: RunningManager, prefix: str, control: str, payload: str
     """Load the source of a chain; the arguments are those of ``load_hops``."""
     manager.load(
         f"{control}/source",
-        f"dyknow/{prefix}ChainSource",
+        f"dyknow_benchmark/{prefix}ChainSource",
         {f"{control}/out": f"{control}/hop_0"},
         {"control": control, "payload": payload},
     )

@@ -158,7 +158,7 @@ def _library(count: int) -> str:
         '<tags><tag port="out">Unsigned(x)</tag></tags></transformation>'
     ]
     parts += [
-        f"<transformation><label>way {number}</label><source>dyknow/SignedRelay</source>"
+        f"<transformation><label>way {number}</label><source>dyknow_benchmark/SignedRelay</source>"
         '<ports><port type="in">in</port><port type="out">out</port></ports>'
         f'<tags><tag port="in">Unsigned(x)</tag><tag port="out">{_GOAL}</tag></tags>'
         "</transformation>"

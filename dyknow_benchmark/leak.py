@@ -88,7 +88,7 @@ def _cycle(manager: RunningManager, switching: Switching) -> None:
         switching.switch(end)
     name = "/benchmark/leak/hop"
     remappings = {f"/benchmark/leak/{port}": f"/benchmark/leak/{port}" for port in ("in", "out")}
-    manager.load(name, "dyknow/ChainHop", remappings)
+    manager.load(name, "dyknow_benchmark/ChainHop", remappings)
     manager.unload(name)
 
 

@@ -60,13 +60,13 @@ class Switching:
         keep = {f"{_CONTROL}/{side}": f"{_CONTROL}/{side}" for side in ("left", "right")}
         manager.load(
             f"{_CONTROL}/sink",
-            "dyknow/SwitchSink",
+            "dyknow_benchmark/SwitchSink",
             {**keep, f"{_CONTROL}/in": first["in"]},
             {"control": _CONTROL},
         )
         manager.load(
             f"{_CONTROL}/source",
-            "dyknow/SwitchSource",
+            "dyknow_benchmark/SwitchSource",
             {
                 f"{_CONTROL}/even": f"{_CONTROL}/even",
                 f"{_CONTROL}/odd": f"{_CONTROL}/odd",

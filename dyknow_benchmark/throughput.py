@@ -126,7 +126,7 @@ def _build(session: Session, kind: str, length: int) -> RingControl:
         load_hops(manager, "", control, length)
         manager.load(
             f"{control}/ring",
-            "dyknow/ChainRing",
+            "dyknow_benchmark/ChainRing",
             {f"{control}/in": f"{control}/hop_{length}", f"{control}/out": f"{control}/hop_0"},
             {"control": control},
         )

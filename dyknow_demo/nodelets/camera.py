@@ -1,4 +1,4 @@
-"""The nodelet dyknow/Camera: frames from files, as a camera would deliver them."""
+"""The nodelet dyknow_demo/Camera: frames from files, as a camera would deliver them."""
 
 from __future__ import annotations
 

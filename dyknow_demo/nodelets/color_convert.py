@@ -1,4 +1,4 @@
-"""The nodelet dyknow/ColorConvert: the same picture in another colour space."""
+"""The nodelet dyknow_demo/ColorConvert: the same picture in another colour space."""
 
 from __future__ import annotations
 

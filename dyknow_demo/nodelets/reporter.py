@@ -1,4 +1,4 @@
-"""The nodelet dyknow/Reporter: keeps account of every camera frame that reaches it."""
+"""The nodelet dyknow_demo/Reporter: keeps account of every camera frame that reaches it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The nodelet dyknow/Subsample: the same picture with fewer pixels."""
+"""The nodelet dyknow_demo/Subsample: the same picture with fewer pixels."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What ``dyknow_demo --rewiring`` takes, and the processes that it needs."""
+"""What ``demo --rewiring`` takes, and the processes that it needs."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def run(arguments: Sequence[str]) -> bool:
 
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
-        prog="dyknow_demo --rewiring",
+        prog="rosrun dyknow demo --rewiring",
         description="Runs camera frames through a chain of nodelets, re-wires the chain while it "
         "runs, and counts the frames that were lost or doubled. Uses the ROS master that "
         "ROS_MASTER_URI names, or starts one for itself.",

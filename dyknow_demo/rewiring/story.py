@@ -106,19 +106,19 @@ class Story:
 
     def _load(self) -> None:
         load = self._graph.load
-        load("reporter", "dyknow/Reporter", {"image": "small_image"}, {})
+        load("reporter", "dyknow_demo/Reporter", {"image": "small_image"}, {})
         load(
             "subsample",
-            "dyknow/Subsample",
+            "dyknow_demo/Subsample",
             {"image": "yuv_image", "subsampled": "small_image"},
             {"factor": 2},
         )
-        load("colour", "dyknow/ColorConvert", {"converted": "yuv_image"}, {"encoding": "yuv"})
+        load("colour", "dyknow_demo/ColorConvert", {"converted": "yuv_image"}, {"encoding": "yuv"})
         for number, (camera, files) in enumerate(zip(_CAMERAS, self._sources), start=1):
             topic = {"image": f"image_{number}"}
             frames = [str(file) for file in files]
-            load(_witness(camera), "dyknow/Reporter", topic, {})
-            load(camera, "dyknow/Camera", topic, {"frames": frames, "rate": self._rate})
+            load(_witness(camera), "dyknow_demo/Reporter", topic, {})
+            load(camera, "dyknow_demo/Camera", topic, {"frames": frames, "rate": self._rate})
 
     def _switch(self, stage: str, camera: str, change: Tuple[str, str, str]) -> None:
         called, returned = self._graph.connect(*change)

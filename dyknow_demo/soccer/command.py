@@ -1,4 +1,4 @@
-"""What ``dyknow_demo`` takes."""
+"""What ``demo`` takes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def run(arguments: Sequence[str]) -> bool:
 
 def _parse(arguments: Sequence[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
-        prog="dyknow_demo",
+        prog="rosrun dyknow demo",
         description="Asks for the position of a ball on a soccer field. A robot tracks it with "
         "its own camera; when that goes, a camera at the ceiling takes its place behind the "
         "robot's own tracking; then the robot returns. Uses the ROS master that ROS_MASTER_URI "

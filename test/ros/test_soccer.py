@@ -55,7 +55,7 @@ class SoccerTest(TellingCase):
         ports = dict(ports)
         self.load_nodelet(
             name=name,
-            type=f"dyknow/{nodelet_class}",
+            type=f"dyknow_demo/{nodelet_class}",
             remap_source_args=[f"{self.space}/{port}" for port in ports],
             remap_target_args=[f"{self.space}/{topic}" for topic in ports.values()],
         )

@@ -1,4 +1,4 @@
-"""The nodelet dyknow/BallDetector: from planes at two resolutions to a ball on the floor."""
+"""The nodelet dyknow_demo/BallDetector: from planes at two resolutions to a ball on the floor."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The nodelet dyknow/BottomCamera: the lower camera in the head of a simulated NAO."""
+"""The nodelet dyknow_demo/BottomCamera: the lower camera in the head of a simulated NAO."""
 
 from __future__ import annotations
 

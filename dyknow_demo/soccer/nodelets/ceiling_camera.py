@@ -1,4 +1,4 @@
-"""The nodelet dyknow/CeilingCamera: a simulated camera above the field."""
+"""The nodelet dyknow_demo/CeilingCamera: a simulated camera above the field."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The nodelet dyknow/ImageSubsampler: one YUV image in, whatever of it is asked for out."""
+"""The nodelet dyknow_demo/ImageSubsampler: one YUV image in, whatever of it is asked for out."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The nodelet dyknow/Localization: from an observer's frame to the field's."""
+"""The nodelet dyknow_demo/Localization: from an observer's frame to the field's."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The nodelet dyknow/NaoBody: what a simulated NAO knows of itself."""
+"""The nodelet dyknow_demo/NaoBody: what a simulated NAO knows of itself."""
 
 from __future__ import annotations
 

@@ -85,9 +85,10 @@ class Workspace:
         """A package of the checkout under a name of its own, as somebody begins with it."""
         shutil.copytree(package, self.folder / "src" / name)
 
-    def make(self, *targets: str) -> None:
+    def make(self, *arguments: str) -> None:
+        """Run catkin_make with targets or options."""
         options = ["-DPYTHON_EXECUTABLE=/usr/bin/python3", "-DCMAKE_BUILD_TYPE=Debug"]
-        self._run(["catkin_make", "-C", str(self.folder), *targets, *options])
+        self._run(["catkin_make", "-C", str(self.folder), *arguments, *options])
 
     def check_user(self, name: str, space: str) -> None:
         """Both programs of a package run in a space of the workspace, ``devel`` or ``install``."""

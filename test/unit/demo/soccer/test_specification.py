@@ -123,7 +123,7 @@ def test_a_relative_ball_is_an_object_of_whoever_asks(plan):
 
 
 def test_sources_are_declared_nodelets(transformations):
-    tree = ElementTree.parse(ROOT / "dyknow_nodelets.xml")
+    tree = ElementTree.parse(ROOT / "dyknow_demo" / "nodelets.xml")
     declared = {each.get("name") for each in tree.iter("class")}
     sources = {each.source for each in transformations if each.type == "nodelet"}
     assert sources <= declared

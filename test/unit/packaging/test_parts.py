@@ -1,0 +1,64 @@
+"""Demonstration, benchmark and window are parts that a robot can do without."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from unit.packaging.workspaces import ROOT, Workspace
+
+PARTS = ("DYKNOW_DEMONSTRATION", "DYKNOW_BENCHMARK", "DYKNOW_RQT")
+#: What no module of the runtime imports: the parts, and libraries for images, plots and windows.
+LUGGAGE = (
+    *("dyknow_benchmark", "dyknow_demo", "dyknow_rqt"),
+    *("PIL", "PyQt5", "PySide2", "cv2", "matplotlib", "message_filters", "numpy", "tqdm"),
+    *("python_qt_binding", "qt_gui", "rqt_gui", "rqt_gui_py"),
+)
+IMPORT_ALL = f"""
+import importlib, pkgutil, sys
+sys.modules.update(dict.fromkeys({LUGGAGE!r}))  # to import one of these is an ImportError
+import dyknow
+names = [each.name for each in pkgutil.walk_packages(dyknow.__path__, "dyknow.")]
+for name in names:
+    if not name.endswith("__main__"):
+        importlib.import_module(name)
+print(len(names))
+"""
+LOOK_UP = """
+from dyknow.errors import UnknownNodeletType
+from dyknow.nodelet.plugins import Plugins
+from dyknow.ros.hosting.nodelet_types import cpp_classes
+from dyknow.ros.nodelets.packages import plugin_files
+try:
+    Plugins(plugin_files).load("none/Such")
+except UnknownNodeletType as error:
+    print(*error.known)
+    print(*error.broken, *(each for each in cpp_classes() if each.startswith("dyknow")))
+"""
+
+
+def test_the_runtime_imports_without_its_luggage():
+    command = [sys.executable, "-c", IMPORT_ALL]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert int(done.stdout) > 100
+
+
+@pytest.mark.long
+def test_an_install_space_without_the_parts(tmp_path):
+    workspace = Workspace(tmp_path)
+    workspace.add_dyknow()
+    workspace.make("install", *(f"-D{part}=OFF" for part in PARTS))
+    install = tmp_path / "install"
+    assert names(install / "lib/python3/dist-packages", "dyknow*") == {"dyknow", "dyknow_msgs"}
+    assert names(install / "lib/dyknow") == {"dyknow", "manager", "nodelet", "nodelet_manager"}
+    assert names(install / "lib", "*.so") == set()
+    assert list((install / "share/dyknow").rglob("soccer.[lx]*")) == []
+    types = "dyknow/Relay dyknow/Sink dyknow/Source dyknow/Throttle"
+    assert workspace.run_in("install", f"/usr/bin/python3 -c '{LOOK_UP}'") == f"{types}\n\n"
+
+
+def names(folder: Path, pattern: str = "*") -> set[str]:
+    return {each.name for each in folder.glob(pattern) if each.suffix != ".egg-info"}
