@@ -171,14 +171,14 @@ class Repair:
     def _assemble(self, claim: Claim, plan: Plan, own: Mapping[str, str]) -> AssemblyResult:
         request = AssemblyRequest(
             plan,
-            claim.request.tag,
-            claim.topic,
-            wanted_type(claim),
-            own,
-            self._monitor.unhealthy,
-            self._monitor.unresponsive,
-            claim.claim_id,
-            self._planner.ordinary(),
+            tag=claim.request.tag,
+            topic=claim.topic,
+            datatype=wanted_type(claim),
+            own=own,
+            unhealthy=self._monitor.unhealthy,
+            unresponsive=self._monitor.unresponsive,
+            claim_id=claim.claim_id,
+            ordinary=self._planner.ordinary(),
         )
         assembly = Assembly(self._context, request, self._handover())
         try:

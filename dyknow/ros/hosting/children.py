@@ -253,7 +253,7 @@ class Children:
 
     def _keep(self, child: Child) -> None:
         """Run one child, life after life."""
-        deaths = Backoff(time.monotonic, _FIRST_PAUSE)
+        deaths = Backoff(time.monotonic, _FIRST_PAUSE, tolerated=2)
         while child.wanted:
             begin = time.monotonic()
             try:

@@ -1,11 +1,15 @@
-"""Who hears whom, at one moment."""
+"""Producers and consumers of each topic, at one moment."""
 
 from __future__ import annotations
 
 from typing import Dict, List
 
+import pytest
+from unit.manager.field import Field
+
+from dyknow.manager.claims import connector
 from dyknow.manager.claims.relay import relay
-from dyknow.manager.claims.topology import Topology, ends_of
+from dyknow.manager.claims.topology import NodeletEnds, Topology, ends_of
 from dyknow.manager.record import Record
 from dyknow.manager.specifications.tags import NO_ONTOLOGY
 from dyknow.model.transformation import IN, OUT, Port, Transformation
@@ -50,3 +54,24 @@ def test_what_a_relay_hears_wrongly_goes_through_all_relays_behind_it() -> None:
     wrong = ["/first /second", "/right_camera /first", "/second /eye"]
     for records in ([right, first, second, eye], [eye, second, first, right]):
         assert mismatches(*records) == wrong
+
+
+def test_a_record_is_read_again_only_when_it_changed(monkeypatch: pytest.MonkeyPatch) -> None:
+    read: List[str] = []
+
+    def counted(record: Record) -> NodeletEnds:
+        read.append(record.name)
+        return ends_of(record)
+
+    monkeypatch.setattr(connector, "ends_of", counted)
+    field = Field()
+    claim = field.acquire("YUV(field)").claim
+    look = field.reconciler._connector.topology
+    look()
+    del read[:]
+    assert [each.nodelet for each in look().producers(claim.topic)] == [claim.goal[0]]
+    assert read == []
+    field.spawn("bottom camera", "/by_hand", config={"image": claim.topic})
+    del read[:]
+    assert {each.nodelet for each in look().producers(claim.topic)} == {claim.goal[0], "/by_hand"}
+    assert read == ["/by_hand"]
