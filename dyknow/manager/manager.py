@@ -53,7 +53,7 @@ class Manager:
         store: Store,
         library: Library,
         guards: Guards = NO_GUARDS,
-        settings: ManagerOptions = DEFAULT_OPTIONS,
+        options: ManagerOptions = DEFAULT_OPTIONS,
         run: Callable[[Callable[[], None]], None] = at_once,
         clock: Clock = STEADY,
     ) -> None:
@@ -64,7 +64,7 @@ class Manager:
             store: durable state.
             library: transformations.
             guards: what is forbidden.
-            settings: how to behave.
+            options: how to behave.
             run: calls what brings a nodelet back, which may take long.
             clock: steady time.
         """
@@ -72,12 +72,10 @@ class Manager:
         self.guards = guards
         self.host = host
         self.store = store
-        self._settings = settings
+        self._options = options
         self.graph = Graph(store, clock)
         self._suspects = Suspects(clock.now)
-        self.lifecycle = Lifecycle(
-            host, self.graph, guards, settings.spawn_timeout, self._suspects
-        )
+        self.lifecycle = Lifecycle(host, self.graph, guards, options.spawn_timeout, self._suspects)
         self.observer = Observer(host, self.graph, self.lifecycle, self._suspects, clock.now, run)
 
     @property
@@ -140,7 +138,7 @@ class Manager:
 
         Relative topics resolve in the manager's namespace, as names of nodelets do.
         """
-        namespace = self._settings.namespace
+        namespace = self._options.namespace
         return [
             each
             if each.source[:1] == "/"
@@ -155,7 +153,7 @@ class Manager:
             InvalidName: it is not a valid name.
         """
         return names.resolve(
-            names.check(name, "nodelet name"), self._settings.namespace, "/", "nodelet name"
+            names.check(name, "nodelet name"), self._options.namespace, "/", "nodelet name"
         )
 
     def spawn(self, request: SpawnRequest) -> Record:
