@@ -1,4 +1,4 @@
-"""What nodelet_core gives C++, for Python and without ROS: bus, scheduler, handles, loader."""
+"""What nodelet_core is for C++, in Python and without ROS: bus, scheduler, handles, loader."""
 
 from dyknow.nodelet.nodelet import Nodelet
 

@@ -6,11 +6,11 @@ the lock of the bus, in memory only. Everything that talks to ROS happens before
 
 A switch (``rewire``) goes through four steps:
 
-1. make: new connections are linked, held. Where a topic has nobody else in this process, its
+1. make: new connections are linked, held. Where a topic has no other end in this process, its
    registration is made now, and its peers outside are waited for;
 2. switch: publications get their new route in one store each, old connections close, the marker
    goes into the strand, new connections open;
-3. register: topics with others in this process have switched already; their registrations in ROS
+3. register: topics with other ends in this process have switched already; their registrations
    are made now;
 4. break: the registrations of the old topics are drained and withdrawn.
 """

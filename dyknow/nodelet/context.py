@@ -1,4 +1,4 @@
-"""What one nodelet owns in the runtime, and gives back when it is unloaded.
+"""What one nodelet owns in the runtime, and returns when it is unloaded.
 
 Who owns what: the ``Runtime`` is one for the process; a ``Context`` is one for a nodelet and owns
 its strands, endpoints, services and timers. Handles only refer to it.
@@ -24,7 +24,7 @@ from dyknow.nodelet.timers import Timer, TimerQueue
 
 #: Seconds between two log entries of the same error at the same place.
 _LOG_PAUSE = 1.0
-#: Errors that are told apart before the account starts anew.
+#: Errors that are told apart; with one more the counts start again.
 _LOG_PLACES = 100
 
 Part = TypeVar("Part")
@@ -49,7 +49,7 @@ class Runtime:
     executor: Executor
     timers: TimerQueue
     clock: Clock = time.monotonic
-    #: What no port may do, at this moment.
+    #: Returns what ports may not do at this moment.
     guards: Callable[[], Guards] = lambda: NO_GUARDS
 
     @classmethod
@@ -96,7 +96,7 @@ class Context:
         self.started_at = runtime.clock()
         #: Set by the host: unloads this nodelet.
         self.unload: Callable[[], None] = self.close
-        #: Set by the host: told what is attached, returns what it opened for it.
+        #: Set by the host: called with what is attached, returns what it opened for it.
         self.on_attach: Callable[[Context, Any], Optional[Closable]] = lambda context, thing: None
         self.attached: Any = None
         self.shutdown_hooks: List[Callable[[], None]] = []
@@ -240,7 +240,7 @@ class Context:
             closable.close()
 
     def forget(self, closable: Closable) -> None:
-        """Forget what was closed before."""
+        """Close it no more with the nodelet: it is closed already."""
         with self._lock:
             if closable in self._closables:
                 self._closables.remove(closable)
@@ -248,7 +248,7 @@ class Context:
     def attachment(self, kind: Callable[[Context], Part]) -> Part:
         """Return the part of the nodelet that lies above this layer, its proxy.
 
-        The first call makes it of the context, and lets the host open what belongs to it.
+        The first call makes it from the context, and lets the host open what belongs to it.
         """
         with self._lock:
             part: Optional[Part] = self.attached
@@ -274,7 +274,7 @@ class Context:
             strand.kill(noted=True)
 
     def close(self) -> None:
-        """Give everything back; late publishes are refused from now on."""
+        """Return everything; late publishes are refused from now on."""
         self.stop()
         with self._lock:
             self.closed = True

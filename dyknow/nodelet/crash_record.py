@@ -1,12 +1,12 @@
 """Whose code each thread runs, in a file that outlives the process.
 
-When a native crash ends a process nobody can ask it any more who was at work. So each thread that
-runs code of nodelets notes whose it is in a word of its own of a small mapped file: what was
-written there the kernel keeps, whatever ends the process.
+A process that ended by a native crash can no longer say which nodelet was at work. So each thread
+that runs code of nodelets notes whose it is, in a word of its own of a small mapped file. The
+kernel keeps what was written there, whatever ends the process.
 
 The file is an array of 64-bit words. The first is the id of the process, 0 once that has ended in
 order; the others belong to threads and hold the mark of a nodelet (``names.mark``), or 0. A mark
-is even: while a nodelet is being unloaded because somebody asked for it, its last bit is set.
+is even: during an unload that was asked for, its last bit is set.
 """
 
 from __future__ import annotations
@@ -31,28 +31,27 @@ class CrashRecord:
     """The words of this process."""
 
     def __init__(self, path: str = "") -> None:
-        """Begin with nobody at work.
+        """Begin with no nodelet at work.
 
         Args:
-            path: the file, which takes the place of one that is there; empty for none, as in a
-                process whose end nobody looks into.
+            path: the file, which takes the place of one that is there; empty for none.
 
         Raises:
             OSError: the file cannot be made.
         """
         self._lock = state_lock("crash record")
         self._free: List[int] = list(range(_THREADS, 0, -1))
-        #: Written by the thread that has the word, read by nobody here.
+        #: Each is written by the thread that has it, and read by other processes.
         self.words: memoryview[int] = memoryview(_map(path)).cast("Q")
         self.words[0] = os.getpid()
 
     def take(self) -> int:
-        """Give a thread a word; returns its index."""
+        """Reserve a word for this thread; returns its index."""
         with self._lock:
             return self._free.pop() if len(self._free) > 1 else self._free[0]
 
     def give_back(self, index: int) -> None:
-        """Take the word of a thread that ends."""
+        """Free the word of a thread that ends."""
         with self._lock:
             self.words[index] = 0
             if index != self._free[0]:
@@ -64,7 +63,7 @@ class CrashRecord:
 
         Args:
             mark: of the nodelet.
-            unloading: it is its last, and somebody wants that.
+            unloading: whether it runs because its unload was asked for.
         """
         index = self.take()
         self.words[index] = mark | _UNLOADING if unloading else mark
@@ -74,17 +73,17 @@ class CrashRecord:
             self.give_back(index)
 
     def close(self) -> None:
-        """Note that the process ends in order, whoever is still at work."""
+        """Note that the process ends in order, even if nodelets are still at work."""
         self.words[0] = 0
 
 
 @dataclass(frozen=True)
 class AtWork:
-    """Who was at work when a process ended, as marks.
+    """Which nodelets were at work when a process ended, as marks.
 
     Attributes:
         running: whose code ran.
-        unloading: those of them that were being unloaded because somebody asked for it.
+        unloading: those of them whose unload was asked for.
     """
 
     running: FrozenSet[int] = frozenset()
@@ -92,7 +91,7 @@ class AtWork:
 
 
 def read(path: str, pid: int) -> AtWork:
-    """Read who was at work when a process ended; nobody if it ended in order.
+    """Read which nodelets were at work when a process ended; none if it ended in order.
 
     Raises:
         OSError: the file cannot be read.
@@ -117,7 +116,7 @@ def read(path: str, pid: int) -> AtWork:
 def _map(path: str) -> mmap.mmap:
     if not path:
         return mmap.mmap(-1, _SIZE)
-    # A new file each time: who has the old one mapped may still be about to end.
+    # A new file each time: a process that has the old one mapped may still be about to end.
     new = f"{path}.{os.getpid()}"
     descriptor = os.open(new, os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o600)
     try:

@@ -25,7 +25,7 @@ from dyknow.nodelet.middleware import (
 from dyknow.nodelet.scheduler import Clock, Strand
 from dyknow.nodelet.traffic import Traffic
 
-#: Stands for "no message", since None is not one of ours to judge.
+#: Stands for "no message", since a message may be None.
 NOTHING: Any = object()
 
 _attempt, _wait, _leave = message_lock.attempt, message_lock.wait, message_lock.leave
@@ -72,7 +72,7 @@ class Connection:
             self.push_locked(message)
 
     def push_locked(self, message: Any) -> None:
-        """Do the same for who has the lock."""
+        """Same, with the lock held."""
         if self._state is _CLOSED:
             return
         queue = self._queue
@@ -87,7 +87,7 @@ class Connection:
 
     def __call__(self) -> None:
         """Deliver the oldest message, if there is one."""
-        try:  # without the lock: who drops the oldest meanwhile leaves as many as there are tasks
+        try:  # without the lock: a push keeps queued messages == queued tasks
             message = self._queue.popleft()
         except IndexError:
             return
@@ -158,7 +158,7 @@ class Subscription:
             receive: called with each message, on the strand.
             queue_size: messages that wait at most; None or 0 for no bound, as in rospy.
             strand: where ``receive`` is run.
-            failed: told what ``receive`` raises.
+            failed: called with what ``receive`` raises.
             clock: steady seconds, for the statistics.
             options: further arguments for the registration outside.
         """
@@ -299,7 +299,7 @@ class Publication:
         return self._closed
 
     def set_outside(self, outside: Optional[OutsidePublisher]) -> Any:
-        """Publish to these listeners outside too; returns the latched message they are owed."""
+        """Publish through this registration too; returns the latched message that it is owed."""
         with message_lock:
             self._set_outside(outside)
             owed = self.latched
@@ -325,7 +325,7 @@ class Publication:
         self._changed()
 
     def disconnect(self, closed: bool = False) -> None:
-        """Publish to nobody; for good, if ``closed``."""
+        """Publish to no topic; for good, if ``closed``."""
         with message_lock:
             self._route = None
             self._closed = self._closed or closed
@@ -334,7 +334,7 @@ class Publication:
         self._changed()
 
     def peers(self) -> Tuple[str, Tuple[Any, ...]]:
-        """The topic and who listens: one for each outside, ``HERE`` for all of this process."""
+        """The topic and its listeners: one for each outside, ``HERE`` for all of this process."""
         with message_lock:
             topic, route, outside = self.topic, self._route, self._outside
         listening = outside.peers() if outside is not None else ()
@@ -345,12 +345,12 @@ class Publication:
         return len(self.peers()[1])
 
     def watch(self, changed: Callable[[], None]) -> None:
-        """Call ``changed``, which must be quick, whenever ``peers`` may be others."""
+        """Call ``changed``, which must be quick, whenever ``peers`` may have changed."""
         with message_lock:
             self._watchers = (*self._watchers, changed)
 
     def unwatch(self, changed: Callable[[], None]) -> None:
-        """Call it no more."""
+        """End the calls that ``watch`` began."""
         with message_lock:
             self._watchers = tuple(each for each in self._watchers if each != changed)
 

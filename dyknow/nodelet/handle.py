@@ -23,8 +23,8 @@ DEFAULT_BUFF_SIZE = 65536
 class NodeHandle:
     """rospy's functions for one nodelet: ``rospy.X`` becomes ``handle.X``.
 
-    Relative names begin in ``namespace``, a ``~`` stands for the nodelet. What has nothing to do
-    with names or queues (``Time``, ``Duration``, ``Rate``, ``loginfo``, ``ROSException`` …) is
+    Relative names begin in ``namespace``, a ``~`` stands for the nodelet. What depends on neither
+    names nor queues (``Time``, ``Duration``, ``Rate``, ``loginfo``, ``ROSException`` …) is
     rospy's own.
     """
 
@@ -44,7 +44,7 @@ class NodeHandle:
         self.concurrent = concurrent
 
     def __getattr__(self, name: str) -> Any:
-        """Hand on to ROS what DyKnow adds nothing to."""
+        """Return what is the same in ROS."""
         if name.startswith("__"):
             raise AttributeError(name)
         return self.context.runtime.node.member(name, self)

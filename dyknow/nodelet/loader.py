@@ -57,7 +57,7 @@ class _Run:
     def _run(self) -> None:
         try:
             self._call()
-        except BaseException as error:  # the boundary of the thread; handed to who waits
+        except BaseException as error:  # the boundary of the thread; the waiting one raises it
             self.error = error
         finally:
             self.done.set()
@@ -79,7 +79,7 @@ class Loader:
             runtime: what the nodelets share.
             find_class: imports the class of a declared type.
             on_attach: opens what belongs to a nodelet's proxy.
-            on_unloaded: told the name after a running nodelet was unloaded.
+            on_unloaded: called with the name after a running nodelet was unloaded.
         """
         self.runtime = runtime
         self._find_class = find_class
@@ -133,7 +133,7 @@ class Loader:
             UnknownNodeletType: no package declares the type.
             BrokenPlugin: the declared class cannot be used.
             LoadFailed: the nodelet raised; nothing of it is left.
-            UnloadedMeanwhile: somebody unloaded it before it was up.
+            UnloadedMeanwhile: it was unloaded before it was up.
         """
         with self._lock:
             if name in self._entries:
@@ -188,14 +188,14 @@ class Loader:
             try:
                 unload = self._begin(name, None, wanted=False)
             except UnknownNodelet:
-                continue  # somebody else was faster
+                continue  # another unload was faster
             unload.wait(_HEAD_START)
             unloads.append(unload)
         for unload in unloads:
             self._finish(unload)
 
     def _begin(self, name: str, only: Optional[_Entry], wanted: bool = True) -> _Unload:
-        """Begin an unload, ``wanted`` by somebody or part of the end of the process."""
+        """Begin an unload: one that was asked for, or (not ``wanted``) the end of the process."""
         with self._lock:
             entry = self._entries.get(name)
             known = [each for each, one in self._entries.items() if one.state is _State.RUNNING]

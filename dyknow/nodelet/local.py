@@ -79,7 +79,7 @@ class ManualTicker(Ticker):
 
 
 class LocalPublisher(OutsidePublisher):
-    """Hands what goes out to those who ``LocalTransport.listen``."""
+    """Hands what goes out to the listeners of ``LocalTransport.listen``."""
 
     def __init__(self, transport: LocalTransport, topic: str, datatype: Any) -> None:
         self.transport = transport
@@ -93,11 +93,11 @@ class LocalPublisher(OutsidePublisher):
 
     @property
     def heard(self) -> bool:
-        """Whether somebody listens."""
+        """Whether there are listeners."""
         return bool(self.connections)
 
     def peers(self) -> Tuple[Any, ...]:
-        """Who listens."""
+        """The listeners."""
         return tuple(self.connections)
 
     def publish(self, message: Any) -> None:
@@ -111,7 +111,7 @@ class LocalPublisher(OutsidePublisher):
             peer(message)
 
     def latch(self, message: Any) -> None:
-        """Hand the message on; who comes later is not served by this fake."""
+        """Hand the message on; this fake keeps none for later listeners."""
         self.publish(message)
 
     def wait(self, seconds: float) -> None:
@@ -144,11 +144,11 @@ class LocalSubscriber(OutsideSubscriber):
         transport.subscribers.append(self)
 
     def publishers(self) -> int:
-        """Nobody outside is known before it sends."""
+        """None: a publisher outside is known only when it sends."""
         return 0
 
     def wait(self, arrived: Callable[[float], bool], seconds: float) -> None:
-        """Return at once: nobody outside is known before it sends."""
+        """Return at once: a publisher outside is known only when it sends."""
 
     def close(self) -> None:
         """Withdraw the registration."""
@@ -163,7 +163,7 @@ class LocalTransport(Transport):
     """Topics of one process, and an outside that tests play.
 
     Attributes:
-        listeners: who listens outside, by topic.
+        listeners: subscribers outside, by topic.
         publishers: registered publishers.
         subscribers: registered subscribers.
         registrations: every registration that is not withdrawn, as (kind, topic).

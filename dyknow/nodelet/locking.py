@@ -4,12 +4,12 @@ Strands, connections and publications guard their state with the same lock inste
 message mostly comes after a pause, when little of what it touches is in the processor's caches:
 with locks of their own, a hop spent a third of its time on fetching these.
 
-What is done under the lock takes about a microsecond, and nothing of a nodelet is called there. So
-it is contended only if its holder has to hand over the interpreter in the middle. Who finds it
-taken lets the others run until it is free, instead of queueing up: a thread that waits in a queue
-is given the lock while it has no interpreter, and then all stand in line at every message (a sixth
-of the throughput was left). It is reentrant since a signal handler or a finalizer that publishes
-may come in between.
+What is done under the lock takes about a microsecond, and no code of a nodelet is called there. So
+it is contended only if its holder has to hand over the interpreter in the middle. A thread that
+finds it taken lets others run until it is free, instead of queueing up: a thread that waits in a
+queue is given the lock while it has no interpreter, and then all stand in line at every message (a
+sixth of the throughput was left). It is reentrant since a signal handler or a finalizer that
+publishes may come in between.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class MessageLock:
         self.wait()
 
     def __exit__(self, *unused: object) -> None:
-        """Give it back."""
+        """Release the lock."""
         self.leave()
 
 

@@ -32,29 +32,29 @@ class OutsidePublisher(ABC):
 
     #: Messages that its publication is just handing over; a switch waits for them too.
     in_flight: int
-    #: To be called when ``peers`` have changed; None while nobody wants to know.
+    #: To be called when ``peers`` have changed; None for no call.
     changed: Optional[Callable[[], None]]
 
     @property
     @abstractmethod
     def heard(self) -> bool:
-        """Whether somebody listens; looked at on every publish, so it must be quick."""
+        """Whether there are listeners; looked at on every publish, so it must be quick."""
 
     @abstractmethod
     def peers(self) -> Tuple[Any, ...]:
-        """Who listens outside: one for each other process, ``HERE`` for rospy's own in here."""
+        """Listeners outside: one for each other process, ``HERE`` for rospy's own in this one."""
 
     @abstractmethod
     def publish(self, message: Any) -> None:
-        """Serialise ``message`` once and hand it to everyone who listens outside."""
+        """Serialise ``message`` once and send it to every listener outside."""
 
     @abstractmethod
     def publish_to(self, peer: Any, message: Any) -> None:
-        """Send ``message`` to one of the ``peers``; nothing if it is there no more."""
+        """Send ``message`` to one of the ``peers``, unless that has left."""
 
     @abstractmethod
     def latch(self, message: Any) -> None:
-        """Send ``message`` to those who listen, and keep it for those who come."""
+        """Send ``message`` to every listener, and keep it for later ones."""
 
     @abstractmethod
     def wait(self, seconds: float) -> None:

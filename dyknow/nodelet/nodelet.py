@@ -12,8 +12,8 @@ from dyknow.nodelet.handle import NodeHandle
 class Nodelet:
     """Derive from this, set things up in ``on_init`` and return; callbacks do the rest.
 
-    ``on_init`` runs once, before any callback; what it raises makes the load fail and is told to
-    whoever asked for it. ``on_shutdown`` runs once at the unload, which waits for it at most 1 s.
+    ``on_init`` runs once, before any callback; what it raises makes the load fail and is the
+    answer to the request. ``on_shutdown`` runs once at the unload, which waits for it at most 1 s.
     """
 
     _context: Optional[Context] = None

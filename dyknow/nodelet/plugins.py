@@ -104,7 +104,7 @@ class Plugins:
         self._broken: Tuple[str, ...] = ()
 
     def refresh(self) -> None:
-        """Read the descriptions anew; a broken one is remembered and hides no other."""
+        """Read the descriptions again; a broken one is remembered and hides no other."""
         classes: Dict[str, PluginClass] = {}
         broken: List[str] = []
         for plugin_file in sorted(self._find(), key=lambda each: (each.package, str(each.file))):

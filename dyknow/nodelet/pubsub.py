@@ -29,7 +29,7 @@ class Publisher:
             context: the owner.
             name: what it is called in errors and logs.
             publication: what the handle publishes through.
-            listener: told who listens, as rospy's ``subscriber_listener``; None for nobody.
+            listener: is told who listens, as rospy's ``subscriber_listener``; may be None.
         """
         #: Publish a message or its fields. It is the publication's own method: no call in between.
         self.publish: Callable[..., None] = publication.publish
@@ -53,7 +53,7 @@ class Publisher:
     resolved_name = name
 
     def get_num_connections(self) -> int:
-        """Count who listens: one for each node outside, one for this process."""
+        """Count the listeners: one for each node outside, one for this process."""
         return self.publication.get_num_connections()
 
     def unregister(self) -> None:

@@ -1,4 +1,4 @@
-"""Who runs a callback, and when.
+"""Which thread runs a callback, and when.
 
 A *strand* runs its tasks one after another in the order in which they came; a nodelet has one,
 so its callbacks never overlap. A *worker pool* runs many strands on few threads: a strand that
@@ -6,9 +6,9 @@ has something to do stands once in the pool's queue, and a flag says that it doe
 stands in the queue or runs). Who raises the flag puts the strand into the queue, who finds the
 strand empty lowers it, both under the lock, so no wake-up is ever lost and nothing polls.
 
-The worker that was busy last is called first: what it touched is still in the caches of its core,
-and since one thread at a time runs Python nothing would be won by a change of cores. One that was
-called and found that another had done its work goes to the end of the line.
+The worker that was busy last is woken first: what it touched is still in the caches of its core,
+and since one thread at a time runs Python, another core would gain nothing. A worker that was woken
+and finds that another one did its work goes to the end of the line.
 
 A callback that blocks holds its worker. When all workers are held and work waits, the watchdog
 replaces one after another, so nodelets that block (or never return) do not starve the rest. It
@@ -88,7 +88,7 @@ class Strand:
             self.post_locked(task)
 
     def post_locked(self, task: Task) -> None:
-        """Do the same for who has the lock."""
+        """Same, with the lock held."""
         if self.alive:
             self._tasks.append(task)
             was_busy, self._busy = self._busy, True
@@ -112,10 +112,10 @@ class Strand:
             self._noted = True
         self.alive = False
 
-    # For executors, who have the lock for the first and the last:
+    # For executors, which hold the lock in ``take`` and ``try_idle``:
 
     def take(self) -> Optional[Task]:
-        """Give the oldest task, to run it; None if there is none."""
+        """Return the oldest task, to run it; None if there is none."""
         return self._tasks.popleft() if self._tasks and self.alive else None
 
     def run(self, task: Task) -> None:
@@ -141,7 +141,7 @@ class Strand:
 
 
 class Executor:
-    """What a strand needs to be run; keeps account of the strands for ``drain``."""
+    """Runs strands, and knows them all for ``drain``."""
 
     def __init__(self, record: Optional[CrashRecord] = None) -> None:
         self.strands: weakref.WeakSet[Strand] = weakref.WeakSet()
@@ -238,7 +238,7 @@ class WorkerPool(Executor):
         self._clock = clock
         self._queue: Deque[Strand] = collections.deque()
         self._idle: Deque[_Worker] = collections.deque()
-        self._woken = 0  # workers that have not noticed yet
+        self._woken = 0  # workers that were woken and have not noticed yet
         self._workers: List[_Worker] = []
         self._quiet = state_condition("worker pool")
         self._drainers = 0
@@ -256,7 +256,7 @@ class WorkerPool(Executor):
         return len(self._workers)
 
     def ready(self, strand: Strand) -> None:
-        """Queue the strand, and call a worker unless enough of them are on their way."""
+        """Queue the strand, and wake a worker unless enough of them are on their way."""
         self._queue.append(strand)
         if len(self._queue) > self._woken:
             self._wake_one()

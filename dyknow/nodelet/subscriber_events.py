@@ -1,12 +1,12 @@
-"""Who listens to a publication, told to a subscriber listener as rospy tells it.
+"""Tells a subscriber listener which peers a publication has, as rospy does.
 
-A lazy nodelet works only while somebody listens: it gives its publisher a ``subscriber_listener``
-(see ``rospy.SubscribeListener``) and subscribes to its own inputs in ``peer_subscribe``.
+A lazy nodelet works only while it has listeners: its publisher has a ``subscriber_listener`` (see
+``rospy.SubscribeListener``) that subscribes to the nodelet's inputs in ``peer_subscribe``.
 
-Nobody keeps a record of joins and leaves here. Whatever may have changed who listens only says so;
-the peers of that moment are then compared with those that the listener knows of. So the listener
-and ``get_num_connections`` agree however a change came about: a subscriber of this process or of
-another, a publication that moves to another topic, a subscription that does.
+No record is kept of joins and leaves. A change of the peers only asks for a comparison: the peers
+of that moment with those that the listener knows of. So the listener and ``get_num_connections``
+agree however a change came about: a subscriber of this process or of another, a publication that
+moves to another topic, a subscription that does.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ class SubscriberEvents:
         strand: Strand,
         failed: Callable[[BaseException], None],
     ) -> None:
-        """Begin to tell.
+        """Begin to watch.
 
         Args:
             publication: whose peers.
             listener: has ``peer_subscribe`` and ``peer_unsubscribe``.
             strand: where they are called, so that they never overlap with the nodelet's callbacks.
-            failed: told what they raise.
+            failed: called with what they raise.
         """
         self._publication = publication
         self._listener = listener
@@ -47,7 +47,7 @@ class SubscriberEvents:
         self._changed()
 
     def close(self) -> None:
-        """Tell nothing any more."""
+        """End the calls."""
         self._closed = True
         self._publication.unwatch(self._changed)
 
@@ -62,7 +62,7 @@ class SubscriberEvents:
             return
         topic, peers = self._publication.peers()
         present = [(topic, peer) for peer in peers]
-        # Those who come first: a lazy nodelet shall not stop its inputs at a move between topics.
+        # Joins first: a lazy nodelet must not stop its inputs at a move between topics.
         for each in [each for each in present if each not in self._told]:
             self._told[each] = None
             to_peer = functools.partial(self._publication.publish_to, *each)
@@ -74,5 +74,5 @@ class SubscriberEvents:
     def _tell(self, method: Callable[..., Any], *args: Any) -> None:
         try:
             method(*args)
-        except BaseException as error:  # the boundary: the next one is told all the same
+        except BaseException as error:  # the boundary: the next peer is told all the same
             self._failed(error)

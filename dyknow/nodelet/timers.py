@@ -1,8 +1,8 @@
 """Timers of all nodelets on one thread, which sleeps until the next one is due.
 
-The thread only posts to the timer's strand, so a slow callback delays nobody else. A timer whose
-callback has not run yet is not queued a second time, as in roscpp. Waking up costs more than all
-else, so timers that are due shortly after each other are fired together, at most two
+The thread only posts to the timer's strand, so a slow callback delays no other timer. A timer
+whose callback has not run yet is not queued a second time, as in roscpp. Waking up costs more than
+all else, so timers that are due shortly after each other are fired together, at most two
 milliseconds late.
 """
 
@@ -21,8 +21,8 @@ from dyknow.nodelet.scheduler import Strand
 _log = logging.getLogger("rosout.dyknow")
 
 
-#: Least seconds from one look at the timers to the next, but no more than this part of the
-#: shortest period.
+#: Least seconds from one look at the timers to the next, and the largest part of the shortest
+#: period that they may be.
 _PAUSE = 0.002
 _PART_OF_PERIOD = 0.1
 

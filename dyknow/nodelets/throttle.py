@@ -35,7 +35,7 @@ class Throttle(dyknow.Nodelet):
         if self.due - self.period <= now < self.due:
             return
         # Counting from when it was due keeps the rate where messages come a little late. After a
-        # pause, or when simulated time was set back, counting begins anew.
+        # pause, or when simulated time was set back, counting begins again.
         in_step = self.due <= now < self.due + self.period
         self.due = (self.due if in_step else now) + self.period
         self.pub.publish(message)

@@ -1,7 +1,7 @@
 """Ports: the state objects of the paper's figure 2.
 
-A port lives as long as its nodelet, whatever handles come and go: it remembers its type and the
-topic that it is connected to. Handles made on it later find that connection again.
+A port lives as long as its nodelet, while handles on it come and go: it keeps its type and its
+topic, so a handle that is made later has the same connection.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Port:
             self._traffics.append(endpoint.traffic)
 
     def leave(self, endpoint: Endpoint) -> None:
-        """Keep the counts of an endpoint that goes."""
+        """Keep the counts of an endpoint that leaves."""
         self._free.append(endpoint.traffic)
 
     def statistics(self) -> PortStatistics:
@@ -85,7 +85,8 @@ class OutPort(Port):
         super().__init__(name, datatype, topic)
         self.publication: Optional[Publication] = None
         self.handles: List[PortPublisher] = []
-        #: A handle that comes must not share what the last one is about to withdraw.
+        #: Held while handles come and go: a new one must not share a publication that the last
+        #: one is about to withdraw.
         self.lock = state_lock("port")
 
     def endpoints(self) -> Sequence[Endpoint]:

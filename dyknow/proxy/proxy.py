@@ -1,7 +1,8 @@
 """The nodelet proxy: one for a nodelet, it maps ports to topics and changes that map.
 
-A change is checked as a whole, then applied as a whole. Reconfigurations of one nodelet take
-turns; nothing else waits for that turn, and it waits for no callback.
+A change is checked as a whole, then applied as a whole. Reconfigurations and declarations of ports
+of one nodelet take turns. A turn lasts as long as its registrations and ``PATIENCE``; it waits for
+no callback, and looking at ports and statistics needs no turn.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ class NodeletProxy:
     """Ports of one nodelet and where they are connected."""
 
     def __init__(self, context: Context) -> None:
-        """Make the proxy; use ``of``, since a nodelet has one."""
+        """Make the proxy; ``of`` returns the one of a nodelet."""
         self._context = context
         self._ports: Dict[str, Port] = {}
         self._turn = turn_lock("reconfiguration")

@@ -84,7 +84,7 @@ class ServiceClient:
 
         Raises:
             ServiceFailed: the service says that it failed.
-            ServiceLost: nobody offers it, or the server went away.
+            ServiceLost: it is not offered, or the server went away.
             PeerTimeout: no answer in time.
         """
         assert_no_state_lock(f"calling service {self.name}")

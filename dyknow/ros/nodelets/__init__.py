@@ -1,1 +1,1 @@
-"""The nodelet manager as a node, its services, and those who ask it."""
+"""The nodelet manager as a node, its services, and its clients."""

@@ -1,8 +1,8 @@
 """Nodelet managers tell of changes on the topic ``~changes``: the names of nodelets, no more.
 
 A name says that the nodelet was loaded or unloaded, or that its ports or their topics changed;
-who wants to know what it is like now asks. Names that come in quick succession are told once, in
-one message.
+it does not say how they are now. Names that come in quick succession are told once, in one
+message.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Announcer:
         """Advertise the topic.
 
         Args:
-            everything: names for those who begin to listen, since they may have missed some.
+            everything: names for new listeners, which may have missed some.
         """
         self._everything = everything
         self._lock = state_lock("announcer")
@@ -89,7 +89,7 @@ class Listener:
     """The side that is told, by any number of nodelet managers."""
 
     def __init__(self, hear: Callable[[str], None]) -> None:
-        """Listen to nobody yet.
+        """Begin without subscriptions.
 
         Args:
             hear: called with the name of a nodelet, on rospy's threads.
@@ -115,5 +115,5 @@ class Listener:
             self._hear(name)
 
     def close(self) -> None:
-        """Listen to nobody any more."""
+        """End all subscriptions."""
         self.follow(())

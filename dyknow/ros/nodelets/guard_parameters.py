@@ -1,7 +1,7 @@
 """How DyKnow managers hand their guards to nodelet managers: private parameters of these.
 
 Each DyKnow manager has a parameter of its own, ``~guards/KEY``, and the guards of all add up:
-nobody lifts what another denies, and only its owner takes its own away. With them go the names of
+none lifts what another denies, and each takes away only its own. With them go the names of
 the nodelets that the owner protects: for others these are not unloaded. The parameter server
 tells a nodelet manager of every change, so a check costs no remote call and guards that change
 reach nodelets that run.

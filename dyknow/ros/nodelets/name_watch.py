@@ -1,7 +1,7 @@
 """A node ends when another one has registered under its name.
 
-The master tells it so at that moment, but only once. Whoever is cut off just then never hears of
-it, and its nodelets would go on publishing beside those of its successor.
+The master tells it so at that moment, but only once. A node that is cut off just then never hears
+of it, and its nodelets would go on publishing beside those of its successor.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ PERIOD = 1.0
 
 
 def end_when_displaced(name: str, uri: str, end: Callable[[str], None]) -> None:
-    """Ask the master from time to time, in a thread of its own, who bears a name.
+    """Ask the master from time to time, in a thread of its own, which node bears a name.
 
-    A master that is away, or knows nobody of that name, changes nothing.
+    A master that is away, or knows no node of that name, changes nothing.
 
     Args:
         name: of this node.

@@ -2,7 +2,7 @@
 
 They work with every manager that offers nodelet_core's services, in Python or C++. `load` is a
 node that carries the nodelet's name and stays as long as the nodelet shall: its main thread only
-waits for the next event (the nodelet is loaded, the bond broke, somebody wants us to stop), and
+waits for the next event (the nodelet is loaded, the bond broke, a signal to stop), and
 everything that may block has a thread of its own. So a signal is answered at once whatever the
 manager does.
 """
@@ -160,7 +160,7 @@ class _LoadClient:
         return DONE
 
     def _abandon_load(self) -> int:
-        """Leave no nodelet behind that the manager is just initialising; gives the exit code.
+        """Leave no nodelet behind that the manager is just initialising; returns the exit code.
 
         A nodelet that came up while we were stopped is one that was loaded and then unloaded.
         """
@@ -190,7 +190,7 @@ class _LoadClient:
         try:
             self._events.put(_Event.LOADED if self._request() else _Event.REFUSED)
         except rospy.ROSInterruptException:
-            pass  # The process ends; nobody waits for the event.
+            pass  # The process ends; the event is not awaited.
         except Exception:
             rospy.logfatal(f"Failed to load nodelet '{self._name}`:\n{traceback.format_exc()}")
             self._events.put(_Event.REFUSED)
@@ -238,7 +238,7 @@ def _cause(error: rospy.ServiceException) -> str:
 
 
 def _wait_for(service: str) -> None:
-    """Wait until somebody offers the service, and say now and then that we do."""
+    """Wait until the service is offered, and say now and then that we do."""
     rospy.logdebug(f"Waiting for service {service} to be available...")
     if _is_available(service, 1.0):
         return

@@ -118,7 +118,11 @@ class NodeletManager(Closable):
             ("~load_nodelet", NodeletLoad, self._load),
             ("~unload_nodelet", NodeletUnload, self._unload),
             ("~get_counts", GetCounts, self._get_counts),
-            ("~list", NodeletList, self._list),  # the last: who finds it finds all of them
+            (
+                "~list",
+                NodeletList,
+                self._list,
+            ),  # the last: where it is, all are
         ):
             self._services.append(rospy.Service(name, service_class, handler))
 
@@ -182,7 +186,7 @@ class NodeletManager(Closable):
     def close(self) -> None:
         """Unload everything and end.
 
-        What is unloaded now nobody asked to have unloaded, so the list is not given any more: who
+        No client asked for these unloads, so the list is not answered any more: a manager that
         keeps nodelets running has to see a process that ends, not nodelets that go.
         """
         self._ending = True
@@ -314,7 +318,7 @@ def _end_without_owner(argv: Sequence[str], end: Callable[[], None]) -> None:
 
 
 def _crash_record() -> CrashRecord:
-    """Where a DyKnow manager looks for who was at work, if this process should crash."""
+    """Where a DyKnow manager looks for the nodelets at work, if this process should crash."""
     path = rospy.get_param("~crash_record", "")
     try:
         return CrashRecord(str(path))

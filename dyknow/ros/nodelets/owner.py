@@ -1,12 +1,13 @@
-"""Who looks after a nodelet manager, and what happens when nobody does.
+"""Which DyKnow manager looks after a nodelet manager, and what happens when none does.
 
 A DyKnow manager holds a lock on a file as long as it lives; the kernel gives the lock back
 whatever kills it. Each of its nodelet managers waits for that lock: as long as the owner lives
 the wait costs nothing, and its end is noticed at once. An owner that returns in time takes the
 lock again. So there is no heartbeat, and a stopped owner is not a dead one.
 
-Those who wait get the lock for a moment when the owner dies, and one that is stopped just then
-keeps it. So that there is one owner is what a second file is for, which owners alone lock.
+Waiting nodelet managers get the lock for a moment when the owner dies, and one that is stopped
+just then keeps it. So owners lock a second file too, which no other process locks: there is one
+owner.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ class OwnerLock:
         """Take the lock.
 
         Args:
-            path: the file that those who wait are told of.
+            path: the file whose name nodelet managers are given.
 
         Raises:
             StoreError: another owner has it, or the file cannot be made.
@@ -63,7 +64,7 @@ class OwnerLock:
         self._waiting.close()
 
     def _take_later(self) -> None:
-        """Wait for those who just find out that the predecessor is gone."""
+        """Wait for nodelet managers that just find out that the predecessor is gone."""
         try:
             _lock(self._waiting, fcntl.LOCK_EX)
         except ValueError:

@@ -1,7 +1,7 @@
 """Messages of any type: between ``rospy.AnyMsg`` and the classes of messages.
 
-rospy has one subscriber for each topic of a process, and its first user decides about the class
-of what it delivers. Whoever comes later has to make the best of that.
+rospy has one subscriber for each topic of a process, and its first user decides which class its
+messages have. Here they are converted for all others.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from dyknow.nodelet.middleware import Receive
 
 
 def connection_header(datatype: Any, latching: bool) -> Dict[str, str]:
-    """What rospy's messages tell of their publisher, but the topic, for one of this process."""
+    """The connection header of messages from this process, without their topic."""
     return {
         "callerid": rospy.get_name(),
         "latching": str(int(latching)),
@@ -26,7 +26,7 @@ def connection_header(datatype: Any, latching: bool) -> Dict[str, str]:
 
 
 def serialised(any_class: Any, message: Any, header: Optional[Dict[str, str]] = None) -> Any:
-    """Make what a subscriber of any type expects from a message of this process."""
+    """Convert a message of this process to one of any type."""
     buffer = BytesIO()
     message.serialize(buffer)
     wrapped = any_class()
@@ -44,7 +44,7 @@ class TypedReceiver:
         self._receive = receive
 
     def push(self, message: Any) -> None:
-        """Hand a message on, with its class."""
+        """Pass a message on, in its class."""
         if message._md5sum == "*":
             present = message._connection_header
             if present["md5sum"] != self._datatype._md5sum:

@@ -28,7 +28,7 @@ class Backlog:
         self._due: Set[str] = set()
         self._deadline = 0.0
         self._missed: Deque[Any] = collections.deque()
-        #: Whether somebody is expected; looked at on every publish.
+        #: Whether a subscriber is expected; looked at on every publish.
         self.open = False
 
     def expect(self, due: Collection[str], size: int) -> None:
@@ -44,18 +44,18 @@ class Backlog:
         self.open = bool(self._due)
 
     def waiting(self) -> bool:
-        """Whether somebody is still expected."""
+        """Whether a subscriber is still expected."""
         if self.open and self._clock() >= self._deadline:
             self._close()
         return self.open
 
     def keep(self, message: Any) -> None:
-        """Keep a message for those who are late."""
+        """Keep a message for subscribers that are late."""
         if self.waiting():
             self._missed.append(message)
 
     def greet(self, address: str) -> List[Any]:
-        """Somebody has connected: return what it missed, oldest first."""
+        """Return what a subscriber missed that has connected now, oldest first."""
         if not self.waiting() or address not in self._due:
             return []
         self._due.remove(address)

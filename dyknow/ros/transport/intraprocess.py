@@ -3,8 +3,11 @@
 rospy links a publisher and a subscriber of one process through a TCP connection to itself. For a
 topic on which the bus publishes that would deliver everything twice, so the connection to our own
 address is answered with an INTRAPROCESS transport that carries nothing; rosnode and rqt_graph
-still see it. The hook is one attribute of rospy's protocol handler (its documented
-``ProtocolHandler`` interface): no class is patched.
+still see it. The hook is ``create_transport`` of rospy's protocol handler, of its documented
+``ProtocolHandler`` interface. On the topics of the bus, methods of rospy's own publisher and
+subscriber objects are wrapped too: ``publish``, ``add_connection`` and ``remove_connection``,
+``add_callback`` and ``remove_callback``. All of them are attributes of objects: no class is
+patched.
 
 What ordinary rospy handles in this process (tf2's listeners and broadcasters, say) exchange on
 such a topic is passed on by this module: to ordinary subscribers on a strand of their own, from
@@ -125,7 +128,7 @@ class LocalTopic:
 
         implementation.publish = publish
         self._follow(implementation, "remove_connection")
-        for connection in implementation.connections:  # those who came before we followed
+        for connection in implementation.connections:  # those that were there already
             connection.set_cleanup_callback(self._refreshing_after(connection.cleanup_cb))
         add = implementation.add_connection
 
@@ -154,7 +157,7 @@ class LocalTopic:
     def expect(self, told: Collection[str], size: int) -> None:
         """Keep what is published for subscribers that were told and have yet to connect."""
         implementation = self._adopted
-        implementation.acquire()  # before it is asked who is there, so nobody slips through
+        implementation.acquire()  # first: no connection comes between the question and the answer
         try:
             callers = [connection.endpoint_id for connection in implementation.connections]
             self.backlog.expect(set(told) - set(map(self._address, callers)), size)
@@ -166,7 +169,9 @@ class LocalTopic:
         """Show the link on rospy's subscriber and follow its ordinary callbacks."""
         new = self._listening is not subscriber
         if new:
-            self._listen_with(subscriber)  # first: whoever sees the connection is heard already
+            self._listen_with(
+                subscriber
+            )  # first: a peer that sees the connection is heard already
         present = [c for c in subscriber.connections if isinstance(c, IntraProcessTransport)]
         if not present:
             subscriber.add_connection(
@@ -188,8 +193,8 @@ class LocalTopic:
         self.refresh()
 
     def refresh(self) -> None:
-        """Let the publications of the bus know whether somebody outside of it listens."""
-        with self._refreshing:  # whoever comes last has seen all changes
+        """Let the publications of the bus know whether they have listeners outside."""
+        with self._refreshing:  # the last thread here has seen all changes
             heard = bool(
                 self.foreign
                 or self.backlog.waiting()
@@ -206,7 +211,7 @@ class LocalTopic:
         self._hand_over(message, self.foreign)
 
     def unlink(self) -> None:
-        """Take the link off rospy's subscriber: nobody publishes here any more."""
+        """Take the link off rospy's subscriber: this process publishes here no more."""
         subscriber = self._listening
         if subscriber is not None:
             vars(subscriber).pop("add_callback", None)
@@ -310,7 +315,7 @@ class IntraProcess:
             return self._topics[topic]
 
     def retire(self, topic: str) -> None:
-        """Give the topic back if rospy has no publisher for it any more."""
+        """Return the topic to rospy if that has no publisher for it any more."""
         if rospy.impl.registration.get_topic_manager().get_publisher_impl(topic) is not None:
             return
         with self._lock:
@@ -331,7 +336,7 @@ class IntraProcess:
             return self._link(topic)
         answer: Tuple[int, str, int] = self._connect_outside(topic, uri, parameters)
         if uri == self._uri and self._is_taken_over(topic):
-            return self._link(topic)  # meanwhile, by somebody who did not see this connection yet
+            return self._link(topic)  # meanwhile, by a thread that did not see this connection yet
         return answer
 
     def _is_taken_over(self, topic: str) -> bool:

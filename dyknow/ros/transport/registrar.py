@@ -1,9 +1,9 @@
 """Registers what rospy adds with the master, in rospy's place, and keeps what the master answers.
 
 The master answers the registration of a topic with the nodes on its other side. rospy drops that
-answer for publishers, and who asks again by registering again has every subscriber told twice: a
-rospy subscriber may then connect twice, and what the publisher sent over the first connection is
-lost. rospy also repeats a registration for ever while the master is down, under the locks that
+answer for publishers. To ask by registering again would have every subscriber told twice: a rospy
+subscriber may then connect twice, and what the publisher sent over the first connection is lost.
+rospy also repeats a registration for ever while the master is down, under the locks that
 every other registration of the process needs; here one that fails is repeated by a thread.
 
 The hook is two instance attributes of rospy's ``RegManager``, those of its documented
@@ -70,7 +70,7 @@ class Registrar(RegistrationListener):
     def subscribers(self, topic: str) -> Optional[FrozenSet[str]]:
         """Addresses of the other nodes that subscribed when this process began to publish.
 
-        It is handed out once, since it grows old; None if the master was not asked anew.
+        They are returned once, since they grow old; None if the master was not asked again.
         """
         return self._answer((Registration.PUB, topic, ""))
 
@@ -87,7 +87,7 @@ class Registrar(RegistrationListener):
         """Register a topic or a service."""
         key = _key(reg_type, resolved_name, data_type_or_uri)
         with self._lock:
-            down = bool(self._owed)  # then whoever comes waits in line
+            down = bool(self._owed)  # then every registration waits in line
         if down or not self._register(key, data_type_or_uri):
             self._owe(key, data_type_or_uri)
 

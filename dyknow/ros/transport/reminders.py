@@ -93,7 +93,7 @@ class Reminders:
             self._withdrawn[topic] = now
 
     def advertised(self, topic: str, datatype: str, told: Addresses) -> None:
-        """Note that this process publishes a topic, and the subscribers that the master told of it."""
+        """Note that this process publishes a topic, and which subscribers the master told."""
         now = self._clock()
         with self._state_lock:
             withdrawn = self._withdrawn.pop(topic, None)

@@ -32,7 +32,7 @@ def _unremapped(topic: str) -> str:
 
 
 class RospyPublisher(OutsidePublisher):
-    """A rospy.Publisher that only speaks when somebody outside listens."""
+    """A rospy.Publisher that sends only while it has listeners outside."""
 
     __slots__ = (
         "_closed",
@@ -109,7 +109,7 @@ class RospyPublisher(OutsidePublisher):
             self._outwards(message, peer)
 
     def latch(self, message: Any) -> None:
-        """Publish, and keep the message for those who come."""
+        """Publish, and keep the message for later subscribers."""
         self._local.latch(self, message)
         self._local.deliver(message)
         self._outwards(message)
@@ -123,7 +123,7 @@ class RospyPublisher(OutsidePublisher):
             time.sleep(_STEP)
 
     def drain(self, seconds: float) -> bool:
-        """Wait until rospy's sending threads have written everything, also to those who are late.
+        """Wait until rospy's sending threads have written everything, to late subscribers too.
 
         A rospy subscriber that connects to a topic that is gone never connects to it again, so
         those on their way are waited for even if nothing was published.
@@ -153,7 +153,7 @@ class RospyPublisher(OutsidePublisher):
         self._intraprocess.retire(self._topic)
 
     def _outwards(self, message: Any, peer: Any = None) -> None:
-        """Send to all connections, or to one, which changes nothing for those who come."""
+        """Send to all connections, or to one, which changes nothing for later subscribers."""
         # rospy writes header.seq and frame_id into what it sends; others in here hold that object.
         if getattr(message.__class__, "_has_header", False):
             message = copy.copy(message)
@@ -167,7 +167,7 @@ class RospyPublisher(OutsidePublisher):
             self._local.outwards(message, peer)
             if peer is not None:
                 implementation.latch = latched
-            elif not implementation.is_latch:  # whoever comes gets the last one anyway
+            elif not implementation.is_latch:  # a later subscriber gets the last one anyway
                 self._local.backlog.keep(message)
         except Exception as error:
             if self._closed:
