@@ -7,8 +7,8 @@ stands in the queue or runs). Who raises the flag puts the strand into the queue
 strand empty lowers it, both under the lock, so no wake-up is ever lost and nothing polls.
 
 The worker that was busy last is woken first: what it touched is still in the caches of its core,
-and since one thread at a time runs Python, another core would gain nothing. A worker that was woken
-and finds that another one did its work goes to the end of the line.
+and since one thread at a time runs Python, another core would gain nothing. A worker that was
+woken and finds that another one did its work goes to the end of the line.
 
 A callback that blocks holds its worker. When all workers are held and work waits, the watchdog
 replaces one after another, so nodelets that block (or never return) do not starve the rest. It
