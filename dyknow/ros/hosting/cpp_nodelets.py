@@ -1,114 +1,78 @@
 """The proxy's three services for plain C++ nodelets, offered by the manager in their place.
 
 Such a nodelet has no ports that can be moved: what connects it elsewhere is a reload with other
-remappings, which the manager does. What goes through it nobody counts.
+remappings, which the manager does. What goes through it is not counted.
 """
 
 from __future__ import annotations
 
 import time
 from dataclasses import replace
-from typing import Any, Dict, List
+from typing import Dict, List, Sequence, Tuple
 
-import rospy
-from dyknow_msgs.srv import (
-    GetConfig,
-    GetConfigResponse,
-    GetStatistics,
-    GetStatisticsResponse,
-    SetConfig,
-    SetConfigResponse,
-)
-
-from dyknow import names
-from dyknow.errors import DuplicatePort, DyKnowError, UnknownNodelet
+from dyknow.errors import DuplicatePort, UnknownNodelet
 from dyknow.locks import turn_lock
 from dyknow.manager.manager import Manager
 from dyknow.manager.record import Record
-from dyknow.model.graph import State
+from dyknow.model.graph import PortState, State
 from dyknow.model.statistics import NodeletStatistics, PortStatistics
-from dyknow.ros.log_text import for_log
-from dyknow.ros.messages import config_pairs, port_message, statistics_message
-from dyknow.ros.nodelets.guard_parameters import caller_of
+from dyknow.ros.nodelets.proxy_services import ProxyServices
 
 
-class CppNodelet:
+class CppProxy:
     """Stands in for the proxy of one C++ nodelet."""
 
     def __init__(self, manager: Manager, name: str) -> None:
-        """Offer its services."""
+        self.name = name
         self._manager = manager
-        self._name = name
         self._since = time.monotonic()
         self._reconfigurations = 0
-        self._services: List[Any] = []
-        for service, service_class, handler in (
-            ("get_config", GetConfig, self._get_config),
-            ("set_config", SetConfig, self._set_config),
-            ("get_statistics", GetStatistics, self._get_statistics),
-        ):
-            offered = rospy.Service(names.join(name, service), service_class, handler)
-            self._services.append(offered)
 
-    def close(self) -> None:
-        """Withdraw the services."""
-        while self._services:
-            self._services.pop().shutdown("the nodelet is unloaded")
+    def get_config(self) -> List[PortState]:
+        """Return the ports; the tags are for the manager to tell."""
+        return [replace(port, tags=()) for port in self._record().ports]
+
+    def set_config(self, config: Sequence[Tuple[str, str]]) -> None:
+        """Load the nodelet again with other connections.
+
+        Raises:
+            DyKnowError: it did not work; the nodelet is wired as before.
+        """
+        texts = (text for pair in config for text in pair)
+        self._manager.guards.check_sizes(texts, len(config))
+        topics: Dict[str, str] = {}
+        for port, topic in config:
+            if port in topics:
+                raise DuplicatePort(port)
+            topics[port] = topic
+        self._manager.reconfigure(self.name, topics)
+        self._reconfigurations += 1
+
+    def get_statistics(self) -> NodeletStatistics:
+        """Return what is known: only the manager's own changes."""
+        unknown = (None,) * 5
+        ports = tuple(
+            PortStatistics(port.name, port.direction, port.topic, *unknown)
+            for port in self._record().ports
+        )
+        uptime = time.monotonic() - self._since
+        return NodeletStatistics(uptime, self._reconfigurations, None, ports)
 
     def _record(self) -> Record:
-        found = self._manager.graph.find(self._name)
+        found = self._manager.graph.find(self.name)
         if found is None:
-            raise UnknownNodelet(self._name, ())
+            raise UnknownNodelet(self.name, ())
         return found
-
-    def _get_config(self, request: Any) -> GetConfigResponse:
-        return GetConfigResponse(
-            [port_message(replace(port, tags=())) for port in self._record().ports]
-        )
-
-    def _set_config(self, request: Any) -> SetConfigResponse:
-        caller = caller_of(request)
-        pairs = config_pairs(request.config)
-        try:
-            self._manager.guards.check_sizes((text for pair in pairs for text in pair), len(pairs))
-            config: Dict[str, str] = {}
-            for port, topic in pairs:
-                if port in config:
-                    raise DuplicatePort(port)
-                config[port] = topic
-            self._manager.reconfigure(self._name, config)
-        except DyKnowError as error:
-            rospy.logerr("%s: set_config of %s: %s", self._name, for_log(caller), for_log(error))
-            return SetConfigResponse(False, str(error))
-        self._reconfigurations += 1
-        rospy.loginfo(
-            "%s: loaded anew with the connections that %s wants", self._name, for_log(caller)
-        )
-        return SetConfigResponse(True, "")
-
-    def _get_statistics(self, request: Any) -> GetStatisticsResponse:
-        unknown = (None,) * 5
-        return statistics_message(
-            NodeletStatistics(
-                time.monotonic() - self._since,
-                self._reconfigurations,
-                None,
-                tuple(
-                    PortStatistics(port.name, port.direction, port.topic, *unknown)
-                    for port in self._record().ports
-                ),
-            )
-        )
 
 
 class CppNodelets:
     """All C++ nodelets that the manager made."""
 
     def __init__(self, manager: Manager) -> None:
-        """Offer nothing yet."""
+        """Begin without services."""
         self._manager = manager
         self._turn = turn_lock("services of C++ nodelets")
-        self._offered: Dict[str, CppNodelet] = {}
+        self._offered: Dict[str, ProxyServices] = {}
 
     def follow(self) -> None:
         """Offer the services of those that are there now, and of no others."""
@@ -123,7 +87,7 @@ class CppNodelets:
                 self._offered.pop(name).close()
             for name in wanted:
                 if name not in self._offered:
-                    self._offered[name] = CppNodelet(self._manager, name)
+                    self._offered[name] = ProxyServices(CppProxy(self._manager, name))
 
     def close(self) -> None:
         """Withdraw all services."""

@@ -235,7 +235,7 @@ class NodeletManager(Closable):
         if not isinstance(thing, NodeletProxy):
             return None
         thing.on_change = lambda: self._announcer.tell(context.name)
-        return ProxyServices(thing, self._guards)
+        return ProxyServices(thing, self._guards.check_caller)
 
     # Services
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Callable, List
+from typing import Any, Callable, List, Protocol, Sequence, Tuple
 
 import rospy
 from dyknow_msgs.srv import (
@@ -16,11 +16,29 @@ from dyknow_msgs.srv import (
 
 from dyknow import names
 from dyknow.errors import DyKnowError
+from dyknow.model.graph import PortState
+from dyknow.model.statistics import NodeletStatistics
 from dyknow.nodelet.middleware import Closable
-from dyknow.proxy.proxy import NodeletProxy
 from dyknow.ros.log_text import for_log
 from dyknow.ros.messages import config_pairs, port_message, statistics_message
-from dyknow.ros.nodelets.guard_parameters import GuardParameters, caller_of
+from dyknow.ros.nodelets.guard_parameters import caller_of
+
+
+class Proxy(Protocol):
+    """What the services ask: a nodelet's proxy, or what stands in for it."""
+
+    @property
+    def name(self) -> str:
+        """Name of the nodelet."""
+
+    def get_config(self) -> List[PortState]:
+        """Return the ports."""
+
+    def set_config(self, config: Sequence[Tuple[str, str]]) -> None:
+        """Connect ports to topics, all or none; raises DyKnowError."""
+
+    def get_statistics(self) -> NodeletStatistics:
+        """Return what the nodelet has done."""
 
 
 class ProxyServices(Closable):
@@ -30,10 +48,20 @@ class ProxyServices(Closable):
     hangs can still be looked at and re-wired.
     """
 
-    def __init__(self, proxy: NodeletProxy, guards: GuardParameters) -> None:
-        """Offer the services of ``proxy``; ``guards`` decide who may change it."""
+    def __init__(
+        self,
+        proxy: Proxy,
+        check_caller: Callable[[str, str], None] = lambda caller, what: None,
+    ) -> None:
+        """Offer the services.
+
+        Args:
+            proxy: answers them.
+            check_caller: raises Denied if this node must not make a change, which the second
+                argument describes.
+        """
         self._proxy = proxy
-        self._guards = guards
+        self._check_caller = check_caller
         self._services: List[Any] = []
         self._closed = False
         try:
@@ -73,7 +101,7 @@ class ProxyServices(Closable):
         caller, name = caller_of(request), self._proxy.name
         config = config_pairs(request.config)
         try:
-            self._guards.check_caller(caller, f"connecting ports of '{name}'")
+            self._check_caller(caller, f"connecting ports of '{name}'")
             self._proxy.set_config(config)
         except DyKnowError as error:
             rospy.logerr("%s: set_config of %s: %s", name, for_log(caller), for_log(error))
