@@ -31,9 +31,11 @@ TURNS: Tuple[str, ...] = (
     "nodelets on disk",
     "claims on disk",
     "records of children",
+    "parts of model messages",
     "reconfiguration",
     "listening to nodelet managers",
     "words of a bond",
+    "output of a child",
     "service client",
     "state file",
 )
@@ -41,9 +43,9 @@ TURNS: Tuple[str, ...] = (
 #: State locks that are held while others are taken, the outermost first.
 STATE_LOCKS: Tuple[str, ...] = (
     "port",
-    "loader",
     "bus",
     OTHER_STATE_LOCKS,
+    "event queue",
     "messages",
 )
 

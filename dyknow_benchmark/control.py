@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from dataclasses import dataclass, field
 from typing import Dict, List, Sequence
@@ -10,6 +9,7 @@ from typing import Dict, List, Sequence
 import rospy
 from std_msgs.msg import Empty, Float64MultiArray
 
+from dyknow.locks import state_condition
 from dyknow_benchmark.session import START_PATIENCE, MeasurementFailed, Session
 
 #: Seconds between an order to send and the first message, so that the order has arrived.
@@ -69,7 +69,7 @@ class ChainControl:
         """
         self.control = control
         self.hops = tuple(sorted(hops))
-        self._changed = threading.Condition()
+        self._changed = state_condition("reports")
         self._arrivals: Dict[int, Dict[float, float]] = {hop: {} for hop in self.hops}
         self._send = rospy.Publisher(control + "/send", Float64MultiArray, queue_size=10)
         self._collect = rospy.Publisher(control + "/collect", Empty, queue_size=10)

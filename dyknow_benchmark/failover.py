@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import os
 import signal
-import threading
 import time
 from typing import Callable, Dict, List, NamedTuple
 
@@ -18,6 +17,7 @@ from nodelet.srv import NodeletUnload
 from std_msgs.msg import Empty, Header
 
 import dyknow
+from dyknow.locks import state_lock
 from dyknow.ros.acquiring import AcquiredStream
 from dyknow_benchmark import machine, options, progress, system
 from dyknow_benchmark.outcome import Results
@@ -38,7 +38,7 @@ class _Listener:
     """Which life of the part was heard last, and when each was heard first and last."""
 
     def __init__(self, topic: str) -> None:
-        self._lock = threading.Lock()
+        self._lock = state_lock("messages of a stream")
         self._first: Dict[str, float] = {}
         self._last: Dict[str, float] = {}
         self.life = ""

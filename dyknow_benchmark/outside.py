@@ -8,11 +8,11 @@ The messages of the chains alternate.
 from __future__ import annotations
 
 import argparse
-import threading
 from typing import List, Sequence, Set
 
 import rospy
 
+from dyknow.locks import state_lock
 from dyknow_benchmark import machine, options, progress
 from dyknow_benchmark.chains import Chains
 from dyknow_benchmark.control import Block, ChainControl, Order, run_alternating
@@ -87,7 +87,7 @@ class _Listener:
     """Subscribes, in this process, to what some hops of a chain publish."""
 
     def __init__(self, control: str, numbers: Sequence[int], payload: str) -> None:
-        self._lock = threading.Lock()
+        self._lock = state_lock("arrivals")
         self._silent: Set[int] = set(numbers)
         datatype = payload_of(payload).datatype
         for number in numbers:

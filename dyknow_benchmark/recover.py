@@ -9,13 +9,13 @@ from __future__ import annotations
 import argparse
 import os
 import signal
-import threading
 import time
 from typing import Dict, List
 
 import rospy
 from std_msgs.msg import Header
 
+from dyknow.locks import state_lock
 from dyknow_benchmark import machine, options, progress, system
 from dyknow_benchmark.outcome import Results
 from dyknow_benchmark.session import Session, wait_until
@@ -34,7 +34,7 @@ class _Streams:
     """When a message of each stream was last heard, in this process."""
 
     def __init__(self, topics: List[str]) -> None:
-        self._lock = threading.Lock()
+        self._lock = state_lock("deliveries")
         self._last: Dict[str, float] = dict.fromkeys(topics, 0.0)
         self._subscribers = [
             rospy.Subscriber(topic, Header, self._hear, callback_args=topic) for topic in topics

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from dataclasses import dataclass
 from typing import Dict, List, Sequence, Tuple
@@ -12,6 +11,7 @@ from dyknow_msgs.msg import PortConfig
 from dyknow_msgs.srv import SetConfig
 from std_msgs.msg import Empty, Float64MultiArray
 
+from dyknow.locks import state_condition
 from dyknow_benchmark.managers import RunningManager
 from dyknow_benchmark.session import START_PATIENCE, MeasurementFailed, wait_until
 
@@ -53,7 +53,7 @@ class Switching:
             MeasurementFailed: they do not come up.
         """
         self._reports: Dict[int, List[float]] = {}
-        self._changed = threading.Condition()
+        self._changed = state_condition("switches")
         self._collect = rospy.Publisher(_CONTROL + "/collect", Empty, queue_size=10)
         self._side = dict.fromkeys(ENDS, 0)
         first = {end: _ENDS[end][2][0] for end in ENDS}

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import argparse
 import sys
-import threading
 import time
 from typing import Dict, List
 
 import rospy
 from std_msgs.msg import Empty, Float64MultiArray
 
+from dyknow.locks import state_condition
 from dyknow_benchmark import machine, options, progress
 from dyknow_benchmark.chains import load_hops
 from dyknow_benchmark.control import LEAD, TAIL
@@ -81,7 +81,7 @@ class RingControl:
 
     def __init__(self, control: str) -> None:
         """Connect to a ring."""
-        self._changed = threading.Condition()
+        self._changed = state_condition("throughput")
         self._report: List[float] = []
         self._send = rospy.Publisher(control + "/send", Float64MultiArray, queue_size=10)
         self._collect = rospy.Publisher(control + "/collect", Empty, queue_size=10)

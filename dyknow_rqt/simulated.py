@@ -5,7 +5,6 @@ It behaves as a real one does where the window can see it, and can be told to fa
 
 from __future__ import annotations
 
-import threading
 import time
 from dataclasses import replace
 from typing import Callable, Dict, List, Mapping, Optional, Sequence, Tuple
@@ -24,6 +23,7 @@ from dyknow.errors import (
     UnknownPort,
     UnknownTransformation,
 )
+from dyknow.locks import reentrant_state_lock
 from dyknow.manager.specifications.specification import parse
 from dyknow.model.graph import Model, NodeletStatus, PortState, State
 from dyknow.model.statistics import NodeletStatistics, PortStatistics
@@ -52,7 +52,7 @@ class SimulatedRemote(Remote):
         self._nodelets: Dict[str, NodeletStatus] = {}
         self._library: Dict[str, Transformation] = {}
         self._revision = self._library_revision = 1
-        self._lock = threading.RLock()
+        self._lock = reentrant_state_lock("simulated manager")
         self._on_model: Callable[[Model], None] = lambda model: None
         self._start = time.monotonic()
         #: The claims, to be altered as if by themselves.

@@ -8,7 +8,6 @@ the manager.
 from __future__ import annotations
 
 import os
-import threading
 import time
 import uuid
 from dataclasses import replace
@@ -18,6 +17,7 @@ import rospy
 
 from dyknow.errors import BadParameter, DyKnowError, HostError, PeerTimeout, Refused, StreamRefused
 from dyknow.event_queue import EventQueue
+from dyknow.locks import state_condition
 from dyknow.model.streams import Acquisition, ClaimState, StreamEvent, StreamRequest, StreamStatus
 from dyknow.ros.client import CHANGE_TIMEOUT, ManagerClient
 from dyknow.ros.stream_session import StreamSession
@@ -57,7 +57,7 @@ class AcquiredStream:
         self._client = client
         self._session = session
         self._telling: EventQueue[StreamEvent] = EventQueue(on_event or (lambda event: None))
-        self._condition = threading.Condition()
+        self._changed = state_condition("acquired stream")
         self._view = view
         self._released = False
         self._events = 0
@@ -97,12 +97,12 @@ class AcquiredStream:
             Whether it is there; False if the time, the node or the claim ended before.
         """
         deadline = None if timeout is None else time.monotonic() + timeout
-        with self._condition:
+        with self._changed:
             while self.state is not ClaimState.ACTIVE:
                 late = deadline is not None and time.monotonic() >= deadline
                 if late or self.state.ended or rospy.is_shutdown():
                     return False
-                self._condition.wait(_PERIOD)
+                self._changed.wait(_PERIOD)
         return True
 
     def release(self) -> None:
@@ -110,7 +110,7 @@ class AcquiredStream:
 
         A manager that cannot be reached ends the claim when it misses this process.
         """
-        with self._condition:
+        with self._changed:
             if self._released:
                 return
             self._released = True
@@ -142,7 +142,7 @@ class AcquiredStream:
 
     def note(self, event: StreamEvent) -> None:
         """Take in a change; nothing changes a claim that ended."""
-        with self._condition:
+        with self._changed:
             if not self._view.state.ended:
                 self._events += 1
                 self._put(event)
@@ -150,7 +150,7 @@ class AcquiredStream:
 
     def note_view(self, view: StreamStatus, events: int) -> None:
         """Take in what the claim was like after so many changes; news if one was missed."""
-        with self._condition:
+        with self._changed:
             if events == self._events:
                 self._take(view, view.detail or "an earlier event was missed")
         self._telling.deliver()
@@ -160,7 +160,7 @@ class AcquiredStream:
         self._change(why, state=ClaimState.EXPIRED, detail=why)
 
     def _change(self, reason: str, **changes: Any) -> None:
-        with self._condition:
+        with self._changed:
             self._take(replace(self._view, **changes), reason)
         self._telling.deliver()
 
@@ -175,7 +175,7 @@ class AcquiredStream:
 
     def _put(self, event: StreamEvent) -> None:
         self._view = event.after
-        self._condition.notify_all()
+        self._changed.notify_all()
         self._telling.add(event)
 
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
-import threading
 from typing import TextIO
+
+from dyknow.locks import turn_lock
 
 _CHUNK = 1 << 16
 
@@ -15,12 +16,12 @@ class LogTail:
     def __init__(self, path: str, at_end: bool = False) -> None:
         """Follow ``path`` from its beginning, or from its end as it is now."""
         self._path = path
-        self._lock = threading.Lock()
+        self._turn = turn_lock("output of a child")
         self._position = os.path.getsize(path) if at_end and os.path.exists(path) else 0
 
     def copy(self, target: TextIO) -> None:
         """Copy what came since the last call."""
-        with self._lock:
+        with self._turn:
             try:
                 with open(self._path, "rb") as file:
                     file.seek(self._position)
@@ -32,4 +33,4 @@ class LogTail:
                         target.write(chunk.decode("utf-8", "replace"))
                 target.flush()
             except (OSError, ValueError):
-                return  # nobody reads, or the file is gone: there is nobody to tell
+                return  # the file or the reader is gone

@@ -8,7 +8,6 @@ are kept for as long as that stays what it is, and a model is put together from 
 from __future__ import annotations
 
 import struct
-import threading
 from io import BytesIO
 from typing import Any, Dict, Iterable, List, Tuple
 
@@ -16,6 +15,7 @@ import rospy
 from dyknow_msgs.msg import Model as ModelMessage
 from dyknow_msgs.srv import GetModelResponse
 
+from dyknow.locks import turn_lock
 from dyknow.model.graph import Model, NodeletStatus
 from dyknow.model.transformation import Transformation
 from dyknow.ros.messages import nodelet_message, transformation_message
@@ -29,7 +29,7 @@ class ModelMessages:
 
     def __init__(self) -> None:
         """Begin with nothing kept."""
-        self._lock = threading.Lock()
+        self._turn = turn_lock("parts of model messages")
         self._nodelets: Dict[str, Tuple[NodeletStatus, bytes]] = {}
         self._transformations: Dict[str, Tuple[Transformation, bytes]] = {}
         self._library: Tuple[int, bytes] = (-1, b"")
@@ -45,7 +45,7 @@ class ModelMessages:
     def _graph(self, model: Model) -> bytes:
         now = rospy.Time.now()
         head = _HEAD.pack(model.revision, model.library_revision, now.secs, now.nsecs)
-        with self._lock:
+        with self._turn:
             known = self._nodelets
             kept = {
                 each.name: known[each.name]
@@ -57,7 +57,7 @@ class ModelMessages:
         return head + _sequence(part for _, part in kept.values())
 
     def _library_of(self, model: Model) -> bytes:
-        with self._lock:
+        with self._turn:
             revision, part = self._library
             if revision == model.library_revision:
                 return part

@@ -7,7 +7,6 @@ them and goes with the last. Who owns what: the session owns the bond's heart, t
 
 from __future__ import annotations
 
-import threading
 import time
 from functools import partial
 from typing import Any, Dict, List, Optional, Protocol
@@ -17,6 +16,7 @@ from dyknow_msgs.msg import StreamEvent as StreamEventMessage
 
 from dyknow import names
 from dyknow.errors import HostError, PeerTimeout, Refused
+from dyknow.locks import state_lock, turn_lock
 from dyknow.model.streams import StreamEvent, StreamStatus
 from dyknow.periodic import PeriodicWorker, attempt
 from dyknow.ros.bonding.client_bond import ClientBond
@@ -56,63 +56,83 @@ class StreamSession:
     """Keeps the claims of this process alive; every method is safe from any thread."""
 
     _sessions: Dict[str, StreamSession] = {}
-    _opening = threading.Lock()
+    _sessions_lock = state_lock("stream sessions")
 
     @classmethod
     def open(cls, client: ManagerClient) -> StreamSession:
         """Return the session for the client's manager; each call needs a ``close``."""
-        with cls._opening:
+        with cls._sessions_lock:
             session = cls._sessions.get(client.manager)
             if session is None:
                 session = cls._sessions[client.manager] = cls(client)
             session._users += 1
-            return session
+        try:
+            session._start()
+        except BaseException:
+            session.close()
+            raise
+        return session
 
     def __init__(self, client: ManagerClient) -> None:
-        """Begin to listen and to beat."""
+        """Prepare; ``open`` returns a session that listens and beats."""
         self._client = client
         self._users = 0
-        self._lock = threading.Lock()
+        self._turn = turn_lock("opening of a stream session")
+        self._state_lock = state_lock("streams of a session")
         self._streams: Dict[str, Follower] = {}
         self._due: Dict[str, float] = {}
-        self._heart = ClientBond(client.manager)
-        self._subscriber: Any = rospy.Subscriber(
-            names.join(client.manager, "stream_events"), StreamEventMessage, self._on_event
-        )
-        self._await_connection()
+        self._heart: Optional[ClientBond] = None
+        self._subscriber: Any = None
         self._worker = PeriodicWorker("renewing leases", self._keep, self._until_due)
-        self._worker.start()
 
     @property
     def bond_id(self) -> str:
         """The bond that claims of this process hang on."""
+        assert self._heart is not None
         return self._heart.bond_id
 
     def add(self, stream: Follower) -> None:
         """Keep a stream's claim alive, and tell it what becomes of it."""
-        with self._lock:
+        with self._state_lock:
             self._streams[stream.claim_id] = stream
             self._due[stream.claim_id] = 0.0  # at once, for what happened before it was here
         self._worker.wake()
 
     def remove(self, claim_id: str) -> None:
         """Care for a stream no more."""
-        with self._lock:
+        with self._state_lock:
             self._streams.pop(claim_id, None)
             self._due.pop(claim_id, None)
 
     def close(self) -> None:
         """Let go; the last one ends the session."""
-        with self._opening:
+        with self._sessions_lock:
             self._users -= 1
             if self._users:
                 return
-            self._sessions.pop(self._client.manager, None)
+            self._sessions.pop(self._client.manager)
         self._worker.close()
-        self._subscriber.unregister()
-        self._heart.close()
+        with self._turn:
+            if self._subscriber is not None:
+                self._subscriber.unregister()
+            if self._heart is not None:
+                self._heart.close()
 
     # Inside
+
+    def _start(self) -> None:
+        """Begin to listen and to beat, unless it does already."""
+        with self._turn:
+            if self._heart is None:
+                self._heart = ClientBond(self._client.manager)
+            if self._subscriber is None:
+                self._subscriber = rospy.Subscriber(
+                    names.join(self._client.manager, "stream_events"),
+                    StreamEventMessage,
+                    self._on_event,
+                )
+                self._await_connection()
+        self._worker.start()
 
     def _await_connection(self) -> None:
         deadline = time.monotonic() + _CONNECT_PATIENCE
@@ -124,7 +144,7 @@ class StreamSession:
         return time.monotonic() + stream.lease * _RENEWED_AFTER
 
     def _on_event(self, message: Any) -> None:
-        with self._lock:
+        with self._state_lock:
             stream = self._streams.get(message.after.claim_id)
         if stream is not None:
             stream.note(event_from(message))
@@ -132,7 +152,7 @@ class StreamSession:
     def _keep(self) -> None:
         """Renew the leases that are due."""
         now = time.monotonic()
-        with self._lock:
+        with self._state_lock:
             due = [self._streams[each] for each, at in self._due.items() if at <= now]
         for stream in due:
             attempt("renewing a lease", partial(self._renew, stream))
@@ -141,7 +161,7 @@ class StreamSession:
 
     def _until_due(self) -> Optional[float]:
         """Seconds until the next lease is to be renewed; None if there is none."""
-        with self._lock:
+        with self._state_lock:
             soonest = min(self._due.values(), default=None)
         return None if soonest is None else max(0.0, soonest - time.monotonic())
 
@@ -161,20 +181,20 @@ class StreamSession:
             self._put_off(stream, next_due)
 
     def _put_off(self, stream: Follower, due: float) -> None:
-        with self._lock:
+        with self._state_lock:
             if stream.claim_id in self._due:
                 self._due[stream.claim_id] = due
 
     def _refresh(self, claim_ids: List[str]) -> None:
         """See to it that nothing was missed: events are not kept for those who come late."""
-        with self._lock:
+        with self._state_lock:
             events = {key: self._streams[key].events for key in claim_ids if key in self._streams}
         try:
             claims = {each.claim_id: each for each in self._client.list_streams()}
         except (HostError, PeerTimeout):
             return  # the next renewal tells
         for claim_id in claim_ids:
-            with self._lock:
+            with self._state_lock:
                 stream: Optional[Follower] = self._streams.get(claim_id)
             if stream is not None and claim_id in claims:
                 stream.note_view(claims[claim_id], events.get(claim_id, -1))
