@@ -89,6 +89,14 @@ def state_condition(name: str) -> threading.Condition:
     return threading.Condition(reentrant_state_lock(name))
 
 
+def flag_lock() -> threading.Lock:
+    """Make a lock that guards nothing: a flag that one thread takes and another one releases.
+
+    To wait for it costs half of what waiting for a condition does.
+    """
+    return threading.Lock()
+
+
 def assert_no_state_lock(what: str) -> None:
     """Assert, in debug mode, that the thread may call out now.
 

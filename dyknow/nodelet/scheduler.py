@@ -26,7 +26,7 @@ import traceback
 import weakref
 from typing import Callable, Deque, Dict, List, Optional, Tuple
 
-from dyknow.locks import state_condition
+from dyknow.locks import flag_lock, state_condition
 from dyknow.nodelet.crash_record import CrashRecord
 from dyknow.nodelet.locking import message_lock
 
@@ -199,7 +199,7 @@ class _Worker:
         strand: what it works on; None while it waits.
         turns: tasks that it has begun.
         replaced: whether it is to end as soon as it can, since another was hired in its place.
-        wake: a lock as a signal: taken while it sleeps, released to wake it.
+        wake: taken while it sleeps, released to wake it.
         word: its index in the crash record.
     """
 
@@ -209,7 +209,7 @@ class _Worker:
         self.turns = 0
         self.replaced = False
         self.thread: Optional[threading.Thread] = None
-        self.wake = threading.Lock()
+        self.wake = flag_lock()
         self.wake.acquire()
 
 

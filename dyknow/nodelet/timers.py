@@ -14,7 +14,7 @@ import logging
 import threading
 from typing import Any, Callable, List, Optional, Tuple
 
-from dyknow.locks import state_lock
+from dyknow.locks import flag_lock, state_lock
 from dyknow.nodelet.middleware import Ticker
 from dyknow.nodelet.scheduler import Strand
 
@@ -45,7 +45,7 @@ class Timer:
         self._callback = callback
         self.strand = strand
         self._failed = failed
-        self._pending = threading.Lock()
+        self._pending = flag_lock()
         self._done = False
         self._last: Any = None
         self._took: Optional[float] = None

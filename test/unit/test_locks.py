@@ -151,3 +151,15 @@ def test_the_page_tells_the_order_of_the_code() -> None:
     rows = re.findall(r"^   \* - (turn|state)\n     - (.+)$", page, re.MULTILINE)
     kinds = {**dict.fromkeys(locks.TURNS, "turn"), **dict.fromkeys(locks.STATE_LOCKS, "state")}
     assert rows == [(kinds[name], name) for name in locks.ORDER]
+
+
+def test_every_lock_is_made_here() -> None:
+    root = Path(__file__).parents[2]
+    made = re.compile(r"\bthreading\.(R?Lock|Condition)\(")
+    elsewhere = [
+        str(file.relative_to(root))
+        for package in ("dyknow", "dyknow_benchmark", "dyknow_demo", "dyknow_rqt")
+        for file in sorted((root / package).rglob("*.py"))
+        if made.search(file.read_text()) and file.name != "locks.py"
+    ]
+    assert elsewhere == []

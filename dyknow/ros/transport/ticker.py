@@ -11,6 +11,7 @@ import rospy
 import rospy.rostime
 import rospy.timer
 
+from dyknow.locks import flag_lock
 from dyknow.nodelet.middleware import Ticker
 
 
@@ -35,8 +36,8 @@ class SteadyTicker(RospyTicker):
     """Steady time; sleeps until the next timer is due."""
 
     def __init__(self) -> None:
-        self._call = threading.Lock()  # free once it was woken; a condition takes twice as long
-        self._call.acquire()
+        self._wake = flag_lock()  # free once it was woken
+        self._wake.acquire()
 
     def now(self) -> float:
         """Steady seconds."""
@@ -45,15 +46,15 @@ class SteadyTicker(RospyTicker):
     def wait(self, until: Optional[float]) -> None:
         """Sleep until then, or until woken."""
         if until is None:
-            self._call.acquire()
+            self._wake.acquire()
         else:
             timeout = max(0.0, until - time.monotonic())
-            self._call.acquire(timeout=min(timeout, threading.TIMEOUT_MAX))
+            self._wake.acquire(timeout=min(timeout, threading.TIMEOUT_MAX))
 
     def wake(self) -> None:
         """End the sleep."""
         with contextlib.suppress(RuntimeError):  # it was woken already
-            self._call.release()
+            self._wake.release()
 
 
 class ClockTicker(RospyTicker):
