@@ -242,7 +242,7 @@ class LeftoversTest(ManagerCase):
         forked = ProcessId.of(rospy.get_param("/forks/pid"))
         forked.signal(signal.SIGTERM)  # which is not for the nodelet manager
         eventually(lambda: not forked.alive, 5.0, "it has ended")
-        self.assertEqual(manager.nodelet("/forks").state, State.RUNNING)
+        eventually(lambda: manager.nodelet("/forks").state is State.RUNNING, 10.0, "it runs")
         rospy.delete_param("/forks/pid")
 
 
