@@ -109,7 +109,7 @@ class StreamServices:
             answers.append(replanned_message(self._answers.replanned(acquired)))
 
         error = self._attempt(request, f"replanning stream '{request.claim_id}'", replan)
-        return answers[0] if error is None else ReplanStreamResponse(False, str(error))
+        return answers[0] if error is None else ReplanStreamResponse(success=False, message=str(error))
 
     def _list(self, request: Any) -> ListStreamsResponse:
         return ListStreamsResponse(
