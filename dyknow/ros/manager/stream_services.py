@@ -109,7 +109,9 @@ class StreamServices:
             answers.append(replanned_message(self._answers.replanned(acquired)))
 
         error = self._attempt(request, f"replanning stream '{request.claim_id}'", replan)
-        return answers[0] if error is None else ReplanStreamResponse(success=False, message=str(error))
+        if error is not None:
+            return ReplanStreamResponse(success=False, message=str(error))
+        return answers[0]
 
     def _list(self, request: Any) -> ListStreamsResponse:
         return ListStreamsResponse(
