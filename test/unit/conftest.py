@@ -1,4 +1,7 @@
-"""Every unit test runs with locks that assert their order, and fails where it is not kept."""
+"""Every unit test runs with locks that assert their order, and fails where it is not kept.
+
+Property tests have the profile that the environment asks for.
+"""
 
 from __future__ import annotations
 
@@ -8,11 +11,14 @@ from pathlib import Path
 from typing import Iterator
 
 import pytest
+from property_tests import register_profiles
 
 _directory = tempfile.TemporaryDirectory()
 _report = Path(_directory.name, "violations")
 # Before dyknow is imported: the locks of modules are made then. Children report here as well.
 os.environ["DYKNOW_LOCK_REPORT"] = str(_report)
+
+register_profiles()
 
 
 @pytest.fixture(autouse=True)

@@ -6,8 +6,9 @@ import random
 from typing import Dict, Iterable, List, Optional, Sequence
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from property_tests import examples
 
 from dyknow.manager.planning.planner import Planner
 from dyknow.manager.planning.problem import Answer, Live, New, NoPlan, Plan
@@ -113,7 +114,7 @@ def libraries(draw) -> List[Transformation]:  # type: ignore[no-untyped-def]
     ]
 
 
-@settings(max_examples=400, deadline=None)
+@examples(400)
 @given(libraries())
 def test_a_small_problem_is_solved_exactly(library: List[Transformation]) -> None:
     answer = plan(library, "T0")
@@ -124,7 +125,7 @@ def test_a_small_problem_is_solved_exactly(library: List[Transformation]) -> Non
         check(answer, {each.label: each for each in library})
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(libraries(), st.randoms())
 def test_the_order_of_the_library_changes_nothing(
     library: List[Transformation], rng: random.Random

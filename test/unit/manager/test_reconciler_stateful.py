@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Set, Tuple
 
-from hypothesis import HealthCheck, settings
+from hypothesis import HealthCheck
 from hypothesis import strategies as st
 from hypothesis.stateful import invariant, precondition, rule
+from property_tests import examples
 from unit.manager.faulty_lives import NUMBERS, FaultyLife
 from unit.manager.field import LIBRARY, Field, transformation
 
@@ -130,10 +131,7 @@ class Claims(FaultyLife):
         self.field.settle(1.0)
 
 
-Claims.TestCase.settings = settings(
-    max_examples=30,
-    stateful_step_count=15,
-    deadline=None,
-    suppress_health_check=list(HealthCheck),
+Claims.TestCase.settings = examples(
+    30, stateful_step_count=15, suppress_health_check=list(HealthCheck)
 )
 TestClaims = Claims.TestCase

@@ -16,8 +16,9 @@ from typing import Callable, Dict
 
 import pytest
 from faulty_disk import full, kept_aside, locked, read_only, small_disk
-from hypothesis import HealthCheck, example, given, settings
+from hypothesis import HealthCheck, example, given
 from hypothesis import strategies as st
+from property_tests import examples
 
 from dyknow.errors import StoreError
 from dyknow.manager import state_file
@@ -267,7 +268,7 @@ def check_start(sound: str, folder: Path, damage: Callable[[bytearray], bytes]) 
     assert reopened(path) == {**found, ("claims", "new"): "claim"}
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@examples(150, suppress_health_check=[HealthCheck.too_slow])
 @given(st.sampled_from([flip, truncate, zero]), st.integers(0, 10**6), st.integers(1, 255))
 @example(flip, 18, 7)  # sqlite takes the file for one that it may only read
 @example(flip, 60, 1)  # another format

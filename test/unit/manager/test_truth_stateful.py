@@ -10,7 +10,7 @@ import itertools
 from typing import List, Sequence
 
 import pytest
-from hypothesis import HealthCheck, settings
+from hypothesis import HealthCheck
 from hypothesis import strategies as st
 from hypothesis.stateful import (
     invariant,
@@ -18,6 +18,7 @@ from hypothesis.stateful import (
     rule,
     run_state_machine_as_test,
 )
+from property_tests import examples
 from unit.manager.faulty_lives import NUMBERS, FaultyLife
 from unit.manager.field import Field, specification
 from unit.manager.witness import Concepts, Witness
@@ -276,16 +277,15 @@ class Truth(FaultyLife):
         self.field.manager.look(set(self.field.host.running))
 
 
-def check(examples: int, steps: int, **kwds: bool) -> None:
+def check(count: int, steps: int, **kwds: bool) -> None:
     run_state_machine_as_test(
         Truth,
-        settings=settings(
-            max_examples=examples,
+        settings=examples(
+            count,
             stateful_step_count=steps,
             database=None,
-            **kwds,
-            deadline=None,
             suppress_health_check=list(HealthCheck),
+            **kwds,
         ),
     )
 

@@ -9,8 +9,9 @@ from __future__ import annotations
 from collections import Counter
 from itertools import groupby
 
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from property_tests import examples
 from unit.nodelet.fakes import Message, World
 
 PUBLISHERS, SUBSCRIBERS = 3, 4
@@ -117,7 +118,7 @@ def _grouped(log):
     return [sorted(entries, key=str) for _, entries in groupby(log, key=lambda entry: entry[1])]
 
 
-@settings(max_examples=400, deadline=None)
+@examples(400)
 @given(STEPS)
 def test_every_message_arrives_once_in_order_and_on_its_side_of_each_switch(steps):
     bench = Bench()
@@ -125,7 +126,7 @@ def test_every_message_arrives_once_in_order_and_on_its_side_of_each_switch(step
     assert bench.agrees(), (bench.logs, bench.expected)
 
 
-@settings(max_examples=200, deadline=None)
+@examples(200)
 @given(STEPS)
 def test_registrations_and_routes_are_those_of_the_last_switch(steps):
     bench = Bench()
@@ -139,7 +140,7 @@ def test_registrations_and_routes_are_those_of_the_last_switch(steps):
     assert bench.world.bus._topics == {}
 
 
-@settings(max_examples=200, deadline=None)
+@examples(200)
 @given(STEPS, st.integers(1, 3))
 def test_a_bounded_queue_loses_only_what_it_counts(steps, queue_size):
     bench = Bench(queue_size)
@@ -156,7 +157,7 @@ def test_a_bounded_queue_loses_only_what_it_counts(steps, queue_size):
         assert len(got) + dropped == len(expected)
 
 
-@settings(max_examples=200, deadline=None)
+@examples(200)
 @given(STEPS, st.integers(0, SUBSCRIBERS // 2 - 1))
 def test_a_nodelet_that_is_unloaded_hears_nothing_more_and_others_all(steps, gone):
     bench = Bench()

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from property_tests import examples
 from unit.nodelet.fakes import Message, World
 
 import dyknow
@@ -151,7 +152,7 @@ STEPS = st.lists(
 )
 
 
-@settings(max_examples=300, deadline=None)
+@examples(300)
 @given(STEPS)
 def test_nodelets_see_messages_and_reconfigurations_exactly_in_order(steps):
     world = World()
