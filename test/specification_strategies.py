@@ -6,7 +6,7 @@ from dyknow.model.transformation import Parameter, Port, Transformation
 
 BLANK = " \t\r\n"
 CHARACTERS = st.characters(
-    blacklist_categories=("Cs",),
+    blacklist_categories=["Cs"],
     blacklist_characters=[chr(c) for c in range(32) if chr(c) not in "\t\n\r"]
     + ["\ufffe", "\uffff"],
 )

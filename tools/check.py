@@ -2,17 +2,19 @@
 
 A stage that fails fails the run, but the later stages still run, so that one run shows everything
 there is to mend. With ``--long`` it runs what takes too long for every change instead: the unit
-tests that are marked ``long`` and the rostest suites in ``test/ros/long``.
+tests that are marked ``long``, the rostest suites in ``test/ros/long``, and the measurement of
+what the unit tests cover.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import re
 import sys
 import time
 import xml.etree.ElementTree as ElementTree
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Callable, Tuple
 
@@ -115,6 +117,26 @@ def unit_tests_py38() -> Outcome:
     return run_pytest("unit-py38.xml", *argv, PYTHONPATH="")
 
 
+def coverage() -> Outcome:
+    """The share of lines and branches of the layers without ROS that their unit tests reach."""
+    argv = ("venv-coverage", ROS_PYTHON, "tools/requirements-coverage.txt")
+    code, output = run_command("bash", "tools/venv.sh", *argv, "--system-site-packages")
+    if code != 0:
+        return Outcome(0, 1, output)
+    outcome = run_pytest(
+        "unit-coverage.xml",
+        *IN_WORKSPACE,
+        *(str(ROOT / "build/venv-coverage/bin/python"), "-m", "pytest", "-q", *IN_PARALLEL),
+        *("-m", "not long", *(f"test/unit/{layer}" for layer in LAYERS_WITHOUT_ROS), "--cov"),
+        timeout=LONG_TIMEOUT,
+        HYPOTHESIS_PROFILE="slow",
+        COVERAGE_FILE=str(RESULTS / "coverage"),
+    )
+    log = (RESULTS / "stage.txt").read_text(errors="replace")
+    total = re.search(r"^TOTAL .* (\S+%)$", log, re.MULTILINE)
+    return replace(outcome, note=f"{outcome.note}, {total.group(1)} covered" if total else "")
+
+
 def find_python38() -> str | None:
     """The path of a Python 3.8 that runs: the one on PATH, or one that pyenv has installed."""
     pyenv_roots = [Path(os.environ["PYENV_ROOT"])] if "PYENV_ROOT" in os.environ else []
@@ -156,6 +178,7 @@ STAGES: tuple[Stage, ...] = (
     ("ruff check", check(str(VENV / "ruff"), "check")),
     ("ruff format", check(str(VENV / "ruff"), "format", "--check")),
     ("mypy", check(str(VENV / "mypy"))),
+    ("mypy on tests", check(str(VENV / "mypy"), "--config-file", "test/mypy.ini")),
     ("lint-imports", check(str(VENV / "lint-imports"))),
     (
         "catkin_lint",
@@ -171,6 +194,7 @@ STAGES: tuple[Stage, ...] = (
 LONG_STAGES: tuple[Stage, ...] = (
     ("build", check("make", "--no-print-directory", "build")),
     ("check tools", check("make", "--no-print-directory", "venv")),
+    ("coverage", coverage),
     ("long unit tests", lambda: unit_tests(long=True)),
     ("long ROS tests", lambda: ros_tests(long=True)),
 )

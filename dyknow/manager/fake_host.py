@@ -120,7 +120,7 @@ class FakeHost(Host):
         self.topics: set[str] = set()
         self.silent: set[str] = set()
         self.slow: set[str] = set()
-        self.fail: Callable[[str, str], None] = lambda operation, argument: None
+        self.fail: Callable[[str, str], object] = lambda operation, argument: None
         self.on_change: Callable[[], None] = lambda: None
         self.calls: List[Tuple[str, str]] = []
         self.processes: Dict[str, FakeManager] = {}

@@ -11,7 +11,7 @@ import pytest
 try:
     import tomllib
 except ModuleNotFoundError:  # before Python 3.11
-    import tomli as tomllib
+    import tomli as tomllib  # type: ignore[no-redef]
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "doc" / "architecture.rst").read_text()

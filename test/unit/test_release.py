@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[2]
 CITATION = yaml.safe_load((ROOT / "CITATION.cff").read_text())
 
 
-def in_package(path: str, tag: str) -> str:
+def in_package(path: str, tag: str) -> str | None:
     return ElementTree.parse(ROOT / path).getroot().findtext(tag)
 
 

@@ -53,7 +53,7 @@ class FakeClient:
         self.ordinary: set[str] = set()
         self.reconciler = StreamReconciler(world.manager, clock=lambda: 0.0)
         #: What happens, one after the other, while a command waits for events.
-        self.script: list[Callable[[], None]] = []
+        self.script: list[Callable[[], object]] = []
 
     def get_graph(self) -> Model:
         return self.world.manager.graph_model()

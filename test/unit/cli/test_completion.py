@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any, cast
 
 import pytest
 from unit.cli.fake_client import FakeClient
@@ -37,7 +38,7 @@ def offered(client: FakeClient, text: str) -> list[str]:
         os.dup2(writer, 8)
         os.environ.update(_ARGCOMPLETE="1", COMP_LINE=line, COMP_POINT=str(len(line)))
         os.environ["_ARGCOMPLETE_COMP_WORDBREAKS"] = " \t\n\"'><=;|&(:"
-        completion.connect = lambda manager: client
+        completion.connect = cast(Any, lambda manager: client)
         try:
             completion.autocomplete(build_parser()[0])
         finally:

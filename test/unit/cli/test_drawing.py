@@ -6,6 +6,7 @@ import json
 import shutil
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import pytest
 from unit.cli.fake_client import FakeClient, run
@@ -18,7 +19,7 @@ from dyknow.model.graph import Model, NodeletStatus, PortState, State
 needs_graphviz = pytest.mark.skipif(shutil.which("dot") is None, reason="graphviz is missing")
 
 
-def nodelet(name: str, *ports: PortState, **more: object) -> NodeletStatus:
+def nodelet(name: str, *ports: PortState, **more: Any) -> NodeletStatus:
     fields = {"transformation": "", "state": State.RUNNING, "is_protected": False, **more}
     return NodeletStatus(
         name,

@@ -338,8 +338,10 @@ def test_a_plain_nodelet_does_not_come_up_again_where_it_does_not_fit(lab: Field
 
 
 def test_a_plain_nodelet_leaves_a_topic_that_nobody_describes_with_all_ports(lab: Field) -> None:
-    plain = {"one": ("in", ["Sum(?a)"]), "two": ("in", ["Sum(?b)"]), "sum": ("out", ["Sum(all)"])}
-    add_plain(lab, plain)
+    add_plain(
+        lab,
+        {"one": ("in", ["Sum(?a)"]), "two": ("in", ["Sum(?b)"]), "sum": ("out", ["Sum(all)"])},
+    )
     lab.host.topics.add("/parts")
     lab.manager.add_transformation(described("parts", "/parts", "Sum(part)", IMAGE))
     claim = lab.acquire("Sum(all)").claim

@@ -7,7 +7,7 @@ the fake host, and again when the manager had its round.
 from __future__ import annotations
 
 import itertools
-from typing import List, Sequence
+from typing import Dict, List, Sequence, Tuple
 
 import pytest
 from hypothesis import HealthCheck
@@ -107,7 +107,9 @@ class Truth(FaultyLife):
         is_plain: bool = False,
     ) -> None:
         source = f"test/T{next(self.types)}"
-        named = {f"in{number}": ("in", (tag,)) for number, tag in enumerate(demanded)}
+        named: Dict[str, Tuple[str, Sequence[str]]] = {
+            f"in{number}": ("in", (tag,)) for number, tag in enumerate(demanded)
+        }
         for number, tags in enumerate(supplied):
             named[f"out{number}"] = ("out", tuple(tags))
         self.field.host.sources[source] = [(name, way, TYPE) for name, (way, _) in named.items()]

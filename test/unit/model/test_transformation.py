@@ -1,6 +1,7 @@
 """Transformations as values, and their canonical XML."""
 
 import pickle
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -64,6 +65,7 @@ def test_transformations_are_values():
 def test_a_mapping_read_from_a_parameter_belongs_to_the_reader():
     parameter = Parameter("lens", "yaml", "{k1: 0.5}")
 
-    value_of(parameter)["k1"] = 7
+    value: Any = value_of(parameter)
+    value["k1"] = 7
 
     assert value_of(parameter) == {"k1": 0.5}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -167,7 +168,7 @@ SERVICES = {
 }
 
 
-def generated_fields(generated: type) -> list[str]:
+def generated_fields(generated: Any) -> list[str]:
     types = [name.replace("dyknow_msgs/", "") for name in generated._slot_types]
     return [f"{kind} {name}" for kind, name in zip(types, generated.__slots__)]
 

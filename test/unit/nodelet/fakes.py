@@ -90,7 +90,7 @@ class World:
     """A runtime on a local middleware, by default deterministic."""
 
     def __init__(self, executor: Optional[Executor] = None, clock: Any = time.monotonic) -> None:
-        self.executor = executor or ManualExecutor()
+        self.executor: Any = executor or ManualExecutor()
         self.transport = RecordingTransport()
         middleware = LocalMiddleware(self.transport)
         self.services, self.ticker, self.node = (

@@ -232,7 +232,7 @@ class TestCallbacks:
         got = []
         nh = world.handle()
         subscriber = nh.Subscriber("t", Message, lambda m: 1 / 0)
-        subscriber.registerCallback(lambda m: {}["missing"])
+        subscriber.registerCallback(lambda m: {"present": 1}["missing"])
         subscriber.registerCallback(got.append)
         nh.Publisher("t", Message).publish()
         world.drain()

@@ -95,7 +95,7 @@ def test_a_loaded_nodelet_has_its_name_arguments_and_callbacks(world):
 def test_what_comes_during_on_init_is_called_back_after_it(world, gate, concurrent):
     got = []
 
-    class Late(gate):
+    class Late(gate):  # type: ignore[valid-type]
         def on_init(self):
             handle = self.mt_node_handle if concurrent else self.node_handle
             handle.Subscriber("in", Message, got.append)

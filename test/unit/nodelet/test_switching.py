@@ -8,11 +8,14 @@ from __future__ import annotations
 
 from collections import Counter
 from itertools import groupby
+from typing import List
 
 from hypothesis import given
 from hypothesis import strategies as st
 from property_tests import examples
 from unit.nodelet.fakes import Message, World
+
+from dyknow.nodelet.bus import Endpoint
 
 PUBLISHERS, SUBSCRIBERS = 3, 4
 TOPICS = ("", "/a", "/b", "/c")
@@ -44,7 +47,9 @@ class Bench:
         self.owner = self.world.context("/publishers")
         self.logs = [[] for _ in self.contexts]
         self.expected = [[] for _ in self.contexts]
-        self.ends = [self.owner.publication(str(n), Message, False, 1) for n in range(PUBLISHERS)]
+        self.ends: List[Endpoint] = [
+            self.owner.publication(str(n), Message, False, 1) for n in range(PUBLISHERS)
+        ]
         for n in range(SUBSCRIBERS):
             context, log = self.contexts[n // 2], self.logs[n // 2]
             receive = lambda message, n=n, log=log: log.append((n, message.number))  # noqa: E731

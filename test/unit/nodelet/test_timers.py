@@ -238,7 +238,7 @@ def test_a_failing_ticker_does_not_end_the_timers_of_others(caplog):
             raise RuntimeError("clock lost")
         wait(until)
 
-    ticker.wait = failing_wait
+    ticker.wait = failing_wait  # type: ignore[method-assign]
     context = world.context()
     try:
         timers.add(1.0, lambda event: fired.set(), context.strand, False, lambda error: None)

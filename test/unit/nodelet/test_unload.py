@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from typing import Any
 
 import pytest
 from unit.nodelet.fakes import (
@@ -126,7 +127,7 @@ def test_an_idle_nodelet_is_unloaded_without_words_about_callbacks(world, caplog
 
 @pytest.mark.parametrize("how", ["subscriber", "timer", "service", "mt"])
 def test_a_callback_may_unload_its_own_nodelet(world, how):
-    loader = None
+    loader: Any = None
     done = threading.Event()
 
     class Suicidal(Nodelet):

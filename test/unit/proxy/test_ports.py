@@ -128,7 +128,7 @@ class TestDeclaration:
 
     def test_only_handles_of_nodelets_can_be_wrapped(self):
         with pytest.raises(TypeError, match="such as self.node_handle, not str"):
-            dyknow.NodeHandle("/ns")
+            dyknow.NodeHandle("/ns")  # type: ignore[arg-type]
         with pytest.raises(TypeError, match="not NodeHandle"):
             dyknow.NodeHandle(Bench().nh)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from types import SimpleNamespace
+from typing import Any, cast
 from xmlrpc.server import SimpleXMLRPCServer
 
 import pytest
@@ -68,7 +69,7 @@ class OneChild:
 
 def host_of(master, timeout, guards):
     asked = Master("/manager", master.uri, timeout)
-    return RosHost(asked, OneChild(), Registrar(asked), guards=guards)
+    return RosHost(asked, cast(Any, OneChild()), Registrar(asked), guards=guards)
 
 
 @pytest.fixture

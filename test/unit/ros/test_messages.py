@@ -20,7 +20,7 @@ from dyknow.ros import messages
 
 M = TypeVar("M")
 
-words = st.text(st.characters(blacklist_categories=("Cs",)), max_size=10)
+words = st.text(st.characters(blacklist_categories=["Cs"]), max_size=10)
 numbers = st.integers(0, 2**32 - 1)
 #: Seconds that a message of ROS holds exactly.
 seconds = st.integers(0, 2**31 - 1).map(lambda number: number / 8)

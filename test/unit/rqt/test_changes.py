@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
 from dyknow.errors import InvalidName, Refused
+from dyknow.model.statistics import NodeletStatistics, PortStatistics
 from dyknow.wiring.ports import CannotConnect
 from dyknow.wiring.wiring import wiring_of
 from dyknow_rqt.graph.changes import (
@@ -141,7 +143,7 @@ def test_a_wiring_that_replaces_a_transformation_makes_its_nodelets_again(remote
             for each in saved.transformations
         ),
     )
-    change = LoadWiring(wiring).apply(remote)
+    change: Any = LoadWiring(wiring).apply(remote)
     assert library(remote)["tracker"].cost == 77
     assert [each.wanted.name for each in change.plan.remade] == ["/field/tracker"]
     LoadWiring(saved).apply(remote)
@@ -202,26 +204,23 @@ def test_a_change_that_was_made_twice_is_taken_back_in_turn():
     assert history.texts == ("release /a", "protect /a")
 
 
-class _Counts:
-    def __init__(self, uptime, messages, dropped):
-        from dyknow.model.statistics import PortStatistics
-
-        self.uptime = uptime
-        self.ports = (PortStatistics("out", "out", "/t", messages, dropped, 7.0, 0.0, 0.0),)
+def counts(uptime, messages, dropped):
+    port = PortStatistics("out", "out", "/t", messages, dropped, 7.0, 0.0, 0.0)
+    return NodeletStatistics(uptime, 0, 0, (port,))
 
 
 def test_rates_are_differences():
     meter, ref = Meter(), PortRef("/n", "out")
-    meter.note("/n", _Counts(10, 100, 0), 50.0)
+    meter.note("/n", counts(10, 100, 0), 50.0)
     assert meter.traffic[ref].rate == 7.0  # nothing to compare with: what the proxy says
-    meter.note("/n", _Counts(12, 160, 10), 52.0)
+    meter.note("/n", counts(12, 160, 10), 52.0)
     assert (meter.traffic[ref].rate, meter.traffic[ref].drop_rate) == (30.0, 5.0)
     assert meter.traffic[ref].text == "30.0 Hz\n−5.0/s"
-    meter.note("/n", _Counts(1, 3, 0), 54.0)  # loaded anew
+    meter.note("/n", counts(1, 3, 0), 54.0)  # loaded anew
     assert (meter.traffic[ref].rate, meter.traffic[ref].drop_rate) == (7.0, 0.0)
-    meter.note("/n", _Counts(2, None, None), 55.0)  # nobody counts any more
+    meter.note("/n", counts(2, None, None), 55.0)  # nobody counts any more
     assert meter.traffic == {}
-    meter.note("/n", _Counts(3, 9, 0), 56.0)
+    meter.note("/n", counts(3, 9, 0), 56.0)
     meter.keep(["/other"])
     assert meter.traffic == {}
 

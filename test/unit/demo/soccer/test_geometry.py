@@ -61,7 +61,7 @@ def test_angles_of_view_reach_from_border_to_border():
 
 def test_intrinsics_survive_camera_info():
     camera = BOTTOM_CAMERA
-    assert Pinhole.of_matrix(camera.width, camera.height, camera.matrix.ravel()) == camera
+    assert Pinhole.of_matrix(camera.width, camera.height, camera.matrix.ravel().tolist()) == camera
 
 
 def test_the_bottom_camera_of_a_nao_that_stands_straight():

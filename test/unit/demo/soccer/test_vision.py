@@ -234,10 +234,12 @@ def test_history_interpolates_and_reaches_a_little_beyond():
     assert history.at(1.05) == (2.0, 3.1)
     history.add(1.2, (4.0, -3.1))  # the short way round, past pi
     middle = history.at(1.1)
+    assert middle is not None
     assert middle[0] == pytest.approx(3.0)
     assert abs(middle[1]) == pytest.approx(math.pi)
-    assert history.at(1.25)[0] == pytest.approx(4.5)
-    assert history.at(0.95)[0] == pytest.approx(1.5)
+    later, earlier = history.at(1.25), history.at(0.95)
+    assert later is not None and earlier is not None
+    assert (later[0], earlier[0]) == pytest.approx((4.5, 1.5))
     assert history.at(1.5) is None
     assert history.at(0.8) is None
 
