@@ -112,14 +112,14 @@ def _load(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
             shell.error(f"{step.what}: {cause}")
         _wait(shell, plan)
     subjects = [step.subject for step, _ in failed]
-    shape = _json(plan, subjects)
-    shape["file"] = arguments.file
-    shape["dry_run"] = arguments.dry_run
-    shape["failed"] = [
+    result = _json(plan, subjects)
+    result["file"] = arguments.file
+    result["dry_run"] = arguments.dry_run
+    result["failed"] = [
         {"subject": step.subject, "step": step.what, "message": str(cause)}
         for step, cause in failed
     ]
-    shell.show(shape, _lines(plan, subjects, arguments.dry_run))
+    shell.show(result, _lines(plan, subjects, arguments.dry_run))
     return FAILED if failed else None
 
 
@@ -169,11 +169,11 @@ def _json(plan: Plan, failed: List[str]) -> Dict[str, Any]:
 
 
 def _lines(plan: Plan, failed: List[str], dry_run: bool) -> Iterator[str]:
-    shape = _json(plan, failed)
+    result = _json(plan, failed)
     kept_otherwise = {each.wanted.name: each.differences for each in plan.kept}
     empty = True
     for thing in ("transformations", "nodelets"):
-        for what, subjects in shape[thing].items():
+        for what, subjects in result[thing].items():
             words = "exists already" if what == "kept" else what
             if dry_run and what != "kept":
                 words = f"would be {what}"

@@ -30,7 +30,7 @@ def _plan(arguments: argparse.Namespace, shell: Shell) -> None:
     for warning in answer.warnings:
         shell.warn(warning)
     dot = tree_as_dot(answer.plan) if arguments.dot else ""
-    shape: Dict[str, Any] = {
+    result: Dict[str, Any] = {
         "tag": arguments.tag,
         "cost": answer.cost,
         "spawned": list(answer.spawned),
@@ -38,8 +38,8 @@ def _plan(arguments: argparse.Namespace, shell: Shell) -> None:
         "plan": answer.plan,
     }
     if arguments.dot:
-        shape["dot"] = dot
-    shell.show(shape, (dot or answer.plan).rstrip("\n").split("\n"))
+        result["dot"] = dot
+    shell.show(result, (dot or answer.plan).rstrip("\n").split("\n"))
 
 
 def _streams_arguments(parser: argparse.ArgumentParser) -> None:
@@ -134,7 +134,7 @@ def _replan_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _replan(arguments: argparse.Namespace, shell: Shell) -> None:
     answer = shell.client.replan_stream(arguments.claim, arguments.dry_run)
-    shape = {
+    result = {
         "claim": arguments.claim,
         "dry_run": arguments.dry_run,
         "cost": answer.cost,
@@ -142,7 +142,7 @@ def _replan(arguments: argparse.Namespace, shell: Shell) -> None:
         "reused": list(answer.reused),
         "plan": answer.plan,
     }
-    shell.show(shape, answer.plan.rstrip("\n").split("\n"))
+    shell.show(result, answer.plan.rstrip("\n").split("\n"))
 
 
 COMMANDS = (

@@ -42,7 +42,7 @@ def _tags(arguments: argparse.Namespace, shell: Shell) -> None:
         running = [f"{name} (runs)" for name in sorted(supply.nodelets)]
         suppliers = [*sorted(supply.transformations), *running]
         rows.append((tag, ", ".join(sorted(supply.datatypes)) or "-", ", ".join(suppliers)))
-    shape = [
+    result = [
         {
             "tag": tag,
             "datatypes": sorted(supply.datatypes),
@@ -51,7 +51,7 @@ def _tags(arguments: argparse.Namespace, shell: Shell) -> None:
         }
         for tag, supply in chosen.items()
     ]
-    shell.show({"tags": shape}, columns(rows))
+    shell.show({"tags": result}, columns(rows))
 
 
 def _supplied(model: Model) -> Dict[str, _Supply]:
