@@ -40,7 +40,7 @@ def complete_with(action: argparse.Action, completer: Completer) -> None:
 def autocomplete(parser: argparse.ArgumentParser) -> None:
     """If the shell asks for completions, print them and end the process.
 
-    argcomplete tells by the environment variable `_ARGCOMPLETE` that it does.
+    The shell asks by the environment variable `_ARGCOMPLETE`.
     """
     if "_ARGCOMPLETE" not in os.environ:
         return

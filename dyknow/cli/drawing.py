@@ -1,7 +1,7 @@
 """The computation graph in graphviz's DOT language.
 
-Everything is written in sorted order, so that the same graph always gives the same drawing and a
-small change a small one.
+Everything is written in sorted order, so that equal graphs have equal drawings, and a small
+change a small effect.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ from dyknow.ros.exit_codes import DONE, FAILED
 
 
 def main(argv: Optional[Sequence[str]] = None) -> int:
-    """Run the node until it is told to end; returns the exit code.
+    """Run the node until its end; returns the exit code.
 
     Args:
         argv: the command line, program name first; by default the process's.

@@ -16,7 +16,7 @@ from dyknow_rqt.graph.geometry import Layout, Point, Rectangle, Size
 
 #: Points of graphviz in an inch; a point is taken for a pixel.
 _DPI = 72.0
-#: With more vertices graphviz is told to optimise less.
+#: With more vertices graphviz optimises less.
 _MANY = 150
 _SHAPES = {VertexKind.NODELET: "ellipse", VertexKind.TOPIC: "box", VertexKind.NODE: "ellipse"}
 

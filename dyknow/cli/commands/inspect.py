@@ -93,7 +93,7 @@ def _describe(nodelet: NodeletStatus, snapshot: Model) -> Iterator[str]:
     yield f"State: {state_of(nodelet)}" + (f" ({nodelet.detail})" if nodelet.detail else "")
     yield f"Protected: {'yes' if nodelet.is_protected else 'no'}"
     if nodelet.rewired_by_reload:
-        yield "Re-wiring: loads it anew (a plain C++ nodelet)"
+        yield "Re-wiring: loads it again (a plain C++ nodelet)"
     ends = _ends(snapshot)
     for direction, title in ((IN, "In-ports"), (OUT, "Out-ports")):
         yield ""

@@ -44,7 +44,7 @@ def _plan(arguments: argparse.Namespace, shell: Shell) -> None:
 
 def _streams_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "-a", "--all", action="store_true", help="list those that ended lately, too"
+        "-a", "--all", action="store_true", help="list claims that ended recently, too"
     )
     parser.add_argument(
         "-l", "--long", action="store_true", help="show client, nodelets and details, too"

@@ -198,7 +198,7 @@ def load_ontology(paths: Iterable[str], limits: SpecificationLimits = DEFAULT_LI
     """Read an ontology from local files.
 
     Args:
-        paths: The files; the extension tells the format: .ttl, .owl, .rdf or .nt.
+        paths: The files; the format follows from the extension: .ttl, .owl, .rdf or .nt.
         limits: The caps on each file.
 
     Raises:
