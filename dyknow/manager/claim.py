@@ -18,7 +18,7 @@ class Claim:
     Attributes:
         claim_id: names the claim.
         request: what was asked for.
-        topic: where the client listens; it stays, whoever publishes there.
+        topic: where the client listens; it stays when the publisher is replaced.
         datatype: type of the stream.
         state: whether it flows.
         detail: why it does not, or what is not known to flow yet, in words.

@@ -1,7 +1,7 @@
 """The manager's picture of what runs, and who changes which part of it.
 
 Who owns what: the graph owns the records, the revision and the lifetimes. Every record that has to
-survive the manager is written to the store before anybody sees it. A name is *busy* while one
+survive the manager is written to the store before it is shown. A name is *busy* while one
 operation works on its nodelet; other operations say how long they will wait for it.
 """
 

@@ -54,7 +54,7 @@ class Observer:
             host: asked for its nodelet managers and their nodelets.
             graph: the picture of what runs.
             lifecycle: brings nodelets back.
-            suspects: told of crashes.
+            suspects: accused of crashes.
             clock: steady time, in seconds.
             run: does the work of bringing nodelets back; a look does not wait for it.
         """

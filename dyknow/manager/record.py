@@ -21,16 +21,17 @@ class Record:
         manager: nodelet manager that hosts it.
         is_protected: whether it may not be destroyed.
         isolated: whether it has a process of its own.
-        rewired_by_reload: a plain C++ nodelet: connecting it elsewhere loads it anew.
+        rewired_by_reload: whether it is a plain C++ nodelet, which is loaded again to connect it
+            elsewhere.
         topics: where its ports should be connected.
         state: whether it runs.
         detail: why it does not, in words.
         ports: what was last seen.
         claimed: made for a claim, and collected when no claim needs it.
         incarnation: of the nodelet manager when it was loaded.
-        suspicion: why it was given a process of its own; empty if nobody suspects it.
-        unwanted: whether it was to be destroyed while its nodelet manager could not be asked: it
-            is as soon as that answers.
+        suspicion: why it was given a process of its own; empty if it is not suspected.
+        unwanted: whether it should have been destroyed while its nodelet manager did not answer;
+            it is destroyed as soon as that answers.
     """
 
     name: str
@@ -70,7 +71,7 @@ class Record:
 
 
 def seen_ports(record: Record, ports: Tuple[PortState, ...]) -> Tuple[PortState, ...]:
-    """Give the ports that a proxy reports the tags of the transformation."""
+    """Return the ports that a proxy reports, with the tags of the transformation."""
     declared = (
         {port.name: port for port in record.transformation.ports}
         if (record.transformation is not None)
@@ -89,7 +90,7 @@ def seen_ports(record: Record, ports: Tuple[PortState, ...]) -> Tuple[PortState,
 
 
 def declared_ports(record: Record) -> Tuple[PortState, ...]:
-    """Ports of a nodelet that cannot be asked, from its transformation and its wiring."""
+    """Return the ports of a nodelet that cannot be asked, as its transformation and topics say."""
     if record.transformation is None:
         return ()
     return tuple(
@@ -101,5 +102,5 @@ def declared_ports(record: Record) -> Tuple[PortState, ...]:
 
 
 def topics_of(record: Record) -> Dict[str, str]:
-    """Connected ports and their topics as last seen."""
+    """Return the connected ports and their topics, as last seen."""
     return {port.name: port.topic for port in record.ports if port.topic}

@@ -38,7 +38,7 @@ _COUNTS_CHANGES = 95
 def rescue(path: str) -> Tuple[Rows, str]:
     """Read a file that could not be opened.
 
-    No connection of this process may have the file open: reading it gives up its locks.
+    No connection of this process may have the file open: reading the file releases its locks.
 
     Returns:
         Its rows, and what is damaged; empty if nothing is.

@@ -41,7 +41,7 @@ def connect(path: str, patience: float) -> sqlite3.Connection:
         path, timeout=patience, check_same_thread=False, isolation_level=None
     )
     try:
-        # Whoever reads a row judges bytes that are no UTF-8.
+        # Bytes that are no UTF-8 are judged where the row is read.
         connection.text_factory = decoded
         connection.execute("PRAGMA journal_mode = WAL")
         connection.execute("PRAGMA synchronous = NORMAL")

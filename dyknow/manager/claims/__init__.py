@@ -1,1 +1,4 @@
-"""Streams on request: made, kept, mended and collected."""
+"""Streams on request: planned, made, repaired, and collected when they are not needed.
+
+``reconciler`` is where to begin; ``context`` has what its parts share.
+"""

@@ -14,7 +14,6 @@ from typing import Callable, Dict, Iterable, List, Mapping, Optional
 from dyknow.errors import DyKnowError, NameTaken, SpawnFailed, StreamTypeMismatch
 from dyknow.manager.claims.context import ClaimContext
 from dyknow.manager.claims.plan_context import (
-    ANY,
     AssemblyRequest,
     AssemblyResult,
     PlanContext,
@@ -25,6 +24,7 @@ from dyknow.manager.claims.streams import with_feeders
 from dyknow.manager.claims.transaction import Transaction
 from dyknow.manager.host import Count, Host, NodeletKind
 from dyknow.manager.planning.problem import Live, New, PlanStep, Source
+from dyknow.manager.planning.supply import ANY
 from dyknow.manager.record import Record
 from dyknow.manager.specifications.tags import read_tags
 from dyknow.model.graph import SpawnRequest, State

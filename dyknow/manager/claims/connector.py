@@ -182,7 +182,7 @@ class Connector:
         return [ends for _, ends in read.values()]
 
     def _acting(self) -> List[Record]:
-        """Nodelets that run, and those that may run though nobody has seen it."""
+        """Nodelets that run, and those that may run without having been seen."""
         records = [each for each in self._graph.all() if each.state is not State.FAILED]
         if any(record.state is State.LOST for record in records):
             incarnations = {each.name: each.incarnation for each in self._manager.host.managers()}

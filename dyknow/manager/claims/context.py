@@ -84,7 +84,7 @@ class ClaimContext:
     Attributes:
         manager: knows, makes and destroys nodelets.
         table: the claims.
-        lock: held by whoever changes claims.
+        lock: held while claims are changed.
         connector: connects ports.
         monitor: knows which parts of streams send messages.
         clock: steady time, in seconds.

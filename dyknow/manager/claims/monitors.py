@@ -26,7 +26,7 @@ _log = logging.getLogger("rosout.dyknow")
 
 
 class StreamMonitor:
-    """Watches the messages of all streams, for whoever repairs them."""
+    """Watches the messages of all streams."""
 
     def __init__(self, manager: Manager, table: ClaimTable, clock: Callable[[], float]) -> None:
         """Begin without any stream.

@@ -11,12 +11,11 @@ from dyknow.errors import StreamTypeMismatch
 from dyknow.manager.claims.claim_table import ClaimTable
 from dyknow.manager.manager import Manager
 from dyknow.manager.planning.problem import Live, New, Plan, PlanStep, Source
+from dyknow.manager.planning.supply import ANY
 from dyknow.manager.record import Record
 from dyknow.model.graph import State
 from dyknow.model.transformation import IN, OUT
 
-#: Types that go with every other.
-ANY = ("", "*")
 #: Names that are tried for one transformation.
 _MOST_NAMES = 10_000
 

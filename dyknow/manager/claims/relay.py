@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Optional, Tuple
 
 from dyknow.errors import SpawnFailed
+from dyknow.manager.planning.supply import ANY
 from dyknow.manager.specifications.tags import read_tags
 from dyknow.model.transformation import IN, OUT, Parameter, Port, Transformation
 
@@ -24,7 +25,7 @@ def relay(topic: str, datatype: str, tags: Tuple[str, ...]) -> Transformation:
     Raises:
         SpawnFailed: the type of the topic is not known.
     """
-    if datatype in ("", "*"):
+    if datatype in ANY:
         raise SpawnFailed(_PREFIX + topic, "the type of its messages is not known")
     tags = tuple(tag for tag in tags if all(term.is_ground for term in read_tags((tag,))))
     return Transformation(

@@ -198,7 +198,7 @@ class Topology:
                 ]
 
     def producers(self, topic: str) -> List[Producer]:
-        """Who may send on a topic; a description of the topic speaks for untagged nodelets."""
+        """Return the producers of a topic; its description stands for nodelets without tags."""
         return self._producers.get(topic, [])
 
     def is_described(self, topic: str) -> bool:
@@ -206,7 +206,7 @@ class Topology:
         return any(not producer.nodelet for producer in self.producers(topic))
 
     def consumers(self, topic: str) -> List[Consumer]:
-        """Who may listen on a topic."""
+        """Return the consumers of a topic."""
         return self._consumers.get(topic, [])
 
     def serves(self, producer: Producer, demand: Demand) -> bool:

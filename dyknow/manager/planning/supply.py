@@ -23,8 +23,8 @@ from dyknow.manager.specifications.tags import NO_ONTOLOGY, Subsumption, Term, m
 _Functor = Tuple[str, int]  # with the number of arguments
 Supplier = TypeVar("Supplier", bound=Hashable)
 
-#: Types that go with every other.
-_ANY = ("", "*")
+#: ROS types that go with every other: one that is not known, and one that carries all.
+ANY = ("", "*")
 #: Combinations of superordinate names that the index has for one tag.
 _MOST_KEYS = 64
 
@@ -46,7 +46,7 @@ def meets(
 ) -> bool:
     """Return whether a stream of these tags and type is what is demanded."""
     supplied = [tag for tag in tags if tag.is_ground]
-    if demand.datatype not in _ANY and datatype not in (*_ANY, demand.datatype):
+    if demand.datatype not in ANY and datatype not in (*ANY, demand.datatype):
         return False
     return all(
         any(matches(tag, demanded, ontology) for tag in supplied) for demanded in demand.tags
@@ -120,10 +120,10 @@ class Supply(Generic[Supplier]):
             if not found:
                 return []
         wanted = demand.datatype
-        if wanted in _ANY:
+        if wanted in ANY:
             return list(found or ())
         types = self._datatypes
-        return [each for each in found or () if types[each] in (*_ANY, wanted)]
+        return [each for each in found or () if types[each] in (*ANY, wanted)]
 
     def _of_term(self, demanded: Term) -> AbstractSet[Supplier]:
         if demanded.is_ground:
