@@ -21,7 +21,8 @@ COMMENTS = {
     ".h": "//",
     ".py": "#",
     ".sh": "#",
-    ".sh.develspace.in": "#",
+    ".develspace.in": "#",
+    ".installspace.in": "#",
     "CMakeLists.txt": "#",
     "Makefile": "#",
 }
