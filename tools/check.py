@@ -114,7 +114,7 @@ def unit_tests_py38() -> Outcome:
         return Outcome(0, 1, output)
     venv_python = str(ROOT / "build" / "venv38" / "bin" / "python")
     argv = (venv_python, "-m", "pytest", "-q", *IN_PARALLEL, "-m", "not long", *folders)
-    return run_pytest("unit-py38.xml", *argv, PYTHONPATH="")
+    return run_pytest("unit-py38.xml", *argv, PYTHONPATH="", HYPOTHESIS_PROFILE="slow")
 
 
 def coverage() -> Outcome:
