@@ -16,7 +16,7 @@ from typing import Any, Dict, Optional, Tuple
 import rosgraph.network
 
 from dyknow.errors import HostError, PeerTimeout
-from dyknow.locks import assert_no_state_lock, turn_lock
+from dyknow.locks import assert_no_state_lock, state_lock, turn_lock
 from dyknow.ros.master import Master
 from dyknow.ros.tcpros import TcprosConnection
 
@@ -67,6 +67,7 @@ class ServiceClient:
         #: Where the service was found last; another process has another address.
         self.address = ""
         self._turn = turn_lock("service client")
+        self._state_lock = state_lock("connection of a service client")
         self._connection: Optional[TcprosConnection] = None
         self._owed = False  # an answer that came too late for its call
 
@@ -104,11 +105,20 @@ class ServiceClient:
             self._turn.release()
 
     def close(self) -> None:
-        """Close the connection; the next call opens another."""
-        connection, self._connection = self._connection, None
-        self._owed = False
-        if connection is not None:
-            connection.close()
+        """Close the connection; the next call opens another.
+
+        A call that is going on in another thread fails, or is repeated over a new connection.
+        """
+        with self._state_lock:
+            if self._connection is not None:
+                self._connection.interrupt()
+        # Only the thread whose turn it is may close the socket: while it reads, the descriptor
+        # must not become that of another connection.
+        if self._turn.acquire(blocking=False):
+            try:
+                self._disconnect()
+            finally:
+                self._turn.release()
 
     # Inside
 
@@ -126,23 +136,30 @@ class ServiceClient:
         for attempt in (1, 2):
             fresh = self._connection is None
             try:
-                if self._connection is None:
-                    self._connection = self._connect(deadline)
-                return self._response(*self._exchange(self._connection, body, deadline))
+                connection = self._connection or self._connect(deadline)
+                self._connection = connection
+                return self._response(*self._exchange(connection, body, deadline))
             except ServiceFailed:
                 raise
             except socket.timeout as error:
                 if not self._owed:  # part of a request cannot be taken back
-                    self.close()
+                    self._disconnect()
                 raise PeerTimeout(f"service {self.name}", timeout) from error
             except OSError as error:
-                self.close()
+                self._disconnect()
                 if fresh or attempt == 2 or not self._reconnects:
                     raise ServiceLost(f"service {self.name} is gone: {error}") from error
             except BaseException:
-                self.close()
+                self._disconnect()
                 raise
         raise AssertionError("not reached")
+
+    def _disconnect(self) -> None:
+        with self._state_lock:
+            connection, self._connection = self._connection, None
+            self._owed = False
+            if connection is not None:
+                connection.close()
 
     def _exchange(
         self, connection: TcprosConnection, body: bytes, deadline: float

@@ -6,6 +6,8 @@ frame of header fields in each direction.
 
 from __future__ import annotations
 
+import contextlib
+import socket
 import struct
 import time
 from typing import Dict, Tuple
@@ -22,7 +24,7 @@ _LEAST_WAIT = 0.001
 class TcprosConnection:
     """The side that connects. Deadlines are moments of the steady clock.
 
-    All methods but ``close`` raise ``socket.timeout`` when the deadline passes, and OSError when
+    The methods that send and receive raise ``socket.timeout`` when the deadline passes, and OSError when
     the connection breaks. What has come by then is kept: the next call goes on there.
     """
 
@@ -55,8 +57,13 @@ class TcprosConnection:
         succeeded, body = self._receive(1, deadline)
         return succeeded != b"\0", body
 
+    def interrupt(self) -> None:
+        """End what another thread sends or receives: it raises OSError, and then closes."""
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
+
     def close(self) -> None:
-        """Disconnect."""
+        """Disconnect; only for the thread that uses the connection."""
         self._socket.close()
 
     def _receive(self, before: int, deadline: float) -> Tuple[bytes, bytes]:

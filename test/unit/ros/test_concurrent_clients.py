@@ -1,0 +1,120 @@
+"""Clients that several threads use, close and replace at the same time."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from typing import Any, Callable, Iterator, List
+
+import pytest
+from nodelet.srv import NodeletList
+from unit.ros.small_graph import SmallManager, SmallMaster, small_graph
+
+from dyknow.errors import HostError
+from dyknow.ros.hosting.external_managers import ExternalManager
+from dyknow.ros.hosting.list_client import ListClients
+from dyknow.ros.master import Master
+from dyknow.ros.service_client import ServiceClient
+
+NAME = "/far"
+SECONDS = 1.0
+PATIENCE = 30.0
+
+
+@pytest.fixture
+def graph() -> Iterator[SmallMaster]:
+    with small_graph() as graph:
+        graph.nodes[NAME] = SmallManager()
+        graph.nodes[NAME].nodelets = ["/b", "/a"]
+        yield graph
+
+
+@pytest.fixture(autouse=True)
+def _impatient_interpreter() -> Iterator[None]:
+    """Threads take turns as often as they can."""
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(1e-5)
+    yield
+    sys.setswitchinterval(before)
+
+
+def together(*works: Callable[[], object], seconds: float = SECONDS) -> None:
+    """Repeat each work in a thread of its own for some time; what they raise is raised here."""
+    failures: List[BaseException] = []
+    end = time.monotonic() + seconds
+
+    def repeat(work: Callable[[], object]) -> None:
+        try:
+            while time.monotonic() < end and not failures:
+                work()
+        except BaseException as error:
+            failures.append(error)
+
+    threads = [threading.Thread(target=repeat, args=(work,), daemon=True) for work in works]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(PATIENCE)
+        assert not thread.is_alive()
+    if failures:
+        raise failures[0]
+
+
+def test_a_persistent_client_is_closed_while_others_call(graph: SmallMaster) -> None:
+    client = ServiceClient(Master("/test", graph.uri), f"{NAME}/list", NodeletList, True)
+    answers: List[Any] = []
+
+    def call() -> None:
+        try:
+            answers.append(client.call(PATIENCE).nodelets)
+        except HostError:
+            return  # it was closed in the middle of the call
+
+    together(call, call, call, client.close)
+    client.close()
+    assert answers
+    assert all(each == ["/b", "/a"] for each in answers)
+
+
+def test_a_client_that_is_replaced_while_it_is_asked_refuses_or_answers(
+    graph: SmallMaster,
+) -> None:
+    clients = ListClients(Master("/test", graph.uri))
+    numbers = iter(range(10**9))
+    answers: List[List[str]] = []
+
+    def ask() -> None:
+        try:
+            answers.append(clients.of(NAME, str(next(numbers) // 20)).list(PATIENCE))
+        except HostError:
+            return
+
+    together(ask, ask, ask, lambda: clients.forget(NAME))
+    clients.close()
+    assert answers
+    assert all(each == ["/a", "/b"] for each in answers)
+
+
+def test_who_asks_an_external_manager_while_its_connections_break_is_refused_or_answered(
+    graph: SmallMaster,
+) -> None:
+    manager = ExternalManager(Master("/test", graph.uri), NAME)
+    answers: List[List[str]] = []
+
+    def ask() -> None:
+        try:
+            answers.append(manager.list())
+        except HostError:
+            manager.look_now()
+
+    def lose() -> None:
+        time.sleep(0.05)
+        graph.nodes[NAME].lose_connections()
+
+    try:
+        together(ask, ask, ask, lose)
+        assert answers
+        assert all(each == ["/a", "/b"] for each in answers)
+    finally:
+        manager.close()
