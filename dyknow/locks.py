@@ -32,6 +32,7 @@ TURNS: Tuple[str, ...] = (
     "claims on disk",
     "records of children",
     "parts of model messages",
+    "bonds of claims",
     "reconfiguration",
     "listening to nodelet managers",
     "words of a bond",

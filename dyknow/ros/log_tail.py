@@ -1,4 +1,4 @@
-"""Follows the file that a process prints into."""
+"""Copies what a process prints into a file."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ _CHUNK = 1 << 16
 
 
 class LogTail:
-    """Copies what is appended to a file."""
+    """Copies what is appended to a file; safe from any thread."""
 
     def __init__(self, path: str, at_end: bool = False) -> None:
-        """Follow ``path`` from its beginning, or from its end as it is now."""
+        """Begin at the start of ``path``, or at its end as it is now."""
         self._path = path
         self._turn = turn_lock("output of a child")
         self._position = os.path.getsize(path) if at_end and os.path.exists(path) else 0
 
     def copy(self, target: TextIO) -> None:
-        """Copy what came since the last call."""
+        """Copy what was appended since the last call."""
         with self._turn:
             try:
                 with open(self._path, "rb") as file:
@@ -33,4 +33,4 @@ class LogTail:
                         target.write(chunk.decode("utf-8", "replace"))
                 target.flush()
             except (OSError, ValueError):
-                return  # the file or the reader is gone
+                return  # the file is gone, or our own output closed

@@ -12,7 +12,7 @@ import rospy
 
 from dyknow import names
 from dyknow.errors import DyKnowError
-from dyknow.locks import state_lock
+from dyknow.locks import state_lock, turn_lock
 from dyknow.manager.claim import Claim
 from dyknow.ros.bonding.bonds import Bonds
 
@@ -20,33 +20,40 @@ TOPIC = "bond"
 
 
 class ClaimBonds:
-    """Has a bond for each id that a claim names, and none else."""
+    """Has one bond for each id that a claim names; every method is safe from any thread."""
 
-    def __init__(self, expire: Callable[[str, str], None]) -> None:
-        """Watch nobody yet.
+    def __init__(
+        self, claims: Callable[[], Iterable[Claim]], expire: Callable[[str, str], None]
+    ) -> None:
+        """Begin without bonds.
 
         Args:
+            claims: returns the claims of this moment.
             expire: ends a claim, given its id and a reason.
         """
+        self._claims = claims
         self._expire = expire
         self._bonds = Bonds(names.join(rospy.get_name(), TOPIC))
-        self._state_lock = state_lock("claim bonds")
+        #: Changes of claims are followed in turn: what the last one sees is what stays.
+        self._turn = turn_lock("bonds of claims")
+        self._state_lock = state_lock("claims by bond")
         self._held: Dict[str, Set[str]] = {}
 
-    def follow(self, claims: Iterable[Claim]) -> None:
-        """Watch over the clients of these claims."""
-        wanted: Dict[str, Set[str]] = {}
-        for claim in claims:
-            if claim.request.bond_id and not claim.state.ended:
-                wanted.setdefault(claim.request.bond_id, set()).add(claim.claim_id)
-        with self._state_lock:
-            new = sorted(set(wanted) - set(self._held))
-            old = sorted(set(self._held) - set(wanted))
-            self._held = wanted
-        for bond_id in old:
-            self._bonds.remove(bond_id)
-        for bond_id in new:
-            self._add(bond_id)
+    def follow(self) -> None:
+        """Watch over the clients of the present claims."""
+        with self._turn:
+            wanted: Dict[str, Set[str]] = {}
+            for claim in self._claims():
+                if claim.request.bond_id and not claim.state.ended:
+                    wanted.setdefault(claim.request.bond_id, set()).add(claim.claim_id)
+            with self._state_lock:
+                new = sorted(set(wanted) - set(self._held))
+                old = sorted(set(self._held) - set(wanted))
+                self._held = wanted
+            for bond_id in old:
+                self._bonds.remove(bond_id)
+            for bond_id in new:
+                self._add(bond_id)
 
     def close(self) -> None:
         """Let go of all clients."""

@@ -35,10 +35,10 @@ from dyknow.ros.manager.stream_node import StreamNode
 from dyknow.ros.manager.watch import Watch
 from dyknow.ros.master import Master
 from dyknow.ros.model_messages import ModelMessages
+from dyknow.ros.node_process import NodeProcess
 from dyknow.ros.nodelets.announcements import Listener
 from dyknow.ros.nodelets.guard_parameters import guards_key, to_parameter
 from dyknow.ros.nodelets.owner import OwnerLock
-from dyknow.ros.process import NodeProcess
 from dyknow.ros.transport.registrar import Registrar
 from dyknow.workers import Workers
 

@@ -46,10 +46,10 @@ class StreamNode:
         self._publisher = rospy.Publisher("~stream_events", StreamEvent, queue_size=_QUEUE_SIZE)
         self._reconciler = reconciler
         self._known: Set[str] = {claim.claim_id for claim in self._reconciler.claims()}
-        self._bonds = ClaimBonds(self._reconciler.expire)
+        self._bonds = ClaimBonds(self._reconciler.claims, self._reconciler.expire)
         self._reconciling = ReconcileLoop(self._reconciler, self._has_work)
         self._reconciler.on_event = self._on_event
-        self._bonds.follow(self._reconciler.claims())
+        self._bonds.follow()
         self._services = StreamServices(
             self._reconciler,
             manager.guards,
@@ -90,5 +90,5 @@ class StreamNode:
             event.reason,
         )
         self._publisher.publish(event_message(self._answers.event(event, is_new)))
-        self._bonds.follow(self._reconciler.claims())
+        self._bonds.follow()
         self._reconciling.note_change()

@@ -38,13 +38,13 @@ from dyknow.proxy.proxy import NodeletProxy
 from dyknow.ros.bonding.bonds import Bonds
 from dyknow.ros.log_text import for_log
 from dyknow.ros.messages import counts_message
+from dyknow.ros.node_process import NodeProcess
 from dyknow.ros.nodelets.announcements import Announcer
 from dyknow.ros.nodelets.guard_parameters import GuardParameters, caller_of
 from dyknow.ros.nodelets.name_watch import end_when_displaced
 from dyknow.ros.nodelets.owner import end_when_orphaned
 from dyknow.ros.nodelets.packages import plugin_files
 from dyknow.ros.nodelets.proxy_services import ProxyServices
-from dyknow.ros.process import NodeProcess
 from dyknow.ros.transport.middleware import rospy_middleware
 
 #: Seconds, at the end, for clients that end at the same time.
