@@ -1,7 +1,7 @@
-"""What nobody may change, whoever asks: enforced by the manager and by each proxy.
+"""Restrictions on changes, enforced by the manager and by each proxy.
 
-The manager hands its guards to its nodelet managers, or a call to a proxy would pass them by. A
-nodelet manager that several managers share is under the guards of all of them.
+The manager hands its guards to its nodelet managers, since a call to a proxy does not pass through
+the manager. A nodelet manager that several managers share is under the guards of all of them.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Guards:
                 )
 
     def check_sizes(self, strings: Iterable[str], entries: int = 0) -> None:
-        """Refuse what is longer than any sensible request.
+        """Refuse strings and arrays beyond the limits.
 
         Raises:
             LimitExceeded: a string or an array is too long.
@@ -70,7 +70,7 @@ NO_GUARDS = Guards()
 
 
 def together(several: Iterable[Guards]) -> Guards:
-    """Return guards that deny whatever one of several denies."""
+    """Return guards that deny everything that one of several denies."""
     every = list(several)
     if not every:
         return NO_GUARDS

@@ -1,4 +1,4 @@
-"""Suggests what somebody may have meant who named a thing that is not there."""
+"""Suggestions for a name that is not known: the known names that resemble it."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import difflib
 from itertools import islice
 from typing import Iterable
 
-#: Names that are compared at most, which takes a tenth of a second.
+#: Most names that are compared, which takes a tenth of a second.
 _COMPARED = 10_000
-#: Characters of a name beyond which nobody has mistyped it.
+#: Characters of the longest name that suggestions are made for.
 _LONGEST = 200
 
 
@@ -16,13 +16,13 @@ def did_you_mean(name: str, known: Iterable[str], at_most: int = 3, prefix: str 
     """Write `; did you mean a or b?` for the end of an error.
 
     Args:
-        name: what is not there.
-        known: what is, in any order.
-        at_most: how many are suggested.
+        name: the name that is not known.
+        known: the names that are, in any order.
+        at_most: most suggestions.
         prefix: stands before each of them.
 
     Returns:
-        The words; empty if nothing is similar.
+        The text; empty if no name is similar.
     """
     if len(name) > _LONGEST:
         return ""

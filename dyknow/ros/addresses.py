@@ -1,8 +1,8 @@
-"""Connections to hosts by name; a name server that is silent holds up nobody but who asks for it.
+"""Connections to hosts by name; a silent name server delays only callers that need it.
 
-``getaddrinfo`` has no time limit of its own. Each name is looked up by one thread at a time, whose
-answer is for everybody, and callers wait for it only as long as they have time. A name that was
-found before is never waited for: its old address serves until there is a new one.
+``getaddrinfo`` has no time limit. Each name is looked up by one thread at a time, for all callers,
+and each caller waits as long as its own time limit says. A name that was found before is never
+waited for: its old address serves until there is a new one.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from dyknow.periodic import in_background
 
 #: Seconds after which an address is looked up again.
 FRESH = 10.0
-#: Seconds after which a connection ends whose other side acknowledges nothing: its host is away.
-#: A process that hangs does not count, the kernel acknowledges in its place.
+#: Seconds without an acknowledgement after which a connection ends: the other host is away. For a
+#: process that hangs its kernel acknowledges.
 UNACKNOWLEDGED = 2.0
 
 
@@ -54,10 +54,10 @@ class Addresses:
         look_up: Callable[[str], Tuple[str, ...]] = look_up,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Know no host.
+        """Begin without addresses.
 
         Args:
-            look_up: gives the addresses of a host or raises OSError; may take its time.
+            look_up: returns the addresses of a host or raises OSError; may take long.
             clock: seconds, steady.
         """
         self._look_up = look_up
@@ -107,7 +107,7 @@ def _is_address(host: str) -> bool:
     return False
 
 
-#: The addresses that all of this process share.
+#: The addresses of this process.
 ADDRESSES = Addresses()
 
 
@@ -139,7 +139,7 @@ def is_here(host: str, timeout: float) -> bool:
     """Whether a host is this one.
 
     Raises:
-        OSError: nobody knows where it is, or not in time.
+        OSError: its address is not known, or not in time.
     """
     found = ADDRESSES.of(host, timeout)
     return any(rosgraph.network.is_local_address(each) for each in found)

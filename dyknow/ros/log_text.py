@@ -1,4 +1,4 @@
-"""Texts for the log: what others sent is never written there whole, however long it is."""
+"""Texts for the log: what others sent is cut to a length that a log can bear."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ LONGEST = 4096
 
 
 def for_log(text: object) -> str:
-    """Write something for the log, cut to its beginning; the length says what is missing."""
+    """Return a text for the log; of a long one its beginning and its length."""
     words = str(text)
     if len(words) <= LONGEST:
         return words

@@ -18,7 +18,7 @@ _AT_ONCE = 0.2
 
 
 class _Connection(http.client.HTTPConnection):
-    """One whose time limit holds for the search for the host's address too."""
+    """One whose time limit includes the look-up of the host's address."""
 
     def connect(self) -> None:
         self.sock = connect(self.host, self.port, self.timeout or TIMEOUT)
@@ -50,7 +50,7 @@ class _Server:
         """Call a function and return its value.
 
         Raises:
-            PeerTimeout: no answer in time, or nobody there.
+            PeerTimeout: no answer in time, or no process there.
             LookupError: the answer is an error.
         """
         assert_no_state_lock(f"asking {self._peer}: {question}")
@@ -82,7 +82,7 @@ class Master:
     """The master that ROS_MASTER_URI names, asked in the name of one node."""
 
     def __init__(self, caller: str, uri: str = "", timeout: float = TIMEOUT) -> None:
-        """Prepare questions; nothing is sent yet.
+        """Prepare questions to the master.
 
         Args:
             caller: global name of the node that asks.
@@ -99,7 +99,7 @@ class Master:
 
         Raises:
             PeerTimeout: no answer in time, or no master.
-            LookupError: the master knows nothing of it.
+            LookupError: the master answers with an error: it has no such name.
         """
         return self._server.ask(question, self.caller, *args)
 
@@ -132,7 +132,7 @@ class Master:
         return next((answer for answer in answers if answer not in ("", "*")), "")
 
     def node(self, name: str) -> str:
-        """Address of a node that is registered, whether it lives or not; else empty."""
+        """Return the address of a node that is registered, dead or alive; else empty."""
         try:
             return str(self.ask("lookupNode", name))
         except LookupError:
@@ -164,7 +164,7 @@ class Master:
             server.close()
 
     def purge(self, node: str, uri: str) -> None:
-        """Unregister all that a dead node left, in its name, as ``rosnode cleanup`` does.
+        """Unregister, in its name, all that a dead node left, as ``rosnode cleanup`` does.
 
         Args:
             node: its name.
@@ -184,7 +184,7 @@ class Master:
                 dead.ask("unregisterService", service, self.ask("lookupService", service))
 
     def _subscribed(self, node: str, topic: str) -> str:
-        """As what a node subscribes to a topic; empty if it does not say so at once."""
+        """Return the type a node subscribes to a topic with; empty without a quick answer."""
         uri = self.node(node)
         if not uri:
             return ""

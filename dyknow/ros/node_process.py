@@ -1,4 +1,4 @@
-"""The life of a node's process: started, told to end, closed, gone.
+"""Runs a node in this process, from its start to an orderly end.
 
 rospy's own signal handler runs its whole shutdown in the main thread, in the middle of whatever
 that is doing: when it is calling the master, the shutdown waits for ever for the lock that the
@@ -20,13 +20,13 @@ from dyknow.ros.exit_codes import DONE, FAILED, INTERRUPTED
 from dyknow.ros.listening import enlarge_queue
 from dyknow.ros.signals import on_signals
 
-#: Seconds that what is just being started may take to be complete, so that it can be closed.
+#: Seconds for a start that is going on to be complete, so that it can be closed.
 _START_PATIENCE = 2.0
 #: Seconds for closing, when it is rosnode kill that ends the process.
 _CLOSE_PATIENCE = 10.0
 #: Seconds for rospy to take back its registrations.
 _SHUTDOWN_PATIENCE = 2.0
-#: The same when the node never came to be: there is no master then, and nothing to take back.
+#: The same for a node that was never initialised: there is nothing to take back.
 _SHORT_PATIENCE = 0.5
 
 
@@ -53,7 +53,7 @@ class NodeProcess:
         self._shut_down.set()
 
     def end(self) -> None:
-        """Let it end as on SIGTERM; from any thread, and at any time, even before it runs."""
+        """End it as SIGTERM does; from any thread, and at any time, even before it runs."""
         self._told.put(True)
 
     def run(self) -> int:
@@ -62,7 +62,7 @@ class NodeProcess:
         starting = in_background("start", self._begin)
         to_end = self._told.get()
         if not rospy.core.is_initialized():
-            _shut_down(_SHORT_PATIENCE)  # ends the wait for a master, too
+            _shut_down(_SHORT_PATIENCE)  # also ends the wait for a master
         starting.join(_START_PATIENCE)
         if self._running is not None:
             self._running.close()
@@ -99,9 +99,9 @@ class NodeProcess:
 
 
 def _shut_down(patience: float) -> None:
-    """Let rospy shut down, and wait for it.
+    """Let rospy shut down, and wait for it at most ``patience`` seconds.
 
-    Not for ever: a node that waits for its master holds a lock that the shutdown wants, and lets
-    go of it only when the shutdown is complete.
+    A node that waits for its master holds a lock that the shutdown needs, and releases it only
+    after the shutdown.
     """
     in_background("shutdown", lambda: rospy.signal_shutdown("told to end")).join(patience)

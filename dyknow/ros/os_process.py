@@ -1,8 +1,7 @@
-"""Processes of this machine, known for certain: by their id and the moment of their start.
+"""Processes of this machine, identified by their id and the moment of their start.
 
-An id alone may belong to somebody else by now. The end of a process is noticed at once, whether
-it is a child of this process or was started in an earlier life of it; how it ended is known of
-children only.
+An id alone may belong to another process by now. The end of a process is noticed at once, also
+when it is not a child of this one; how it ended is known of children only.
 """
 
 from __future__ import annotations
@@ -15,9 +14,9 @@ import time
 from dataclasses import dataclass
 from typing import List, Optional, Sequence
 
-#: Seconds between two looks, where the kernel cannot tell of the end of a process.
+#: Seconds between two looks, where the kernel does not report the end of a process.
 _PERIOD = 0.1
-#: Seconds that what a process left behind has to end when it is asked to.
+#: Seconds for the rest of a session to end when it is asked to.
 _REST_PATIENCE = 1.0
 
 
@@ -35,13 +34,13 @@ class ProcessId:
 
     @classmethod
     def of(cls, pid: int) -> Optional[ProcessId]:
-        """Look a process up; None if there is none, or only the memory of one."""
+        """Look a process up; None if there is none, or if it has ended and waits to be reaped."""
         fields = _stat(pid)
         return None if not fields or fields[0] in (b"Z", b"X") else cls(pid, int(fields[19]))
 
     @property
     def alive(self) -> bool:
-        """Whether it still runs; a stopped process does."""
+        """Whether it still runs; a suspended process does."""
         return ProcessId.of(self.pid) == self
 
     def signal(self, number: int) -> None:
@@ -66,14 +65,14 @@ class ProcessId:
         return ended
 
     def wait_for_rest(self) -> Optional[int]:
-        """Wait for its end, however long it takes, and end what it left in its session.
+        """Wait for its end without a time limit, then end what it left in its session.
 
         Returns:
             Its exit code, or the negative number of the signal that ended it; None if it is no
             child of this process.
         """
         self._await_end(None)
-        rest = _session(self.pid)  # while it is not reaped nobody else has its id
+        rest = _session(self.pid)  # before it is reaped, as its id is free then
         for process in rest:
             process.signal(signal.SIGTERM)
         deadline = time.monotonic() + _REST_PATIENCE
@@ -115,8 +114,8 @@ def start(command: Sequence[str], output: str, folder: str) -> ProcessId:
 
     Args:
         command: program and arguments.
-        output: file that gets what it prints. It is not given our own output: who waits for
-            the end of that would wait for a process that is meant to go on.
+        output: file for what it prints. Our own output would stay open as long as the process,
+            and a reader of it would wait for that long.
         folder: working directory, made if need be.
 
     Raises:
@@ -132,7 +131,7 @@ def start(command: Sequence[str], output: str, folder: str) -> ProcessId:
             start_new_session=True,
             cwd=folder,
         )
-    process.returncode = 0  # who waits for it is ``ProcessId.wait``
+    process.returncode = 0  # ``ProcessId.wait`` reaps it, not ``Popen``
     found = ProcessId.of(process.pid)
     return found if found is not None else ProcessId(process.pid, -1)
 
@@ -166,7 +165,7 @@ def _session(leader: int) -> List[ProcessId]:
 
 
 def _reap(pid: int) -> Optional[int]:
-    """Status of a child that has ended, as ``wait_for_rest`` gives it; else None."""
+    """Return the status of a child that has ended, as ``wait_for_rest`` does; else None."""
     try:
         reaped, status = os.waitpid(pid, os.WNOHANG)
     except ChildProcessError:

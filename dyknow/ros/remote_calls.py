@@ -17,9 +17,9 @@ T = TypeVar("T")
 
 
 def call_within(seconds: float, what: str, call: Callable[[], T]) -> T:
-    """Make a blocking call, but wait for its end only so long.
+    """Make a blocking call, and wait for its end at most so long.
 
-    A call that is late goes on in a daemon thread of its own, and its result is dropped.
+    A call that is late goes on in the background, and its result is dropped.
 
     Args:
         seconds: How long to wait.

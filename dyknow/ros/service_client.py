@@ -1,8 +1,8 @@
 """A service client in which every step has a time limit.
 
-rospy's ServiceProxy has none: a call to a stopped process blocks for as long as that stays
-stopped. This one speaks TCPROS on a connection of its own. It also hands on the words of a service
-that fails as they were said.
+rospy's ServiceProxy has none: a call to a suspended process blocks for as long as it stays
+suspended. This one speaks TCPROS on a connection of its own, and hands on the error text of a
+service that fails unchanged.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ class ServiceLost(HostError):
 class ServiceClient:
     """Calls one service. Safe from any thread; the calls of a persistent client take turns.
 
-    A persistent client asks once more, on a new connection, when the old one turns out to be
-    closed: it is for services that may be asked twice.
+    A persistent client repeats a call, over a new connection, when the old one turns out to be
+    closed. It is for services that may be called twice.
     """
 
     def __init__(
@@ -49,7 +49,7 @@ class ServiceClient:
         persistent: bool = False,
         reconnects: bool = True,
     ) -> None:
-        """Prepare calls; nothing is sent yet.
+        """Prepare calls of a service.
 
         Args:
             master: where the service is looked up.

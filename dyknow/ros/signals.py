@@ -1,4 +1,4 @@
-"""Signals, told to a thread that waits for nothing else.
+"""Signals, received by a thread that waits for nothing else.
 
 Python runs a handler in the main thread once that thread executes Python code again. A main thread
 that is just about to block misses a signal until something else wakes it up. The descriptor that
@@ -16,7 +16,10 @@ from dyknow.periodic import attempt, in_background
 
 
 def on_signals(numbers: Iterable[int], told: Callable[[], None]) -> None:
-    """Call ``told``, on a thread of its own, for each of these signals; from the main thread."""
+    """Call ``told``, in a thread of its own, for each of these signals.
+
+    Only the main thread may call this.
+    """
     wanted = frozenset(numbers)
     readable, writable = os.pipe()
     os.set_blocking(writable, False)

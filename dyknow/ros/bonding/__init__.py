@@ -1,1 +1,1 @@
-"""Bonds as bondpy has them, one thread for all of them."""
+"""Bonds that speak the protocol of bondpy, with one thread for all of them."""

@@ -15,15 +15,14 @@ sisters cannot tell from ordinary traffic:
 
 * Silence counts from the moment the sister was first heard, not from her second heartbeat; a
   sister that died in between would be waited for without end.
-* An end that gives its sister up says "dead" once, so that a sister who was only suspended learns
-  it at once.
+* An end that gives its sister up says "dead" once, so that a sister that was only suspended
+  learns it at once.
 * An end that parts before its sister was heard repeats "dead" for a while too: she may just be
   connecting, and would wait for the whole connect timeout.
 * After the sister's death is acknowledged, the end lingers and acknowledges again while she
   repeats herself; the first answer may have been sent before she could hear it.
 
-As in bond_core, the timeouts a sister announces are for people who debug; each end follows its
-own.
+As in bond_core, the timeouts that a sister announces are for debugging; each end follows its own.
 """
 
 from __future__ import annotations
@@ -136,7 +135,7 @@ class BondEnd:
 
     @property
     def instances(self) -> AbstractSet[str]:
-        """Everybody who spoke on this bond or on an earlier one with its id."""
+        """Every instance that spoke on this bond or on an earlier one with its id."""
         sister = {self.sister} if self.sister is not None else set()
         return self._former | {self.instance_id} | sister
 

@@ -1,7 +1,7 @@
-"""All bonds of one topic, as plain Python: who has to say what, and when something is due next.
+"""All bonds of one topic, as plain Python: what has to be said, and when something is due next.
 
 The table owns the ends of the bonds (`BondEnd`) and one heartbeat for all of them, so that forty
-bonds wake their thread as often as one does. It is not thread-safe and calls nobody: every event
+bonds wake their thread as often as one does. It is not thread-safe and calls nothing: every event
 returns `Effects`, which the owner carries out after it has let go of its lock.
 """
 
@@ -80,7 +80,7 @@ class BondTable:
     def next_due(self) -> float | None:
         """When `tick` has to be called next, None: not before another event."""
         due = [end.deadline for end, _ in self._ends.values() if end.deadline is not None]
-        if self._anybody_living():
+        if self._has_living():
             due.append(self._next_heartbeat)
         return min(due, default=None)
 
@@ -95,7 +95,7 @@ class BondTable:
             former, _ = self._ends[bond_id]
             if former.wants_heartbeats:
                 raise DuplicateBond(bond_id)
-        if not self._anybody_living():
+        if not self._has_living():
             self._next_heartbeat = now + self._timings.heartbeat_period
         end = BondEnd(
             bond_id,
@@ -128,7 +128,7 @@ class BondTable:
     def tick(self, now: float) -> Effects:
         """Do what is due."""
         effects = self._effects([(end, end.tick(now)) for end, _ in list(self._ends.values())])
-        if now >= self._next_heartbeat and self._anybody_living():
+        if now >= self._next_heartbeat and self._has_living():
             self._next_heartbeat = now + self._timings.heartbeat_period
             effects.words += [
                 Word(end.bond_id, end.instance_id, True)
@@ -141,7 +141,7 @@ class BondTable:
         """Settle what `tick` reported as silent; see `BondEnd.judge_silence`."""
         return self._effects([(end, end.judge_silence(counts, now)) for end in ends])
 
-    def _anybody_living(self) -> bool:
+    def _has_living(self) -> bool:
         return any(end.wants_heartbeats for end, _ in self._ends.values())
 
     def _effects(self, outcomes: Iterable[tuple[BondEnd, Outcome]]) -> Effects:

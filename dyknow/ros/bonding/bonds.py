@@ -1,15 +1,16 @@
 """The bonds of a process on one topic, one thread for all of them.
 
 A nodelet manager has a bond with every client that loaded a nodelet and stays to watch over it.
-python3-bondpy would do, but gives each bond a publisher, a subscriber, a publishing thread and up
-to three timer threads: forty bonds cost a hundred threads in a process whose interpreter lock is
-wanted elsewhere. `Bonds` speaks the same protocol, with stock sisters on the other end, through
-one publisher, one subscriber and one thread, and has none of the three while there is no bond.
+With python3-bondpy each bond has a publisher, a subscriber, a publishing thread and up to three
+timer threads: forty bonds cost a hundred threads, which compete for the interpreter lock. `Bonds`
+speaks the same protocol, with stock sisters at the other end, through one publisher, one
+subscriber and one thread, and has none of the three while there is no bond.
 
 The rules are in `bond_states` and `bond_table`, which know neither rospy nor threads; here are the
-lock, the thread and the topic. Who owns what: the lock guards the table, nothing is called under
-it. The thread owns publisher and subscriber, which come and go with it. A second lock is held
-while something is published, since a rospy publisher must not be unregistered meanwhile.
+locks, the thread and the topic. Who owns what: the condition guards the table. The thread owns the
+publisher and the subscriber, which come and go with it; so it is no `PeriodicWorker`, whose thread
+would stay. A turn is held while something is published, since a rospy publisher must not be
+unregistered meanwhile.
 """
 
 from __future__ import annotations
@@ -39,8 +40,7 @@ STOCK_TIMINGS = BondTimings(
 )
 """What bondcpp and bondpy use."""
 
-# Room for a heartbeat of each of many bonds at once; they are small, and a sister that reads none
-# is given up.
+# Heartbeats of many bonds at once; they are small, and a sister that reads none is given up.
 _QUEUE_SIZE = 1000
 
 _PARAMETER_TIMEOUT = 1.0
@@ -66,7 +66,7 @@ class Bonds:
         timings: BondTimings = STOCK_TIMINGS,
         executor: Callable[[Callable[[], None]], object] = partial(in_background, "broken bonds"),
     ) -> None:
-        """Make an empty set of bonds; nothing is registered before the first.
+        """Begin without bonds; the topic is registered with the first.
 
         Args:
             topic: Where both ends speak, `MANAGER/bond` for nodelets.
@@ -78,11 +78,11 @@ class Bonds:
         self._topic = topic
         self._timings = timings
         self._executor = executor
-        self._condition = state_condition("bonds")
+        self._changed = state_condition("bonds")
         self._table = BondTable(timings)
         self._thread: threading.Thread | None = None
         self._publisher: Any = None
-        self._speaking = turn_lock("words of a bond")
+        self._publishing_turn = turn_lock("words of a bond")
         self._closed_until: float | None = None
 
     def add(self, bond_id: str, on_broken: OnBroken) -> None:
@@ -96,13 +96,13 @@ class Bonds:
             DuplicateBond: There is a bond with this id.
             BondsClosed: `close` was called.
         """
-        with self._condition:
+        with self._changed:
             if self._closed_until is not None:
                 raise BondsClosed(self._topic)
             effects = self._table.add(bond_id, on_broken, time.monotonic())
             if self._thread is None:
                 self._thread = in_background("bonds", self._run)
-            self._condition.notify()
+            self._changed.notify()
         self._perform(effects)
 
     def remove(self, bond_id: str) -> None:
@@ -110,9 +110,9 @@ class Bonds:
 
         Nothing happens if there is no such bond: it may just have broken by itself.
         """
-        with self._condition:
+        with self._changed:
             effects = self._table.remove(bond_id, time.monotonic())
-            self._condition.notify()
+            self._changed.notify()
         self._perform(effects)
 
     def close(self, timeout: float = 0.5) -> None:
@@ -121,12 +121,12 @@ class Bonds:
         Args:
             timeout: How long (s) to wait at most for the sisters to acknowledge.
         """
-        with self._condition:
+        with self._changed:
             now = time.monotonic()
             self._closed_until = now + timeout
             effects = self._table.remove_all(now)
             thread = self._thread
-            self._condition.notify()
+            self._changed.notify()
         self._perform(effects)
         if thread is not None and thread is not threading.current_thread():
             thread.join(timeout + _PARAMETER_TIMEOUT)
@@ -138,7 +138,7 @@ class Bonds:
     def _serve(self) -> bool:
         """Serve until the last bond is gone."""
         publisher = rospy.Publisher(self._topic, Status, queue_size=_QUEUE_SIZE)
-        with self._condition:
+        with self._changed:
             self._publisher = publisher
         subscriber = rospy.Subscriber(self._topic, Status, self._on_status, tcp_nodelay=True)
         try:
@@ -147,14 +147,14 @@ class Bonds:
             return True
         finally:
             subscriber.unregister()
-            with self._speaking:  # whoever speaks has finished, and nobody begins
+            with self._publishing_turn:  # after what is being published, before anything else
                 if self._publisher is publisher:
                     self._publisher = None
             publisher.unregister()
 
     def _serve_once(self) -> bool:
         """Do what is due, or sleep until something is; False when the last bond is gone."""
-        with self._condition:
+        with self._changed:
             now = time.monotonic()
             effects = self._table.tick(now)
             if not effects:
@@ -162,7 +162,7 @@ class Bonds:
                 if due is None:
                     self._thread = self._publisher = None
                     return False
-                self._condition.wait(due - now)
+                self._changed.wait(due - now)
         self._perform(effects)
         return True
 
@@ -176,12 +176,12 @@ class Bonds:
         return min(due, self._closed_until)
 
     def _on_status(self, status: Any) -> None:
-        with self._condition:
+        with self._changed:
             effects = self._table.hear(
                 status.id, status.instance_id, status.active, time.monotonic()
             )
             if effects:
-                self._condition.notify()
+                self._changed.notify()
         self._perform(effects)
 
     def _perform(self, effects: Effects) -> None:
@@ -203,15 +203,15 @@ class Bonds:
                     "Heartbeat timeout is disabled.  Not breaking bond "
                     f"(topic: {self._topic}, id: {ids})"
                 )
-            with self._condition:
+            with self._changed:
                 verdict = self._table.judge_silence(effects.silent, counts, time.monotonic())
             self._perform(verdict)
 
     def _publish(self, words: Sequence[Word]) -> None:
-        with self._speaking:
+        with self._publishing_turn:
             publisher = self._publisher
             if publisher is None:
-                return  # The thread is about to make it, and what matters is said more than once.
+                return  # the thread is about to make it; whatever matters is repeated
             for word in words:
                 status = Status(
                     id=word.bond_id,
@@ -224,10 +224,10 @@ class Bonds:
                 try:
                     publisher.publish(status)
                 except rospy.ROSException:
-                    return  # The node shuts down, the topic is closed; our silence says the rest.
+                    return  # the node shuts down; our silence says the rest
 
     def _is_heartbeat_timeout_disabled(self) -> bool:
-        """Whether somebody who debugs has switched off that silence breaks bonds."""
+        """Whether silence breaks no bonds, as a parameter for debugging says."""
         name = Constants.DISABLE_HEARTBEAT_TIMEOUT_PARAM
         try:
             return bool(

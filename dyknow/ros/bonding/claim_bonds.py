@@ -1,7 +1,7 @@
-"""Bonds with the clients of claims: one that breaks ends the claims that hang on it.
+"""Bonds with the clients of claims: a bond that breaks ends the claims that name it.
 
 Both ends speak on the manager's topic ``~bond``, as with nodelet managers. Bonds outlive a manager
-that is killed: its next life waits for each client to be heard, for as long as bonds do.
+that is killed: the next one waits for each client to be heard, for as long as bonds do.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class ClaimBonds:
                 self._add(bond_id)
 
     def close(self) -> None:
-        """Let go of all clients."""
+        """Break all bonds."""
         self._bonds.close()
 
     def _add(self, bond_id: str) -> None:

@@ -1,7 +1,7 @@
 """The client's end of the bond that its claims hang on.
 
-It only speaks: a client learns from its leases what has become of the manager, and goes on
-speaking while that is away. So a manager that was killed finds its clients alive when it is back.
+It only publishes heartbeats. A client learns from its leases what has become of the manager, and
+goes on while that is away, so a manager that was killed finds its clients alive when it is back.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ _CLOSE_PATIENCE = 1.0
 
 
 class ClientBond(rospy.SubscribeListener):
-    """Says at once to whoever listens, and once a second, that this process is alive.
+    """Tells every new subscriber at once, and all of them once a second, that this process lives.
 
     Attributes:
         bond_id: what the bond is called.
     """
 
     def __init__(self, manager: str) -> None:
-        """Begin to beat for a manager, whose global name this is."""
+        """Begin the heartbeats for a manager of this global name."""
         self.bond_id = str(uuid.uuid4())
         self._instance_id = str(uuid.uuid4())
         self._closed = threading.Event()
@@ -45,7 +45,7 @@ class ClientBond(rospy.SubscribeListener):
         self._worker.start()
 
     def close(self) -> None:
-        """Say that it is over, and beat no more."""
+        """End the heartbeats, and say so."""
         self._closed.set()
         self._worker.close(_CLOSE_PATIENCE)
         self._say(active=False)
@@ -54,7 +54,7 @@ class ClientBond(rospy.SubscribeListener):
     def peer_subscribe(
         self, topic_name: str, topic_publish: Any, peer_publish: Callable[[Status], None]
     ) -> None:
-        """Beat for a newcomer: a manager that has heard us once misses us sooner."""
+        """Send a heartbeat to a new subscriber, which misses us sooner once it heard one."""
         if not self._closed.is_set():
             peer_publish(self._status(active=True))
 

@@ -1,4 +1,4 @@
-"""Which processes a DyKnow manager started, on disk, so that a later life of it finds them."""
+"""The processes that a DyKnow manager started, on disk, so that the next one finds them."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class ChildRecord:
 
 
 def read(path: str) -> List[ChildRecord]:
-    """Read the records of processes that still run; a file that is not there has none.
+    """Read the records of processes that still run; none if there is no file.
 
     Raises:
         ValueError: the file is damaged.
@@ -55,7 +55,7 @@ def read(path: str) -> List[ChildRecord]:
 
 
 def write(path: str, records: Iterable[ChildRecord]) -> None:
-    """Replace the file; a reader finds the old or the new one whole."""
+    """Replace the file atomically."""
     entries = [
         {
             "name": each.name,

@@ -1,8 +1,8 @@
 """Nodelet managers as child processes: started, adopted, restarted when they die, and ended.
 
-Who owns what: ``Children`` owns a table of names and one thread for each child, which alone
-starts the process and waits for its end. A child has a session of its own and outlives a manager
-that is killed; the next life finds it in a file (``child_records``) or, failing that, by its name.
+Who owns what: ``Children`` owns a table of names and a thread for each child. That thread alone
+starts the process and waits for its end. A child has a session of its own, so it outlives a
+manager that is killed; the next one finds it in a file (``child_records``), else by its name.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ PATIENCE = 3.0
 #: Seconds before a nodelet manager that died twice is started again.
 _FIRST_PAUSE = 0.25
 _STEP = 0.02
-#: Seconds that a child of an earlier life may take to show itself: it may have just been started.
+#: Seconds to wait for a child of an earlier manager, which may just have been started.
 _ADOPTION_TIMEOUT = 5.0
 _BASES = {
     NodeletKind.PYTHON: "dyknow_nodelet_manager",
@@ -48,7 +48,18 @@ _log = logging.getLogger("rosout.dyknow")
 
 @dataclass
 class Child:
-    """One nodelet manager; its thread writes, others read."""
+    """One nodelet manager; its thread writes, others read.
+
+    Attributes:
+        record: what is known of it on disk.
+        adopted: whether an earlier manager started its process.
+        up: whether it offers its services.
+        wanted: whether it is to be started again when it dies.
+        gone: set when its name is free again.
+        trouble: why it did not come up; empty if it did.
+        stale: address of a dead predecessor at the master; empty if there is none.
+        log: what it prints.
+    """
 
     record: ChildRecord
     adopted: bool = False
@@ -67,7 +78,7 @@ class Child:
 
 
 class Children:
-    """The nodelet managers of one DyKnow manager."""
+    """The nodelet managers of one DyKnow manager; every method is safe from any thread."""
 
     def __init__(
         self,
@@ -76,7 +87,7 @@ class Children:
         path: str,
         on_change: Callable[[], None] = lambda: None,
     ) -> None:
-        """Start without children.
+        """Begin without children.
 
         Args:
             launcher: starts them.
@@ -96,7 +107,7 @@ class Children:
         self._unwritten = False  # the disk did not take the records
 
     def adopt(self) -> List[str]:
-        """Take over the children of an earlier life that still run, and return their names."""
+        """Take over the children of an earlier manager that still run, and return their names."""
         try:
             records = child_records.read(self._path)
         except (OSError, ValueError) as error:
@@ -124,7 +135,7 @@ class Children:
             return [self._children[name] for name in sorted(self._children)]
 
     def want(self, kind: NodeletKind, count: int) -> None:
-        """See to it that there are so many shared children; they come up in the background."""
+        """Have so many shared children; they come up in the background."""
         have = [c for c in self.all() if c.record.kind is kind and not c.record.isolated_for]
         for _ in range(count - len(have)):
             self._add(Child(ChildRecord(self._free_name(kind), kind)))
@@ -137,7 +148,7 @@ class Children:
         Args:
             kind: what it must be able to host.
             isolated_for: the nodelet that is to have it alone; empty for a shared one.
-            without: children that will not do, since they hang.
+            without: children that hang, and are left out.
 
         Raises:
             HostError: it does not come up.
@@ -162,7 +173,7 @@ class Children:
         return self._wait_up(fitting[0], deadline)
 
     def await_up(self, name: str, timeout: float) -> None:
-        """Wait for a child that is being started; for others there is nothing to wait for."""
+        """Wait for a child that is being started; return at once for any other name."""
         with self._changed:
             child = self._children.get(name)
         if child is not None and not child.up:
@@ -175,7 +186,7 @@ class Children:
         return crashes
 
     def await_end(self, name: str, incarnation: str, timeout: float) -> None:
-        """Wait until a process is noticed to have ended, if it has."""
+        """Wait until a process has ended, and is known to have."""
         with self._changed:
             child = self._children.get(name)
             self._changed.wait_for(
@@ -203,7 +214,7 @@ class Children:
         self._end(children)
 
     def echo(self) -> None:
-        """Show what the children printed since the last call; write what could not be written."""
+        """Print what the children printed since the last call; retry to write their records."""
         if self._unwritten:
             self._write()
         for child in self.all():
@@ -225,7 +236,7 @@ class Children:
         return child
 
     def _free_name(self, kind: NodeletKind, isolated_for: str = "") -> str:
-        """First name, counted from 2, that no child and no living node of others has."""
+        """Return the first free name: `base`, `base_2`, and so on."""
         if isolated_for:
             base = f"{isolated_for}_nodelet_manager"
         else:
@@ -252,7 +263,7 @@ class Children:
     # One thread for each child
 
     def _keep(self, child: Child) -> None:
-        """Run one child, life after life."""
+        """Run a child, and start it again when it dies."""
         deaths = Backoff(time.monotonic, _FIRST_PAUSE, tolerated=2)
         while child.wanted:
             begin = time.monotonic()
@@ -261,7 +272,7 @@ class Children:
             except (OSError, HostError, PeerTimeout, LookupError) as error:
                 child.trouble = str(error)
                 _log.error("nodelet manager %s: %s", child.record.name, error)
-            except Exception as error:  # the boundary of the thread: the next life may do better
+            except Exception as error:  # the boundary of the thread: the next start may succeed
                 child.trouble = str(error)
                 _log.exception("nodelet manager %s", child.record.name)
             if not child.wanted:
@@ -272,7 +283,7 @@ class Children:
             with self._changed:
                 self._changed.wait_for(lambda: not child.wanted, pause)
         try:
-            self._launcher.clean_up(child.record.name)  # while nobody else is given its name
+            self._launcher.clean_up(child.record.name)  # before its name is free
         finally:
             with self._changed:
                 self._children.pop(child.record.name, None)
@@ -298,14 +309,16 @@ class Children:
         finally:
             with self._changed:
                 child.up, child.adopted = False, False
-                child.wanted &= not child.record.isolated_for  # such a one has only one life
+                child.wanted &= (
+                    not child.record.isolated_for
+                )  # an isolated one is not started again
                 child.record = replace(child.record, process=None)
                 self._changed.notify_all()
         self.echo()
         self._on_change()
 
     def _note(self, crash: Optional[Crash]) -> None:
-        """Have it told before anybody sees that the child is dead."""
+        """Note a crash, before the child is shown as dead."""
         if crash is not None:
             with self._changed:
                 self._crashes.append(crash)
@@ -323,7 +336,7 @@ class Children:
         self._write()
 
     def _take_over(self, child: Child, living: ProcessId) -> None:
-        """Adopt a process that an earlier life started, but could not write down any more."""
+        """Adopt a process that an earlier manager started but did not record."""
         if living.pid < 0 or not self._launcher.is_ours(child.record.name):
             raise HostError("another node has that name")
         with self._changed:
@@ -332,7 +345,7 @@ class Children:
         self._write()
 
     def _follow_until_up(self, child: Child, found: ProcessId) -> None:
-        """Wait until the services are there; one that is late and lost is given up."""
+        """Wait until its services are offered; end a process that is late and lost."""
         name = child.record.name
         if child.adopted:
             child.log = self._launcher.follow(name)
@@ -355,8 +368,8 @@ class Children:
     def _is_lost(self, child: Child) -> bool:
         """Whether a process that is late will never come up.
 
-        An adopted one may be stopped, and go on some day; but if the master does not know it, it
-        belongs to a master that is gone.
+        An adopted one may be suspended, and go on later. One that the master does not know belongs
+        to an earlier master, and is lost.
         """
         try:
             return not child.adopted or not self._launcher.registered(child.record.name)

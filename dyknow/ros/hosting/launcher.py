@@ -1,4 +1,4 @@
-"""Starts one nodelet manager as a process, finds one that runs, and tidies up after it."""
+"""Starts a nodelet manager as a process, finds one that runs, and cleans up after it."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ from dyknow.ros.nodelets.owner import OwnerLock
 from dyknow.ros.os_process import ProcessId
 
 _ANSWER_TIMEOUT = 1.0
-#: Signals that a process brings upon itself.
+#: Signals that mean a fault of the process itself.
 _FAULTS = (signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL, signal.SIGABRT)
-#: Private parameter of a nodelet manager: where it notes who is at work.
+#: Private parameter of a nodelet manager: the file in which it notes whose code is running.
 _CRASH_RECORD = "crash_record"
 
 _log = logging.getLogger("rosout.dyknow")
 
 
 class Launcher:
-    """What all children of one DyKnow manager have in common."""
+    """Starts the nodelet managers of one DyKnow manager, its children."""
 
     def __init__(
         self,
@@ -46,19 +46,19 @@ class Launcher:
         orphan_timeout: float,
         parameters: Mapping[str, Any],
     ) -> None:
-        """Prepare; nothing is started yet.
+        """Make the folder for their logs.
 
         Args:
-            master: also says whose children they are.
-            owner: lock that tells the children that we live.
-            orphan_timeout: seconds after which they end without us; 0 for never.
+            master: the ROS master; its caller is the owner of the children.
+            owner: lock that the owner holds while it lives.
+            orphan_timeout: seconds without an owner after which they end; 0 for never.
             parameters: further private parameters of each.
         """
         self._master = master
         self._owner = owner
         self._orphan_timeout = orphan_timeout
-        #: Private parameters that Python ones have on their command line: they need them while
-        #: they wait for a master, too.
+        #: Private parameters on the command line of Python ones, which need them even while there
+        #: is no master.
         self._care = {"owner_lock": owner.path, "orphan_timeout": orphan_timeout}
         self._parameters = {
             "owner": master.caller,
@@ -71,7 +71,7 @@ class Launcher:
     def launch(self, kind: NodeletKind, name: str) -> Tuple[ProcessId, LogTail]:
         """Start a nodelet manager.
 
-        What a dead one of that name left at the master goes when this one registers there.
+        Its registration replaces what a dead one of that name left at the master.
 
         Raises:
             OSError: the program cannot be started.
@@ -86,19 +86,19 @@ class Launcher:
         return found, LogTail(output)
 
     def follow(self, name: str) -> LogTail:
-        """Follow what one prints that runs already."""
+        """Follow the output of one that runs already."""
         return LogTail(self._output(name), at_end=True)
 
     def examine(
         self, kind: NodeletKind, name: str, pid: int, status: Optional[int]
     ) -> Optional[Crash]:
-        """Tell why a process ended, if it did so by a fault of its own.
+        """Return why a process ended, if it did so by a fault of its own.
 
         Args:
             kind: what it hosted.
             name: its name.
             pid: its id.
-            status: its exit code, or the negative number of a signal; None if nobody knows.
+            status: its exit code, or the negative number of a signal; None if it is not known.
         """
         if status is None or (status < 0 and -status not in _FAULTS):
             return None
@@ -108,17 +108,17 @@ class Launcher:
         try:
             found = crash_record.read(self._crash_record(name), pid)
         except (OSError, ValueError) as error:
-            _log.debug("who was at work in %s is not known: %s", name, error)
+            _log.debug("what was running in %s is not known: %s", name, error)
             found = crash_record.AtWork()
-        # What ended with an exit code while nobody was at work ended in order, or at its start.
+        # With an exit code, and no nodelet at work, it ended in order or at its start.
         if status >= 0 and not found.running:
             return None
         return Crash(name, cause, found.running, found.unloading)
 
     def clean_up(self, name: str) -> None:
-        """Remove what one leaves that does not come back: registrations, parameters, its record.
+        """Remove what an ended one left: registrations, parameters, its crash record.
 
-        If another process has taken its name they are that one's now.
+        If another process bears its name by now, nothing is removed.
         """
         try:
             uri = self._master.node(name)
@@ -135,7 +135,7 @@ class Launcher:
             _log.warning("what nodelet manager %s left at the master: %s", name, error)
 
     def living(self, name: str) -> Optional[ProcessId]:
-        """The process of a node that answers; an id of -1 if it runs on another machine."""
+        """Return the process of a node that answers; its id is -1 on another machine."""
         uri = self._master.node(name)
         if not uri:
             return None
@@ -148,18 +148,18 @@ class Launcher:
         return ProcessId.of(pid) if here else ProcessId(-1, -1)
 
     def is_ours(self, name: str) -> bool:
-        """Whether a nodelet manager of that name was started by a manager of our name."""
+        """Whether a manager of our name started the nodelet manager of that name."""
         try:
             return bool(self._master.ask("getParam", f"{name}/owner") == self._master.caller)
         except LookupError:
             return False
 
     def registered(self, name: str) -> str:
-        """Address that the master has of a node, dead or alive; empty if it has none."""
+        """Return the address that the master has of a node, dead or alive; else empty."""
         return self._master.node(name)
 
     def address(self, name: str, stale: str) -> str:
-        """Address of a nodelet manager whose services are there; empty if they are not.
+        """Return the address of a nodelet manager once it offers its services; else empty.
 
         Args:
             name: its name.
@@ -175,7 +175,7 @@ class Launcher:
             return ""
 
     def _watch(self, found: ProcessId, output: str) -> None:
-        """Let another process end it without us, since the stock program would not."""
+        """Start a process that ends a stock nodelet manager when it is orphaned."""
         lock, timeout = self._owner.path, str(self._orphan_timeout)
         command = (
             sys.executable,

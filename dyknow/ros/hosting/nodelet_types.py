@@ -1,4 +1,4 @@
-"""Which nodelet types are declared, in Python and in C++.
+"""The nodelet types that packages declare, in Python and in C++.
 
 Python classes are exported as ``<dyknow plugin=…>``, C++ ones as ``<nodelet plugin=…>``.
 """
@@ -23,7 +23,7 @@ _log = logging.getLogger("rosout.dyknow")
 
 
 def cpp_classes() -> Iterator[str]:
-    """List the C++ nodelets that packages declare; a broken description hides no other."""
+    """List the C++ nodelets that packages declare; broken descriptions are logged and left out."""
     for plugin_file in exported_files("nodelet"):
         try:
             yield from _read(plugin_file.file)
@@ -32,17 +32,17 @@ def cpp_classes() -> Iterator[str]:
 
 
 class NodeletTypes:
-    """The declared types; the packages are read when a type is not known yet."""
+    """The declared types; packages are read when an unknown type is asked for."""
 
     def __init__(self) -> None:
-        """Know nothing yet."""
+        """Read the packages when the first type is asked for."""
         self._plugins = Plugins(plugin_files)
         self._state_lock = state_lock("nodelet types")
         self._python: Set[str] = set()
         self._cpp: Set[str] = set()
 
     def kind_of(self, source: str) -> NodeletKind:
-        """Tell the kind of a type; one that is declared in both languages is Python.
+        """Return the kind of a type; one that is declared in both languages is Python.
 
         Raises:
             HostError: no package declares it.
