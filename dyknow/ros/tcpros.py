@@ -24,8 +24,8 @@ _LEAST_WAIT = 0.001
 class TcprosConnection:
     """The side that connects. Deadlines are moments of the steady clock.
 
-    The methods that send and receive raise ``socket.timeout`` when the deadline passes, and OSError
-    when the connection breaks. What has come by then is kept: the next call goes on there.
+    The methods that send and receive raise ``socket.timeout`` when the deadline passes, and
+    ``OSError`` when the connection breaks. What has come by then is kept for the next call.
     """
 
     def __init__(self, host: str, port: int, seconds: float) -> None:

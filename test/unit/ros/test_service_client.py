@@ -90,7 +90,7 @@ def test_the_wait_for_other_threads_counts_with_the_call(
     class SlowTurn:
         """A turn that is free only when the time of the call is over."""
 
-        def acquire(self, timeout: float) -> bool:
+        def acquire(self, blocking: bool = True, timeout: float = 0.0) -> bool:
             time.sleep(timeout)
             return True
 
