@@ -20,7 +20,7 @@ from dyknow.nodelet.timers import Timer
 DEFAULT_BUFF_SIZE = 65536
 
 
-class NodeHandle:
+class PlainNodeHandle:
     """rospy's functions for one nodelet: ``rospy.X`` becomes ``handle.X``.
 
     Relative names begin in ``namespace``, a ``~`` stands for the nodelet. What depends on neither

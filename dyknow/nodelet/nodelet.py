@@ -6,7 +6,7 @@ from typing import List, Optional
 
 from dyknow import names
 from dyknow.nodelet.context import Context
-from dyknow.nodelet.handle import NodeHandle
+from dyknow.nodelet.handle import PlainNodeHandle
 
 
 class Nodelet:
@@ -50,21 +50,21 @@ class Nodelet:
         return list(self.context.my_argv)
 
     @property
-    def node_handle(self) -> NodeHandle:
+    def node_handle(self) -> PlainNodeHandle:
         """Handle in the namespace that the nodelet stands in; callbacks never overlap."""
-        return NodeHandle(self.context, names.parent(self.name))
+        return PlainNodeHandle(self.context, names.parent(self.name))
 
     @property
-    def private_node_handle(self) -> NodeHandle:
+    def private_node_handle(self) -> PlainNodeHandle:
         """Handle in the nodelet's own namespace; callbacks never overlap."""
-        return NodeHandle(self.context, self.name)
+        return PlainNodeHandle(self.context, self.name)
 
     @property
-    def mt_node_handle(self) -> NodeHandle:
+    def mt_node_handle(self) -> PlainNodeHandle:
         """Like ``node_handle``; callbacks of different subscriptions may overlap."""
-        return NodeHandle(self.context, names.parent(self.name), concurrent=True)
+        return PlainNodeHandle(self.context, names.parent(self.name), concurrent=True)
 
     @property
-    def mt_private_node_handle(self) -> NodeHandle:
+    def mt_private_node_handle(self) -> PlainNodeHandle:
         """Like ``private_node_handle``; callbacks of different subscriptions may overlap."""
-        return NodeHandle(self.context, self.name, concurrent=True)
+        return PlainNodeHandle(self.context, self.name, concurrent=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, Optional
 
 from dyknow.model.statistics import NodeletStatistics
-from dyknow.nodelet.handle import NodeHandle as PlainNodeHandle
+from dyknow.nodelet.handle import PlainNodeHandle
 from dyknow.proxy.port import PortPublisher, PortSubscriber
 from dyknow.proxy.proxy import NodeletProxy, ReconfigureCallback
 

@@ -20,7 +20,7 @@ from dyknow.nodelet.pubsub import Publisher, Subscriber
 from dyknow.nodelet.traffic import Traffic
 
 
-class Port:
+class ProxyPort:
     """A named place of a nodelet that can be connected to a topic."""
 
     direction = ""
@@ -75,7 +75,7 @@ class Port:
         )
 
 
-class OutPort(Port):
+class OutPort(ProxyPort):
     """What the nodelet publishes through; all handles share one publication."""
 
     direction = OUT
@@ -100,7 +100,7 @@ class OutPort(Port):
         return replace(super().statistics(), latched=latched)
 
 
-class InPort(Port):
+class InPort(ProxyPort):
     """What the nodelet receives through; each handle has its own callbacks and queue."""
 
     direction = IN

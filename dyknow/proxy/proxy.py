@@ -28,20 +28,20 @@ from dyknow.model.statistics import NodeletStatistics
 from dyknow.model.transformation import IN
 from dyknow.nodelet.bus import Endpoint
 from dyknow.nodelet.context import Context, check_message_class
-from dyknow.nodelet.handle import NodeHandle
+from dyknow.nodelet.handle import PlainNodeHandle
 from dyknow.nodelet.scheduler import Strand
 from dyknow.proxy.port import (
     InPort,
     OutPort,
-    Port,
     PortPublisher,
     PortSubscriber,
+    ProxyPort,
 )
 
 #: Seconds that a reconfiguration waits for peers outside.
 PATIENCE = 0.5
 
-Change = Tuple[Port, str]
+Change = Tuple[ProxyPort, str]
 ReconfigureCallback = Callable[[Dict[str, str], Dict[str, str]], None]
 
 
@@ -51,7 +51,7 @@ class NodeletProxy:
     def __init__(self, context: Context) -> None:
         """Make the proxy; ``of`` returns the one of a nodelet."""
         self._context = context
-        self._ports: Dict[str, Port] = {}
+        self._ports: Dict[str, ProxyPort] = {}
         self._turn = turn_lock("reconfiguration")
         self._reconfigurations = 0
         self._callback: Optional[ReconfigureCallback] = None
@@ -115,7 +115,7 @@ class NodeletProxy:
 
     def publisher(
         self,
-        handle: NodeHandle,
+        handle: PlainNodeHandle,
         name: str,
         datatype: Any,
         latch: bool,
@@ -149,7 +149,7 @@ class NodeletProxy:
 
     def subscriber(
         self,
-        handle: NodeHandle,
+        handle: PlainNodeHandle,
         name: str,
         datatype: Any,
         callback: Optional[Callable[..., Any]],
@@ -182,7 +182,7 @@ class NodeletProxy:
 
     # Inside
 
-    def _declare(self, kind: Any, handle: NodeHandle, name: str, datatype: Any) -> Any:
+    def _declare(self, kind: Any, handle: PlainNodeHandle, name: str, datatype: Any) -> Any:
         name = names.check(name, "port name")
         check_message_class(name, datatype)
         port = self._ports.get(name)
@@ -197,7 +197,7 @@ class NodeletProxy:
         return port
 
     def _place(
-        self, port: Port, share: Union[PortPublisher, PortSubscriber], endpoint: Endpoint
+        self, port: ProxyPort, share: Union[PortPublisher, PortSubscriber], endpoint: Endpoint
     ) -> None:
         try:
             self._context.runtime.bus.rewire([(endpoint, port.topic)])
@@ -244,7 +244,7 @@ class NodeletProxy:
             raise RemappedTopic(topic, target)
         return topic
 
-    def _check_type(self, port: Port, topic: str, types: Dict[str, str]) -> None:
+    def _check_type(self, port: ProxyPort, topic: str, types: Dict[str, str]) -> None:
         # ``types`` has what is known of topics: what lives there, or the first port to come.
         wanted = port.datatype._type
         if wanted == "*":

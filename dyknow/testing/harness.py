@@ -11,7 +11,7 @@ import rospy
 
 from dyknow import names
 from dyknow.nodelet.context import Context, Runtime
-from dyknow.nodelet.handle import NodeHandle
+from dyknow.nodelet.handle import PlainNodeHandle
 from dyknow.nodelet.loader import Loader
 from dyknow.nodelet.middleware import Handler, Middleware
 from dyknow.nodelet.nodelet import Nodelet
@@ -76,7 +76,7 @@ class NodeletHarness:
         self._publishers: Dict[str, Publisher] = {}
         context = Context(self._runtime, "/harness")
         context.start()
-        self._handle = NodeHandle(context, "/")
+        self._handle = PlainNodeHandle(context, "/")
         self._failures = _FailureLog()
         self._raised = 0
 

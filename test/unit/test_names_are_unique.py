@@ -11,9 +11,7 @@ PACKAGES = ("dyknow", "dyknow_rqt", "dyknow_demo", "dyknow_benchmark")
 
 #: Names that still stand for several things, and the packages that are to give way.
 OPEN = {
-    "NodeHandle": "dyknow.nodelet",
     "Plan": "dyknow.wiring",
-    "Port": "dyknow.proxy",
     "Topic": "dyknow_rqt",
 }
 

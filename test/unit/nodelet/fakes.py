@@ -8,7 +8,7 @@ from typing import Any, Callable, Dict, List, Optional, Sequence
 
 import dyknow
 from dyknow.nodelet.context import Context, Runtime
-from dyknow.nodelet.handle import NodeHandle
+from dyknow.nodelet.handle import PlainNodeHandle
 from dyknow.nodelet.loader import Loader
 from dyknow.nodelet.local import (
     LocalMiddleware,
@@ -107,9 +107,9 @@ class World:
         context.start()
         return context
 
-    def handle(self, name: str = "/probe", concurrent: bool = False) -> NodeHandle:
+    def handle(self, name: str = "/probe", concurrent: bool = False) -> PlainNodeHandle:
         """A plain handle in the root namespace, of a nodelet of its own."""
-        return NodeHandle(self.context(name), "/", concurrent)
+        return PlainNodeHandle(self.context(name), "/", concurrent)
 
     def loader(self, **classes: Any) -> Loader:
         """A loader whose types are the keywords."""

@@ -17,7 +17,7 @@ from unit.nodelet.fakes import (
     wait_until,
 )
 
-from dyknow.nodelet.handle import NodeHandle
+from dyknow.nodelet.handle import PlainNodeHandle
 
 
 @pytest.fixture(name="world")
@@ -142,7 +142,7 @@ def test_a_refused_subscriber_takes_its_strand_with_it(world):
 
 def test_both_kinds_of_handles_of_one_nodelet_go_together(world):
     single, got = world.handle("/n"), []
-    many = NodeHandle(single.context, "/", concurrent=True)
+    many = PlainNodeHandle(single.context, "/", concurrent=True)
     release = threading.Event()
     single.Subscriber("block", Message, lambda message: wait_for(release))
     seen = threading.Event()

@@ -20,7 +20,7 @@ from unit.nodelet.fakes import (
 
 from dyknow.errors import DyKnowError, HandleClosed, InvalidName, NoMessageClass
 from dyknow.nodelet.context import Context
-from dyknow.nodelet.handle import NodeHandle
+from dyknow.nodelet.handle import PlainNodeHandle
 
 
 @pytest.fixture(name="world")
@@ -49,7 +49,7 @@ class TestSignatures:
     NONE = inspect.Parameter.empty
 
     def test_publisher(self):
-        assert parameters(NodeHandle.Publisher) == [
+        assert parameters(PlainNodeHandle.Publisher) == [
             ("name", self.NONE),
             ("data_class", self.NONE),
             ("subscriber_listener", None),
@@ -60,7 +60,7 @@ class TestSignatures:
         ]
 
     def test_subscriber(self):
-        assert parameters(NodeHandle.Subscriber) == [
+        assert parameters(PlainNodeHandle.Subscriber) == [
             ("name", self.NONE),
             ("data_class", self.NONE),
             ("callback", None),
@@ -71,7 +71,7 @@ class TestSignatures:
         ]
 
     def test_service(self):
-        assert parameters(NodeHandle.Service)[:4] == [
+        assert parameters(PlainNodeHandle.Service)[:4] == [
             ("name", self.NONE),
             ("service_class", self.NONE),
             ("handler", self.NONE),
@@ -79,7 +79,7 @@ class TestSignatures:
         ]
 
     def test_timer(self):
-        assert parameters(NodeHandle.Timer) == [
+        assert parameters(PlainNodeHandle.Timer) == [
             ("period", self.NONE),
             ("callback", self.NONE),
             ("oneshot", False),
@@ -87,7 +87,7 @@ class TestSignatures:
         ]
 
     def test_wait_for_message(self):
-        assert parameters(NodeHandle.wait_for_message) == [
+        assert parameters(PlainNodeHandle.wait_for_message) == [
             ("topic", self.NONE),
             ("topic_type", self.NONE),
             ("timeout", None),
@@ -96,11 +96,11 @@ class TestSignatures:
     def test_rospy_itself_has_these(self):
         rospy = pytest.importorskip("rospy")
         for ours, theirs in [
-            (NodeHandle.Publisher, rospy.Publisher.__init__),
-            (NodeHandle.Subscriber, rospy.Subscriber.__init__),
-            (NodeHandle.Service, rospy.Service.__init__),
-            (NodeHandle.Timer, rospy.Timer.__init__),
-            (NodeHandle.wait_for_message, rospy.wait_for_message),
+            (PlainNodeHandle.Publisher, rospy.Publisher.__init__),
+            (PlainNodeHandle.Subscriber, rospy.Subscriber.__init__),
+            (PlainNodeHandle.Service, rospy.Service.__init__),
+            (PlainNodeHandle.Timer, rospy.Timer.__init__),
+            (PlainNodeHandle.wait_for_message, rospy.wait_for_message),
         ]:
             names = [name for name, _ in parameters(ours)]
             assert [name for name, _ in parameters(theirs)][: len(names)] == names
@@ -153,7 +153,7 @@ class TestNames:
         ],
     )
     def test_that_rospy_takes_for_parameters_are_taken(self, world, name, resolved):
-        nh = NodeHandle(world.context("/ns/nodelet"), "/ns")
+        nh = PlainNodeHandle(world.context("/ns/nodelet"), "/ns")
         assert nh.resolve_name(name) == resolved
 
     @pytest.mark.parametrize("name", ["", "~", "/", "a b", "1"])
@@ -167,14 +167,14 @@ class TestNames:
 
     def test_of_the_load_request_go_before_those_of_the_process(self, world):
         world.node.remappings.update({"/a": "/process", "/b": "/process_b", "/c": "/d"})
-        nh = NodeHandle(world.context("/n", remappings={"/a": "/c", "/n/x": "/y"}), "/")
+        nh = PlainNodeHandle(world.context("/n", remappings={"/a": "/c", "/n/x": "/y"}), "/")
         assert nh.resolve_name("a") == "/c", "remapped once, not on and on"
         assert nh.resolve_name("b") == "/process_b"
         assert nh.resolve_name("~x") == "/y"
         assert nh.Publisher("a", Message).name == "/c"
 
     def test_of_another_node_resolve_for_it(self, world):
-        nh = NodeHandle(world.context("/n"), "/")
+        nh = PlainNodeHandle(world.context("/n"), "/")
         assert nh.resolve_name("x", "/ns/other") == "/ns/x"
         assert nh.resolve_name("~x", "/ns/other") == "/ns/other/x"
 
@@ -291,7 +291,7 @@ class TestWaitForMessage:
     def test_works_in_on_init_before_any_callback_runs(self, pool):
         pool.handle("/other").Publisher("/info", Message, latch=True).publish(42)
         context = Context(pool.runtime, "/starting")
-        message = NodeHandle(context, "/").wait_for_message("info", Message, timeout=10.0)
+        message = PlainNodeHandle(context, "/").wait_for_message("info", Message, timeout=10.0)
         assert message.number == 42
 
 

@@ -18,7 +18,7 @@ from unit.nodelet.fakes import (
 
 from dyknow.errors import DyKnowError
 from dyknow.nodelet.context import Context
-from dyknow.nodelet.handle import NodeHandle
+from dyknow.nodelet.handle import PlainNodeHandle
 
 
 @pytest.fixture(name="world")
@@ -44,7 +44,7 @@ class Caller:
 
 
 def test_a_service_answers_under_its_resolved_name(world):
-    nh = NodeHandle(world.context("/ns/nodelet"), "/ns")
+    nh = PlainNodeHandle(world.context("/ns/nodelet"), "/ns")
     service = nh.Service("~double", object, lambda request: request * 2)
     assert service.resolved_name == "/ns/nodelet/double"
     assert world.services.call("/ns/nodelet/double", 21) == 42
@@ -109,7 +109,7 @@ def test_a_handler_that_exits_answers_its_caller_all_the_same(world, concurrent)
 
 def test_a_call_during_on_init_is_answered_after_it(world):
     context = Context(world.runtime, "/starting")
-    NodeHandle(context, "/").Service("s", object, lambda request: "up")
+    PlainNodeHandle(context, "/").Service("s", object, lambda request: "up")
     caller = Caller(world, "/s")
     caller.thread.join(0.05)
     assert caller.response is None

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from unit.nodelet.fakes import Message, World, numbers
 
 import dyknow
-from dyknow.nodelet.handle import NodeHandle
+from dyknow.nodelet.handle import PlainNodeHandle
 from dyknow.proxy.proxy import NodeletProxy
 
 
@@ -247,7 +247,7 @@ def test_a_chain_of_lazy_nodelets_follows_its_consumer(world, wrap):
     chain = []
     for number, (source, target) in enumerate(zip(topics, topics[1:])):
         context = world.context(f"/n{number}", remappings={"/in": source, "/out": target})
-        handle = NodeHandle(context, "/")
+        handle = PlainNodeHandle(context, "/")
         chain.append(Lazy(wrap(handle), "in", "out"))
     first = world.handle("/first").Publisher("/t0", Message, queue_size=9)
     world.drain()

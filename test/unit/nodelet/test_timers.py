@@ -11,7 +11,7 @@ from unit.nodelet.fakes import PATIENCE, World, make_pool_world, wait_for, wait_
 
 from dyknow.nodelet import timers
 from dyknow.nodelet.context import Context
-from dyknow.nodelet.handle import NodeHandle
+from dyknow.nodelet.handle import PlainNodeHandle
 from dyknow.nodelet.local import ManualTicker
 from dyknow.nodelet.timers import TimerQueue
 
@@ -147,7 +147,7 @@ def test_a_call_that_waits_is_dropped_by_shutdown(world):
 def test_a_timer_ends_with_its_nodelet_and_leaves_others_alone(world):
     fired = []
     context = world.context("/going")
-    timer = NodeHandle(context, "/").Timer(1.0, lambda event: fired.append("going"))
+    timer = PlainNodeHandle(context, "/").Timer(1.0, lambda event: fired.append("going"))
     world.handle("/staying").Timer(1.0, lambda event: fired.append("staying"))
     advance(world, 1.0)
     context.close()
@@ -188,7 +188,7 @@ def test_a_period_must_be_positive(world, period):
 
 def test_timers_wait_for_the_end_of_on_init(world):
     context, fired = Context(world.runtime, "/starting"), []
-    NodeHandle(context, "/").Timer(1.0, fired.append)
+    PlainNodeHandle(context, "/").Timer(1.0, fired.append)
     for _ in range(3):
         advance(world, 1.0)
     assert fired == []

@@ -16,7 +16,7 @@ from dyknow.errors import (
     UnknownPort,
     UnloadedMeanwhile,
 )
-from dyknow.nodelet.handle import NodeHandle
+from dyknow.nodelet.handle import PlainNodeHandle
 from dyknow.proxy.proxy import NodeletProxy
 
 
@@ -26,7 +26,7 @@ class Bench:
     def __init__(self, name="/ns/nodelet", **options):
         self.world = World()
         self.context = self.world.context(name, **options)
-        self.nh = dyknow.NodeHandle(NodeHandle(self.context, "/ns"))
+        self.nh = dyknow.NodeHandle(PlainNodeHandle(self.context, "/ns"))
         self.proxy = NodeletProxy.of(self.context)
         self.probe = self.world.handle("/probe")
         self.got = []

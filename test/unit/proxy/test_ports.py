@@ -22,7 +22,7 @@ from unit.nodelet.fakes import (
 import dyknow
 from dyknow.errors import HandleClosed, InvalidName, NoMessageClass, PortConflict, TypeMismatch
 from dyknow.nodelet.context import Context
-from dyknow.nodelet.handle import NodeHandle
+from dyknow.nodelet.handle import PlainNodeHandle
 from dyknow.proxy.proxy import NodeletProxy
 
 
@@ -32,7 +32,7 @@ class Bench:
     def __init__(self, world=None, **options):
         self.world = world or World()
         self.context = self.world.context("/ns/nodelet", **options)
-        self.plain = NodeHandle(self.context, "/ns")
+        self.plain = PlainNodeHandle(self.context, "/ns")
         self.nh = dyknow.NodeHandle(self.plain)
         self.proxy = NodeletProxy.of(self.context)
         self.probe = self.world.handle("/probe")
@@ -73,7 +73,7 @@ class TestDeclaration:
 
     def test_names_resolve_in_the_handle_that_is_wrapped(self):
         bench = Bench(remappings={"/ns/nodelet/image": "/mine", "/ns/image": "/not_mine"})
-        private = dyknow.NodeHandle(NodeHandle(bench.context, "/ns/nodelet"))
+        private = dyknow.NodeHandle(PlainNodeHandle(bench.context, "/ns/nodelet"))
         private.Subscriber("image", Message, print)
         assert bench.topics() == {"image": "/mine"}
 
@@ -108,7 +108,7 @@ class TestDeclaration:
         got = []
         bench.nh.Subscriber("in", Message, got.append)
         bench.world.transport.refused["/t"] = RuntimeError("no")
-        concurrent = dyknow.NodeHandle(NodeHandle(bench.context, "/ns", concurrent=True))
+        concurrent = dyknow.NodeHandle(PlainNodeHandle(bench.context, "/ns", concurrent=True))
         strands = len(bench.context._strands)
         with pytest.raises(RuntimeError):
             concurrent.Subscriber("in", Message, got.append)
@@ -121,7 +121,7 @@ class TestDeclaration:
     def test_signatures_are_those_of_the_plain_handle(self):
         for method in ("Publisher", "Subscriber", "wait_for_message"):
             ours = inspect.signature(getattr(dyknow.NodeHandle, method)).parameters.values()
-            plain = inspect.signature(getattr(NodeHandle, method)).parameters.values()
+            plain = inspect.signature(getattr(PlainNodeHandle, method)).parameters.values()
             # The first argument too: rospy.Publisher(name="image", ...) is converted as it stands.
             assert [p.default for p in ours] == [p.default for p in plain]
             assert [p.name for p in ours] == [p.name for p in plain]
@@ -298,7 +298,7 @@ class TestWaitForMessage:
     def test_works_in_on_init(self, bench):
         bench.probe.Publisher("/t", Message, latch=True).publish(3)
         context = Context(bench.world.runtime, "/starting", {"/in": "/t"})
-        nh = dyknow.NodeHandle(NodeHandle(context, "/"))
+        nh = dyknow.NodeHandle(PlainNodeHandle(context, "/"))
         assert nh.wait_for_message("in", Message, 10.0).number == 3
 
     def test_raises_in_time_and_at_the_unload(self, bench):

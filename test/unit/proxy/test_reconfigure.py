@@ -9,7 +9,7 @@ from property_tests import examples
 from unit.nodelet.fakes import Message, World
 
 import dyknow
-from dyknow.nodelet.handle import NodeHandle
+from dyknow.nodelet.handle import PlainNodeHandle
 from dyknow.nodelet.middleware import Closable
 from dyknow.proxy.proxy import NodeletProxy
 
@@ -22,7 +22,7 @@ class Recorder:
 
     def __init__(self, world, name):
         self.context = world.context(name)
-        self.nh = dyknow.NodeHandle(NodeHandle(self.context, "/"))
+        self.nh = dyknow.NodeHandle(PlainNodeHandle(self.context, "/"))
         self.proxy = NodeletProxy.of(self.context)
         self.log = []
         self.nh.set_reconfigure_callback(
@@ -108,7 +108,7 @@ def test_it_can_be_taken_away(world, nodelet):
 def test_the_host_is_told_of_every_change(world):
     changes = []
     context = world.context("/n")
-    nh = dyknow.NodeHandle(NodeHandle(context, "/"))
+    nh = dyknow.NodeHandle(PlainNodeHandle(context, "/"))
     proxy = NodeletProxy.of(context)
     proxy.on_change = lambda: changes.append([port.topic for port in proxy.get_config()])
     nh.Publisher("out", Message)
@@ -132,7 +132,7 @@ def test_the_host_may_open_services_for_a_proxy_and_they_go_with_the_nodelet(wor
     context = world.context("/n")
     context.on_attach = attach
     for _ in range(2):
-        dyknow.NodeHandle(NodeHandle(context, "/"))
+        dyknow.NodeHandle(PlainNodeHandle(context, "/"))
     assert opened == [("/n", NodeletProxy)]
     context.close()
     assert closed == [1]

@@ -6,7 +6,7 @@ import pytest
 from unit.nodelet.fakes import FakeClock, Message, World
 
 import dyknow
-from dyknow.nodelet.handle import NodeHandle
+from dyknow.nodelet.handle import PlainNodeHandle
 from dyknow.proxy.proxy import NodeletProxy
 
 
@@ -17,7 +17,7 @@ class Bench:
         self.clock = FakeClock()
         self.world = World(clock=self.clock)
         self.context = self.world.context("/n")
-        self.nh = dyknow.NodeHandle(NodeHandle(self.context, "/"))
+        self.nh = dyknow.NodeHandle(PlainNodeHandle(self.context, "/"))
         self.proxy = NodeletProxy.of(self.context)
 
     def port(self, name):
