@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Dict, Mapping, Optional, Tuple
+from typing import Dict, List, Mapping, Optional, Tuple
 
 from dyknow.model.graph import NodeletStatus, PortState, State
 from dyknow.model.transformation import Transformation
@@ -104,3 +104,10 @@ def declared_ports(record: Record) -> Tuple[PortState, ...]:
 def topics_of(record: Record) -> Dict[str, str]:
     """Return the connected ports and their topics, as last seen."""
     return {port.name: port.topic for port in record.ports if port.topic}
+
+
+def ports_on(record: Record, direction: str, topic: str) -> List[str]:
+    """Return the names of a nodelet's ports of one direction that were seen on a topic."""
+    return [
+        each.name for each in record.ports if (each.direction, each.topic) == (direction, topic)
+    ]

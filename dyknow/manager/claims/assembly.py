@@ -25,7 +25,7 @@ from dyknow.manager.claims.transaction import Transaction
 from dyknow.manager.host import Count, Host, NodeletKind
 from dyknow.manager.planning.problem import Live, New, PlanStep, Source
 from dyknow.manager.planning.supply import ANY
-from dyknow.manager.record import Record
+from dyknow.manager.record import Record, ports_on
 from dyknow.manager.specifications.tags import read_tags
 from dyknow.model.graph import SpawnRequest, State
 from dyknow.model.transformation import OUT, Transformation
@@ -219,11 +219,7 @@ class Assembly:
         for record in self._graph.all():
             if record.name == publisher or record.transformation is None:
                 continue
-            ports = {
-                port.name: ""
-                for port in record.ports
-                if port.direction == OUT and port.topic == topic
-            }
+            ports = dict.fromkeys(ports_on(record, OUT, topic), "")
             is_unresponsive = record.name in self._request.unresponsive
             if ports and record.state is State.RUNNING and not is_unresponsive:
                 self._transaction.connect(record.name, ports)

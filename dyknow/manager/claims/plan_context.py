@@ -12,7 +12,7 @@ from dyknow.manager.claims.claim_table import ClaimTable
 from dyknow.manager.manager import Manager
 from dyknow.manager.planning.problem import Live, New, Plan, PlanStep, Source
 from dyknow.manager.planning.supply import ANY
-from dyknow.manager.record import Record
+from dyknow.manager.record import Record, ports_on
 from dyknow.model.graph import State
 from dyknow.model.transformation import IN, OUT
 
@@ -170,10 +170,9 @@ class PlanContext:
     def flows(self, topic: str) -> bool:
         """Whether a healthy nodelet publishes on a topic."""
         return any(
-            port.direction == OUT and port.topic == topic
+            ports_on(record, OUT, topic)
             for record in self._graph.all()
             if record.state is State.RUNNING and record.name not in self._request.unhealthy
-            for port in record.ports
         )
 
     def may_move(self, name: str, topic: str) -> bool:
@@ -184,10 +183,9 @@ class PlanContext:
             return False
         own = {*self._request.own.values(), *self.spawned}
         return not any(
-            port.direction == IN and port.topic == topic
+            ports_on(record, IN, topic)
             for record in self._graph.all()
             if record.name not in own and record.state is State.RUNNING
-            for port in record.ports
         )
 
     def free_names(self, label: str) -> Iterator[str]:

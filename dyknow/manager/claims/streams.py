@@ -7,7 +7,7 @@ from typing import AbstractSet, Dict, Iterable, List, Sequence, Set, Tuple
 from dyknow.manager.claims.topology import Topology
 from dyknow.manager.planning.problem import Live
 from dyknow.manager.planning.supply import Demand, Supply
-from dyknow.manager.record import Record
+from dyknow.manager.record import Record, ports_on
 from dyknow.manager.specifications.tags import Subsumption, Term, read_tags
 from dyknow.model.graph import State
 from dyknow.model.transformation import IN, OUT, Transformation
@@ -137,9 +137,8 @@ def with_feeders(
 
 def _publishers(records: Sequence[Record], topic: str) -> List[Tuple[str, str]]:
     return [
-        (record.name, port.name)
+        (record.name, port)
         for record in records
         if record.state is State.RUNNING and record.transformation is not None
-        for port in record.ports
-        if port.direction == OUT and port.topic == topic
+        for port in ports_on(record, OUT, topic)
     ]
