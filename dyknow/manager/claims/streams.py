@@ -6,7 +6,7 @@ from typing import AbstractSet, Dict, Iterable, List, Sequence, Set, Tuple
 
 from dyknow.manager.claims.topology import Topology
 from dyknow.manager.planning.problem import Live
-from dyknow.manager.planning.supply import Demand, Supply
+from dyknow.manager.planning.supply import Demand, meets
 from dyknow.manager.record import Record, ports_on
 from dyknow.manager.specifications.tags import Subsumption, Term, read_tags
 from dyknow.model.graph import State
@@ -36,14 +36,20 @@ def live_streams(
         unhealthy: nodelets that are not to be relied on.
     """
     streams: List[TaggedStream] = []
-    on_topic: Supply[str] = Supply(ontology)
+    on_topic: Dict[str, Tuple[Tuple[Term, ...], str]] = {}  # tags and type
 
     def supply(stream: Live, tags: Tuple[Term, ...]) -> None:
         if stream.topic:
             tags = topology.common_tags(stream.topic, tags)
+            known, _ = on_topic.get(stream.topic, ((), ""))
+            on_topic[stream.topic] = (known + tags, stream.datatype)
         streams.append((stream, tags))
-        if stream.topic:
-            on_topic.add(stream.topic, tags, stream.datatype)
+
+    def is_fed(record: Record) -> bool:
+        return all(
+            meets(*on_topic.get(record.topics.get(port, ""), ((), "")), demand, ontology)
+            for port, demand in _demands(record)
+        )
 
     for each in published:
         port = each.ports[0]
@@ -59,7 +65,7 @@ def live_streams(
     while progress:
         progress = False
         for record in list(waiting):
-            if _is_fed(record, on_topic):
+            if is_fed(record):
                 waiting.remove(record)
                 progress = True
                 for stream, tags in _outputs(record):
@@ -67,16 +73,15 @@ def live_streams(
     return streams
 
 
-def _is_fed(record: Record, on_topic: Supply[str]) -> bool:
+def _demands(record: Record) -> List[Tuple[str, Demand]]:
+    """List the tagged in-ports of a nodelet, each with what it demands."""
     assert record.transformation is not None
-    for port in record.transformation.ports:
-        tags = read_tags(port.tags)
-        if port.direction == IN and tags:
-            topic = record.topics.get(port.name, "")
-            demand = Demand(frozenset(tags), port.datatype)
-            if not topic or topic not in on_topic.suppliers(demand):
-                return False
-    return True
+    return [
+        (port.name, Demand(frozenset(tags), port.datatype))
+        for port in record.transformation.ports
+        for tags in [read_tags(port.tags)]
+        if port.direction == IN and tags
+    ]
 
 
 def _outputs(record: Record) -> List[TaggedStream]:
