@@ -25,6 +25,7 @@ from typing import (
 from python_qt_binding.QtCore import QObject, QTimer, Signal
 
 from dyknow.errors import DyKnowError, HostError, PeerTimeout, Refused
+from dyknow.model.client import BaseManagerClient
 from dyknow.model.graph import State
 from dyknow.model.transformation import Transformation
 from dyknow_rqt.background_calls import BackgroundCalls
@@ -87,6 +88,7 @@ class Monitor(QObject):
         """
         super().__init__()
         self.remote = remote
+        self._client = remote.client
         self.snapshot = Snapshot()
         self.library: Dict[str, Transformation] = {}
         self.is_linked: Optional[bool] = None
@@ -153,11 +155,11 @@ class Monitor(QObject):
         """Read the library."""
         if not self._reading:
             self._reading = True
-            self._calls.run(self.remote.library, self._take_library, self._take_no_library)
+            self._calls.run(self._client.get_model, self._take_library, self._take_no_library)
 
     def ask(
         self,
-        question: Callable[[Remote], T],
+        question: Callable[[BaseManagerClient], T],
         then: Callable[[T], None],
         failed: Optional[Callable[[str], None]] = None,
     ) -> None:
@@ -169,7 +171,7 @@ class Monitor(QObject):
             failed: called there with the error in words; by default it is reported.
         """
         say = failed or self.report
-        self._calls.run(lambda: question(self.remote), then, lambda error: say(_words(error)))
+        self._calls.run(lambda: question(self._client), then, lambda error: say(_words(error)))
 
     def do(self, change: Change, then: Callable[[], None] = lambda: None) -> None:
         """Make a change, which can then be undone if it has an inverse.
@@ -253,8 +255,8 @@ class Monitor(QObject):
 
         def job() -> Change:
             if checked:
-                change.check(self.remote)
-            return change.apply(self.remote)
+                change.check(self._client)
+            return change.apply(self._client)
 
         self._calls.run(job, made, refused)
 
@@ -280,7 +282,7 @@ class Monitor(QObject):
             if time.monotonic() > end:
                 break
             try:
-                answer = self.remote.statistics(name)
+                answer = self._client.get_statistics(name)
             except DyKnowError:
                 continue  # it is gone, or hangs; the model says so
             statistics.append((name, answer, time.monotonic()))

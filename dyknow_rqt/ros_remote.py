@@ -7,7 +7,7 @@ there is a master.
 from __future__ import annotations
 
 import threading
-from typing import Any, Callable, Mapping, Optional, Sequence, Tuple
+from typing import Any, Callable, Optional, Tuple
 
 import rospy
 from dyknow_msgs.msg import Model as ModelMessage
@@ -15,10 +15,8 @@ from dyknow_msgs.msg import StreamEvent as StreamEventMessage
 
 from dyknow import names
 from dyknow.errors import DyKnowError, HostError
-from dyknow.model.graph import Model, PortState
-from dyknow.model.statistics import NodeletStatistics
-from dyknow.model.streams import Acquisition, Replanned, StreamEvent, StreamRequest, StreamStatus
-from dyknow.model.transformation import Added
+from dyknow.model.graph import Model
+from dyknow.model.streams import StreamEvent
 from dyknow.ros.client import ManagerClient
 from dyknow.ros.master import Master
 from dyknow.ros.messages import event_from, model_from
@@ -38,8 +36,7 @@ class RosRemote(Remote):
         Args:
             manager: node name; a relative one begins in the namespace of the environment.
         """
-        self._client = ManagerClient(manager)
-        self.manager = self._client.manager
+        self.client: ManagerClient = ManagerClient(manager)
         self._master = Master(f"{self.manager}_window")
         self._on_model: Callable[[Model], None] = lambda model: None
         self._on_event: Callable[[StreamEvent], None] = lambda event: None
@@ -72,79 +69,13 @@ class RosRemote(Remote):
         if subscriber is None or latest is None or subscriber.get_num_connections() == 0:
             latest = self._latest = None
             self._look_for_master()
-            return self._client.get_model()
+            return self.client.get_model()
         return latest
-
-    def library(self) -> Model:
-        """Ask the manager for everything."""
-        return self._client.get_model()
-
-    def ports(self, nodelet: str) -> Sequence[PortState]:
-        """Ask a proxy."""
-        return self._client.get_config(nodelet)
-
-    def statistics(self, nodelet: str) -> NodeletStatistics:
-        """Ask a proxy."""
-        return self._client.get_statistics(nodelet)
 
     def system_state(self) -> Tuple[Side, Side]:
         """Ask the master."""
         publishers, subscribers, _ = self._master.ask("getSystemState")
         return publishers, subscribers
-
-    def nodelet_managers(self) -> Sequence[str]:
-        """Ask the master for those who offer the service."""
-        suffix = "/load_nodelet"
-        _, _, services = self._master.ask("getSystemState")
-        return [name[: -len(suffix)] for name, _ in services if name.endswith(suffix)]
-
-    def add_transformation(self, specification: str) -> Added:
-        """Ask the manager."""
-        return self._client.add_transformation(specification)
-
-    def remove_transformation(self, label: str) -> None:
-        """Ask the manager."""
-        self._client.remove_transformation(label)
-
-    def spawn(
-        self,
-        label: str,
-        name: str,
-        config: Optional[Mapping[str, str]] = None,
-        is_protected: bool = False,
-        isolated: bool = False,
-        manager: str = "",
-    ) -> None:
-        """Ask the manager."""
-        self._client.spawn(label, name, config, is_protected, isolated, manager)
-
-    def destroy(self, name: str) -> None:
-        """Ask the manager."""
-        self._client.destroy(name)
-
-    def set_protection(self, name: str, is_protected: bool) -> None:
-        """Ask the manager."""
-        self._client.set_protection(name, is_protected)
-
-    def set_config(self, nodelet: str, config: Mapping[str, str]) -> None:
-        """Ask a proxy."""
-        self._client.set_config(nodelet, config)
-
-    def acquire_stream(self, request: StreamRequest, dry_run: bool = False) -> Acquisition:
-        """Ask the manager."""
-        return self._client.acquire_stream(request, dry_run)
-
-    def release_stream(self, claim_id: str) -> None:
-        """Ask the manager."""
-        self._client.release_stream(claim_id)
-
-    def replan_stream(self, claim_id: str, dry_run: bool = False) -> Replanned:
-        """Ask the manager."""
-        return self._client.replan_stream(claim_id, dry_run)
-
-    def streams(self) -> Sequence[StreamStatus]:
-        """Ask the manager."""
-        return self._client.list_streams()
 
     # Inside
 

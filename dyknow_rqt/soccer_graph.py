@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Dict, Tuple
 
 from dyknow.model.graph import State
-from dyknow_rqt.graph.snapshot import PortRef
 from dyknow_rqt.simulated import SimulatedRemote
 
 _IMAGE, _POINT, _JOINTS = (
@@ -37,7 +36,7 @@ _LIBRARY = (
         "soccer/BallDetector",
         (
             (">channels", _IMAGE, "SubsampledYUV(nao1, bottom)"),
-            (">joint_states", _JOINTS, "JointStates(nao1)"),
+            (">joint_states", _JOINTS, ""),
             ("ball>", _POINT, "BallObject(nao1)"),
         ),
     ),
@@ -53,7 +52,7 @@ _LIBRARY = (
         "localization(nao1)",
         "soccer/Localization",
         (
-            (">objects", _POINT, "WorldObject(nao1)"),
+            (">objects", _POINT, "BallObject(nao1)"),
             (">lines", "sensor_msgs/PointCloud2", "Lines(nao1)"),
             ("field_position>", _POINT, "FieldPosition(ball)"),
         ),
@@ -112,13 +111,14 @@ _NODELETS: Tuple[Tuple[str, str, Dict[str, str]], ...] = (
 def soccer() -> SimulatedRemote:
     """A robot on a soccer field: from its cameras to the track of the ball."""
     remote = SimulatedRemote()
-    remote.add_transformation(_specification())
+    client = remote.client
+    client.add_transformation(_specification())
     for name, label, topics in _NODELETS:
-        remote.spawn(label, name, topics)
-    remote.alter("/nao1/bottom_camera", is_protected=True)
-    remote.alter("/nao1/resize", rewired_by_reload=True, manager="/dyknow_nodelet_manager_cpp")
-    remote.alter("/nao1/recorder", state=State.LOST, detail="its process is gone")
-    remote.alter("/field/ceiling_camera", state=State.FAILED, detail="no device /dev/video4")
+        client.spawn(label, name, topics)
+    client.set_protection("/nao1/bottom_camera", True)
+    client.alter("/nao1/resize", rewired_by_reload=True, manager="/dyknow_nodelet_manager_cpp")
+    client.alter("/nao1/recorder", state=State.LOST, detail="its process is gone")
+    client.alter("/field/ceiling_camera", state=State.FAILED, detail="no device /dev/video4")
     for nodelet, port, rate, lost in (
         ("/nao1/bottom_camera", "yuv", 30.0, 0.0),
         ("/nao1/top_camera", "yuv", 15.0, 0.0),
@@ -132,7 +132,7 @@ def soccer() -> SimulatedRemote:
         ("/field/tracker", "track", 10.0, 0.0),
         ("/nao1/resize", "resized", 15.0, 0.0),
     ):
-        remote.rates[PortRef(nodelet, port)] = (rate, lost)
+        client.rates[nodelet, port] = (rate, lost)
     remote.publishers = {"/nao1/joint_states": ["/nao1/driver"]}
     remote.subscribers = {"/field/tracker/track": ["/team_view"]}
     return remote

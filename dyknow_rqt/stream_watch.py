@@ -38,7 +38,7 @@ class StreamWatch(QObject):
             self._again = True
             return
         self._asking, self._again = True, False
-        self._monitor.ask(lambda remote: tuple(remote.streams()), self._take, self._take_none)
+        self._monitor.ask(lambda client: client.list_streams(), self._take, self._take_none)
 
     def _take(self, streams: Sequence[StreamStatus]) -> None:
         self._asking = False

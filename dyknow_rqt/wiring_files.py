@@ -6,12 +6,12 @@ from typing import List, Tuple
 
 from python_qt_binding.QtWidgets import QFileDialog, QWidget
 
+from dyknow.model.client import BaseManagerClient
 from dyknow.wiring.reader import read_wiring
 from dyknow.wiring.wiring import wiring_of
 from dyknow_rqt.graph.wiring_changes import LoadWiring
 from dyknow_rqt.monitor import Monitor
 from dyknow_rqt.qt_slot import qt_slot
-from dyknow_rqt.remote import Remote
 
 _FILES = "Wirings (*.xml);;All files (*)"
 
@@ -26,8 +26,8 @@ class WiringFiles:
     def save(self, path: str) -> None:
         """Write the nodelets, their connections and their transformations to a file."""
 
-        def write(remote: Remote) -> Tuple[int, List[str]]:
-            wiring, left_out = wiring_of(remote.library())
+        def write(client: BaseManagerClient) -> Tuple[int, List[str]]:
+            wiring, left_out = wiring_of(client.get_model())
             with open(path, "w", encoding="utf-8") as file:
                 file.write(wiring.to_xml())
             return len(wiring.nodelets), [each.name for each in left_out]

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Mapping
 
 from dyknow.similar import did_you_mean
-from dyknow.wiring.ports import connections_of
 
 if TYPE_CHECKING:
     from dyknow.model.graph import Model, NodeletStatus
@@ -29,7 +28,7 @@ def shows(model: Model, wanted: Mapping[str, Mapping[str, str]]) -> bool:
         nodelet = model.nodelet(name)
         if nodelet is None:
             return False
-        present = connections_of(nodelet)
+        present = nodelet.connections
         if any(present.get(port, "") != topic for port, topic in topics.items()):
             return False
     return True

@@ -310,7 +310,7 @@ class FakeHost(Host):
         for state in fitting:
             if not state.alive:
                 return self._start(state.name, kind, isolated_for)
-        return self._start(f"/fake_{len(self.processes)}", kind, isolated_for)
+        return self._start(self._new_name(), kind, isolated_for)
 
     def retire(self, manager: str) -> None:
         """End an isolated nodelet manager."""
@@ -420,6 +420,9 @@ class FakeHost(Host):
         listener = FakeListening(self, topic)
         self.listeners.append(listener)
         return listener
+
+    def _new_name(self) -> str:
+        return f"/fake_{len(self.processes)}"
 
     def _start(self, name: str, kind: NodeletKind, isolated_for: str) -> str:
         state = ManagerState(name, kind, str(next(self._incarnations)), isolated_for)

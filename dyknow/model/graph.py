@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import enum
 from dataclasses import dataclass, field
-from typing import Mapping, Optional, Tuple
+from typing import Dict, Mapping, Optional, Tuple
 
 from dyknow.model.transformation import Transformation
 
@@ -63,6 +63,24 @@ class NodeletStatus:
     state: State
     detail: str
     ports: Tuple[PortState, ...]
+
+    @property
+    def connections(self) -> Dict[str, str]:
+        """Topics of the ports that are connected, by port, sorted."""
+        ports = sorted(self.ports, key=lambda port: port.name)
+        return {port.name: port.topic for port in ports if port.topic}
+
+    @property
+    def request(self) -> SpawnRequest:
+        """What makes it again as it is; an isolated one gets another process of its own."""
+        return SpawnRequest(
+            self.transformation,
+            self.name,
+            self.connections,
+            self.is_protected,
+            self.isolated,
+            "" if self.isolated else self.manager,
+        )
 
     def port(self, name: str) -> Optional[PortState]:
         """Return the port of that name, or None."""

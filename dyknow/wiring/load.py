@@ -2,47 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Dict, List, Mapping, Optional, Protocol, Tuple
+from dataclasses import replace
+from typing import Dict, List, Tuple
 
 from dyknow.errors import DyKnowError
+from dyknow.model.client import BaseManagerClient
+from dyknow.model.graph import SpawnRequest
 from dyknow.model.transformation import Transformation
 from dyknow.wiring.plan import Kept, Plan
-from dyknow.wiring.ports import connections_of
 from dyknow.wiring.steps import ReversibleStep
-from dyknow.wiring.wiring import WiredNodelet
 
 
-class Client(Protocol):
-    """What a load needs of the manager and the proxies; every method raises DyKnowError."""
-
-    def add_transformation(self, specification: str) -> object:
-        """Add what a specification says."""
-
-    def remove_transformation(self, label: str) -> None:
-        """Remove a transformation."""
-
-    def spawn(
-        self,
-        label: str,
-        name: str,
-        config: Optional[Mapping[str, str]] = None,
-        is_protected: bool = False,
-        isolated: bool = False,
-        manager: str = "",
-    ) -> None:
-        """Make a nodelet."""
-
-    def destroy(self, name: str) -> None:
-        """End a nodelet."""
-
-    def set_protection(self, name: str, is_protected: bool) -> None:
-        """Protect a nodelet, or release it."""
-
-    def set_config(self, nodelet: str, config: Mapping[str, str]) -> None:
-        """Connect ports of a nodelet, all or none."""
-
-
-def steps_of(plan: Plan, client: Client) -> List[ReversibleStep]:
+def steps_of(plan: Plan, client: BaseManagerClient) -> List[ReversibleStep]:
     """List the steps: what makes way, transformations, new nodelets, changes of those that run."""
     steps = [_end(each, plan, client) for each in plan.remade]
     steps.extend(_add(each, client) for each in plan.added)
@@ -54,7 +25,7 @@ def steps_of(plan: Plan, client: Client) -> List[ReversibleStep]:
     return steps
 
 
-def _add(transformation: Transformation, client: Client) -> ReversibleStep:
+def _add(transformation: Transformation, client: BaseManagerClient) -> ReversibleStep:
     label = transformation.label
     return ReversibleStep(
         f"adding transformation '{label}'",
@@ -64,7 +35,9 @@ def _add(transformation: Transformation, client: Client) -> ReversibleStep:
     )
 
 
-def _replace(old: Transformation, new: Transformation, client: Client) -> ReversibleStep:
+def _replace(
+    old: Transformation, new: Transformation, client: BaseManagerClient
+) -> ReversibleStep:
     return ReversibleStep(
         f"replacing transformation '{new.label}'",
         new.label,
@@ -73,16 +46,16 @@ def _replace(old: Transformation, new: Transformation, client: Client) -> Revers
     )
 
 
-def _end(kept: Kept, plan: Plan, client: Client) -> ReversibleStep:
+def _end(kept: Kept, plan: Plan, client: BaseManagerClient) -> ReversibleStep:
     """End a nodelet that is to be made anew."""
-    former = WiredNodelet.of(kept.present)
+    former = kept.present.request
 
     def bring_back() -> None:
         blueprint = plan.former.get(former.label)
         if blueprint is None:
             raise DyKnowError(f"the library has no '{former.label}' any more")
         declared, later = _by_declaration(former, blueprint)
-        _spawn(client, former, declared, former.manager)
+        client.spawn_nodelet(replace(former, config=declared))
         if later:
             client.set_config(former.name, later)
         if kept.differences:
@@ -96,10 +69,11 @@ def _end(kept: Kept, plan: Plan, client: Client) -> ReversibleStep:
     )
 
 
-def _make(nodelet: WiredNodelet, plan: Plan, client: Client) -> List[ReversibleStep]:
+def _make(nodelet: SpawnRequest, plan: Plan, client: BaseManagerClient) -> List[ReversibleStep]:
     """Spawn a nodelet; ports that its transformation does not declare are connected then."""
     config, later = _by_declaration(nodelet, plan.blueprints[nodelet.label])
     manager = "" if nodelet.name in plan.any_manager else nodelet.manager
+    request = replace(nodelet, config=config, manager=manager)
 
     def destroy() -> None:
         if nodelet.is_protected:
@@ -110,7 +84,7 @@ def _make(nodelet: WiredNodelet, plan: Plan, client: Client) -> List[ReversibleS
         ReversibleStep(
             f"spawning '{nodelet.name}'",
             nodelet.name,
-            lambda: _spawn(client, nodelet, config, manager),
+            lambda: client.spawn_nodelet(request),
             destroy,
         )
     ]
@@ -127,29 +101,23 @@ def _make(nodelet: WiredNodelet, plan: Plan, client: Client) -> List[ReversibleS
 
 
 def _by_declaration(
-    nodelet: WiredNodelet, blueprint: Transformation
+    nodelet: SpawnRequest, blueprint: Transformation
 ) -> Tuple[Dict[str, str], Dict[str, str]]:
     """Split the connections into those of declared ports and the others."""
     declared = {port.name for port in blueprint.ports}
-    connections = nodelet.connections
+    connections = nodelet.config.items()
     return (
         {port: topic for port, topic in connections if port in declared},
         {port: topic for port, topic in connections if port not in declared},
     )
 
 
-def _spawn(client: Client, nodelet: WiredNodelet, config: Dict[str, str], manager: str) -> None:
-    client.spawn(
-        nodelet.label, nodelet.name, config, nodelet.is_protected, nodelet.isolated, manager
-    )
-
-
-def _change(kept: Kept, client: Client) -> List[ReversibleStep]:
+def _change(kept: Kept, client: BaseManagerClient) -> List[ReversibleStep]:
     name, wanted, present = kept.wanted.name, kept.wanted, kept.present
     steps = []
     moves = kept.moves
     if moves:
-        before: Dict[str, str] = {port: connections_of(present).get(port, "") for port in moves}
+        before: Dict[str, str] = {port: present.connections.get(port, "") for port in moves}
         steps.append(
             ReversibleStep(
                 f"connecting '{name}'",

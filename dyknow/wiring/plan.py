@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from typing import (
-    TYPE_CHECKING,
     Callable,
     Collection,
     Dict,
@@ -18,13 +17,10 @@ from typing import (
 
 from dyknow.manager.specifications.findings import shorten
 from dyknow.manager.specifications.values import value_of
+from dyknow.model.graph import Model, NodeletStatus, SpawnRequest
 from dyknow.model.transformation import TOPIC, Transformation
-from dyknow.wiring.ports import connections_of, types_fit
-from dyknow.wiring.wiring import WiredNodelet, Wiring
-
-if TYPE_CHECKING:
-    from dyknow.model.graph import Model, NodeletStatus
-
+from dyknow.wiring.ports import types_fit
+from dyknow.wiring.wiring import Wiring
 
 #: Tells which values the parameter server has for parameters of a nodelet, by their names.
 Stored = Callable[[str, Sequence[str]], Mapping[str, object]]
@@ -41,15 +37,15 @@ class Kept:
             earlier transformation, so that it cannot be made again as it was.
     """
 
-    wanted: WiredNodelet
+    wanted: SpawnRequest
     present: NodeletStatus
     differences: Tuple[str, ...] = ()
 
     @property
     def moves(self) -> Dict[str, str]:
         """New topics of those ports that are to be moved; empty to disconnect."""
-        wanted = dict(self.wanted.connections)
-        present = connections_of(self.present)
+        wanted = self.wanted.config
+        present = self.present.connections
         ports = {**dict.fromkeys(present, ""), **wanted}
         return {
             port: topic for port, topic in sorted(ports.items()) if present.get(port, "") != topic
@@ -83,7 +79,7 @@ class Plan:
     replaced: List[Transformation] = field(default_factory=list)
     replacing: List[Transformation] = field(default_factory=list)
     same: List[str] = field(default_factory=list)
-    spawned: List[WiredNodelet] = field(default_factory=list)
+    spawned: List[SpawnRequest] = field(default_factory=list)
     remade: List[Kept] = field(default_factory=list)
     kept: List[Kept] = field(default_factory=list)
     any_manager: Set[str] = field(default_factory=set)
@@ -92,7 +88,7 @@ class Plan:
     former: Dict[str, Transformation] = field(default_factory=dict)
 
     @property
-    def made(self) -> List[WiredNodelet]:
+    def made(self) -> List[SpawnRequest]:
         """All nodelets to make, new and anew, readers before writers."""
         wanted = [*self.spawned, *(each.wanted for each in self.remade)]
         return readers_first(wanted, self.blueprints)
@@ -159,15 +155,15 @@ def plan_load(
 
 
 def readers_first(
-    nodelets: List[WiredNodelet], blueprints: Mapping[str, Transformation]
-) -> List[WiredNodelet]:
+    nodelets: List[SpawnRequest], blueprints: Mapping[str, Transformation]
+) -> List[SpawnRequest]:
     """Order nodelets so that a stream's readers are there before it begins, as far as possible."""
     ordered = sorted(nodelets, key=lambda nodelet: nodelet.name)
-    reading: Dict[str, List[WiredNodelet]] = {}
+    reading: Dict[str, List[SpawnRequest]] = {}
     for nodelet in ordered:
         for topic in _topics(nodelet, blueprints, "in"):
             reading.setdefault(topic, []).append(nodelet)
-    done: Dict[str, WiredNodelet] = {}
+    done: Dict[str, SpawnRequest] = {}
     entered: Set[str] = set()
     # Depth first, with a stack of its own: chains may be longer than Python's recursion allows.
     stack = [(nodelet, False) for nodelet in reversed(ordered)]
@@ -188,9 +184,9 @@ def readers_first(
 
 
 def _topics(
-    nodelet: WiredNodelet, blueprints: Mapping[str, Transformation], direction: str
+    nodelet: SpawnRequest, blueprints: Mapping[str, Transformation], direction: str
 ) -> List[str]:
-    connections = dict(nodelet.connections)
+    connections = nodelet.config
     return [
         connections[port.name]
         for port in blueprints[nodelet.label].ports
@@ -217,7 +213,7 @@ def _plan_transformations(plan: Plan, wiring: Wiring, replace: bool) -> None:
 
 def _plan_present(
     plan: Plan,
-    nodelet: WiredNodelet,
+    nodelet: SpawnRequest,
     present: NodeletStatus,
     replace: bool,
     stored: Optional[Stored],
@@ -279,7 +275,7 @@ def _otherwise_made(
     return tuple(found)
 
 
-def _check_blueprint(plan: Plan, nodelet: WiredNodelet, blueprint: Transformation) -> None:
+def _check_blueprint(plan: Plan, nodelet: SpawnRequest, blueprint: Transformation) -> None:
     if blueprint.type == TOPIC:
         plan.problems.append(
             f"nodelet '{nodelet.name}': transformation '{nodelet.label}' is an existing topic, "
@@ -293,7 +289,7 @@ def _check_topics(plan: Plan, wiring: Wiring) -> None:
     for nodelet in wiring.nodelets:
         blueprint = plan.blueprints.get(nodelet.label)
         types = {port.name: port.datatype for port in blueprint.ports} if blueprint else {}
-        for port, topic in nodelet.connections:
+        for port, topic in nodelet.config.items():
             datatype = types.get(port, "")
             if not datatype or datatype == "*":
                 continue

@@ -20,11 +20,6 @@ def by_name(ports: Iterable[PortState]) -> List[PortState]:
     return sorted(ports, key=lambda port: port.name)
 
 
-def connections_of(nodelet: NodeletStatus) -> Dict[str, str]:
-    """Topics of the ports that are connected, by port."""
-    return {port.name: port.topic for port in by_name(nodelet.ports) if port.topic}
-
-
 def types_fit(one: str, other: str) -> bool:
     """Whether streams of two types may be connected; an unknown type fits every one."""
     return one == other or not one or not other or ANY in (one, other)

@@ -13,8 +13,9 @@ from dyknow.manager.specifications.limits import DEFAULT_LIMITS
 from dyknow.manager.specifications.reader import SpecificationReader
 from dyknow.manager.specifications.specification import transformations_of
 from dyknow.manager.specifications.xml_reader import ANY, NEEDED, Attribute, Attributes, Element
+from dyknow.model.graph import SpawnRequest
 from dyknow.model.transformation import Transformation
-from dyknow.wiring.wiring import VERSION, WiredNodelet, Wiring
+from dyknow.wiring.wiring import VERSION, Wiring
 
 _BOOL = Attribute(("true", "false", "1", "0"))
 _CONNECTION = Element("connection", attributes={"port": NEEDED, "topic": NEEDED}, may_repeat=True)
@@ -69,7 +70,7 @@ class _WiringReader(SpecificationReader):
 
     def __init__(self, findings: Findings) -> None:
         super().__init__(findings, DEFAULT_LIMITS, _WIRING)
-        self.nodelets: List[WiredNodelet] = []
+        self.nodelets: List[SpawnRequest] = []
         self._lines: Dict[str, int] = {}
         self._connections: Dict[str, str] = {}
         self.on_start.update(wiring=self._begin_wiring, nodelet=self._begin_nodelet)
@@ -99,13 +100,13 @@ class _WiringReader(SpecificationReader):
         if name and first != line:
             self._findings.problem(line, f"the nodelet '{name}' is there already, in line {first}")
         self.nodelets.append(
-            WiredNodelet(
-                name,
+            SpawnRequest(
                 label or "",
+                name,
+                self._connections,
                 attributes.get("protected") in ("true", "1"),
                 attributes.get("isolated") in ("true", "1"),
                 self._global(attributes, "manager", line) if attributes.get("manager") else "",
-                tuple(sorted(self._connections.items())),
             )
         )
 

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, List, Tuple
+from typing import List, Tuple
 from xml.sax.saxutils import quoteattr
 
 from dyknow.errors import DyKnowError
+from dyknow.model.graph import Model, NodeletStatus, SpawnRequest
 from dyknow.model.transformation import Transformation
-from dyknow.wiring.ports import connections_of
-
-if TYPE_CHECKING:
-    from dyknow.model.graph import Model, NodeletStatus
 
 VERSION = "1"
 
@@ -21,44 +18,11 @@ class CannotSave(DyKnowError):
 
 
 @dataclass(frozen=True)
-class WiredNodelet:
-    """A nodelet of a wiring.
-
-    Attributes:
-        name: global name.
-        label: the transformation to make it from.
-        is_protected: whether destroying it is refused.
-        isolated: whether it has a process of its own.
-        manager: nodelet manager that hosts it; empty for any.
-        connections: ports and global names of their topics, by port.
-    """
-
-    name: str
-    label: str
-    is_protected: bool = False
-    isolated: bool = False
-    manager: str = ""
-    connections: Tuple[Tuple[str, str], ...] = ()
-
-    @classmethod
-    def of(cls, nodelet: NodeletStatus) -> WiredNodelet:
-        """Take a nodelet that runs as it is."""
-        return cls(
-            nodelet.name,
-            nodelet.transformation,
-            nodelet.is_protected,
-            nodelet.isolated,
-            "" if nodelet.isolated else nodelet.manager,
-            tuple(connections_of(nodelet).items()),
-        )
-
-
-@dataclass(frozen=True)
 class Wiring:
-    """Nodelets, by name, and the transformations that they are made from, by label."""
+    """Requests for nodelets, by name, and the transformations they are made from, by label."""
 
     transformations: Tuple[Transformation, ...] = ()
-    nodelets: Tuple[WiredNodelet, ...] = ()
+    nodelets: Tuple[SpawnRequest, ...] = ()
 
     def to_xml(self) -> str:
         """Write the wiring as canonical XML: the same text for equal wirings."""
@@ -99,24 +63,24 @@ def wiring_of(snapshot: Model) -> Tuple[Wiring, List[NodeletStatus]]:
     used = {nodelet.transformation for nodelet in own}
     wiring = Wiring(
         tuple(known[label] for label in sorted(used)),
-        tuple(WiredNodelet.of(nodelet) for nodelet in sorted(own, key=lambda each: each.name)),
+        tuple(nodelet.request for nodelet in sorted(own, key=lambda each: each.name)),
     )
     return wiring, [nodelet for nodelet in snapshot.nodelets if not nodelet.transformation]
 
 
-def _nodelet_xml(nodelet: WiredNodelet) -> List[str]:
+def _nodelet_xml(nodelet: SpawnRequest) -> List[str]:
     attributes = [("name", nodelet.name), ("transformation", nodelet.label)]
     attributes.extend([("manager", nodelet.manager)] if nodelet.manager else [])
     attributes.extend([("protected", "true")] if nodelet.is_protected else [])
     attributes.extend([("isolated", "true")] if nodelet.isolated else [])
     opening = "  <nodelet" + "".join(f" {key}={quoteattr(value)}" for key, value in attributes)
-    if not nodelet.connections:
+    if not nodelet.config:
         return [opening + "/>"]
     return [
         opening + ">",
         *(
             f"    <connection port={quoteattr(port)} topic={quoteattr(topic)}/>"
-            for port, topic in nodelet.connections
+            for port, topic in sorted(nodelet.config.items())
         ),
         "  </nodelet>",
     ]

@@ -1,21 +1,19 @@
 """Changes of the computation graph as values: each can be applied, and most undone.
 
-A change calls ``Remote`` and raises its exceptions. ``inverse`` is called with the graph as it was
-before the change.
+A change calls a manager's client and raises its exceptions. ``inverse`` is called with the graph
+as it was before the change.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Dict, List, Mapping, Tuple
+from typing import Dict, List, Mapping, Tuple
 
 from dyknow.errors import DyKnowError
+from dyknow.model.client import BaseManagerClient
+from dyknow.model.graph import SpawnRequest
 from dyknow.model.transformation import Transformation
 from dyknow_rqt.graph.snapshot import PortRef, Snapshot
-
-if TYPE_CHECKING:
-    from dyknow.model.graph import NodeletStatus
-    from dyknow_rqt.remote import Remote
 
 Library = Mapping[str, Transformation]
 
@@ -32,7 +30,7 @@ class Change:
         """The change in a few words."""
         raise NotImplementedError
 
-    def apply(self, remote: Remote) -> Change:
+    def apply(self, client: BaseManagerClient) -> Change:
         """Make the change; return it with what is known afterwards."""
         raise NotImplementedError
 
@@ -44,7 +42,7 @@ class Change:
         """
         raise CannotUndo("there is no way back")
 
-    def check(self, remote: Remote) -> None:
+    def check(self, client: BaseManagerClient) -> None:
         """Check that nobody else has changed the same things since; called before an undo.
 
         The snapshot of the window may be older than its own last change.
@@ -74,19 +72,19 @@ class Rewire(Change):
         """What is done."""
         return self.text_
 
-    def apply(self, remote: Remote) -> Change:
+    def apply(self, client: BaseManagerClient) -> Change:
         """Connect one nodelet after the other; if one fails, restore those before it."""
         before = dict(self.expected)
         done: List[str] = []
         configs = self._by_nodelet(dict(self.topics))
         try:
             for nodelet, config in configs.items():
-                remote.set_config(nodelet, config)
+                client.set_config(nodelet, config)
                 done.append(nodelet)
         except DyKnowError:
             for nodelet, config in self._by_nodelet(before).items():
                 if nodelet in done:
-                    remote.set_config(nodelet, config)
+                    client.set_config(nodelet, config)
             raise
         return self
 
@@ -100,11 +98,11 @@ class Rewire(Change):
             now.append((ref, port.topic))
         return Rewire(tuple(now), f"undo: {self.text_}", self.topics)
 
-    def check(self, remote: Remote) -> None:
+    def check(self, client: BaseManagerClient) -> None:
         """Check that the ports are still connected as the change left them."""
         for nodelet, config in self._by_nodelet(dict(self.expected)).items():
             try:
-                present = {port.name: port.topic for port in remote.ports(nodelet)}
+                present = {port.name: port.topic for port in client.get_config(nodelet)}
             except DyKnowError as error:
                 raise CannotUndo(str(error)) from error
             for port, topic in config.items():
@@ -125,33 +123,21 @@ class Rewire(Change):
 class SpawnNodelet(Change):
     """Makes a nodelet."""
 
-    label: str
-    name: str
-    config: Tuple[Tuple[str, str], ...] = ()
-    is_protected: bool = False
-    isolated: bool = False
-    manager: str = ""
+    request: SpawnRequest
 
     @property
     def text(self) -> str:
         """What is done."""
-        return f"create {self.name}"
+        return f"create {self.request.name}"
 
-    def apply(self, remote: Remote) -> Change:
+    def apply(self, client: BaseManagerClient) -> Change:
         """Spawn it."""
-        remote.spawn(
-            self.label,
-            self.name,
-            dict(self.config),
-            self.is_protected,
-            self.isolated,
-            self.manager,
-        )
+        client.spawn_nodelet(self.request)
         return self
 
     def inverse(self, snapshot: Snapshot, library: Library) -> Change:
         """Destroy it."""
-        return DestroyNodelet(self.name)
+        return DestroyNodelet(self.request.name)
 
 
 @dataclass(frozen=True)
@@ -165,9 +151,9 @@ class DestroyNodelet(Change):
         """What is done."""
         return f"destroy {self.name}"
 
-    def apply(self, remote: Remote) -> Change:
+    def apply(self, client: BaseManagerClient) -> Change:
         """Destroy it."""
-        remote.destroy(self.name)
+        client.destroy(self.name)
         return self
 
     def inverse(self, snapshot: Snapshot, library: Library) -> Change:
@@ -179,7 +165,7 @@ class DestroyNodelet(Change):
             raise CannotUndo(
                 f"{self.name} cannot be made again: its transformation is not in the library"
             )
-        return _remake(nodelet)
+        return SpawnNodelet(nodelet.request)
 
 
 @dataclass(frozen=True)
@@ -194,22 +180,11 @@ class Protect(Change):
         """What is done."""
         return f"{'protect' if self.is_protected else 'release'} {self.name}"
 
-    def apply(self, remote: Remote) -> Change:
+    def apply(self, client: BaseManagerClient) -> Change:
         """Set the protection."""
-        remote.set_protection(self.name, self.is_protected)
+        client.set_protection(self.name, self.is_protected)
         return self
 
     def inverse(self, snapshot: Snapshot, library: Library) -> Change:
         """Set the protection to what it is now."""
         return Protect(self.name, not self.is_protected)
-
-
-def _remake(nodelet: NodeletStatus) -> Change:
-    return SpawnNodelet(
-        nodelet.transformation,
-        nodelet.name,
-        tuple((port.name, port.topic) for port in nodelet.ports if port.topic),
-        nodelet.is_protected,
-        nodelet.isolated,
-        "" if nodelet.isolated else nodelet.manager,
-    )

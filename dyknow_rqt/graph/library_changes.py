@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Sequence, Tuple
+from typing import Sequence, Tuple
 
+from dyknow.model.client import BaseManagerClient
 from dyknow.model.transformation import Transformation
 from dyknow_rqt.graph.changes import CannotUndo, Change, Library
 from dyknow_rqt.graph.snapshot import Snapshot
-
-if TYPE_CHECKING:
-    from dyknow_rqt.remote import Remote
 
 
 @dataclass(frozen=True)
@@ -32,9 +30,9 @@ class AddTransformations(Change):
         """What is done."""
         return f"import {self.origin}"
 
-    def apply(self, remote: Remote) -> Change:
+    def apply(self, client: BaseManagerClient) -> Change:
         """Add them."""
-        return replace(self, labels=remote.add_transformation(self.specification).labels)
+        return replace(self, labels=client.add_transformation(self.specification).labels)
 
     def inverse(self, snapshot: Snapshot, library: Library) -> Change:
         """Remove the new transformations, restore the replaced ones."""
@@ -58,12 +56,12 @@ class RestoreTransformations(Change):
         """What is done."""
         return self.text_
 
-    def apply(self, remote: Remote) -> Change:
+    def apply(self, client: BaseManagerClient) -> Change:
         """Add and remove them."""
         if self.put:
-            remote.add_transformation(as_specification(self.put))
+            client.add_transformation(as_specification(self.put))
         for label in self.take:
-            remote.remove_transformation(label)
+            client.remove_transformation(label)
         return self
 
     def inverse(self, snapshot: Snapshot, library: Library) -> Change:

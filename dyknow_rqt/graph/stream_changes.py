@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 from dyknow.errors import StreamRefused
+from dyknow.model.client import BaseManagerClient
 from dyknow.model.streams import StreamRequest
 from dyknow_rqt.graph.changes import CannotUndo, Change, Library
 from dyknow_rqt.graph.snapshot import Snapshot
-
-if TYPE_CHECKING:
-    from dyknow_rqt.remote import Remote
 
 
 @dataclass(frozen=True)
@@ -33,10 +30,10 @@ class AcquireStream(Change):
         """What is done."""
         return f"acquire {self.request.tag}" + (f": {self.outcome}" if self.outcome else "")
 
-    def apply(self, remote: Remote) -> Change:
+    def apply(self, client: BaseManagerClient) -> Change:
         """Ask for it."""
         try:
-            got = remote.acquire_stream(self.request)
+            got = client.acquire_stream(self.request)
         except StreamRefused as error:
             if not error.claim_id:
                 raise
@@ -60,9 +57,9 @@ class ReleaseStream(Change):
         """What is done."""
         return f"release {self.tag}"
 
-    def apply(self, remote: Remote) -> Change:
+    def apply(self, client: BaseManagerClient) -> Change:
         """Release it."""
-        remote.release_stream(self.claim_id)
+        client.release_stream(self.claim_id)
         return self
 
     def inverse(self, snapshot: Snapshot, library: Library) -> Change:
@@ -82,9 +79,9 @@ class ReplanStream(Change):
         """What is done."""
         return f"replan {self.tag}"
 
-    def apply(self, remote: Remote) -> Change:
+    def apply(self, client: BaseManagerClient) -> Change:
         """Replan it."""
-        remote.replan_stream(self.claim_id)
+        client.replan_stream(self.claim_id)
         return self
 
     def inverse(self, snapshot: Snapshot, library: Library) -> Change:

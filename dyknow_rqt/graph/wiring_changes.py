@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Dict, List, Optional, Tuple
+from typing import Dict, List, Optional, Tuple
 
 from dyknow.errors import DyKnowError
+from dyknow.model.client import BaseManagerClient
 from dyknow.wiring.load import steps_of
 from dyknow.wiring.plan import Plan, plan_load
-from dyknow.wiring.ports import connections_of
 from dyknow.wiring.steps import carry_out
-from dyknow.wiring.wiring import WiredNodelet, Wiring
+from dyknow.wiring.wiring import Wiring
 from dyknow_rqt.graph.changes import (
     CannotUndo,
     Change,
@@ -22,9 +22,6 @@ from dyknow_rqt.graph.changes import (
 )
 from dyknow_rqt.graph.library_changes import RestoreTransformations
 from dyknow_rqt.graph.snapshot import PortRef, Snapshot
-
-if TYPE_CHECKING:
-    from dyknow_rqt.remote import Remote
 
 
 class CannotLoad(DyKnowError):
@@ -50,13 +47,13 @@ class LoadWiring(Change):
         """What is done."""
         return f"load {self.origin}"
 
-    def apply(self, remote: Remote) -> Change:
+    def apply(self, client: BaseManagerClient) -> Change:
         """Check the whole wiring, then change what differs; undo that if a step fails."""
-        model, managers = remote.library(), remote.nodelet_managers()
+        model, managers = client.get_model(), client.nodelet_managers()
         plan = plan_load(self.wiring, model, managers, replace=True, any_manager=True)
         if plan.problems:
             raise CannotLoad("\n".join(plan.problems))
-        carry_out(steps_of(plan, remote))
+        carry_out(steps_of(plan, client))
         return replace(self, plan=plan)
 
     def inverse(self, snapshot: Snapshot, library: Library) -> Change:
@@ -78,22 +75,22 @@ class Several(Change):
         """What is done."""
         return self.text_
 
-    def apply(self, remote: Remote) -> Change:
+    def apply(self, client: BaseManagerClient) -> Change:
         """Apply the changes up to the first that is refused."""
         for change in self.changes:
-            change.apply(remote)
+            change.apply(client)
         return self
 
-    def check(self, remote: Remote) -> None:
+    def check(self, client: BaseManagerClient) -> None:
         """Check that nobody else has changed the same things since."""
         for change in self.changes:
-            change.check(remote)
+            change.check(client)
 
 
 def _ways_back(plan: Plan) -> List[Change]:
     changes: List[Change] = []
     for kept in reversed(plan.kept):
-        name, moves, before = kept.wanted.name, kept.moves, connections_of(kept.present)
+        name, moves, before = kept.wanted.name, kept.moves, kept.present.connections
         if kept.wanted.is_protected != kept.present.is_protected:
             changes.append(Protect(name, kept.present.is_protected))
         if moves:
@@ -107,17 +104,7 @@ def _ways_back(plan: Plan) -> List[Change]:
         new = tuple(each.label for each in plan.added)
         changes.append(RestoreTransformations(tuple(plan.replaced), new, "put back the library"))
     for remade in reversed(plan.remade):
-        former = WiredNodelet.of(remade.present)
-        changes.append(
-            SpawnNodelet(
-                former.label,
-                former.name,
-                former.connections,
-                former.is_protected,
-                former.isolated,
-                former.manager,
-            )
-        )
+        changes.append(SpawnNodelet(remade.present.request))
     return changes
 
 

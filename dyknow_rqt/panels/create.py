@@ -19,6 +19,7 @@ from python_qt_binding.QtWidgets import (
 )
 
 from dyknow import names
+from dyknow.model.graph import SpawnRequest
 from dyknow.model.transformation import NODELET, Transformation
 from dyknow_rqt.graph.changes import SpawnNodelet
 from dyknow_rqt.graph.snapshot import Snapshot
@@ -95,7 +96,7 @@ class CreatePanel(Panel):
         if not self.create.isEnabled():
             return
         name, manager = names.check(self.name.text().strip()), self.manager.currentText().strip()
-        change = SpawnNodelet(
+        request = SpawnRequest(
             self.label.currentText().strip(),
             name,
             is_protected=self.is_protected.isChecked(),
@@ -104,7 +105,7 @@ class CreatePanel(Panel):
         )
         self.create.setEnabled(False)
         self.create.setText("Creating …")
-        self._monitor.do(change, self.name.clear)
+        self._monitor.do(SpawnNodelet(request), self.name.clear)
 
     @qt_slot
     def _follow(self) -> None:

@@ -121,7 +121,7 @@ class StreamsPanel(Panel):
         if request.tag:
             self.plan.setPlainText("…")
             self._monitor.ask(
-                lambda remote: remote.acquire_stream(request, dry_run=True).plan, show, show
+                lambda client: client.acquire_stream(request, dry_run=True).plan, show, show
             )
 
     # What there is
@@ -151,7 +151,7 @@ class StreamsPanel(Panel):
                 lambda: self._monitor.do(change),
             )
 
-        self._monitor.ask(lambda remote: remote.replan_stream(stream.claim_id, dry_run=True), ask)
+        self._monitor.ask(lambda client: client.replan_stream(stream.claim_id, dry_run=True), ask)
 
     @qt_slot
     def _show_streams(self) -> None:

@@ -17,6 +17,7 @@ from processes import Running
 from python_qt_binding.QtTest import QTest
 from python_qt_binding.QtWidgets import QApplication
 
+from dyknow.model.graph import SpawnRequest
 from dyknow_rqt.graph.changes import SpawnNodelet
 from dyknow_rqt.graph.snapshot import PortRef
 from dyknow_rqt.graph.wiring import connect, connect_topic
@@ -57,7 +58,7 @@ class WindowTest(ManagerCase):
 
         monitor = window.monitor
         for label, name in (("counter", "/count"), ("relay", "/relay")):
-            monitor.do(SpawnNodelet(label, name))
+            monitor.do(SpawnNodelet(SpawnRequest(label, name)))
             until(lambda name=name: f"n_{name}" in self.keys(window), f"{name} is drawn")
             until(lambda: not monitor.is_changing, "the change has ended")
 
@@ -107,7 +108,7 @@ class WindowTest(ManagerCase):
         self.started()
         window = self.window()
         until(lambda: window.monitor.library, "the library is there")
-        window.monitor.do(SpawnNodelet("fails", "/never"))
+        window.monitor.do(SpawnNodelet(SpawnRequest("fails", "/never")))
         until(lambda: window.line.text, "something is said")
         self.assertIn("create /never: cannot spawn '/never'", window.line.text)
 

@@ -12,7 +12,6 @@ from dyknow.cli.json_output import nodelet_json
 from dyknow.cli.shell import FAILED, Shell
 from dyknow.cli.views import state_of
 from dyknow.errors import DuplicatePort, DyKnowError, ManagerUnreachable
-from dyknow.wiring.ports import connections_of
 
 if TYPE_CHECKING:
     from dyknow.model.graph import Model
@@ -72,7 +71,7 @@ def _spawn(arguments: argparse.Namespace, shell: Shell) -> None:
     if nodelet is None:  # it was destroyed in the meantime
         shell.show({"name": name}, [f"spawned {name}"])
         return
-    connections = [f"  {port} - {topic}" for port, topic in connections_of(nodelet).items()]
+    connections = [f"  {port} - {topic}" for port, topic in nodelet.connections.items()]
     shell.show(
         nodelet_json(nodelet),
         [f"spawned {name} from {nodelet.transformation} in {nodelet.manager}", *connections],

@@ -10,9 +10,9 @@ from unit.manager.world import World
 
 from dyknow.errors import ManagerUnreachable, Refused
 from dyknow.manager.host import NodeletKind
+from dyknow.model.graph import SpawnRequest
 from dyknow.model.transformation import Port, Transformation
 from dyknow.wiring.plan import readers_first
-from dyknow.wiring.wiring import WiredNodelet
 
 
 @pytest.fixture
@@ -337,9 +337,8 @@ def test_files_that_cannot_be_used(client: FakeClient, tmp_path: Path) -> None:
 def test_readers_come_before_writers_also_in_long_chains_and_rings() -> None:
     relay = Transformation("r", "p/R", ports=(Port("in", "in"), Port("out", "out")))
 
-    def wired(number: int, into: int, out: int) -> WiredNodelet:
-        topics = (("in", f"/t{into}"), ("out", f"/t{out}"))
-        return WiredNodelet(f"/n{number:04}", "r", connections=topics)
+    def wired(number: int, into: int, out: int) -> SpawnRequest:
+        return SpawnRequest("r", f"/n{number:04}", {"in": f"/t{into}", "out": f"/t{out}"})
 
     chain = [wired(number, number, number + 1) for number in range(3000)]
     assert readers_first(chain, {"r": relay}) == chain[::-1]

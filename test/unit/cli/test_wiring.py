@@ -8,19 +8,20 @@ from hypothesis import strategies as st
 from specification_strategies import labels, transformations
 
 from dyknow.errors import SpecificationError
+from dyknow.model.graph import SpawnRequest
 from dyknow.wiring.reader import read_wiring
-from dyknow.wiring.wiring import WiredNodelet, Wiring
+from dyknow.wiring.wiring import Wiring
 
 names = st.from_regex(r"(/[a-z][a-z0-9_]{0,6}){1,3}", fullmatch=True)
 ports = st.sampled_from(["in", "~image", "/a/b", "x<&'\"y", "é"])
 nodelets = st.builds(
-    WiredNodelet,
-    names,
+    SpawnRequest,
     labels,
+    names,
+    st.dictionaries(ports, names, max_size=3),
     st.booleans(),
     st.booleans(),
     st.one_of(st.just(""), names),
-    st.dictionaries(ports, names, max_size=3).map(lambda topics: tuple(sorted(topics.items()))),
 )
 
 

@@ -14,6 +14,7 @@ from python_qt_binding.QtWidgets import (
     QMessageBox,
 )
 
+from dyknow.model.graph import SpawnRequest
 from dyknow_rqt.graph.changes import SpawnNodelet
 from dyknow_rqt.graph.snapshot import PortRef
 
@@ -49,7 +50,7 @@ def drag(view, start, end):
 
 def create(qtbot, window, name):
     """Make a nodelet, and wait until the window knows it."""
-    window.monitor.do(SpawnNodelet("tracker", name))
+    window.monitor.do(SpawnNodelet(SpawnRequest("tracker", name)))
     until(qtbot, lambda: not window.monitor.is_changing)
     until(qtbot, lambda: window.monitor.snapshot.nodelet(name) is not None)
 

@@ -32,7 +32,7 @@ def test_active_lists_and_destroys(qtbot, window, remote):
 
 def test_active_keeps_the_selection_while_things_change(qtbot, window, remote):
     window.active.table.choose(["/nao1/resize"])
-    remote.spawn("tracker", "/a_first_one")
+    remote.client.spawn("tracker", "/a_first_one")
     until(qtbot, lambda: "/a_first_one" in window.active.table.names())
     assert window.active.table.chosen() == ["/nao1/resize"]
 

@@ -105,9 +105,9 @@ def test_a_wiring_is_saved_and_loaded_and_that_is_taken_back(qtbot, window, remo
     whole = remote.graph().nodelets
     files.save(str(path))
     until(qtbot, lambda: f"10 nodelets saved in {path}" in window.line.text)
-    remote.destroy("/field/tracker")
-    remote.set_config("/nao1/localization", {"field_position": "/elsewhere"})
-    remote.remove_transformation("tracker")
+    remote.client.destroy("/field/tracker")
+    remote.client.set_config("/nao1/localization", {"field_position": "/elsewhere"})
+    remote.client.remove_transformation("tracker")
     until(qtbot, lambda: "tracker" not in window.monitor.library)
     less = remote.graph().nodelets
     files.load(str(path))
@@ -116,7 +116,7 @@ def test_a_wiring_is_saved_and_loaded_and_that_is_taken_back(qtbot, window, remo
     click(qtbot, window.graph.bar.undo)
     until(qtbot, lambda: window.line.text == "done: undo: load wiring.xml")
     assert remote.graph().nodelets == less
-    assert "tracker" not in {each.label for each in remote.library().transformations}
+    assert "tracker" not in {each.label for each in remote.client.get_model().transformations}
 
 
 def test_a_wiring_that_cannot_be_loaded_changes_nothing(
@@ -129,8 +129,8 @@ def test_a_wiring_that_cannot_be_loaded_changes_nothing(
     assert "wiring.xml:1: <nodelet> has no attribute transformation" in window.line.text
     files.save(str(path))
     until(qtbot, lambda: "saved" in window.line.text)
-    remote.destroy("/field/tracker")
-    remote.spawn("recorder", "/field/tracker")
+    remote.client.destroy("/field/tracker")
+    remote.client.spawn("recorder", "/field/tracker")
     before = remote.graph().nodelets
     files.load(str(path))
     until(qtbot, lambda: "runs already, made from 'recorder'" in window.line.text)

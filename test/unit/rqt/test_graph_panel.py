@@ -31,7 +31,7 @@ def test_hovering_lights_up_the_neighbours(qtbot, window):
 
 
 def test_what_is_before_and_behind_is_teal(qtbot, window, remote):
-    remote.set_config("/nao1/resize", {"resized": "/nao1/top_camera/yuv"})
+    remote.client.set_config("/nao1/resize", {"resized": "/nao1/top_camera/yuv"})
     scene = window.graph.view.scene()
     until(qtbot, lambda: "t_/nao1/preview" in scene.vertices)
     until(
@@ -189,7 +189,9 @@ def test_the_view_does_not_jump_when_something_comes(qtbot, window, remote):
     view = window.graph.view
     before = {key: item.pos() for key, item in view.scene().vertices.items()}
     corner, zoom = view.mapToScene(0, 0), view.zoom
-    remote.spawn("tracker", "/nao1/second_tracker", {"position": "/nao1/ball_detector/ball"})
+    remote.client.spawn(
+        "tracker", "/nao1/second_tracker", {"position": "/nao1/ball_detector/ball"}
+    )
     until(qtbot, lambda: "n_/nao1/second_tracker" in vertex_keys(window))
     after = view.scene().vertices
     moved = [k for k, place in before.items() if (after[k].pos() - place).manhattanLength() > 16]
@@ -205,12 +207,12 @@ def test_what_comes_is_seen_until_hands_choose_the_view(qtbot, window, remote):
         return seen.contains(view.scene().drawing_area())
 
     for number in range(12):
-        remote.spawn("tracker", f"/more{number}")
+        remote.client.spawn("tracker", f"/more{number}")
     until(qtbot, lambda: "n_/more11" in vertex_keys(window) and is_seen())
     qtbot.keyClick(view, Qt.Key_Plus)
     corner = view.mapToScene(0, 0)
     for number in range(12, 40):
-        remote.spawn("tracker", f"/more{number}")
+        remote.client.spawn("tracker", f"/more{number}")
     until(qtbot, lambda: "n_/more39" in vertex_keys(window))
     assert (view.mapToScene(0, 0) - corner).manhattanLength() < 2
     assert not is_seen()

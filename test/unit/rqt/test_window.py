@@ -18,24 +18,24 @@ from dyknow_rqt.window import DyKnowWidget
 
 
 def test_without_a_manager_the_window_waits_for_one(qtbot, window, remote):
-    remote.is_up = False
+    remote.client.is_up = False
     sign = window.graph.sign
     until(qtbot, lambda: "does not answer; waiting" in sign.text())
     assert sign.isVisible()
-    remote.is_up = True
+    remote.client.is_up = True
     until(qtbot, lambda: not sign.isVisible())
 
 
 def test_a_slow_manager_does_not_hold_up_the_window(qtbot, window, remote):
-    remote.delay = 3.0
+    remote.client.delay = 3.0
     window.monitor.set_period(0.1)
     gaps = pauses(qtbot, 1500)
     assert max(gaps) < 1.5
-    remote.delay = 0.0
+    remote.client.delay = 0.0
 
 
 def test_undo_says_when_there_is_no_way_back(qtbot, window, remote):
-    remote.remove_transformation("tracker")
+    remote.client.remove_transformation("tracker")
     until(qtbot, lambda: "tracker" not in window.monitor.library)
     window.active.ask_to_destroy(["/field/tracker"])
     click(qtbot, window.line.yes)
@@ -48,7 +48,7 @@ def test_undo_says_when_there_is_no_way_back(qtbot, window, remote):
 def test_what_cannot_be_undone_is_not_in_the_way_of_what_was_done_before(qtbot, window, remote):
     for name in ("/first", "/second"):
         create(qtbot, window, name)
-    remote.destroy("/second")
+    remote.client.destroy("/second")
     click(qtbot, window.graph.bar.undo)
     until(qtbot, lambda: "destroy /second: " in window.line.text)
     click(qtbot, window.graph.bar.undo)
@@ -57,10 +57,10 @@ def test_what_cannot_be_undone_is_not_in_the_way_of_what_was_done_before(qtbot, 
 
 def test_a_manager_that_does_not_answer_keeps_what_can_be_undone(qtbot, window, remote):
     create(qtbot, window, "/first")
-    remote.is_up = False
+    remote.client.is_up = False
     window.monitor.undo()
     until(qtbot, lambda: "destroy /first: " in window.line.text)
-    remote.is_up = True
+    remote.client.is_up = True
     click(qtbot, window.graph.bar.undo)
     until(qtbot, lambda: window.monitor.snapshot.nodelet("/first") is None)
 
@@ -94,14 +94,16 @@ def test_settings_are_kept(qtbot, window, remote):
 
 def test_five_hundred_nodelets_stay_usable(qtbot):
     remote = SimulatedRemote()
-    remote.add_transformation(
+    remote.client.add_transformation(
         "<transformation><label>relay</label><source>p/Relay</source><ports>"
         '<port type="in">in</port><port type="out">out</port></ports></transformation>'
     )
     for i in range(500):
         group, place = divmod(i, 10)
         before = f"/g{group}/t{place - 1}" if place else f"/g{group - 1}/t9" if group else ""
-        remote.spawn("relay", f"/g{group}/n{place}", {"in": before, "out": f"/g{group}/t{place}"})
+        remote.client.spawn(
+            "relay", f"/g{group}/n{place}", {"in": before, "out": f"/g{group}/t{place}"}
+        )
     widget = DyKnowWidget(remote)
     qtbot.addWidget(widget, before_close_func=lambda w: w.shut_down())
     widget.resize(1400, 800)
@@ -110,12 +112,14 @@ def test_five_hundred_nodelets_stay_usable(qtbot):
     worst = max(pauses(qtbot, 30000, lambda: len(widget.graph.drawn.vertices) == 1000))
     assert len(widget.graph.drawn.vertices) == 1000
     assert worst < 3.0, worst
-    remote.set_config("/g7/n3", {"in": "/elsewhere"})
+    remote.client.set_config("/g7/n3", {"in": "/elsewhere"})
     worst = max(pauses(qtbot, 30000, lambda: "t_/elsewhere" in vertex_keys(widget)))
     assert "t_/elsewhere" in vertex_keys(widget)
     assert worst < 3.0, worst
     for i in range(100):
-        remote.spawn("relay", f"/more/n{i}", {"in": f"/more/t{i}", "out": f"/more/t{i + 1}"})
+        remote.client.spawn(
+            "relay", f"/more/n{i}", {"in": f"/more/t{i}", "out": f"/more/t{i + 1}"}
+        )
     worst = max(pauses(qtbot, 30000, lambda: "n_/more/n99" in vertex_keys(widget)))
     zoom = widget.graph.view.zoom
     assert "n_/more/n99" in vertex_keys(widget)

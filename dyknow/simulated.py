@@ -1,0 +1,281 @@
+"""A DyKnow manager in this process, without ROS: for tests, for pictures, and to try things out.
+
+It is the real manager, planner and claims included, on nodelets that run nowhere. No message
+flows; what ports count is made up.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import replace
+from typing import Callable, Dict, Iterable, List, Mapping, Optional, Set, Tuple, TypeVar
+
+from dyknow import names
+from dyknow.errors import DyKnowError, HostError, NodeletUnreachable, Refused
+from dyknow.manager.claim import ClaimEvent
+from dyknow.manager.claims.advice import unknown_labels
+from dyknow.manager.claims.answers import StreamAnswers, refusal_of
+from dyknow.manager.claims.reconciler import StreamReconciler
+from dyknow.manager.fake_host import FakeHost
+from dyknow.manager.library import Library
+from dyknow.manager.manager import Manager
+from dyknow.manager.store import Store
+from dyknow.model.client import BaseManagerClient
+from dyknow.model.graph import Model, PortState, SpawnRequest
+from dyknow.model.statistics import NodeletStatistics, PortStatistics
+from dyknow.model.streams import (
+    Acquisition,
+    Replanned,
+    StreamEvent,
+    StreamRequest,
+    StreamStatus,
+)
+from dyknow.model.transformation import IN, OUT, TOPIC, Added, Transformation
+
+T = TypeVar("T")
+
+
+class SimulatedHost(FakeHost):
+    """Runs nodelets of every source: they have the ports that transformations declare."""
+
+    def __init__(self) -> None:
+        """Know the relay, which claims may need."""
+        super().__init__({"dyknow/Relay": (("in", IN, "*"), ("out", OUT, "*"))})
+
+    def learn(self, transformations: Iterable[Transformation]) -> None:
+        """Take the ports of sources from their transformations."""
+        for each in transformations:
+            if each.type == TOPIC:
+                self.topics.add(each.source)
+            else:
+                ports = {port[0]: port for port in self.sources.get(each.source, ())}
+                ports.update((port.name, port[:3]) for port in each.ports)
+                self.sources[each.source] = tuple(ports.values())
+
+    def _new_name(self) -> str:
+        number = len(self.processes) + 1
+        return "/dyknow_nodelet_manager" + (f"_{number}" if number > 1 else "")
+
+
+class _Silent(HostError):
+    """Nobody is there to answer."""
+
+
+class SimulatedManagerClient(BaseManagerClient):
+    """The client of a manager that is made with it; every method is safe from any thread.
+
+    Attributes:
+        host: runs the nodelets; faults are injected there.
+        core: the manager itself.
+        reconciler: keeps its claims.
+        is_up: whether the manager answers.
+        delay: seconds that every answer takes.
+        calls: what was asked, in order: name of the method and its subject.
+        rates: messages and lost messages a second of ports, by nodelet and port. In-ports that
+            are not named receive what is sent on their topic.
+        on_model: called with the graph after each change.
+        on_event: called with each event of a claim.
+    """
+
+    def __init__(
+        self,
+        host: Optional[FakeHost] = None,
+        core: Optional[Manager] = None,
+        clock: Callable[[], float] = time.monotonic,
+        now: Callable[[], float] = time.time,
+    ) -> None:
+        """Make a manager, or take one.
+
+        Args:
+            host: runs the nodelets; by default one that runs every source.
+            core: a manager on that host; by default one without transformations.
+            clock: seconds, steady.
+            now: seconds on the clock of those who read when a lease ends.
+        """
+        self.manager = "/dyknow_manager"
+        self.host = host or SimulatedHost()
+        self.core = core or _manager_on(self.host)
+        self.is_up = True
+        self.delay = 0.0
+        self.calls: List[Tuple[str, str]] = []
+        self.rates: Dict[Tuple[str, str], Tuple[float, float]] = {}
+        self.on_model: Callable[[Model], None] = lambda model: None
+        self.on_event: Callable[[StreamEvent], None] = lambda event: None
+        self._turn = threading.RLock()
+        self._start = time.monotonic()
+        self.reconciler = StreamReconciler(self.core, clock=clock, sleep=self._pass)
+        self.reconciler.on_event = self._tell_event
+        self._answers = StreamAnswers(now, clock)
+        self._claims: Set[str] = set()
+        self._altered: Dict[str, Dict[str, object]] = {}
+        self.core.on_change = self._tell_model
+
+    def alter(self, name: str, **fields: object) -> None:
+        """Show other fields of a nodelet, such as a ``state``, for as long as it is there."""
+        self.core.graph.get(name)
+        self._altered[name] = {**self._altered.get(name, {}), **fields}
+        self._tell_model()
+
+    def settle(self) -> None:
+        """Let messages pass once, and the manager and its claims follow what has happened."""
+        with self._turn:
+            self._pass(0.0)
+            self.core.look()
+            self.reconciler.reconcile()
+
+    # The interface
+
+    def add_transformation(self, specification: str) -> Added:
+        def add() -> Added:
+            found = self.core.add_transformation(specification)
+            if isinstance(self.host, SimulatedHost):
+                self.host.learn(found.transformations)
+            labels = tuple(sorted({each.label for each in found.transformations}))
+            return Added(labels, "\n".join(map(str, found.warnings)))
+
+        return self._do("add_transformation", specification, add)
+
+    def remove_transformation(self, label: str) -> None:
+        self._do("remove_transformation", label, lambda: self.core.remove_transformation(label))
+
+    def spawn_nodelet(self, request: SpawnRequest) -> None:
+        self._do("spawn", request.name, lambda: self.core.spawn(request))
+
+    def destroy(self, name: str) -> None:
+        self._do("destroy", name, lambda: self.core.destroy(name))
+        self._altered.pop(self.core.resolve(name), None)
+
+    def set_protection(self, name: str, is_protected: bool) -> None:
+        self._do("set_protection", name, lambda: self.core.set_protection(name, is_protected))
+
+    def get_model(self) -> Model:
+        return self._do("get_model", "", lambda: self._show(self.core.get_model()))
+
+    def get_graph(self) -> Model:
+        return self._do("get_graph", "", lambda: self._show(self.core.graph_model()))
+
+    def nodelet_managers(self) -> List[str]:
+        return self._do("nodelet_managers", "", lambda: sorted(self.host.processes))
+
+    def get_config(self, nodelet: str) -> Tuple[PortState, ...]:
+        return self._do("get_config", nodelet, lambda: self._ports(nodelet))
+
+    def set_config(self, nodelet: str, config: Mapping[str, str]) -> None:
+        def connect() -> None:
+            space = names.parent(nodelet)
+            topics = {
+                port: names.resolve(names.check(topic, "topic"), space, nodelet) if topic else ""
+                for port, topic in config.items()
+            }
+            self._check_runs(nodelet)
+            self.host.connect(nodelet, topics)
+            self.core.look({nodelet})
+
+        self._do("set_config", nodelet, connect)
+
+    def get_statistics(self, nodelet: str) -> NodeletStatistics:
+        def count() -> NodeletStatistics:
+            age = time.monotonic() - self._start
+            ports = tuple(self._port(nodelet, port, age) for port in self._ports(nodelet))
+            return NodeletStatistics(age, 0, 0, ports)
+
+        return self._do("get_statistics", nodelet, count)
+
+    def acquire_stream(self, request: StreamRequest, dry_run: bool = False) -> Acquisition:
+        def acquire() -> Acquisition:
+            try:
+                acquired = self.reconciler.acquire(request, dry_run)
+            except DyKnowError as error:
+                raise refusal_of(error) from error
+            warnings = unknown_labels(self.core, request.exclude)
+            return self._answers.acquisition(acquired, warnings)
+
+        return self._do("plan_stream" if dry_run else "acquire_stream", request.tag, acquire)
+
+    def release_stream(self, claim_id: str) -> None:
+        self._do("release_stream", claim_id, lambda: self.reconciler.release(claim_id))
+
+    def renew_stream(self, claim_id: str, lease: float) -> float:
+        def renew() -> float:
+            return self._answers.expires(self.reconciler.renew(claim_id, lease))
+
+        return self._do("renew_stream", claim_id, renew)
+
+    def replan_stream(self, claim_id: str, dry_run: bool = False) -> Replanned:
+        def replan() -> Replanned:
+            return self._answers.replanned(self.reconciler.replan(claim_id, dry_run))
+
+        return self._do("replan_stream", claim_id, replan)
+
+    def list_streams(self) -> Tuple[StreamStatus, ...]:
+        return self._do(
+            "list_streams", "", lambda: tuple(map(self._answers.status, self.reconciler.claims()))
+        )
+
+    # Inside
+
+    def _do(self, method: str, subject: str, action: Callable[[], T]) -> T:
+        """Answer as a manager of the ROS graph does."""
+        self._note(method, subject)
+        with self._turn:
+            try:
+                return action()
+            except (Refused, NodeletUnreachable, _Silent):
+                raise
+            except DyKnowError as error:
+                raise Refused(str(error)) from error
+
+    def _note(self, method: str, subject: str) -> None:
+        self.calls.append((method, subject))
+        if self.delay:
+            time.sleep(self.delay)
+        if not self.is_up:
+            raise HostError(f"service {self.manager}/{method} is not there")
+
+    def _ports(self, nodelet: str) -> Tuple[PortState, ...]:
+        self._check_runs(nodelet)
+        return self.host.ports(nodelet)
+
+    def _check_runs(self, nodelet: str) -> None:
+        if nodelet not in self.host.running:
+            raise _Silent(f"service {nodelet}/get_config is not there")
+
+    def _pass(self, seconds: float) -> None:
+        self.host.flow()
+
+    def _tell_model(self) -> None:
+        self.on_model(self._show(self.core.graph_model()))
+
+    def _tell_event(self, event: ClaimEvent) -> None:
+        is_new = event.after.claim_id not in self._claims
+        self._claims.add(event.after.claim_id)
+        self.on_event(self._answers.event(event, is_new))
+
+    def _show(self, model: Model) -> Model:
+        if not self._altered:
+            return model
+        nodelets = tuple(
+            replace(each, **self._altered.get(each.name, {}))  # type: ignore[arg-type]
+            for each in model.nodelets
+        )
+        return replace(model, nodelets=nodelets)
+
+    def _port(self, nodelet: str, port: PortState, age: float) -> PortStatistics:
+        rate, lost = self.rates.get((nodelet, port.name), (0.0, 0.0))
+        if port.direction == IN and port.topic and (nodelet, port.name) not in self.rates:
+            rate = sum(
+                self.rates.get((each.name, other.name), (0.0, 0.0))[0]
+                for each in self.core.graph.all()
+                for other in each.ports
+                if other.direction == OUT and other.topic == port.topic
+            )
+        counts = int(rate * age), int(lost * age)
+        return PortStatistics(port.name, port.direction, port.topic, *counts, rate, 0.0, 0.0)
+
+
+def _manager_on(host: FakeHost) -> Manager:
+    store = Store(":memory:")
+    manager = Manager(host, store, Library(store))
+    manager.start()
+    return manager
