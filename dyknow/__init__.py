@@ -18,12 +18,14 @@ if TYPE_CHECKING:
     from dyknow.nodelet.nodelet import Nodelet
     from dyknow.proxy.handle import NodeHandle
     from dyknow.ros.acquiring import acquire
+    from dyknow.ros.client import ManagerClient
 
-__all__ = ["NodeHandle", "Nodelet", "acquire"]
+__all__ = ["ManagerClient", "NodeHandle", "Nodelet", "acquire"]
 
 __version__ = "0.1.0"
 
 _HOMES = {
+    "ManagerClient": "dyknow.ros.client",
     "Nodelet": "dyknow.nodelet",
     "NodeHandle": "dyknow.proxy",
     "acquire": "dyknow.ros.acquiring",

@@ -60,6 +60,7 @@ from __future__ import annotations
 import enum
 from typing import Iterable, NamedTuple, Sequence, Tuple
 
+from dyknow.demand_text import read_missing
 from dyknow.similar import did_you_mean
 
 
@@ -441,11 +442,13 @@ class StreamRefused(Refused):
     Attributes:
         result: why, as a number.
         claim_id: the claim that waits until the stream can be made; empty if there is none.
+        missing: the tags that nothing supplies, sorted; empty if that is not the reason.
     """
 
     def __init__(self, message: str, result: Result, claim_id: str = "") -> None:
         self.result = result
         self.claim_id = claim_id
+        self.missing = read_missing(message)
         super().__init__(message)
 
     def given_up(self) -> StreamRefused:

@@ -22,6 +22,7 @@ OTHER_STATE_LOCKS = "every other state lock"
 
 #: Every turn, the outermost first.
 TURNS: Tuple[str, ...] = (
+    "simulated manager",
     "claim request",
     "claim work",
     "look at nodelet managers",

@@ -6,13 +6,13 @@ flows; what ports count is made up.
 
 from __future__ import annotations
 
-import threading
 import time
 from dataclasses import replace
 from typing import Callable, Dict, Iterable, List, Mapping, Optional, Set, Tuple, TypeVar
 
 from dyknow import names
 from dyknow.errors import DyKnowError, HostError, NodeletUnreachable, Refused
+from dyknow.locks import turn_lock
 from dyknow.manager.claim import ClaimEvent
 from dyknow.manager.claims.advice import unknown_labels
 from dyknow.manager.claims.answers import StreamAnswers, refusal_of
@@ -74,8 +74,9 @@ class SimulatedManagerClient(BaseManagerClient):
         calls: what was asked, in order: name of the method and its subject.
         rates: messages and lost messages a second of ports, by nodelet and port. In-ports that
             are not named receive what is sent on their topic.
-        on_model: called with the graph after each change.
-        on_event: called with each event of a claim.
+        on_model: called with the graph after each change, before the call that made it returns; it
+            must not call the client.
+        on_event: called in the same way with each event of a claim.
     """
 
     def __init__(
@@ -102,7 +103,7 @@ class SimulatedManagerClient(BaseManagerClient):
         self.rates: Dict[Tuple[str, str], Tuple[float, float]] = {}
         self.on_model: Callable[[Model], None] = lambda model: None
         self.on_event: Callable[[StreamEvent], None] = lambda event: None
-        self._turn = threading.RLock()
+        self._turn = turn_lock("simulated manager")
         self._start = time.monotonic()
         self.reconciler = StreamReconciler(self.core, clock=clock, sleep=self._pass)
         self.reconciler.on_event = self._tell_event

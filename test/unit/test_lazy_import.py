@@ -33,7 +33,11 @@ def test_a_name_of_the_author_loads_no_ros(name: str) -> None:
     assert modules.isdisjoint({"rospy", "roslib", "genpy", "rosgraph", "dyknow_msgs"})
 
 
+def test_the_client_needs_no_node_and_no_rospy() -> None:
+    assert "rospy" not in modules_after("from dyknow import ManagerClient")
+
+
 def test_names_are_listed_and_others_refused() -> None:
-    assert {"Nodelet", "NodeHandle", "acquire"} <= set(dir(dyknow))
+    assert {"ManagerClient", "Nodelet", "NodeHandle", "acquire"} <= set(dir(dyknow))
     with pytest.raises(AttributeError, match="nonesuch"):
         dyknow.nonesuch  # noqa: B018

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from typing import FrozenSet, NamedTuple, Tuple, Union
 
+from dyknow.demand_text import write_missing
 from dyknow.manager.planning.supply import Demand
 
 
@@ -107,8 +108,7 @@ class NoPlan(NamedTuple):
     def __str__(self) -> str:
         """Name what is missing."""
         if self.missing:
-            listed = "; ".join(map(str, self.missing))
-            return f"no plan for {self.demand}: nothing supplies {listed}"
+            return write_missing(str(self.demand), map(str, self.missing))
         return f"no plan for {self.demand}: everything that supplies it needs it first"
 
 

@@ -18,6 +18,7 @@ from typing import (
     TypeVar,
 )
 
+from dyknow.demand_text import write_demand
 from dyknow.manager.specifications.tags import NO_ONTOLOGY, Subsumption, Term, matches
 
 _Functor = Tuple[str, int]  # with the number of arguments
@@ -37,8 +38,7 @@ class Demand(NamedTuple):
 
     def __str__(self) -> str:
         """Write the demand for people."""
-        text = " & ".join(sorted(map(str, self.tags)))
-        return f"{text} [{self.datatype}]" if self.datatype else text
+        return write_demand(map(str, self.tags), self.datatype)
 
 
 def meets(
