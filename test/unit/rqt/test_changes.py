@@ -7,10 +7,9 @@ from typing import Any
 
 import pytest
 
-from dyknow.errors import InvalidName, Refused
-from dyknow.model.statistics import NodeletStatistics, PortStatistics
 from dyknow.errors import HostError, InvalidName
 from dyknow.model.graph import SpawnRequest
+from dyknow.model.statistics import NodeletStatistics, PortStatistics
 from dyknow.wiring.ports import CannotConnect
 from dyknow.wiring.wiring import wiring_of
 from dyknow_rqt.graph.changes import (
