@@ -3,8 +3,9 @@
 A *strand* runs its tasks one after another in the order in which they came; a nodelet has one,
 so its callbacks never overlap. A *worker pool* runs many strands on few threads: a strand that
 has something to do stands once in the pool's queue, and a flag says that it does ("busy": it
-stands in the queue or runs). Who raises the flag puts the strand into the queue, who finds the
-strand empty lowers it, both under the lock, so no wake-up is ever lost and nothing polls.
+stands in the queue or runs). The thread that raises the flag puts the strand into the queue; the
+thread that finds the strand empty lowers it. Both happen under the lock of messages, so no wake-up
+is ever lost and nothing polls.
 
 The worker that was busy last is woken first: what it touched is still in the caches of its core,
 and since one thread at a time runs Python, another core would gain nothing. A worker that was
