@@ -14,15 +14,12 @@ from dyknow_benchmark import machine, options, progress
 from dyknow_benchmark.chains import Chains
 from dyknow_benchmark.control import Block, Order
 from dyknow_benchmark.managers import RunningManager
-from dyknow_benchmark.outcome import Results
+from dyknow_benchmark.results import Results
 from dyknow_benchmark.session import Session
-from dyknow_benchmark.summary import Summary
+from dyknow_benchmark.summary import ARRIVALS, Summary
 
-HEADER = ("burner", "hops", "messages", "lost", "mean_us", "median_us", "p99_us", "max_us")
+HEADER = ("burner", "hops", *ARRIVALS)
 _BURNER = "/benchmark/burner"
-_WARM_UP = 5
-#: Messages in one block.
-_BLOCK = 50
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -37,8 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> Results:
     """Measure and put the results together."""
     hops = arguments.hops
-    turns = -(-arguments.messages // _BLOCK)
-    order = Order(_WARM_UP, arguments.messages // turns, arguments.rate)
+    turns, order = Order.in_turns(arguments.messages, arguments.rate)
     with Session() as session:
         chains = Chains(session)
         chain = chains.build("dyknow", hops, [hops])
@@ -57,12 +53,10 @@ def run(arguments: argparse.Namespace) -> Results:
             blocks[case].add(chain.finish(order, chain.begin(order)))
             if manager is not None:
                 manager.unload(_BURNER)
-    outcome = Results()
-    rows = []
-    for case, block in blocks.items():
-        s = Summary.of(block.latencies[hops])
-        row = (case, hops, s.count, block.sent - s.count, s.mean, s.median, s.p99, s.max)
-        rows.append(row)
-    outcome.table("busy", "time to arrival while another nodelet burns CPU", HEADER, rows)
-    outcome.table("machine", "the machine", machine.HEADER, load.rows())
-    return outcome
+    results = Results(load.rows())
+    rows = [
+        (case, hops, *Summary.of(block.latencies[hops]).arrivals(block.sent))
+        for case, block in blocks.items()
+    ]
+    results.table("busy", "time to arrival while another nodelet burns CPU", HEADER, rows)
+    return results

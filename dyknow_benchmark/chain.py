@@ -17,19 +17,17 @@ from typing import Dict, List, Sequence, Tuple
 
 from dyknow_benchmark import figure, machine, options, progress, ratios, tables
 from dyknow_benchmark.chains import Chains
-from dyknow_benchmark.control import Block, ChainControl, Order, run_alternating
+from dyknow_benchmark.control import WARM_UP, Block, ChainControl, Order, run_alternating
 from dyknow_benchmark.kinds import KINDS, THE_PAPERS
-from dyknow_benchmark.outcome import Results
+from dyknow_benchmark.results import Results
 from dyknow_benchmark.session import Session
-from dyknow_benchmark.summary import Summary, median, median_interval
+from dyknow_benchmark.summary import ARRIVALS, Summary, median, median_interval
 from dyknow_benchmark.targets import Verdict
 
-HEADER = ("kind", "hops", "messages", "lost", "mean_us", "median_us", "p99_us", "max_us")
+HEADER = ("kind", "hops", *ARRIVALS)
 OVERHEAD_HEADER = ("hops", "pairs", "median_us", "low_us", "high_us")
 #: Where the files go without ``--out``: they took too long to be lost.
 OUT = Path("figure4")
-#: Messages at the start of every block that do not count.
-WARM_UP = 5
 #: Messages of each chain in one pair.
 PAIR_MESSAGES = 25
 
@@ -147,7 +145,7 @@ def run(arguments: argparse.Namespace) -> Results:
         further: List[Verdict] = []
         if plan.ratio_messages > 0 and ratios.HOPS in plan.hops:
             further = ratios.measure(chains, controls, plan.frequency, plan.ratio_messages)
-    return outcome(plan, blocks, differences, further, load.rows())
+    return results_of(plan, blocks, differences, further, load.rows())
 
 
 def measure(plan: ChainPlan, controls: Dict[str, ChainControl]) -> Dict[str, Block]:
@@ -181,7 +179,7 @@ def pair(plan: ChainPlan, controls: Dict[str, ChainControl]) -> Dict[int, List[f
     return differences
 
 
-def outcome(
+def results_of(
     plan: ChainPlan,
     blocks: Dict[str, Block],
     differences: Dict[int, List[float]],
@@ -195,8 +193,8 @@ def outcome(
         for hops in plan.hops
     }
     rows: List[Sequence[tables.Cell]] = [
-        (kind, hops, s.count, blocks[kind].sent - s.count, s.mean, s.median, s.p99, s.max)
-        for (kind, hops), s in summaries.items()
+        (kind, hops, *summary.arrivals(blocks[kind].sent))
+        for (kind, hops), summary in summaries.items()
     ]
     overhead: List[Sequence[tables.Cell]] = [
         (hops, len(values), median(values), *median_interval(values))
@@ -204,14 +202,13 @@ def outcome(
         if values
     ]
     means = {key: summary.mean for key, summary in summaries.items() if summary.count}
-    outcome = Results([*judge(plan, means, differences), *further])
-    outcome.table("figure4", "time to arrival", HEADER, rows)
+    results = Results(load, [*judge(plan, means, differences), *further])
+    results.table("figure4", "time to arrival", HEADER, rows)
     if overhead:
-        outcome.table("overhead", "what the proxy adds", OVERHEAD_HEADER, overhead)
-    outcome.table("machine", "the machine", machine.HEADER, load)
+        results.table("overhead", "what the proxy adds", OVERHEAD_HEADER, overhead)
     title = f"{plan.messages} messages at {plan.frequency:g} Hz"
-    outcome.draw("figure4", lambda path: figure.draw(means, title, path))
-    return outcome
+    results.draw("figure4", lambda path: figure.draw(means, title, path))
+    return results
 
 
 def judge(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field
-from typing import Dict, List, Sequence
+from typing import Dict, List, Sequence, Tuple
 
 import rospy
 from std_msgs.msg import Empty, Float64MultiArray
@@ -16,6 +16,10 @@ from dyknow_benchmark.session import START_PATIENCE, MeasurementFailed, Session
 LEAD = 0.1
 #: Seconds without a further report after which a message counts as lost.
 TAIL = 1.0
+#: Messages at the start of every block that do not count.
+WARM_UP = 5
+#: Messages in a block, where several chains take turns.
+_BLOCK = 50
 
 
 @dataclass
@@ -50,6 +54,12 @@ class Order:
     warm_up: int
     count: int
     frequency: float
+
+    @classmethod
+    def in_turns(cls, messages: int, frequency: float) -> Tuple[int, Order]:
+        """Divide messages into blocks; returns the number of turns and the order of each."""
+        turns = -(-messages // _BLOCK)
+        return turns, cls(WARM_UP, messages // turns, frequency)
 
     @property
     def duration(self) -> float:

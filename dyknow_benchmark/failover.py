@@ -20,7 +20,7 @@ import dyknow
 from dyknow.locks import state_lock
 from dyknow.ros.acquiring import AcquiredStream
 from dyknow_benchmark import machine, options, progress, system
-from dyknow_benchmark.outcome import Results
+from dyknow_benchmark.results import Results
 from dyknow_benchmark.session import Session, wait_until
 from dyknow_benchmark.targets import Verdict
 
@@ -77,10 +77,9 @@ def run(arguments: argparse.Namespace) -> Results:
             rows.append((failure.kind, len(times), *system.spread(times)))
             what = f"{failure.kind}: replaced, median in s"
             verdicts.append(Verdict(what, system.spread(times)[1], failure.target))
-    outcome = Results(verdicts)
-    outcome.table("failover", "failover of a claimed stream", HEADER, rows)
-    outcome.table("machine", "the machine", machine.HEADER, load.rows())
-    return outcome
+    results = Results(load.rows(), verdicts)
+    results.table("failover", "failover of a claimed stream", HEADER, rows)
+    return results
 
 
 class _Failure(NamedTuple):

@@ -13,15 +13,13 @@ from dyknow_benchmark import machine, options, progress
 from dyknow_benchmark.chains import Chains
 from dyknow_benchmark.control import Block, Order
 from dyknow_benchmark.kinds import KINDS
-from dyknow_benchmark.outcome import Results
+from dyknow_benchmark.results import Results
 from dyknow_benchmark.session import Session
-from dyknow_benchmark.summary import Summary
+from dyknow_benchmark.summary import ARRIVALS, Summary
+from dyknow_benchmark.tables import Cell
 
-HEADER = ("kind", "receivers", "messages", "lost", "mean_us", "median_us", "p99_us", "max_us")
+HEADER = ("kind", "receivers", *ARRIVALS)
 _KINDS = ("dyknow", "nodelet", "cpp_nodelet")
-_WARM_UP = 5
-#: Messages in one block.
-_BLOCK = 50
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -45,8 +43,7 @@ def run(arguments: argparse.Namespace) -> Results:
         for kind in dict.fromkeys(arguments.kinds)
         for receivers in sorted(set(arguments.receivers))
     }
-    turns = -(-arguments.messages // _BLOCK)
-    order = Order(_WARM_UP, arguments.messages // turns, arguments.rate)
+    turns, order = Order.in_turns(arguments.messages, arguments.rate)
     with Session() as session:
         chains = Chains(session)
         controls = {}
@@ -57,16 +54,14 @@ def run(arguments: argparse.Namespace) -> Results:
         steps = [key for _ in range(turns) for key in blocks]
         for key in progress.steps(steps, "fan", len(steps)):
             blocks[key].append(controls[key].finish(order, controls[key].begin(order)))
-    outcome = Results()
-    rows = []
+    results = Results(load.rows())
+    rows: List[Tuple[Cell, ...]] = []
     for (kind, receivers), measured in blocks.items():
-        s = Summary.of([last for block in measured for last in last_arrivals(block)])
+        summary = Summary.of([last for block in measured for last in last_arrivals(block)])
         sent = sum(block.sent for block in measured)
-        row = (kind, receivers, s.count, sent - s.count, s.mean, s.median, s.p99, s.max)
-        rows.append(row)
-    outcome.table("fan", "time to arrival at the last receiver", HEADER, rows)
-    outcome.table("machine", "the machine", machine.HEADER, load.rows())
-    return outcome
+        rows.append((kind, receivers, *summary.arrivals(sent)))
+    results.table("fan", "time to arrival at the last receiver", HEADER, rows)
+    return results
 
 
 def last_arrivals(block: Block) -> List[float]:

@@ -14,7 +14,7 @@ from typing import Iterable, Sequence, Tuple
 from dyknow_benchmark import machine, options, progress, tables
 from dyknow_benchmark.chains import Chains
 from dyknow_benchmark.kinds import KINDS
-from dyknow_benchmark.outcome import Results
+from dyknow_benchmark.results import Results
 from dyknow_benchmark.session import Session
 
 HEADER = ("kind", "parts", "kib_each", "threads_each", "processes")
@@ -45,10 +45,9 @@ def run(arguments: argparse.Namespace) -> Results:
             parts = arguments.nodelets if kind in _NODELETS else arguments.nodes
             progress.say(f"setting up {parts}: {KINDS[kind]}")
             rows.append(_measure(session, chains, kind, parts))
-    outcome = Results()
-    outcome.table("footprint", "what a nodelet or a node takes", HEADER, rows)
-    outcome.table("machine", "the machine", machine.HEADER, load.rows())
-    return outcome
+    results = Results(load.rows())
+    results.table("footprint", "what a nodelet or a node takes", HEADER, rows)
+    return results
 
 
 def _measure(session: Session, chains: Chains, kind: str, parts: int) -> Sequence[tables.Cell]:

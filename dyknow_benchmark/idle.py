@@ -8,7 +8,7 @@ import time
 from dyknow_benchmark import machine, options, progress
 from dyknow_benchmark.chains import load_hops
 from dyknow_benchmark.managers import RunningManager
-from dyknow_benchmark.outcome import Results
+from dyknow_benchmark.results import Results
 from dyknow_benchmark.session import Session
 
 HEADER = ("nodelets", "seconds", "cpu_seconds", "cpu_percent")
@@ -33,8 +33,7 @@ def run(arguments: argparse.Namespace) -> Results:
         begin, used = time.monotonic(), machine.cpu_seconds(manager.pid)
         time.sleep(arguments.seconds)
         seconds, used = time.monotonic() - begin, machine.cpu_seconds(manager.pid) - used
-    outcome = Results()
+    results = Results(load.rows())
     row = (arguments.nodelets, seconds, used, 100.0 * used / seconds)
-    outcome.table("idle", "an idle nodelet manager", HEADER, [row])
-    outcome.table("machine", "the machine", machine.HEADER, load.rows())
-    return outcome
+    results.table("idle", "an idle nodelet manager", HEADER, [row])
+    return results

@@ -12,12 +12,12 @@ from typing import Dict, Sequence
 from dyknow_benchmark import machine, options, progress
 from dyknow_benchmark.chains import Chains
 from dyknow_benchmark.control import Block, Order, run_alternating
-from dyknow_benchmark.outcome import Results
+from dyknow_benchmark.results import Results
 from dyknow_benchmark.session import MeasurementFailed, Session
-from dyknow_benchmark.summary import Summary
+from dyknow_benchmark.summary import ARRIVALS, Summary
 from dyknow_benchmark.targets import Verdict
 
-HEADER = ("payload", "hops", "messages", "lost", "mean_us", "median_us", "p99_us", "max_us")
+HEADER = ("payload", "hops", *ARRIVALS)
 SIZES = ("320x240", "640x480", "1280x720", "1920x1080")
 #: The size that the target is stated for.
 LARGEST = SIZES[-1]
@@ -25,9 +25,6 @@ LARGEST = SIZES[-1]
 LIMIT = 1.2
 #: Hz, of each payload.
 RATE = 20.0
-_WARM_UP = 5
-#: Messages of each payload in one block.
-_BLOCK = 50
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -57,15 +54,15 @@ def run(arguments: argparse.Namespace) -> Results:
         chains = Chains(session)
         load = machine.Load()
         blocks = measure(chains, payloads, hops, arguments.rate, arguments.messages)
-    summaries = {name: Summary.of(block.latencies[hops]) for name, block in blocks.items()}
-    outcome = Results([verdict(blocks, size, hops) for size in payloads[1:] if size == LARGEST])
+    results = Results(
+        load.rows(), [verdict(blocks, size, hops) for size in payloads[1:] if size == LARGEST]
+    )
     rows = [
-        (name, hops, s.count, blocks[name].sent - s.count, s.mean, s.median, s.p99, s.max)
-        for name, s in summaries.items()
+        (name, hops, *Summary.of(block.latencies[hops]).arrivals(block.sent))
+        for name, block in blocks.items()
     ]
-    outcome.table("images", "time to arrival", HEADER, rows)
-    outcome.table("machine", "the machine", machine.HEADER, load.rows())
-    return outcome
+    results.table("images", "time to arrival", HEADER, rows)
+    return results
 
 
 def measure(
@@ -85,8 +82,7 @@ def measure(
         progress.say(f"setting up {hops} hops: {payload}")
         controls.append(chains.build("dyknow", hops, [hops], payload, "_alternating"))
     blocks = {payload: Block() for payload in payloads}
-    turns = -(-messages // _BLOCK)
-    order = Order(_WARM_UP, messages // turns, rate)
+    turns, order = Order.in_turns(messages, rate)
     for _ in progress.steps(range(turns), "images", turns):
         for payload, block in zip(payloads, run_alternating(controls, order)):
             blocks[payload].add(block)

@@ -16,7 +16,7 @@ import rosgraph
 
 from dyknow_benchmark import machine, options, progress
 from dyknow_benchmark.managers import RunningManager
-from dyknow_benchmark.outcome import Results
+from dyknow_benchmark.results import Results
 from dyknow_benchmark.session import Session
 from dyknow_benchmark.switching import ENDS, Switching
 from dyknow_benchmark.targets import Verdict
@@ -71,16 +71,16 @@ def run(arguments: argparse.Namespace) -> Results:
         after = _settled(manager)
     names = [field.name for field in fields(Census)]
     rows = list(zip(names, astuple(before), astuple(after)))
-    outcome = Results(
+    results = Results(
+        load.rows(),
         [
             Verdict(f"{name} left by {arguments.cycles} cycles", now - then, 0)
             for name, then, now in rows
             if name != "resident_kib"
-        ]
+        ],
     )
-    outcome.table("leak", "what the nodelet manager holds", HEADER, rows)
-    outcome.table("machine", "the machine", machine.HEADER, load.rows())
-    return outcome
+    results.table("leak", "what the nodelet manager holds", HEADER, rows)
+    return results
 
 
 def _cycle(manager: RunningManager, switching: Switching) -> None:

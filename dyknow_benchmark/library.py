@@ -12,7 +12,7 @@ from dyknow.manager.planning.supply import Demand
 from dyknow.manager.specifications.specification import parse
 from dyknow.manager.specifications.tags import parse_tag
 from dyknow_benchmark import machine, options, progress, system
-from dyknow_benchmark.outcome import Results
+from dyknow_benchmark.results import Results
 from dyknow_benchmark.session import MeasurementFailed, Session
 from dyknow_benchmark.targets import Verdict
 
@@ -42,11 +42,12 @@ def run(arguments: argparse.Namespace) -> Results:
     transformations = parse(text).transformations
     parsing = time.monotonic() - begin
     indexing, plans = _plan(transformations, count)
-    outcome = Results(
+    results = Results(
+        load.rows(),
         [
             Verdict("plan, median in s", system.spread(plans)[1], 0.5),
             Verdict("plan with the planner's index made first, in s", indexing + plans[0], 2.0),
-        ]
+        ],
     )
     rows = [
         ("add by service", 1, adding, adding, adding),
@@ -54,9 +55,8 @@ def run(arguments: argparse.Namespace) -> Results:
         ("index for the planner", 1, indexing, indexing, indexing),
         ("plan", len(plans), *system.spread(plans)),
     ]
-    outcome.table("library", f"{count} transformations", HEADER, rows)
-    outcome.table("machine", "the machine", machine.HEADER, load.rows())
-    return outcome
+    results.table("library", f"{count} transformations", HEADER, rows)
+    return results
 
 
 def _plan(transformations: Tuple, count: int) -> Tuple[float, List[float]]:  # type: ignore[type-arg]

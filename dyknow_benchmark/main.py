@@ -26,7 +26,7 @@ from dyknow_benchmark import (
     rewire,
     throughput,
 )
-from dyknow_benchmark.outcome import Results, obstacle
+from dyknow_benchmark.results import Results, obstacle
 from dyknow_benchmark.session import MeasurementFailed, interruptible
 
 #: Measurements by name; each module has ``add_arguments``, ``run`` and a docstring.
@@ -65,23 +65,23 @@ def main(argv: Optional[Sequence[str]] = None) -> int:
         return FAILED
     try:
         with interruptible():
-            outcome = arguments.run(arguments)
+            results = arguments.run(arguments)
     except MeasurementFailed as error:
         print(f"benchmark: {error}", file=sys.stderr)
         return FAILED
     except KeyboardInterrupt:
         print("benchmark: interrupted, nothing is written", file=sys.stderr)
         return INTERRUPTED
-    print(outcome.show())
-    if arguments.out is not None and not _write(outcome, arguments.out):
+    print(results.show())
+    if arguments.out is not None and not _write(results, arguments.out):
         return FAILED
-    return TARGET_NOT_MET if arguments.check and not outcome.met else 0
+    return TARGET_NOT_MET if arguments.check and not results.met else 0
 
 
-def _write(outcome: Results, directory: Path) -> bool:
+def _write(results: Results, directory: Path) -> bool:
     """Write the files and say so; or why not."""
     try:
-        paths = outcome.write(directory)
+        paths = results.write(directory)
     except OSError as error:
         print(f"benchmark: cannot write to {directory}: {error}", file=sys.stderr)
         return False

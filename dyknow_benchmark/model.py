@@ -10,7 +10,7 @@ import rospy
 from dyknow_msgs.msg import Model
 
 from dyknow_benchmark import machine, options, progress, system
-from dyknow_benchmark.outcome import Results
+from dyknow_benchmark.results import Results
 from dyknow_benchmark.session import Session
 from dyknow_benchmark.targets import Verdict
 
@@ -53,18 +53,18 @@ def run(arguments: argparse.Namespace) -> Results:
         progress.say(f"listening for {_QUIET:g} s while nothing changes")
         time.sleep(_QUIET)
         subscriber.unregister()
-    outcome = Results(
+    results = Results(
+        load.rows(),
         [
             Verdict("spawn, median in ms", system.spread(spawns)[1], 30.0),
             Verdict("GetModel, median in ms", system.spread(answers)[1], 50.0),
             Verdict("~model published while nothing changed", float(len(heard)), 0.0),
             Verdict("nodelets in the model", float(nodelets), arguments.nodelets, at_least=True),
-        ]
+        ],
     )
     rows = [
         ("spawn", len(spawns), *system.spread(spawns)),
         ("GetModel", len(answers), *system.spread(answers)),
     ]
-    outcome.table("model", f"{arguments.nodelets} nodelets in one nodelet manager", HEADER, rows)
-    outcome.table("machine", "the machine", machine.HEADER, load.rows())
-    return outcome
+    results.table("model", f"{arguments.nodelets} nodelets in one nodelet manager", HEADER, rows)
+    return results

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import dyknow
-from dyknow_benchmark import wiring
+from dyknow_benchmark import control_topics
 from dyknow_benchmark.parts import Hop, MessageSource, Ring, payload_of
 
 
@@ -21,7 +21,7 @@ class ChainSource(dyknow.Nodelet):
         payload = payload_of(handle.get_param("~payload", "time"))
         publisher = handle.Publisher("out", payload.datatype, queue_size=10)
         self._source = MessageSource(publisher.publish, payload)
-        wiring.listen_send(self.node_handle, handle.get_param("~control"), self._source)
+        control_topics.listen_send(self.node_handle, handle.get_param("~control"), self._source)
 
     def on_shutdown(self) -> None:
         """Stop sending."""
@@ -47,7 +47,9 @@ class ChainHop(dyknow.Nodelet):
         number = handle.get_param("~hop", 0)
         hop = Hop(number, record, publisher.publish, payload)
         if record:
-            wiring.listen_collect(self.node_handle, handle.get_param("~control"), number, hop)
+            control_topics.listen_collect(
+                self.node_handle, handle.get_param("~control"), number, hop
+            )
         handle.Subscriber("in", payload.datatype, hop.receive, queue_size=10)
 
     def _handle(self) -> Any:
@@ -67,8 +69,8 @@ class ChainRing(dyknow.Nodelet):
         publisher = handle.Publisher("out", payload.datatype, queue_size=10)
         ring = Ring(publisher.publish, payload)
         control = handle.get_param("~control")
-        wiring.listen_send(self.node_handle, control, ring)
-        wiring.listen_collect(self.node_handle, control, 0, ring)
+        control_topics.listen_send(self.node_handle, control, ring)
+        control_topics.listen_collect(self.node_handle, control, 0, ring)
         handle.Subscriber("in", payload.datatype, ring.receive, queue_size=10)
 
 

@@ -16,15 +16,12 @@ from dyknow.locks import state_lock
 from dyknow_benchmark import machine, options, progress
 from dyknow_benchmark.chains import Chains
 from dyknow_benchmark.control import Block, ChainControl, Order, run_alternating
-from dyknow_benchmark.outcome import Results
 from dyknow_benchmark.parts import payload_of
+from dyknow_benchmark.results import Results
 from dyknow_benchmark.session import Session, wait_until
-from dyknow_benchmark.summary import Summary
+from dyknow_benchmark.summary import ARRIVALS, Summary
 
-HEADER = ("listened", "hops", "messages", "lost", "mean_us", "median_us", "p99_us", "max_us")
-_WARM_UP = 5
-#: Messages of each chain in one block.
-_BLOCK = 50
+HEADER = ("listened", "hops", *ARRIVALS)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -51,8 +48,7 @@ def run(arguments: argparse.Namespace) -> Results:
     """Measure and put the results together."""
     hops = arguments.hops
     numbers = sorted({min(hops, max(0, number)) for number in arguments.listened})
-    turns = -(-arguments.messages // _BLOCK)
-    order = Order(_WARM_UP, arguments.messages // turns, arguments.rate)
+    turns, order = Order.in_turns(arguments.messages, arguments.rate)
     with Session() as session:
         chains = Chains(session)
         controls = []
@@ -67,15 +63,13 @@ def run(arguments: argparse.Namespace) -> Results:
         for _ in progress.steps(range(turns), "outside", turns):
             for block, measured in zip(blocks, run_alternating(controls, order)):
                 block.add(measured)
-    outcome = Results()
-    rows = []
-    for number, block in zip(numbers, blocks):
-        s = Summary.of(block.latencies[hops])
-        row = (number, hops, s.count, block.sent - s.count, s.mean, s.median, s.p99, s.max)
-        rows.append(row)
-    outcome.table("outside", "time to arrival with subscribers outside", HEADER, rows)
-    outcome.table("machine", "the machine", machine.HEADER, load.rows())
-    return outcome
+    results = Results(load.rows())
+    rows = [
+        (number, hops, *Summary.of(block.latencies[hops]).arrivals(block.sent))
+        for number, block in zip(numbers, blocks)
+    ]
+    results.table("outside", "time to arrival with subscribers outside", HEADER, rows)
+    return results
 
 
 def spread(hops: int, count: int) -> List[int]:

@@ -17,7 +17,7 @@ from dyknow.manager.planning.supply import Demand
 from dyknow.manager.specifications.tags import parse_tag
 from dyknow.model.transformation import IN, OUT, Port, Transformation
 from dyknow_benchmark import machine, options, progress
-from dyknow_benchmark.outcome import Results
+from dyknow_benchmark.results import Results
 from dyknow_benchmark.session import MeasurementFailed
 from dyknow_benchmark.summary import median
 from dyknow_benchmark.targets import Verdict
@@ -47,10 +47,9 @@ def run(arguments: argparse.Namespace) -> Results:
         ]
         row = (name, arguments.transformations, steps, loading)
         rows.append((*row, times[0], median(times), max(times)))
-    outcome = Results(verdicts)
-    outcome.table("plan", "plans over large libraries", HEADER, rows)
-    outcome.table("machine", "the machine", machine.HEADER, load.rows())
-    return outcome
+    results = Results(load.rows(), verdicts)
+    results.table("plan", "plans over large libraries", HEADER, rows)
+    return results
 
 
 def deep(count: int) -> List[Transformation]:

@@ -12,7 +12,7 @@ from typing import Sequence
 
 import rospy
 
-from dyknow_benchmark import wiring
+from dyknow_benchmark import control_topics
 from dyknow_benchmark.parts import Hop, MessageSource, Publish, Ring, payload_of
 
 
@@ -63,7 +63,7 @@ class Chain:
         publish: Publish = _nobody
         for number in range(length, 0, -1):
             publish = self._hop(number, publish).receive
-        wiring.listen_send(rospy, self._control, MessageSource(publish, self._payload))
+        control_topics.listen_send(rospy, self._control, MessageSource(publish, self._payload))
 
     def add_topics(self, numbers: Sequence[int]) -> None:
         """Add hops, the last first, so that each finds its listener."""
@@ -73,13 +73,13 @@ class Chain:
     def add_source(self) -> None:
         """Add the source."""
         source = MessageSource(self._publisher(0), self._payload)
-        wiring.listen_send(rospy, self._control, source)
+        control_topics.listen_send(rospy, self._control, source)
 
     def add_ring(self, length: int) -> None:
         """Connect the end of a chain of that length to its beginning."""
         ring = Ring(self._publisher(0), self._payload)
-        wiring.listen_send(rospy, self._control, ring)
-        wiring.listen_collect(rospy, self._control, 0, ring)
+        control_topics.listen_send(rospy, self._control, ring)
+        control_topics.listen_collect(rospy, self._control, 0, ring)
         self._subscribe(length, ring.receive)
 
     def _publisher(self, number: int) -> Publish:
@@ -95,7 +95,7 @@ class Chain:
     def _hop(self, number: int, publish: Publish) -> Hop:
         hop = Hop(number, number in self._record, publish, self._payload)
         if number in self._record:
-            wiring.listen_collect(rospy, self._control, number, hop)
+            control_topics.listen_collect(rospy, self._control, number, hop)
         return hop
 
 

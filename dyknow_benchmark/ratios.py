@@ -10,7 +10,7 @@ from typing import Dict, List, Mapping
 
 from dyknow_benchmark import images, progress
 from dyknow_benchmark.chains import Chains
-from dyknow_benchmark.control import Block, ChainControl, Order
+from dyknow_benchmark.control import WARM_UP, Block, ChainControl, Order
 from dyknow_benchmark.summary import Summary, median
 from dyknow_benchmark.targets import Verdict
 
@@ -21,7 +21,6 @@ OURS, PEER = "dyknow", "cpp_nodelet"
 LIMITS: Dict[float, float] = {100.0: 0.25, 5.0: 0.35}
 #: The most milliseconds that the proxy may add.
 ADDED_LIMIT = 0.02
-_WARM_UP = 5
 _TURNS = 2
 
 
@@ -62,7 +61,7 @@ def measure(
 
 def _at(frequency: float, controls: Mapping[str, ChainControl], messages: int) -> List[Verdict]:
     blocks = {OURS: Block(), PEER: Block()}
-    order = Order(_WARM_UP, max(1, messages // _TURNS), frequency)
+    order = Order(WARM_UP, max(1, messages // _TURNS), frequency)
     turns = [OURS, PEER, PEER, OURS]
     for kind in progress.steps(turns, f"{frequency:g} Hz", len(turns)):
         blocks[kind].add(controls[kind].finish(order, controls[kind].begin(order)))

@@ -17,7 +17,7 @@ from std_msgs.msg import Header
 
 from dyknow.locks import state_lock
 from dyknow_benchmark import machine, options, progress, system
-from dyknow_benchmark.outcome import Results
+from dyknow_benchmark.results import Results
 from dyknow_benchmark.session import Session, wait_until
 from dyknow_benchmark.targets import Verdict
 
@@ -71,7 +71,6 @@ def run(arguments: argparse.Namespace) -> Results:
             times.append(time.monotonic() - killed)
             progress.say(f"all streams back after {times[-1]:.2f} s")
     row = (arguments.nodelets, arguments.kills, *system.spread(times))
-    outcome = Results([Verdict("all streams back, longest in s", max(times), 3.0)])
-    outcome.table("recover", "recovery of a killed nodelet manager", HEADER, [row])
-    outcome.table("machine", "the machine", machine.HEADER, load.rows())
-    return outcome
+    results = Results(load.rows(), [Verdict("all streams back, longest in s", max(times), 3.0)])
+    results.table("recover", "recovery of a killed nodelet manager", HEADER, [row])
+    return results

@@ -13,7 +13,7 @@ from typing import Dict, List, Sequence, Tuple
 
 from dyknow_benchmark import machine, options, progress
 from dyknow_benchmark.managers import RunningManager
-from dyknow_benchmark.outcome import Results
+from dyknow_benchmark.results import Results
 from dyknow_benchmark.session import Session
 from dyknow_benchmark.summary import Summary
 from dyknow_benchmark.switching import ENDS, Seen, Switching
@@ -61,16 +61,16 @@ def run(arguments: argparse.Namespace) -> Results:
     lost = sum(each.lost for each in seen.values())
     doubled = sum(each.doubled for each in seen.values())
     overall = Summary.of([value for values in times.values() for value in values])
-    outcome = Results(
+    results = Results(
+        load.rows(),
         [
             Verdict("set_config to first message, median (ms)", overall.median, LIMIT),
             Verdict(f"lost in {arguments.switches} switches", lost, 0),
             Verdict(f"doubled in {arguments.switches} switches", doubled, 0),
-        ]
+        ],
     )
-    outcome.table("rewire", "re-wiring in-process", HEADER, rows)
-    outcome.table("machine", "the machine", machine.HEADER, load.rows())
-    return outcome
+    results.table("rewire", "re-wiring in-process", HEADER, rows)
+    return results
 
 
 def _row(end: str, switches: int, seen: Seen, times: Summary) -> Tuple[Cell, ...]:

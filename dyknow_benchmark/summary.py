@@ -6,6 +6,9 @@ import math
 from dataclasses import dataclass
 from typing import Sequence, Tuple
 
+#: Columns of what ``Summary.arrivals`` returns for latencies in us.
+ARRIVALS = ("messages", "lost", "mean_us", "median_us", "p99_us", "max_us")
+
 
 @dataclass(frozen=True)
 class Summary:
@@ -38,6 +41,11 @@ class Summary:
             p99=quantile(ordered, 0.99),
             max=ordered[-1],
         )
+
+    def arrivals(self, sent: int) -> Tuple[float, ...]:
+        """Cells under ``ARRIVALS``, where these are the latencies of what was sent."""
+        lost = sent - self.count
+        return (self.count, lost, self.mean, self.median, self.p99, self.max)
 
 
 def median(values: Sequence[float]) -> float:

@@ -7,7 +7,7 @@ import threading
 from std_msgs.msg import UInt64
 
 import dyknow
-from dyknow_benchmark import wiring
+from dyknow_benchmark import control_topics
 from dyknow_benchmark.sequences import SwitchedIn, SwitchedOut
 
 
@@ -52,8 +52,8 @@ class SwitchSink(dyknow.Nodelet):
         handle = dyknow.NodeHandle(self.node_handle)
         switched_in, switched_out = SwitchedIn(), SwitchedOut()
         control = handle.get_param("~control")
-        wiring.listen_collect(self.node_handle, control, 0, switched_in)
-        wiring.listen_collect(self.node_handle, control, 1, switched_out)
+        control_topics.listen_collect(self.node_handle, control, 0, switched_in)
+        control_topics.listen_collect(self.node_handle, control, 1, switched_out)
         handle.Subscriber("in", UInt64, lambda m: switched_in.receive(m.data), queue_size=1000)
         for side in ("left", "right"):
             handle.Subscriber(

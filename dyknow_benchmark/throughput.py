@@ -19,7 +19,7 @@ from dyknow_benchmark import machine, options, progress
 from dyknow_benchmark.chains import load_hops
 from dyknow_benchmark.control import LEAD, TAIL
 from dyknow_benchmark.managers import RunningManager
-from dyknow_benchmark.outcome import Results
+from dyknow_benchmark.results import Results
 from dyknow_benchmark.session import START_PATIENCE, MeasurementFailed, Session
 from dyknow_benchmark.summary import median
 from dyknow_benchmark.targets import Verdict
@@ -57,7 +57,8 @@ def run(arguments: argparse.Namespace) -> Results:
     middle = {kind: median(values) for kind, values in rates.items()}
     if not middle["rospy"]:
         raise MeasurementFailed("no message came round in rospy's chain")
-    outcome = Results(
+    results = Results(
+        load.rows(),
         [
             Verdict(
                 f"messages per second of DyKnow / of rospy in one process, {arguments.hops} hops",
@@ -65,15 +66,14 @@ def run(arguments: argparse.Namespace) -> Results:
                 FACTOR,
                 at_least=True,
             )
-        ]
+        ],
     )
     rows = [
         (kind, arguments.hops, len(values), lost[kind], middle[kind], min(values), max(values))
         for kind, values in rates.items()
     ]
-    outcome.table("throughput", "messages per second", HEADER, rows)
-    outcome.table("machine", "the machine", machine.HEADER, load.rows())
-    return outcome
+    results.table("throughput", "messages per second", HEADER, rows)
+    return results
 
 
 class RingControl:

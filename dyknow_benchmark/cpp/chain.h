@@ -3,7 +3,7 @@
 // The source stamps messages at a fixed frequency, each hop compares the stamp with the time of arrival and forwards
 // the message. Nothing is reported while messages flow: what a hop saw is kept until it is collected.
 //
-// Topics below the parameter ~control (the same for the parts in Python, see dyknow_benchmark/parts.py):
+// Topics below the parameter ~control (the same for the parts in Python, see control_topics.py):
 //   send     std_msgs/Float64MultiArray [count, frequency in Hz, start in s since the epoch]
 //   collect  std_msgs/Empty
 //   report   std_msgs/Float64MultiArray [stamp in s, latency in us, ...], layout.data_offset is the hop

@@ -9,9 +9,9 @@ from dyknow_benchmark.chain import HEADER, OVERHEAD_HEADER, ChainPlan
 from dyknow_benchmark.control import Block, Order, select
 from dyknow_benchmark.fan import last_arrivals
 from dyknow_benchmark.main import FAILED, main, parser, with_measurement
-from dyknow_benchmark.outcome import Results
 from dyknow_benchmark.outside import spread
 from dyknow_benchmark.parts import payload_of
+from dyknow_benchmark.results import Results
 from dyknow_benchmark.targets import Verdict
 
 
@@ -26,7 +26,7 @@ def measured(frequency=100.0, hops=(1, 50), pairs=20):
     factor = {"dyknow": 2.0, "nodelet": 1.9, "cpp_nodelet": 10.0}
     blocks = {kind: Block(4, {each: [factor[kind] * each] * 3 for each in hops}) for kind in kinds}
     differences = {each: [0.1 * each + index for index in range(pairs)] for each in hops}
-    return chain.outcome(plan, blocks, differences, [], [("cores", 2)])
+    return chain.results_of(plan, blocks, differences, [], [("cores", 2)])
 
 
 @pytest.mark.parametrize("place", ["taken", "taken/folder"])
@@ -88,27 +88,27 @@ def test_the_target_depends_on_the_frequency(frequency, limit):
 
 
 def test_targets_are_for_50_hops_only():
-    outcome = measured(hops=(1, 10))
-    assert outcome.verdicts == []
-    assert "no target applies" in outcome.show()
-    assert outcome.met
+    results = measured(hops=(1, 10))
+    assert results.verdicts == []
+    assert "no target applies" in results.show()
+    assert results.met
 
 
 def test_a_verdict_says_whether_the_target_is_met():
     assert Verdict("x", 2.0, 2.0).met and Verdict("x", 20.0, 20.0, at_least=True).met
     assert not Verdict("x", 2.1, 2.0).met and not Verdict("x", 19.9, 20.0, at_least=True).met
     assert Verdict("x", 19.9, 20.0, at_least=True).row == ("x", 19.9, ">= 20", "NOT met")
-    assert not Results([Verdict("x", 1, 2), Verdict("x", 3, 2)]).met
+    assert not Results([], [Verdict("x", 1, 2), Verdict("x", 3, 2)]).met
 
 
 def test_a_chain_that_delivered_nothing_has_rows_but_no_verdict():
     plan = ChainPlan(["dyknow", "cpp_nodelet"], [50], 5.0, 4, 1, 0)
-    outcome = chain.outcome(plan, {kind: Block(4, {50: []}) for kind in plan.kinds}, {}, [], [])
-    assert [tuple(row[:4]) for row in outcome.tables[0].rows] == [
+    results = chain.results_of(plan, {kind: Block(4, {50: []}) for kind in plan.kinds}, {}, [], [])
+    assert [tuple(row[:4]) for row in results.tables[0].rows] == [
         ("dyknow", 50, 0, 4),
         ("cpp_nodelet", 50, 0, 4),
     ]
-    assert outcome.verdicts == []
+    assert results.verdicts == []
 
 
 def test_the_warm_up_is_left_out_at_every_hop_alike():
@@ -138,7 +138,11 @@ def test_numbers_stand_to_the_right_in_a_table():
 def test_without_options_the_setting_is_the_papers():
     plan = chain.plan_of(parser().parse_args(["chain"]))
     assert plan == chain.PAPER
-    assert (plan.hops, plan.frequency, plan.messages) == ((1, 2, 5, 10, 20, 50), 5.0, 1000)
+    assert (plan.hops, plan.frequency, plan.messages) == (
+        (1, 2, 5, 10, 20, 50),
+        5.0,
+        1000,
+    )
     assert set(plan.kinds) == {
         "dyknow", "nodelet", "node", "cpp_nodelet", "cpp_node", "function",
     }  # fmt: skip

@@ -1,4 +1,4 @@
-"""What a measurement came to: tables, pictures and verdicts, shown and written in one way."""
+"""The results of a measurement: tables, pictures and verdicts, shown and written in one way."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Callable, List, Sequence, Tuple
 
-from dyknow_benchmark import targets
+from dyknow_benchmark import machine, targets
 from dyknow_benchmark.tables import Cell, render, write
 from dyknow_benchmark.targets import Verdict
 
@@ -24,8 +24,16 @@ class ResultTable:
 
 @dataclass
 class Results:
-    """Results of one measurement, in the order in which they are shown."""
+    """Results of one measurement, in the order in which they are shown.
 
+    Attributes:
+        machine: rows of the machine's table, which is the last one.
+        verdicts: the targets that apply.
+        tables: what was measured.
+        pictures: names, and what draws them into a file.
+    """
+
+    machine: Sequence[Tuple[str, Cell]]
     verdicts: Sequence[Verdict] = ()
     tables: List[ResultTable] = field(default_factory=list)
     pictures: List[Tuple[str, Callable[[Path], None]]] = field(default_factory=list)
@@ -47,7 +55,7 @@ class Results:
 
     def show(self) -> str:
         """Lay everything out for the terminal."""
-        parts = [f"{each.title}\n{render(each.header, each.rows)}" for each in self.tables]
+        parts = [f"{each.title}\n{render(each.header, each.rows)}" for each in self._all_tables()]
         parts.append(f"targets\n{targets.show(self.verdicts)}")
         return "\n\n".join(parts)
 
@@ -56,7 +64,7 @@ class Results:
         directory.mkdir(parents=True, exist_ok=True)
         written = []
         verdicts = [verdict.row for verdict in self.verdicts]
-        for each in [*self.tables, ResultTable("targets", "", targets.HEADER, verdicts)]:
+        for each in [*self._all_tables(), ResultTable("targets", "", targets.HEADER, verdicts)]:
             path = directory / f"{each.name}.csv"
             write(path, each.header, each.rows)
             written.append(path)
@@ -66,6 +74,9 @@ class Results:
                 draw(path)
                 written.append(path)
         return written
+
+    def _all_tables(self) -> List[ResultTable]:
+        return [*self.tables, ResultTable("machine", "the machine", machine.HEADER, self.machine)]
 
 
 def obstacle(directory: Path) -> str:
