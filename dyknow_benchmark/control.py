@@ -1,4 +1,4 @@
-"""The one who measures: tells the sources of chains to send, and collects what the hops saw."""
+"""The measuring side: tells the sources of chains to send, and collects what the hops saw."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How the parts of a chain listen to the one who measures.
+"""The topics by which the measuring process controls the parts of a chain.
 
 Below a control namespace there are three topics, the same for the parts in C++
 (``cpp/chain.h``): ``send`` (Float64MultiArray: count, frequency in Hz, start in s since the

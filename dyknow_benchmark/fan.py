@@ -67,7 +67,7 @@ def run(arguments: argparse.Namespace) -> Results:
 def last_arrivals(block: Block) -> List[float]:
     """Microseconds until all receivers had each message.
 
-    In a block in which a receiver missed a message nobody can tell which: all of it is left out.
+    Which message a receiver missed is unknown: a block with a gap is left out as a whole.
     """
     latencies = list(block.latencies.values())
     if any(len(each) != block.sent for each in latencies):

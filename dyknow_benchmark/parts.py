@@ -147,7 +147,7 @@ class Hop:
 
         Args:
             hop: its number, from 1.
-            record: whether somebody collects; otherwise only the latest latency is kept.
+            record: whether to keep all arrivals for ``collect``; otherwise the latest latency.
             publish: forwards a message.
             payload: what it carries.
         """

@@ -60,7 +60,7 @@ class Chain:
 
     def add_calls(self, length: int) -> None:
         """Add a whole chain in which each hop calls the next."""
-        publish: Publish = _nobody
+        publish: Publish = _drop
         for number in range(length, 0, -1):
             publish = self._hop(number, publish).receive
         control_topics.listen_send(rospy, self._control, MessageSource(publish, self._payload))
@@ -99,8 +99,8 @@ class Chain:
         return hop
 
 
-def _nobody(message: object) -> None:
-    """Take what the last hop forwards."""
+def _drop(message: object) -> None:
+    """Drop what the last hop forwards."""
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ def say(text: str) -> None:
 
 
 def steps(things: Iterable[T], what: str, total: int, unit: str = "block") -> Iterator[T]:
-    """Pass things on, with a bar if somebody watches the terminal."""
+    """Pass things on, with a bar if standard error is a terminal."""
     bar: Iterator[T] = tqdm(
         things, desc=what, total=total, unit=unit, disable=not sys.stderr.isatty(), leave=False
     )

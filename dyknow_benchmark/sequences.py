@@ -3,7 +3,7 @@
 Two ends are watched. At an in-port that is switched between two topics, one of which carries the
 even and the other the odd numbers, the numbers of one topic must follow each other without a gap
 until the switch, and those of the new topic begin where those of the old end. At two in-ports
-between which somebody else's out-port is switched, every number must come exactly once.
+between which another nodelet's out-port is switched, every number must come exactly once.
 """
 
 from __future__ import annotations

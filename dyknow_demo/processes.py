@@ -20,6 +20,10 @@ from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple, Type
 from dyknow.errors import DyKnowError, PeerTimeout
 from dyknow.ros.master import Master
 
+#: Names of what the demonstrations start.
+NAMESPACE = "/dyknow_demo"
+MANAGER = f"{NAMESPACE}/manager"
+
 #: Seconds for a process to be up, and to end after each signal.
 START_TIMEOUT = 20.0
 END_TIMEOUT = 5.0
@@ -116,31 +120,30 @@ class Processes:
             raise ProcessFailed(what, f"ended with exit code {code}", _tail(log))
 
 
-def system_master() -> str:
-    """URI of the master that the environment names."""
-    return Master("/dyknow_demo").uri
-
-
 def master_answers() -> bool:
     """Whether the master that the environment names answers."""
     try:
-        Master("/dyknow_demo", timeout=1.0).ask("getPid")
+        Master(NAMESPACE, timeout=1.0).ask("getPid")
     except PeerTimeout:
         return False
     return True
 
 
-def uses_simulated_time() -> bool:
-    """Whether time is what a simulator says."""
-    master = Master("/dyknow_demo")
-    name = "/use_sim_time"
-    return bool(master.ask("hasParam", name)) and bool(master.ask("getParam", name))
+def check_real_time() -> None:
+    """Make sure that time is not what a simulator says.
+
+    Raises:
+        DyKnowError: /use_sim_time is set.
+    """
+    master, name = Master(NAMESPACE), "/use_sim_time"
+    if master.ask("hasParam", name) and master.ask("getParam", name):
+        raise DyKnowError(f"{name} is set, but what the demonstration measures needs real time")
 
 
 def find_master(processes: Processes) -> str:
     """Use the ROS master that is there, or start one; says which."""
     if master_answers():
-        return f"the one at {system_master()}"
+        return f"the one at {Master(NAMESPACE).uri}"
     return f"our own, at {start_roscore(processes)}"
 
 
@@ -160,27 +163,27 @@ def start_roscore(processes: Processes) -> str:
     return uri
 
 
-def start_nodelet_manager(processes: Processes, name: str, ready: Callable[[], bool]) -> int:
-    """Start a nodelet manager under a global name and return its process id."""
-    namespace, _, base = name.rpartition("/")
-    command = [sys.executable, "-m", "dyknow.cli.nodelet", "manager", f"__name:={base}"]
-    return processes.start(
-        "the nodelet manager", command, {"ROS_NAMESPACE": namespace or "/"}, ready
-    )
+def start_nodelet_manager(processes: Processes, ready: Callable[[], bool]) -> int:
+    """Start a nodelet manager, ``MANAGER``, and return its process id."""
+    return _start_node(processes, "the nodelet manager", ready, "dyknow.cli.nodelet", "manager")
 
 
-def start_manager(
-    processes: Processes, name: str, ready: Callable[[], bool], **parameters: Any
-) -> int:
-    """Start a DyKnow manager under a global name and return its process id.
+def start_manager(processes: Processes, ready: Callable[[], bool], **parameters: Any) -> int:
+    """Start a DyKnow manager, ``MANAGER``, and return its process id.
 
     Its durable state is forgotten with the folder of ``processes``.
     """
-    namespace, _, base = name.rpartition("/")
     given = {"state_dir": processes.folder, **parameters}
     arguments = [f"_{key}:={value}" for key, value in given.items()]
-    command = [sys.executable, "-m", "dyknow.cli.manager", f"__name:={base}", *arguments]
-    return processes.start("the manager", command, {"ROS_NAMESPACE": namespace or "/"}, ready)
+    return _start_node(processes, "the manager", ready, "dyknow.cli.manager", *arguments)
+
+
+def _start_node(
+    processes: Processes, what: str, ready: Callable[[], bool], module: str, *arguments: str
+) -> int:
+    name = MANAGER[len(NAMESPACE) + 1 :]
+    command = [sys.executable, "-m", module, *arguments, f"__name:={name}"]
+    return processes.start(what, command, {"ROS_NAMESPACE": NAMESPACE}, ready)
 
 
 def _end(child: subprocess.Popen[bytes]) -> None:

@@ -7,10 +7,8 @@ from pathlib import Path
 from typing import Any, List, Sequence, Tuple
 
 from dyknow.errors import DyKnowError
+from dyknow_demo.options import positive
 from dyknow_demo.shared_frames import SHARED_FRAMES
-
-NAMESPACE = "/dyknow_demo"
-MANAGER = f"{NAMESPACE}/manager"
 
 
 def run(arguments: Sequence[str]) -> bool:
@@ -41,12 +39,12 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--rendered", action="store_true", help="render frames, use no files")
     parser.add_argument(
         "--seconds",
-        type=_positive,
+        type=positive,
         default=6.0,
         help="time for each of the six wirings (%(default)g)",
     )
     parser.add_argument(
-        "--rate", type=_positive, default=30.0, help="frames a second of each camera (%(default)g)"
+        "--rate", type=positive, default=30.0, help="frames a second of each camera (%(default)g)"
     )
     return parser.parse_args(argv)
 
@@ -58,20 +56,14 @@ def _folder(text: str) -> Path:
     return folder
 
 
-def _positive(text: str) -> float:
-    value = float(text)
-    if not 0 < value < 1e6:
-        raise argparse.ArgumentTypeError(f"expected a number above 0, not {text}")
-    return value
-
-
 def _run(options: Any) -> bool:
     # Imported here, so that --help and a wrong usage answer at once.
     from dyknow_demo.processes import (
+        MANAGER,
         Processes,
+        check_real_time,
         find_master,
         start_nodelet_manager,
-        uses_simulated_time,
     )
     from dyknow_demo.rewiring.graph import CallFailed, HandWiredGraph
     from dyknow_demo.rewiring.story import Story
@@ -88,9 +80,8 @@ def _run(options: Any) -> bool:
                 f"{MANAGER} is registered at this master already: another demonstration runs "
                 "there, or was killed ('rosnode cleanup' forgets it)"
             )
-        if uses_simulated_time():
-            raise DyKnowError("/use_sim_time is set, but latencies need real time")
-        pid = start_nodelet_manager(processes, MANAGER, graph.is_up)
+        check_real_time()
+        pid = start_nodelet_manager(processes, graph.is_up)
         table.line(f"nodelet manager: {MANAGER}, process {pid}")
         table.line()
         try:

@@ -31,7 +31,7 @@ class HandWiredGraph:
     """Nodelets of one manager, all in the manager's namespace."""
 
     def __init__(self, manager: str) -> None:
-        """Address the manager of that global name; nothing is sent yet."""
+        """Address the manager of that global name."""
         self._manager = manager
         self._namespace = names.parent(manager)
         self._master = Master(names.join(self._namespace, "dyknow_demo"))

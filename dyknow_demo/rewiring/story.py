@@ -1,4 +1,4 @@
-"""What is shown: a chain of nodelets, and the ways in which it is re-wired while it runs.
+"""The story: a chain of nodelets that is re-wired in several ways while it runs.
 
 The chain is re-wired from outside, by ``set_config``. A camera is exchanged at the in-port of the
 first stage. A stage is taken out, and put back, at the *out-port* before it: then what is still
@@ -62,7 +62,7 @@ STEPS = (
 
 
 class Story:
-    """Runs the chain through all its wirings and keeps the books."""
+    """Runs the chain through all its wirings and accounts for the frames of each."""
 
     def __init__(
         self,
@@ -73,7 +73,7 @@ class Story:
         rate: float,
         seconds: float,
     ) -> None:
-        """Prepare; nothing is loaded yet.
+        """Prepare the story.
 
         Args:
             graph: the nodelets.

@@ -6,6 +6,8 @@ import argparse
 from pathlib import Path
 from typing import Sequence
 
+from dyknow_demo.options import positive
+
 
 def run(arguments: Sequence[str]) -> bool:
     """Run the demonstration; True if the position was never lost for longer than allowed.
@@ -38,13 +40,13 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
     )
     parser.add_argument(
         "--seconds",
-        type=_positive,
+        type=positive,
         default=8.0,
         help="time for each of the three acts (%(default)g)",
     )
     parser.add_argument(
         "--max-silence",
-        type=_positive,
+        type=positive,
         default=2.0,
         metavar="SECONDS",
         help="time without a position that is allowed (%(default)g)",
@@ -63,10 +65,3 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
         help="manager that runs and knows the soccer field; by default one is started",
     )
     return parser.parse_args(arguments)
-
-
-def _positive(text: str) -> float:
-    value = float(text)
-    if not 0 < value < 1e6:
-        raise argparse.ArgumentTypeError(f"expected a number above 0, not {text}")
-    return value

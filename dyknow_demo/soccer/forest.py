@@ -27,7 +27,7 @@ _TREES, _DEPTH, _LEAST, _TRIED = 40, 10, 4, 7
 
 
 def train(features: Array, is_ball: Array, trees: int = _TREES) -> Any:
-    """Train a forest; the same examples give the same forest.
+    """Train a forest; the same examples make the same forest.
 
     Args:
         features: (n, numbers) of regions.

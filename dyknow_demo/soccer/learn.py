@@ -3,7 +3,7 @@
 Each day is left out once: a forest of the other days is judged on it. The threshold comes from
 these other days alone: among them each is left out once more, and the least threshold is taken at
 which the finds of all of them together have the precision that is aimed at. With ``--model`` a
-forest of all days is written; the same frames give the same file.
+forest of all days is written; the same frames make the same file.
 """
 
 from __future__ import annotations
@@ -172,7 +172,7 @@ def main(argv: Optional[Sequence[str]] = None) -> int:
 
 
 def _judge_days(days: Dict[str, List[Example]], quiet: bool) -> Dict[str, float]:
-    """Print what each day gives when it is left out; give thresholds for all days."""
+    """Print the scores of each day that is left out; return the thresholds for all days."""
     inner: Dict[Tuple[str, str], List[Scored]] = {}
     outer: Dict[str, List[Scored]] = {}
     pairs = [*itertools.combinations(days, 2), *((day, day) for day in days)]

@@ -92,7 +92,7 @@ def _filled(colour: str) -> str:
 
 
 def _streams(there: Dict[str, NodeletStatus], moment: PictureContents) -> List[str]:
-    """Topics that somebody listens to, and the arrows to and from them."""
+    """Topics with subscribers, and the arrows to and from them."""
     sources: Dict[str, List[Tuple[str, str]]] = {}
     targets: Dict[str, List[Tuple[str, str]]] = {moment.goal: []}
     for name in sorted(there):

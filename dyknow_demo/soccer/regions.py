@@ -34,7 +34,7 @@ class Region:
 
     Attributes:
         box: left, top, width, height, pixels of the planes.
-        outline: as OpenCV's findContours gives it.
+        outline: as OpenCV's findContours returns it.
         features: what the forest judges it by.
     """
 

@@ -86,7 +86,7 @@ def sight(find: Find, geometry: Geometry) -> Optional[Sighting]:
 
 
 def cone(rays: Array) -> tuple[Array, float]:
-    """Fit a circular cone to unit vectors (n, 3); give its axis and half its angle (rad).
+    """Fit a circular cone to unit vectors (n, 3); return its axis and half its angle (rad).
 
     On a cone axis . ray = cos(angle), so (axis / cos(angle)) . ray = 1: linear least squares.
     """

@@ -12,20 +12,19 @@ from typing import Callable, Iterator
 import rospkg
 import rospy
 
-from dyknow import names
 from dyknow.errors import DyKnowError, HostError, PeerTimeout
 from dyknow.ros.client import ManagerClient
 from dyknow.ros.master import Master
 from dyknow_demo.processes import (
+    MANAGER,
+    NAMESPACE,
     START_TIMEOUT,
     Processes,
+    check_real_time,
     find_master,
     start_manager,
-    uses_simulated_time,
 )
 from dyknow_demo.soccer.story import Script, tell_story, wait_for
-
-MANAGER = "/dyknow_demo/manager"
 
 #: Seconds that nodelets may go on should the manager be killed.
 _ORPHAN_TIMEOUT = 3.0
@@ -48,8 +47,7 @@ def play(manager: str, seconds: float, max_silence: float, pictures: Path) -> bo
     """
     with Processes() as processes:
         _tell(f"ROS master: {find_master(processes)}")
-        if uses_simulated_time():
-            raise DyKnowError("/use_sim_time is set, but rates and pauses need real time")
+        check_real_time()
         with _manager(manager) as (client, check), _node():
             wait_for(client, check, START_TIMEOUT)
             script = Script(seconds, max_silence, pictures.absolute(), _tell, check)
@@ -58,7 +56,7 @@ def play(manager: str, seconds: float, max_silence: float, pictures: Path) -> bo
 
 @contextlib.contextmanager
 def _manager(name: str) -> Iterator[tuple[ManagerClient, Callable[[], None]]]:
-    """Use a manager, or start one; gives a client of it and what raises when it has ended."""
+    """Use a manager, or start one; yields its client and a check that raises when it has ended."""
     if name:
         client = ManagerClient(name)
         _tell(f"manager: {client.manager}")
@@ -72,7 +70,6 @@ def _manager(name: str) -> Iterator[tuple[ManagerClient, Callable[[], None]]]:
         with Processes() as processes:
             pid = start_manager(
                 processes,
-                MANAGER,
                 lambda: _answers(client),
                 ontologies=examples / "ontologies" / "soccer.ttl",
                 transformations=examples / "transformations" / "soccer.xml",
@@ -81,7 +78,7 @@ def _manager(name: str) -> Iterator[tuple[ManagerClient, Callable[[], None]]]:
             _tell(f"manager: {MANAGER}, process {pid}")
             yield client, processes.check
     finally:
-        _forget(names.parent(MANAGER))
+        _forget_parameters()
 
 
 @contextlib.contextmanager
@@ -102,10 +99,10 @@ def _answers(client: ManagerClient) -> bool:
     return True
 
 
-def _forget(namespace: str) -> None:
+def _forget_parameters() -> None:
     """Delete the parameters of what was started."""
     with contextlib.suppress(LookupError, PeerTimeout):
-        Master("/dyknow_demo").ask("deleteParam", namespace)
+        Master(NAMESPACE).ask("deleteParam", NAMESPACE)
 
 
 def _tell(text: str) -> None:

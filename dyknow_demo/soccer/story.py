@@ -1,7 +1,7 @@
-"""What is shown: a robot tracks a ball, leaves to recharge, and returns; the stream goes on.
+"""The story: a robot tracks a ball, leaves to recharge, and returns; the stream goes on.
 
-The story asks for a kind of stream and does to the world what a battery does. How the stream is
-made, kept and re-wired is the manager's business; what it did is read off the model.
+The story requests a stream, removes the robot's camera and adds it again. The manager makes,
+repairs and re-wires the stream by itself; the story reads from the model what it did.
 """
 
 from __future__ import annotations

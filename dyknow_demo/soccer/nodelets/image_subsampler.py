@@ -14,7 +14,7 @@ from dyknow_demo.soccer.planes_message import blank_planes, planes_of
 
 
 class ImageSubsampler(dyknow.Nodelet):
-    """Converts and shrinks camera images; only what somebody listens to is made.
+    """Converts and shrinks camera images; only what has subscribers is made.
 
     Ports:
         yuv (in): sensor_msgs/Image, yuv422 (UYVY), rows and columns even.
