@@ -26,7 +26,7 @@ from dyknow_benchmark.targets import Verdict
 
 HEADER = ("kind", "hops", *ARRIVALS)
 OVERHEAD_HEADER = ("hops", "pairs", "median_us", "low_us", "high_us")
-#: Where the files go without ``--out``: they took too long to be lost.
+#: Where the files go without ``--out``: half an hour of measuring is not to be lost.
 OUT = Path("figure4")
 #: Messages of each chain in one pair.
 PAIR_MESSAGES = 25
@@ -64,7 +64,7 @@ class ChainPlan:
 
     @property
     def paired(self) -> bool:
-        """Whether there is something to take differences of."""
+        """Whether differences between ``dyknow`` and ``nodelet`` are measured."""
         return self.pairs > 0 and {"dyknow", "nodelet"} <= set(self.kinds)
 
 

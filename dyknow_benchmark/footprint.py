@@ -20,7 +20,7 @@ from dyknow_benchmark.session import Session
 HEADER = ("kind", "parts", "kib_each", "threads_each", "processes")
 _NODELETS = ("dyknow", "nodelet", "cpp_nodelet")
 _KINDS = (*_NODELETS, "node", "cpp_node")
-#: Hops of the chain that is there before, whose nodelets load what all share.
+#: Hops of the chain that is set up first: its nodelets load what all share.
 _BEFORE = 3
 
 

@@ -15,7 +15,7 @@ KINDS: Dict[str, str] = {
     "cpp_node": "C++ nodes, a process each",
 }
 
-#: Those of the paper's figure, with the floor below and C++ beside them.
+#: The kinds of the paper's figure, with function calls (the floor) and C++ beside them.
 THE_PAPERS: Sequence[str] = tuple(kind for kind in KINDS if kind != "rospy")
 
 #: What the figure calls them.

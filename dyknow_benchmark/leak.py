@@ -22,9 +22,9 @@ from dyknow_benchmark.switching import ENDS, Switching
 from dyknow_benchmark.targets import Verdict
 
 HEADER = ("what", "before", "after")
-#: Seconds in which connections and threads of what is gone end.
+#: The longest wait (s) for connections and threads of unloaded nodelets to end.
 _SETTLE = 10.0
-#: Rounds before the first count, in which pools and caches fill.
+#: Cycles before the first count: they fill pools and caches.
 _WARM_UP = 20
 
 
@@ -39,7 +39,7 @@ class Census:
 
     @classmethod
     def take(cls, manager: RunningManager) -> Census:
-        """Count."""
+        """Count what a nodelet manager holds now."""
         process = Path(f"/proc/{manager.pid}")
         state = rosgraph.Master("/benchmark").getSystemState()
         return cls(

@@ -1,4 +1,4 @@
-"""The machine that was measured on, and how busy others kept it."""
+"""The machine of the measurement, and its load meanwhile."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def model_name() -> str:
 
 
 class Load:
-    """How busy the machine is from the moment that this is made."""
+    """The load of the machine from the construction on."""
 
     def __init__(self) -> None:
         self._before = _cpu_times()

@@ -79,7 +79,7 @@ def main(argv: Optional[Sequence[str]] = None) -> int:
 
 
 def _write(results: Results, directory: Path) -> bool:
-    """Write the files and say so; or why not."""
+    """Write the files and print their paths, or the reason why they cannot be written."""
     try:
         paths = results.write(directory)
     except OSError as error:
@@ -91,7 +91,7 @@ def _write(results: Results, directory: Path) -> bool:
 
 
 def with_measurement(words: Sequence[str]) -> Sequence[str]:
-    """Put in ``chain`` where a command line begins with an option or is empty."""
+    """Insert ``chain`` where a command line begins with an option or is empty."""
     if words and (not words[0].startswith("-") or words[0] in ("-h", "--help")):
         return words
     return ["chain", *words]

@@ -1,4 +1,4 @@
-"""``benchmark model``: spawn many nodelets, ask for the model, and listen whether it is quiet."""
+"""``benchmark model``: spawn many nodelets, ask for the model, and check that it is quiet."""
 
 from __future__ import annotations
 

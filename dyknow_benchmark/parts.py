@@ -103,7 +103,7 @@ class MessageSource:
 
 
 class Ring:
-    """Closes a chain: what comes out at its end is put in at its beginning again."""
+    """Closes a chain: publishes what arrives at its end at its beginning."""
 
     def __init__(self, publish: Publish, payload: Payload) -> None:
         self._publish = publish
@@ -127,7 +127,7 @@ class Ring:
             self._returned += 1
 
     def collect(self) -> List[float]:
-        """Return how often a message came round in time, and how many came home after it."""
+        """Return the rounds until the time was over, and the messages that returned after it."""
         return [self._rounds, self._returned]
 
     def _send(self, count: int, start: float) -> None:

@@ -79,7 +79,7 @@ def _make(number: int, needs: Sequence[int], cost: int) -> Transformation:
 
 
 def _measure(library: List[Transformation]) -> Tuple[int, float, List[float]]:
-    """Give the steps of the last plan, and the seconds of loading and of each plan."""
+    """Return the steps of the last plan, and the seconds of loading and of each plan."""
     begin = time.monotonic()
     planner = Planner()
     planner.add(library)

@@ -1,4 +1,4 @@
-"""Tells a person how far a measurement is."""
+"""Shows the progress of a measurement on standard error."""
 
 from __future__ import annotations
 

@@ -66,7 +66,7 @@ def run(arguments: argparse.Namespace) -> Results:
             progress.say(f"kill -9 of process {pid}, {number + 1} of {arguments.kills}")
             killed = time.monotonic()
             os.kill(pid, signal.SIGKILL)
-            # What is still under way in sockets is not from the new life.
+            # Messages that are still in sockets are not of the new nodelets.
             wait_until(lambda killed=killed: streams.all_since(killed + 0.3), "the streams")  # type: ignore[misc]
             times.append(time.monotonic() - killed)
             progress.say(f"all streams back after {times[-1]:.2f} s")

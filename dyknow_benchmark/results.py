@@ -80,7 +80,7 @@ class Results:
 
 
 def obstacle(directory: Path) -> str:
-    """Say why files cannot be written into a directory; empty if nothing speaks against it."""
+    """Return why files cannot be written into a directory; empty if they can."""
     there = next(each for each in (directory, *directory.parents) if each.exists())
     if not there.is_dir():
         return f"{there} is not a folder"

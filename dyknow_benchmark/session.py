@@ -33,7 +33,7 @@ class MeasurementFailed(Exception):
 
 
 class Session:
-    """A master and processes; use it as a context manager, it makes this process a ROS node."""
+    """A master and processes, as a context manager that makes this process a ROS node."""
 
     def __init__(self) -> None:
         self._processes: List[subprocess.Popen[bytes]] = []

@@ -31,7 +31,7 @@ RELAYS = """
 
 def start(session: Session) -> ManagerClient:
     """Start a manager with the shipped source and relay in its library."""
-    # Whatever becomes of this process, its nodelet managers end soon after.
+    # Its nodelet managers end soon after it, even if it is killed.
     session.start([executable("dyknow", "manager"), "_orphan_timeout:=2"])
     rospy.wait_for_service(f"{MANAGER}/get_model", 60.0)
     client = ManagerClient(MANAGER)

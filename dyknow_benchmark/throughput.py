@@ -97,7 +97,7 @@ class RingControl:
         raise MeasurementFailed(f"no message came round within {START_PATIENCE:g} s")
 
     def turn(self, window: int, seconds: float) -> List[float]:
-        """Let messages go round; returns how often one did, and how many came home."""
+        """Let messages go round; returns their rounds, and how many returned in the end."""
         self._send.publish(Float64MultiArray(data=[window, seconds, time.time() + LEAD]))
         time.sleep(LEAD + seconds)
         end = time.monotonic() + TAIL

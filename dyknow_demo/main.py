@@ -25,7 +25,7 @@ def main(argv: Optional[Sequence[str]] = None) -> int:
     given = sys.argv[1:] if argv is None else argv
     # roslaunch and rostest append arguments of theirs, such as __name:=demo.
     arguments: List[str] = [each for each in given if ":=" not in each]
-    # Asked to end, end as after Ctrl-C: with the processes that were started.
+    # SIGTERM ends it as Ctrl-C does: the processes that it started end with it.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         return DONE if _run(arguments) else FAILED

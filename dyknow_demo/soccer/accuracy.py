@@ -23,7 +23,7 @@ from dyknow_demo.soccer.world import World
 
 FACTORS = (2, 4)
 
-#: Metres from the truth at which a find is none.
+#: A find further than this (m) from the truth does not count.
 _FALSE = 0.5
 
 #: The cameras that ``measure`` knows.

@@ -14,7 +14,7 @@ from dyknow_demo.soccer.outline import fit_round
 from dyknow_demo.soccer.regions import Region, regions
 from dyknow_demo.soccer.rigid import Array
 
-#: The model that is shipped: of all days that there were.
+#: The shipped model, trained on all days.
 MODEL = Path(__file__).with_name("ball_forest.yml.gz")
 #: Of the shipped model: what ``dyknow_demo.soccer.learn`` prints for the best find of a frame.
 THRESHOLD = 0.16

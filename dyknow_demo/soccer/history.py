@@ -1,4 +1,4 @@
-"""The last values of something that changes, to be asked for in between.
+"""The last values of a signal, interpolated in between.
 
 An image is older than the joint states that arrive with it, or a little younger. A head that
 turns at 1 rad/s is 1 degree further after 20 ms, so the angles at the image's own time count.

@@ -44,7 +44,7 @@ Mount = Union[NaoBottom, Fixed]
 
 _NUMBERS = ("height", "pitch", "roll")
 
-#: What ``mount_of`` expects, for error messages.
+#: The form that ``mount_of`` accepts, for error messages.
 EXPECTED = "nao_bottom, or the numbers height (m, above 0), pitch and, optionally, roll (rad)"
 
 

@@ -18,7 +18,7 @@ from dyknow_demo.soccer.narration import changes
 from dyknow_demo.soccer.track import Track
 from dyknow_demo.soccer.world import World
 
-#: The robot's own tracking: labels of what is to be kept, and re-wired.
+#: Labels of the robot's own tracking, which is kept and re-wired.
 TRACKING = ("image_subsampler(nao)", "ball_detector(nao)", "localization(nao, ball)")
 
 

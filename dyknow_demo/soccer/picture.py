@@ -1,4 +1,4 @@
-"""Draws the graph of one moment of the story: what was kept, what is new, what has gone."""
+"""Draws the graph at the end of an act of the story: what was kept, what is new, what has gone."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _HEAD = """digraph story {
 
 @dataclass(frozen=True)
 class PictureContents:
-    """What there is to draw.
+    """What a picture shows.
 
     Attributes:
         title: what it shows.
@@ -39,12 +39,12 @@ class PictureContents:
     space: str = "/"
 
     def label(self, name: str) -> str:
-        """Write a name as people want to read it; a topic's in two lines."""
+        """Write a name without the namespace; a topic's in two lines."""
         head, slash, tail = short(name, self.space).rpartition("/")
         return quote(f"{head}\n{slash}{tail}" if head else slash + tail)
 
 
-def to_dot(moment: PictureContents, first: Model) -> str:
+def to_dot(contents: PictureContents, first: Model) -> str:
     """Write a picture in graphviz's DOT language.
 
     Ovals are nodelets and rectangles are topics; the topic of the client is drawn bold. Blue is
@@ -52,20 +52,20 @@ def to_dot(moment: PictureContents, first: Model) -> str:
     What has gone since the first picture is dashed.
 
     Args:
-        moment: what to draw.
+        contents: what to draw.
         first: the graph of the first picture.
     """
-    there, known = _running(moment.model), _running(first)
-    lines = [_HEAD, f"  label={quote(moment.title)};"]
+    there, known = _running(contents.model), _running(first)
+    lines = [_HEAD, f"  label={quote(contents.title)};"]
     for name in sorted({*there, *known}):
         if name not in there:
             style = "style=dashed, color=gray50, fontcolor=gray50"
-        elif name not in moment.needed:
+        elif name not in contents.needed:
             style = _filled(_IDLE)
         else:
             style = _filled(_KEPT if name in known else _NEW)
-        lines.append(f"  {quote('n' + name)} [label={moment.label(name)}, {style}];")
-    lines += _streams(there, moment)
+        lines.append(f"  {quote('n' + name)} [label={contents.label(name)}, {style}];")
+    lines += _streams(there, contents)
     lines.append("}")
     return "\n".join(lines) + "\n"
 
@@ -91,19 +91,19 @@ def _filled(colour: str) -> str:
     return f'style=filled, fillcolor="{colour}"'
 
 
-def _streams(there: Dict[str, NodeletStatus], moment: PictureContents) -> List[str]:
+def _streams(there: Dict[str, NodeletStatus], contents: PictureContents) -> List[str]:
     """Topics with subscribers, and the arrows to and from them."""
     sources: Dict[str, List[Tuple[str, str]]] = {}
-    targets: Dict[str, List[Tuple[str, str]]] = {moment.goal: []}
+    targets: Dict[str, List[Tuple[str, str]]] = {contents.goal: []}
     for name in sorted(there):
         for port in there[name].ports:
             if port.topic:
                 side = targets if port.direction == "in" else sources
                 side.setdefault(port.topic, []).append((name, port.name))
-    lines = [f"  client [shape=plaintext]; {quote('t' + moment.goal)} -> client;"]
+    lines = [f"  client [shape=plaintext]; {quote('t' + contents.goal)} -> client;"]
     for topic in sorted(targets):
-        bold = ", style=bold" if topic == moment.goal else ""
-        lines.append(f"  {quote('t' + topic)} [label={moment.label(topic)}, shape=box{bold}];")
+        bold = ", style=bold" if topic == contents.goal else ""
+        lines.append(f"  {quote('t' + topic)} [label={contents.label(topic)}, shape=box{bold}];")
         lines += _arrows(topic, sources.get(topic, ()), targets[topic])
     return lines
 

@@ -1,4 +1,4 @@
-"""How many of the balls in annotated frames does the detector find, and what else?
+"""Recall and false finds of the detector in annotated frames.
 
 A find hits a ball when the intersection of their boxes is at least ``OVERLAP`` of their union, or
 when its centre lies inside the ball's box and the ball's centre inside the find's box: a

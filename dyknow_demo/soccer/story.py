@@ -40,7 +40,7 @@ class NotAsTold(DyKnowError):
 
 @dataclass(frozen=True)
 class Script:
-    """How it is told.
+    """How the story is told.
 
     Attributes:
         seconds: for each act.

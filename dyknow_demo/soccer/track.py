@@ -35,7 +35,7 @@ class Track:
     """Arrivals and errors, in order of arrival; times of arrival are of one steady clock."""
 
     def __init__(self, begin: float, truth: Callable[[float], Array]) -> None:
-        """Begin to wait.
+        """Begin without a position.
 
         Args:
             begin: time from which on positions are expected, s.
@@ -78,7 +78,7 @@ class Track:
 
 
 def shortcomings(stretch: Stretch, max_silence: float) -> List[str]:
-    """Say what is not as a claim promises that allows so many seconds without a position."""
+    """List how a stretch breaks the promise of a claim with that ``max_silence`` (s)."""
     found = []
     if stretch.pause > max_silence:
         found.append(f"the position was lost for {stretch.pause:.2f} s, not {max_silence:g} s")

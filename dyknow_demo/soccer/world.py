@@ -1,4 +1,4 @@
-"""The simulated truth: one seed and the time tell everything.
+"""The simulated truth: a function of one seed and the time.
 
 Whoever has the same seed has the same world, so each nodelet simulates its own part of it, in
 whichever process it runs. What is known to the robot's software is a little wrong, as in life:
