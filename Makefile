@@ -37,7 +37,7 @@ benchmark: build ## measure the time to arrival over a chain of nodelets (option
 performance: build ## measure everything that doc/performance.md shows, and write it there (most of an hour; ARGS="chain" for one)
 	@$(IN_WORKSPACE) $(ROS_PYTHON) tools/performance.py $(ARGS)
 
-screenshots: build ## take the pictures of the documentation anew
+screenshots: build ## take the pictures of the documentation again
 	@QT_QPA_PLATFORM=offscreen $(IN_WORKSPACE) $(ROS_PYTHON) -m dyknow_rqt.screenshots doc/images
 	@DYKNOW_PICTURES="$(CURDIR)/doc/images" $(IN_WORKSPACE) rostest --text test/ros/rqt_case_study.test
 

@@ -1,4 +1,4 @@
-"""``make screenshots``: takes the pictures of the documentation, from a graph that is made up.
+"""``make screenshots``: takes the pictures of the documentation, from a made-up graph.
 
 It needs neither a screen nor ROS processes.
 """
@@ -21,7 +21,7 @@ from dyknow_rqt.window import DyKnowWidget
 
 
 def dressed(application: QApplication) -> QApplication:
-    """Let it look the same on every machine."""
+    """Make the application look the same on every machine, and return it."""
     application.setStyle(QStyleFactory.create("Fusion"))
     application.setFont(_font())
     return application
@@ -48,10 +48,10 @@ def dark_palette() -> QPalette:
 
 
 def wait(condition: Callable[[], object], seconds: float, what: str) -> None:
-    """Let the window live until something holds.
+    """Run the window until a condition holds.
 
     Raises:
-        TimeoutError: it does not, in time.
+        TimeoutError: it does not within ``seconds``; ``what`` is in the message.
     """
     end = time.monotonic() + seconds
     while not condition():

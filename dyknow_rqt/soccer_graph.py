@@ -1,4 +1,4 @@
-"""A graph that is made up, for pictures and tests: a robot on a soccer field."""
+"""A made-up graph for pictures and tests: a robot on a soccer field."""
 
 from __future__ import annotations
 

@@ -64,10 +64,12 @@ def main(names: Sequence[str]) -> int:
 
 
 def filled(mark: re.Match[str]) -> str:
-    """The marked part of the page with what was measured, or as it was if nothing was."""
+    """The marked part of the page with the last results, or unchanged where there are none."""
     begin, measurement, file, end = mark.groups()
     if measurement == "every":
         header, rows = every(file)
+        if not rows:
+            return mark[0]
     elif (path := RESULTS / measurement / f"{file}.csv").exists():
         header, *rows = read(path)
     else:
@@ -83,7 +85,7 @@ def read(path: Path) -> list[list[str]]:
 
 
 def every(file: str) -> tuple[list[str], list[list[str]]]:
-    """The tables of one name that all measurements left, each line after its measurement."""
+    """The tables of that name of all measurements as one, with a column for the measurement."""
     header: list[str] = []
     rows = []
     for name in COMMANDS:
@@ -116,7 +118,7 @@ def by_hops(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def in_a_sentence(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """The machine and how busy it was."""
+    """The machine and its load."""
     of = dict(rows)
     return (
         f"Measured on: {of['processor']}, {of['cores']} cores, Python {of['python']}, "
