@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -47,11 +48,18 @@ def test_the_runtime_imports_without_its_luggage():
 
 
 @pytest.mark.long
-def test_an_install_space_without_the_parts(tmp_path):
+def test_an_install_space_with_the_parts_and_without(tmp_path):
     workspace = Workspace(tmp_path)
     workspace.add_dyknow()
-    workspace.make("install", *(f"-D{part}=OFF" for part in PARTS))
     install = tmp_path / "install"
+    workspace.make("install")
+    assert {"benchmark", "benchmark_chain", "demo", "dyknow_rqt"} < names(install / "lib/dyknow")
+    assert {"dyknow_benchmark", "dyknow_demo", "dyknow_rqt"} < names(
+        install / "lib/python3/dist-packages"
+    )
+
+    shutil.rmtree(install)
+    workspace.make("install", *(f"-D{part}=OFF" for part in PARTS))
     assert names(install / "lib/python3/dist-packages", "dyknow*") == {"dyknow", "dyknow_msgs"}
     assert names(install / "lib/dyknow") == {"dyknow", "manager", "nodelet", "nodelet_manager"}
     assert names(install / "lib", "*.so") == set()
