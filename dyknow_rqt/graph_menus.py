@@ -9,12 +9,13 @@ from python_qt_binding.QtCore import QObject, Signal
 from python_qt_binding.QtGui import QGuiApplication
 from python_qt_binding.QtWidgets import QMenu, QWidget
 
+from dyknow.model.graph import PortRef
 from dyknow_rqt.canvas.appearance import edge_refs
 from dyknow_rqt.canvas.arrows import EdgeItem
 from dyknow_rqt.canvas.items import Item, PortItem
 from dyknow_rqt.canvas.vertices import VertexItem
 from dyknow_rqt.graph.figure import VertexKind
-from dyknow_rqt.graph.snapshot import PortRef, Snapshot
+from dyknow_rqt.graph.snapshot import Snapshot
 
 
 class GraphActions(QObject):

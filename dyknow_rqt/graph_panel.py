@@ -8,6 +8,7 @@ from python_qt_binding.QtCore import QEvent, QPoint, Qt, Signal
 from python_qt_binding.QtGui import QKeySequence
 from python_qt_binding.QtWidgets import QAction, QFileDialog, QLabel, QVBoxLayout, QWidget
 
+from dyknow.model.graph import PortRef
 from dyknow_rqt.canvas.appearance import edge_refs, gap_of, sizes_of
 from dyknow_rqt.canvas.items import Item
 from dyknow_rqt.canvas.view import GraphView
@@ -15,7 +16,7 @@ from dyknow_rqt.graph.changes import Protect
 from dyknow_rqt.graph.dot import to_dot
 from dyknow_rqt.graph.figure import Figure, VertexKind, figure_of, key_of
 from dyknow_rqt.graph.geometry import Layout, Size
-from dyknow_rqt.graph.snapshot import PortRef, Snapshot
+from dyknow_rqt.graph.snapshot import Snapshot
 from dyknow_rqt.graph.stabilise import stabilise
 from dyknow_rqt.graph.wiring import connect, connect_topic, disconnect, partners
 from dyknow_rqt.graph_bar import GraphBar

@@ -15,7 +15,7 @@ from python_qt_binding.QtGui import QColor, QFontDatabase, QPalette
 from python_qt_binding.QtTest import QTest
 from python_qt_binding.QtWidgets import QApplication, QStyleFactory
 
-from dyknow_rqt.graph.snapshot import PortRef
+from dyknow.model.graph import PortRef
 from dyknow_rqt.soccer_graph import soccer
 from dyknow_rqt.window import DyKnowWidget
 

@@ -6,11 +6,11 @@ import argparse
 import math
 import os
 import sys
-from dataclasses import dataclass
 from typing import NoReturn, Tuple, Union
 
 from dyknow import names
 from dyknow.errors import InvalidName
+from dyknow.model.graph import PortRef
 
 DEFAULT_MANAGER = "/dyknow_manager"
 
@@ -22,18 +22,6 @@ class Parser(argparse.ArgumentParser):
         """Print the error and exit."""
         sys.stderr.write(f"{self.prog}: {message} (see '{self.prog} --help')\n")
         raise SystemExit(2)
-
-
-@dataclass(frozen=True)
-class PortReference:
-    """A port of a nodelet, written `NODELET:PORT`."""
-
-    nodelet: str
-    port: str
-
-    def __str__(self) -> str:
-        """Write `NODELET:PORT`."""
-        return f"{self.nodelet}:{self.port}"
 
 
 def graph_name(text: str) -> str:
@@ -70,15 +58,15 @@ def namespace(text: str) -> str:
     return text if text == "/" else graph_name(text)
 
 
-def port_reference(text: str) -> PortReference:
+def port_reference(text: str) -> PortRef:
     """Read `NODELET:PORT`."""
     nodelet, colon, port = text.rpartition(":")
     if not colon or not nodelet or not port:
         raise argparse.ArgumentTypeError(f"'{text}': expected NODELET:PORT, such as camera:image")
-    return PortReference(graph_name(nodelet), port)
+    return PortRef(graph_name(nodelet), port)
 
 
-def port_or_topic(text: str) -> Union[PortReference, str]:
+def port_or_topic(text: str) -> Union[PortRef, str]:
     """Read `NODELET:PORT`, or else the name of a topic, which has no colon."""
     return port_reference(text) if ":" in text else graph_name(text)
 

@@ -13,9 +13,10 @@ import signal
 from typing import TYPE_CHECKING, Any, Callable, Iterable, List, Sequence
 
 from dyknow import names
-from dyknow.cli.arguments import PortReference, default_manager
+from dyknow.cli.arguments import default_manager
 from dyknow.cli.topics import topics_of
 from dyknow.errors import DyKnowError
+from dyknow.model.graph import PortRef
 from dyknow.model.transformation import IN, NODELET, OUT
 from dyknow.wiring.ports import types_fit
 
@@ -116,7 +117,7 @@ class _Cursor:
                 found.extend(f"{name}:{port}" for port in ports)
         return found
 
-    def type_of(self, reference: PortReference) -> str:
+    def type_of(self, reference: PortRef) -> str:
         """ROS type of a port, empty if it is not known."""
         for nodelet in self.nodelets():
             if nodelet.name == self.resolve(reference.nodelet):
@@ -234,7 +235,7 @@ def stream_sources(cursor: _Cursor) -> Iterable[str]:
 def stream_targets(cursor: _Cursor) -> Iterable[str]:
     """In-ports that fit the source, and topics if the source is a port."""
     source = cursor.given("source")
-    if isinstance(source, PortReference):
+    if isinstance(source, PortRef):
         return [*cursor.ports(IN, cursor.type_of(source)), *_topics_beside_ports(cursor)]
     return cursor.ports(IN)
 

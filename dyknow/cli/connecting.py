@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Dict, List, Sequence, Tuple
 
-from dyknow.cli.arguments import PortReference
 from dyknow.cli.views import state_of, unknown_nodelet
 from dyknow.errors import NodeletUnreachable
-from dyknow.model.graph import PortState
+from dyknow.model.graph import PortRef, PortState
 from dyknow.model.transformation import IN, OUT
 from dyknow.similar import did_you_mean
 from dyknow.wiring.ports import CannotConnect, by_name, check_ends, choose_topic
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
 class PortMove:
     """A port, its topic before the move and its topic after it; empty for disconnected."""
 
-    port: PortReference
+    port: PortRef
     before: str
     after: str
 
@@ -49,7 +48,7 @@ def ports_of(client: ShellClient, nodelet: str) -> Tuple[PortState, ...]:
         raise NodeletUnreachable(f"{silence}; it is {state_of(present)}") from silence
 
 
-def find_port(reference: PortReference, ports: Sequence[PortState]) -> PortState:
+def find_port(reference: PortRef, ports: Sequence[PortState]) -> PortState:
     """Return the port that a reference means.
 
     Raises:
@@ -66,7 +65,7 @@ def find_port(reference: PortReference, ports: Sequence[PortState]) -> PortState
 
 
 def connect(
-    client: ShellClient, source: PortReference, target: PortReference, topic: str = ""
+    client: ShellClient, source: PortRef, target: PortRef, topic: str = ""
 ) -> Tuple[str, List[PortMove]]:
     """Connect an out-port to an in-port.
 
@@ -95,7 +94,7 @@ def connect(
 
 
 def connect_to_topic(
-    client: ShellClient, reference: PortReference, topic: str, direction: str
+    client: ShellClient, reference: PortRef, topic: str, direction: str
 ) -> List[PortMove]:
     """Connect a port to a topic.
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Dict, Iterator, List, Sequence, Tuple
 
-from dyknow.cli.arguments import PortReference
 from dyknow.cli.views import state_of
+from dyknow.model.graph import PortRef
 from dyknow.model.transformation import OUT
 from dyknow.wiring.ports import by_name
 
@@ -27,20 +27,20 @@ class Topic:
 
     name: str
     datatype: str
-    sources: Tuple[PortReference, ...]
-    targets: Tuple[PortReference, ...]
+    sources: Tuple[PortRef, ...]
+    targets: Tuple[PortRef, ...]
 
 
 def topics_of(snapshot: Model) -> List[Topic]:
     """List the topics that nodelets are connected to, by name."""
-    sources: Dict[str, List[PortReference]] = {}
-    targets: Dict[str, List[PortReference]] = {}
+    sources: Dict[str, List[PortRef]] = {}
+    targets: Dict[str, List[PortRef]] = {}
     types: Dict[str, str] = {}
     for nodelet in sorted(snapshot.nodelets, key=lambda each: each.name):
         for port in by_name(nodelet.ports):
             if port.topic:
                 ends = sources if port.direction == OUT else targets
-                ends.setdefault(port.topic, []).append(PortReference(nodelet.name, port.name))
+                ends.setdefault(port.topic, []).append(PortRef(nodelet.name, port.name))
                 if port.datatype not in ("", "*"):
                     types.setdefault(port.topic, port.datatype)
     return [
@@ -63,7 +63,7 @@ def list_topics(snapshot: Model, topics: Sequence[Topic]) -> Iterator[str]:
         for target in topic.targets:
             yield f"    to   {target}"
     loose = [
-        f"    {port.direction:<4} {PortReference(nodelet.name, port.name)}"
+        f"    {port.direction:<4} {PortRef(nodelet.name, port.name)}"
         for nodelet in snapshot.nodelets
         for port in by_name(nodelet.ports)
         if not port.topic

@@ -38,6 +38,18 @@ class PortState:
 
 
 @dataclass(frozen=True)
+class PortRef:
+    """A port, named from outside its nodelet; written ``NODELET:PORT``."""
+
+    nodelet: str
+    port: str
+
+    def __str__(self) -> str:
+        """Write ``NODELET:PORT``."""
+        return f"{self.nodelet}:{self.port}"
+
+
+@dataclass(frozen=True)
 class NodeletStatus:
     """A nodelet and how it is connected; the fields are those of ``dyknow_msgs/Nodelet``.
 

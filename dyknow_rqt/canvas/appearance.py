@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, Dict, List, Mapping, NamedTuple, Optional
 
 from python_qt_binding.QtGui import QFont, QFontMetricsF
 
-from dyknow.model.graph import State
+from dyknow.model.graph import PortRef, State
 from dyknow.model.transformation import IN
 from dyknow_rqt.graph.figure import Edge, Figure, VertexKind
 from dyknow_rqt.graph.geometry import Size
 from dyknow_rqt.graph.rates import PortRate
-from dyknow_rqt.graph.snapshot import PortRef, Snapshot
+from dyknow_rqt.graph.snapshot import Snapshot
 
 if TYPE_CHECKING:
     from dyknow.model.graph import NodeletStatus

@@ -8,10 +8,10 @@ from python_qt_binding.QtCore import QPointF, QRectF, Qt
 from python_qt_binding.QtGui import QBrush, QFont, QFontMetricsF, QPainter, QPainterPath, QPen
 from python_qt_binding.QtWidgets import QGraphicsItem
 
+from dyknow.model.graph import PortRef
 from dyknow.model.transformation import IN
 from dyknow_rqt.canvas.colours import Colours, Tone
 from dyknow_rqt.graph.geometry import Rectangle
-from dyknow_rqt.graph.snapshot import PortRef
 from dyknow_rqt.qt_slot import qt_slot
 
 PORT_RADIUS = 4.0

@@ -9,6 +9,7 @@ from python_qt_binding.QtGui import QFont, QImage, QPainter, QPalette
 from python_qt_binding.QtSvg import QSvgGenerator
 from python_qt_binding.QtWidgets import QGraphicsScene
 
+from dyknow.model.graph import PortRef
 from dyknow_rqt.canvas.appearance import appearances_of, edge_refs, edge_traffic, port_tip
 from dyknow_rqt.canvas.arrows import EdgeItem
 from dyknow_rqt.canvas.colours import Tone, colours_of
@@ -18,7 +19,7 @@ from dyknow_rqt.graph.figure import Edge, Figure, Vertex, VertexKind
 from dyknow_rqt.graph.geometry import Layout, Size
 from dyknow_rqt.graph.port_order import without_crossings
 from dyknow_rqt.graph.rates import PortRate
-from dyknow_rqt.graph.snapshot import PortRef, Snapshot
+from dyknow_rqt.graph.snapshot import Snapshot
 
 #: Pixels that can be dragged beyond the drawing.
 _MARGIN = 3000.0

@@ -9,14 +9,13 @@ from python_qt_binding.QtCore import QPointF, QRectF, Qt
 from python_qt_binding.QtGui import QBrush, QFont, QFontMetricsF, QPainter, QPainterPath, QPen
 from python_qt_binding.QtWidgets import QGraphicsItem
 
-from dyknow.model.graph import State
+from dyknow.model.graph import PortRef, State
 from dyknow.model.transformation import IN, OUT
 from dyknow_rqt.canvas.appearance import Appearance
 from dyknow_rqt.canvas.colours import Colours, Tone
 from dyknow_rqt.canvas.items import Item, PortItem
 from dyknow_rqt.graph.figure import Vertex, VertexKind
 from dyknow_rqt.graph.geometry import Size
-from dyknow_rqt.graph.snapshot import PortRef
 from dyknow_rqt.qt_slot import qt_slot
 
 

@@ -8,12 +8,12 @@ from python_qt_binding.QtCore import QPoint, QPointF, QRectF, Qt, Signal
 from python_qt_binding.QtGui import QPainter, QPainterPath, QPen
 from python_qt_binding.QtWidgets import QFrame, QGraphicsPathItem, QGraphicsView, QWidget
 
+from dyknow.model.graph import PortRef
 from dyknow_rqt.canvas.arrows import EdgeItem
 from dyknow_rqt.canvas.items import Item, PortItem
 from dyknow_rqt.canvas.scene import GraphScene
 from dyknow_rqt.canvas.vertices import VertexItem
 from dyknow_rqt.graph.figure import VertexKind
-from dyknow_rqt.graph.snapshot import PortRef
 from dyknow_rqt.qt_slot import qt_slot
 
 _STEP = 1.2

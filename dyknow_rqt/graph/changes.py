@@ -11,9 +11,9 @@ from typing import Dict, List, Mapping, Tuple
 
 from dyknow.errors import DyKnowError
 from dyknow.model.client import BaseManagerClient
-from dyknow.model.graph import SpawnRequest
+from dyknow.model.graph import PortRef, SpawnRequest
 from dyknow.model.transformation import Transformation
-from dyknow_rqt.graph.snapshot import PortRef, Snapshot
+from dyknow_rqt.graph.snapshot import Snapshot
 
 Library = Mapping[str, Transformation]
 

@@ -6,9 +6,10 @@ import enum
 from dataclasses import dataclass, field
 from typing import Dict, Iterator, List, NamedTuple, Set, Tuple
 
+from dyknow.model.graph import PortRef
 from dyknow.model.transformation import IN
 from dyknow_rqt.graph.filters import Filter
-from dyknow_rqt.graph.snapshot import PortRef, Snapshot, Topic
+from dyknow_rqt.graph.snapshot import Snapshot, Topic
 
 #: Names that are in every graph and seldom of interest.
 _QUIET = Filter(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Dict, Iterable, Tuple
 
-from dyknow_rqt.graph.snapshot import PortRef
+from dyknow.model.graph import PortRef
 
 if TYPE_CHECKING:
     from dyknow.model.statistics import NodeletStatistics

@@ -16,7 +16,7 @@ from typing import (
     Tuple,
 )
 
-from dyknow.model.graph import PortState
+from dyknow.model.graph import PortRef, PortState
 from dyknow.model.transformation import IN
 from dyknow.wiring.ports import topic_after
 
@@ -34,18 +34,6 @@ class PlainNode:
     name: str
     publishes: Tuple[str, ...]
     subscribes: Tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class PortRef:
-    """A port, named from outside."""
-
-    nodelet: str
-    port: str
-
-    def __str__(self) -> str:
-        """Write it as people do."""
-        return f"{self.nodelet}:{self.port}"
 
 
 @dataclass(frozen=True)

@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Iterator, List, Tuple
 
 from dyknow import names
-from dyknow.model.graph import PortState
+from dyknow.model.graph import PortRef, PortState
 from dyknow.model.transformation import IN
 from dyknow.wiring import ports
 from dyknow.wiring.ports import CannotConnect, types_fit
 from dyknow_rqt.graph.changes import Rewire
-from dyknow_rqt.graph.snapshot import PortRef, Snapshot
+from dyknow_rqt.graph.snapshot import Snapshot
 
 
 def fit(one: PortState, other: PortState) -> bool:

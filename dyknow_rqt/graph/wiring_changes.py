@@ -7,6 +7,7 @@ from typing import Dict, List, Optional, Tuple
 
 from dyknow.errors import DyKnowError
 from dyknow.model.client import BaseManagerClient
+from dyknow.model.graph import PortRef
 from dyknow.wiring.load import steps_of
 from dyknow.wiring.plan import Plan, plan_load
 from dyknow.wiring.steps import carry_out
@@ -21,7 +22,7 @@ from dyknow_rqt.graph.changes import (
     SpawnNodelet,
 )
 from dyknow_rqt.graph.library_changes import RestoreTransformations
-from dyknow_rqt.graph.snapshot import PortRef, Snapshot
+from dyknow_rqt.graph.snapshot import Snapshot
 
 
 class CannotLoad(DyKnowError):

@@ -18,10 +18,10 @@ from python_qt_binding.QtWidgets import (
     QWidget,
 )
 
-from dyknow.model.graph import PortState
+from dyknow.model.graph import PortRef, PortState
 from dyknow.model.transformation import IN, OUT
 from dyknow.wiring.ports import CannotConnect
-from dyknow_rqt.graph.snapshot import PortRef, Snapshot
+from dyknow_rqt.graph.snapshot import Snapshot
 from dyknow_rqt.graph.wiring import (
     choose_topic,
     connect,

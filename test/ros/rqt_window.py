@@ -17,9 +17,8 @@ from processes import Running
 from python_qt_binding.QtTest import QTest
 from python_qt_binding.QtWidgets import QApplication
 
-from dyknow.model.graph import SpawnRequest
+from dyknow.model.graph import PortRef, SpawnRequest
 from dyknow_rqt.graph.changes import SpawnNodelet
-from dyknow_rqt.graph.snapshot import PortRef
 from dyknow_rqt.graph.wiring import connect, connect_topic
 from dyknow_rqt.ros_remote import RosRemote
 from dyknow_rqt.window import DyKnowWidget

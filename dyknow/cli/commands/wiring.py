@@ -6,12 +6,7 @@ import argparse
 from typing import Dict, List, Optional, Sequence, Union
 
 from dyknow.cli import completion
-from dyknow.cli.arguments import (
-    PortReference,
-    graph_name,
-    port_or_topic,
-    port_reference,
-)
+from dyknow.cli.arguments import graph_name, port_or_topic, port_reference
 from dyknow.cli.command import Command
 from dyknow.cli.connecting import (
     PortMove,
@@ -24,6 +19,7 @@ from dyknow.cli.connecting import (
 from dyknow.cli.json_output import Json
 from dyknow.cli.shell import Shell
 from dyknow.cli.views import shows
+from dyknow.model.graph import PortRef
 from dyknow.model.transformation import IN, OUT
 
 
@@ -73,11 +69,11 @@ def _connect_problem(arguments: argparse.Namespace) -> str:
 
 def _connect(arguments: argparse.Namespace, shell: Shell) -> None:
     source, target = _end(shell, arguments.source), _end(shell, arguments.target)
-    if isinstance(source, str) and isinstance(target, PortReference):
+    if isinstance(source, str) and isinstance(target, PortRef):
         topic, changes = source, connect_to_topic(shell.client, target, source, IN)
-    elif isinstance(source, PortReference) and isinstance(target, str):
+    elif isinstance(source, PortRef) and isinstance(target, str):
         topic, changes = target, connect_to_topic(shell.client, source, target, OUT)
-    elif isinstance(source, PortReference) and isinstance(target, PortReference):
+    elif isinstance(source, PortRef) and isinstance(target, PortRef):
         wish = shell.resolve(arguments.topic) if arguments.topic else ""
         topic, changes = connect(shell.client, source, target, wish)
     _wait(shell, changes)
@@ -121,16 +117,16 @@ def _disconnect(arguments: argparse.Namespace, shell: Shell) -> None:
     )
 
 
-def _end(shell: Shell, end: Union[PortReference, str]) -> Union[PortReference, str]:
+def _end(shell: Shell, end: Union[PortRef, str]) -> Union[PortRef, str]:
     return shell.resolve(end) if isinstance(end, str) else _resolved(shell, end)
 
 
-def _end_json(end: Union[PortReference, str]) -> Optional[Json]:
+def _end_json(end: Union[PortRef, str]) -> Optional[Json]:
     return None if isinstance(end, str) else _reference_json(end)
 
 
-def _resolved(shell: Shell, reference: PortReference) -> PortReference:
-    return PortReference(shell.resolve(reference.nodelet), reference.port)
+def _resolved(shell: Shell, reference: PortRef) -> PortRef:
+    return PortRef(shell.resolve(reference.nodelet), reference.port)
 
 
 def _wait(shell: Shell, changes: Sequence[PortMove]) -> None:
@@ -142,7 +138,7 @@ def _wait(shell: Shell, changes: Sequence[PortMove]) -> None:
         shell.warn("done, but the manager's model does not show it yet")
 
 
-def _reference_json(reference: PortReference) -> Json:
+def _reference_json(reference: PortRef) -> Json:
     return {"nodelet": reference.nodelet, "port": reference.port}
 
 

@@ -6,7 +6,8 @@ import pytest
 from unit.cli.fake_client import FakeClient, run
 from unit.manager.world import World
 
-from dyknow_rqt.graph.snapshot import PortRef, Snapshot, plain_nodes, taken_topics
+from dyknow.model.graph import PortRef
+from dyknow_rqt.graph.snapshot import Snapshot, plain_nodes, taken_topics
 from dyknow_rqt.graph.wiring import choose_topic
 
 

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 
 import dyknow
-from dyknow.cli.arguments import PortReference
 from dyknow.cli.main import main
 from dyknow.cli.parser import all_commands, parse
+from dyknow.model.graph import PortRef
 
 
 def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
@@ -105,8 +105,8 @@ def test_wrong_usage_is_one_line(
 
 def test_a_port_belongs_to_the_name_before_the_last_colon() -> None:
     arguments = parse(["connect", "/robot/camera:image/raw", "b:~in"])
-    assert arguments.source == PortReference("/robot/camera", "image/raw")
-    assert arguments.target == PortReference("b", "~in")
+    assert arguments.source == PortRef("/robot/camera", "image/raw")
+    assert arguments.target == PortRef("b", "~in")
 
 
 def test_options_of_every_command_stand_before_or_behind_it() -> None:

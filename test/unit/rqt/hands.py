@@ -14,9 +14,8 @@ from python_qt_binding.QtWidgets import (
     QMessageBox,
 )
 
-from dyknow.model.graph import SpawnRequest
+from dyknow.model.graph import PortRef, SpawnRequest
 from dyknow_rqt.graph.changes import SpawnNodelet
-from dyknow_rqt.graph.snapshot import PortRef
 
 CEILING = PortRef("/field/ceiling_camera", "field_position")
 TRACKER = PortRef("/field/tracker", "position")

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from dyknow.errors import HostError, InvalidName
-from dyknow.model.graph import SpawnRequest
+from dyknow.model.graph import PortRef, SpawnRequest
 from dyknow.model.statistics import NodeletStatistics, PortStatistics
 from dyknow.wiring.ports import CannotConnect
 from dyknow.wiring.wiring import wiring_of
@@ -21,7 +21,7 @@ from dyknow_rqt.graph.changes import (
 from dyknow_rqt.graph.history import UndoHistory
 from dyknow_rqt.graph.library_changes import AddTransformations, remove_transformations
 from dyknow_rqt.graph.rates import Meter, in_turns
-from dyknow_rqt.graph.snapshot import PortRef, Snapshot
+from dyknow_rqt.graph.snapshot import Snapshot
 from dyknow_rqt.graph.wiring import (
     connect,
     connect_topic,

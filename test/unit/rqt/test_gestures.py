@@ -20,7 +20,7 @@ from unit.rqt.hands import (
     wiring_of,
 )
 
-from dyknow_rqt.graph.snapshot import PortRef
+from dyknow.model.graph import PortRef
 
 
 def test_a_drag_from_port_to_port_connects_and_undo_takes_it_back(qtbot, window, remote):

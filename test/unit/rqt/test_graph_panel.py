@@ -18,7 +18,7 @@ from unit.rqt.hands import (
     vertex_keys,
 )
 
-from dyknow_rqt.graph.snapshot import PortRef
+from dyknow.model.graph import PortRef
 
 
 def test_hovering_lights_up_the_neighbours(qtbot, window):
