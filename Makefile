@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 # Every target is complete in itself: on a fresh machine it installs and builds what it needs first.
 
 SHELL := /bin/bash

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """DyKnow: streams in ROS 1 that can be re-wired while everything runs.
 
 The names below are loaded when they are first used, so that ``import dyknow`` alone imports

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """When to try again what failed: after pauses that double from failure to failure."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Demands for streams as text: written where a plan fails, read back by the client it is told to.
 
 The answer of ``acquire_stream`` names the tags that nothing supplies in its message only.

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Every way in which DyKnow refuses: one exception for each cause.
 
 Each exception carries what it needs to explain itself. Its text names what is wrong and says what

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Passes events to a listener one at a time, in their order, outside the locks that order them."""
 
 from __future__ import annotations

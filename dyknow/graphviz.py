@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Graphviz: its language DOT, and drawing with its program `dot`."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Restrictions on changes, enforced by the manager and by each proxy.
 
 The manager hands its guards to its nodelet managers, since a call to a proxy does not pass through

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Locks of two kinds, in one order, which a debug mode asserts.
 
 A *state lock* guards memory and is held for microseconds: nobody calls out or waits under it. A

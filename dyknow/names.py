@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """ROS graph names: validity, namespaces, resolution and remapping.
 
 The rules are those of http://wiki.ros.org/Names, in the order in which roscpp's NodeHandle

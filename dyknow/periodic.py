@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Threads that work in rounds: once in a period, and at once when they are woken.
 
 A thread of DyKnow is one of three kinds: a `PeriodicWorker`, one of a pool

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Suggestions for a name that is not known: the known names that resemble it."""
 
 from __future__ import annotations

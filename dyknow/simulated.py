@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """A DyKnow manager in this process, without ROS: for tests, for pictures, and to try things out.
 
 It is the real manager, planner and claims included, on nodelets that run nowhere. No message

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """``benchmark busy``: time to arrival over a chain while another nodelet burns CPU.
 
 The other nodelet computes in Python without a pause: in the chain's own nodelet manager, where it

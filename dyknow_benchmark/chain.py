@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """``benchmark chain``: time to arrival over a chain of hops, the paper's figure 4.
 
 A source stamps messages at a fixed frequency, every hop compares the stamp with the time of

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The kinds of chains that are compared, and how each is set up."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The measuring side: tells the sources of chains to send, and collects what the hops saw."""
 
 from __future__ import annotations

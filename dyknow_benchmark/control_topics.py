@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The topics by which the measuring process controls the parts of a chain.
 
 Below a control namespace there are three topics, the same for the parts in C++

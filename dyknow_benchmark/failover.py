@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """``benchmark failover``: a part of a claimed stream fails, until its replacement delivers.
 
 Counted from the failure to the first message that the replacement publishes on the client's topic,

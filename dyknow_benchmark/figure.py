@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The paper's figure 4: mean time to arrival over the number of hops."""
 
 from __future__ import annotations

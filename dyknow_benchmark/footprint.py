@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """``benchmark footprint``: memory and threads of a nodelet, and of a node that does the same.
 
 Chains are set up and carry a message. Memory is the proportional set size (PSS): of what processes

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """``benchmark idle``: CPU time of a nodelet manager whose nodelets have nothing to do."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """``benchmark images``: the same chain with images of growing size and with time stamps.
 
 Messages pass by reference, so their size should not matter. All chains run in one nodelet

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """``benchmark leak``: what re-wiring and loading leave behind in a nodelet manager.
 
 File descriptors, threads and registrations of the manager are counted before and after many

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Nodelet managers, DyKnow's and the stock C++ one, as processes of a measurement."""
 
 from __future__ import annotations

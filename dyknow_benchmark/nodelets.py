@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The parts of a chain as nodelets, on ports and on plain topics."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """``benchmark outside``: time to arrival over a chain that another process listens to.
 
 All chains are in one nodelet manager; of each, another process subscribes to a number of topics,

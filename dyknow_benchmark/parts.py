@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The parts of a chain: a source that stamps messages and hops that forward them.
 
 They know neither rospy nor nodelets: the same code runs in every kind of chain, so that only the

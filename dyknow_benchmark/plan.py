@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """``benchmark plan``: load many transformations into a planner, and plan over them.
 
 It needs no ROS master. The deep library is searched along one chain; in the dense one nearly

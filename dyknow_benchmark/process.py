@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Chains without nodelets, each run as ``python3 -m dyknow_benchmark.process``.
 
 ``function`` calls one hop from the other, ``rospy`` connects all hops of one process by rospy's

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The ratios at 50 hops that DyKnow is held to, as far as the chain experiment tells them.
 
 Two of them need messages of their own: DyKnow beside C++ nodelets at the frequency that the figure

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """``benchmark recover``: kill -9 of the nodelet manager, until every stream is back.
 
 Each kill follows as soon as the streams are back from the last, so the times hold the pauses that

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The results of a measurement: tables, pictures and verdicts, shown and written in one way."""
 
 from __future__ import annotations

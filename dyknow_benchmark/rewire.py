@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """``benchmark rewire``: from a set_config call to the first message of the new topic.
 
 The client is another process with a persistent ServiceProxy, both topics are live, and the

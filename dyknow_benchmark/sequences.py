@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Finds lost and doubled messages by their numbers, at a port that is switched.
 
 Two ends are watched. At an in-port that is switched between two topics, one of which carries the

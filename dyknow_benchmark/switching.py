@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """A pair of nodelets whose connection is switched: how it is set up and re-wired."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """A DyKnow manager as a process, for the measurements at scale."""
 
 from __future__ import annotations

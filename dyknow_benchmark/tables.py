@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Rows of results, as a table on the terminal and as CSV."""
 
 from __future__ import annotations

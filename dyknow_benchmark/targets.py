@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The ratios that DyKnow is measured against, and whether a run reached them."""
 
 from __future__ import annotations

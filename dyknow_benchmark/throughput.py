@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """``benchmark throughput``: messages per second through a chain, DyKnow beside rospy.
 
 The chain is closed to a ring in which some messages go round as fast as they can, so that it is

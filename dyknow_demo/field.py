@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Rendered camera frames, for where there are no real ones: a ball that rolls over a field."""
 
 from __future__ import annotations

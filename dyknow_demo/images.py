@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """sensor_msgs/Image as numpy arrays and back, without copying pixels.
 
 ``array_of`` is a view of the message's own data. To make a message, ask for a blank one and write

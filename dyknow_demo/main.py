@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The command line of the demonstrations: the soccer field, or with ``--rewiring`` a chain."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The processes of the demonstrations: a roscore where there is none, and managers.
 
 Who owns what: ``Processes`` owns what it started and ends exactly that, by process id, in reverse

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Calls that may block, made in a pool; their results arrive in the thread of the window."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """A field for a filter of names, with completion and a sign for errors."""
 
 from __future__ import annotations

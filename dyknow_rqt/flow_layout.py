@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """A layout that wraps into lines, as text does, so that a window can be narrow."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The bar above the graph: options of the drawing, placed as in rqt_graph."""
 
 from __future__ import annotations

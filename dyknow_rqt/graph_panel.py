@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The graph with its bar: draws the monitor's snapshot, and turns gestures into changes."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """``rosrun dyknow dyknow_rqt``: the window on its own, where there is no rqt."""
 
 from __future__ import annotations

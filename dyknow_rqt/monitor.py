@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Keeps the window's snapshot of the computation graph up to date, and makes its changes.
 
 ``Monitor`` owns the remote side and the calls in the background. Its state changes in the thread

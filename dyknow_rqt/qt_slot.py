@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Catches exceptions in slots and events: PyQt aborts the process if one leaves them."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The seam between the window and the rest of the world.
 
 The real one is ``ros_remote``; ``simulated`` stands beside it, for tests and pictures.

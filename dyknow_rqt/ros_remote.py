@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The window's view on ROS: the manager's client, its topics, the master. No Qt here.
 
 ``RosRemote`` owns two subscriptions; where the process is no node yet it makes it one, as soon as

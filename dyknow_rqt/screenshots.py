@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """``make screenshots``: takes the pictures of the documentation, from a made-up graph.
 
 It needs neither a screen nor ROS processes.

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """A simulated manager as the window sees it: for tests of the window, and for its pictures."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """A made-up graph for pictures and tests: a robot on a soccer field."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The line at the bottom of the window: results, errors and questions."""
 
 from __future__ import annotations

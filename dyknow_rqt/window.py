@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The whole window: control panel on the left, graph on the right, one line at the bottom."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Wirings in files, in the format of ``dyknow save`` and ``dyknow load``."""
 
 from __future__ import annotations

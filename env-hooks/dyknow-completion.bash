@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 # Completion of `dyknow` and `rosrun dyknow dyknow` in bash, by argcomplete. Source it; the setup.bash
 # of a catkin workspace that has DyKnow in it does.
 

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Disks with real faults: small ones that fill up, read-only ones, files that others lock."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """How many examples the property tests try, and for how long.
 
 ``HYPOTHESIS_PROFILE=slow`` is for machines that are slow or busy: a tenth of the examples.

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """What the property tests of specifications draw their examples from."""
 
 from hypothesis import strategies as st

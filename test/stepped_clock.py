@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Time of workers that a test moves on by hand, once their threads sleep."""
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
 #!/usr/bin/env bash
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 # Builds the checkout in a catkin workspace of its own, build/ws.
 set -euo pipefail
 

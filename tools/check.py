@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Runs every check and test of the repository, one after the other, and sums up.
 
 A stage that fails fails the run, but the later stages still run, so that one run shows everything
@@ -175,6 +178,7 @@ Stage = Tuple[str, Callable[[], Outcome]]
 STAGES: tuple[Stage, ...] = (
     ("build", check("make", "--no-print-directory", "build")),
     ("check tools", check("make", "--no-print-directory", "venv")),
+    ("SPDX lines", check(ROS_PYTHON, "tools/spdx.py", "--check")),
     ("ruff check", check(str(VENV / "ruff"), "check")),
     ("ruff format", check(str(VENV / "ruff"), "format", "--check")),
     ("mypy", check(str(VENV / "mypy"))),

@@ -1,4 +1,7 @@
 #!/usr/bin/env bash
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 # Installs the distribution's packages that DyKnow needs and that are not there yet.
 set -euo pipefail
 

@@ -1,4 +1,7 @@
 #!/usr/bin/env bash
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 # Runs a command in the environment of the built workspace: bash tools/in-workspace.sh COMMAND [ARGUMENT...]
 set -e
 

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Measures what doc/performance.md shows, and writes the results into that page.
 
 Without arguments everything is measured, which takes most of an hour; the machine should have

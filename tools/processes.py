@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Runs commands that may not outlive their time limit, nor leave children of theirs behind.
 
 Each command leads a process group of its own, which is ended by its id, and only while it is ours.

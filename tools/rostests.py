@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Runs rostest suites, each with a ROS master, a ROS home and a time limit of its own."""
 
 from __future__ import annotations

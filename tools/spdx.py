@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Adds the SPDX lines to source files that do not have them; ``--check`` lists these instead."""
 
 from __future__ import annotations

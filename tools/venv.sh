@@ -1,4 +1,7 @@
 #!/usr/bin/env bash
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 # Makes a virtual environment under build/, once for each state of its requirements:
 # bash tools/venv.sh NAME PYTHON REQUIREMENTS [OPTION...]
 set -euo pipefail

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """A command of `dyknow`: its help, its arguments, and its function."""
 
 from __future__ import annotations

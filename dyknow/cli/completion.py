@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """What TAB offers: argcomplete finds the argument at the cursor, this module its possible values.
 
 Each completer is attached to an argument by `complete_with`. It asks the manager and the master,

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Connects ports to each other and to topics; all ends move, or none."""
 
 from __future__ import annotations

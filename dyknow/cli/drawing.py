@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The computation graph in graphviz's DOT language.
 
 Everything is written in sorted order, so that equal graphs have equal drawings, and a small

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Writes files atomically: a reader sees the old contents or the new."""
 
 from __future__ import annotations

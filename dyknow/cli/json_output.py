@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """What `--json` prints. Programs rely on it: keys may be added, never changed."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """`dyknow`: the command line of the DyKnow manager."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """`rosrun dyknow manager`: the command line of the manager's node."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """What `--help` prints for the nodes: what each is, its parameters, and its services."""
 
 from __future__ import annotations

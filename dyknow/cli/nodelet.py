@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """`rosrun dyknow nodelet`: nodelet_core's command line.
 
 A manager or standalone process of this command hosts nodelets in Python; as a client (`load`,

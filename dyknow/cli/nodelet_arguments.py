@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The command line of `nodelet`, argument by argument that of nodelet_core.
 
 Launch files written for `pkg="nodelet" type="nodelet"` work with another package name, so nothing

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Repeated output: in place on a terminal, one after the other elsewhere."""
 
 from __future__ import annotations

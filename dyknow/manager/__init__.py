@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The DyKnow manager: which nodelets can run, which do run, and how they are connected.
 
 This layer is plain Python. It imports no ROS, and it reaches nodelets only through what is

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Claims: streams that are kept for clients, as the manager knows them."""
 
 from __future__ import annotations

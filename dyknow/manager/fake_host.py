@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """A host in memory, for whole scenarios without processes and without ROS."""
 
 from __future__ import annotations

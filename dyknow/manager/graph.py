@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The manager's picture of what runs, and who changes which part of it.
 
 Who owns what: the graph owns the records, the revision and the lifetimes. Every record that has to

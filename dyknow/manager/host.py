@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The seam between the manager and the nodelet managers.
 
 The manager reaches nodelets only through a ``Host``. The real one speaks ROS

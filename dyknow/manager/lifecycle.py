@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Making and destroying nodelets; what fails leaves nothing behind."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The DyKnow manager of the paper's figure 1: the five services of section IV.C, as methods.
 
 Built from: the library (what can run), the graph (what does run), the lifecycle (making and

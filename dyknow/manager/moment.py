@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Moments from which a later process can measure, although the wall clock may have been set."""
 
 from __future__ import annotations

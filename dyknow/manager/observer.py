@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Keeps the picture true, and brings back nodelets that died.
 
 What others unload or connect on purpose is taken as their will: the record follows. A nodelet was

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Nodelets as the manager knows them: what each should be, and what was last seen."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """A file of texts by table and key, on a disk that may fail.
 
 What is written is on disk, for every other process, before the call returns. Two kinds of fault

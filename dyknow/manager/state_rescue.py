@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The rescue of a state file that cannot be opened, or is damaged.
 
 The file is read from a private copy, with which no other program interferes and for which there is

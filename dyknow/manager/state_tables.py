@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The tables of a state file: texts by key, in sqlite."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Durable state: what the manager promised, kept over ``kill -9``.
 
 A change is on disk before the call that makes it returns, so what was acknowledged survives when

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Which nodelets get processes of their own, since their processes crash while their code runs.
 
 A nodelet that crashes its process takes its neighbours along each time that it comes back. The

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Checks that values read from outside have the types that their classes declare."""
 
 from __future__ import annotations

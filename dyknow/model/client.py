@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The interface to a DyKnow manager: everything outside the manager speaks with it through this.
 
 ``dyknow.ros.client.ManagerClient`` speaks with a manager of the ROS graph;

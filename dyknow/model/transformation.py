@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Transformations: the blueprints that nodelets are made from, as values."""
 
 from __future__ import annotations

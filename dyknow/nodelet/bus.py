@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The in-process bus: which publications and connections meet on which topic.
 
 The bus owns the table of topics; nothing else changes it. The table and the routes change under

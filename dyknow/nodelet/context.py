@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """What one nodelet owns in the runtime, and returns when it is unloaded.
 
 Who owns what: the ``Runtime`` is one for the process; a ``Context`` is one for a nodelet and owns

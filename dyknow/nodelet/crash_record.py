@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Whose code each thread runs, in a file that outlives the process.
 
 A process that ended by a native crash can no longer say which nodelet was at work. So each thread

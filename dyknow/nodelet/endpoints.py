@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The two ends of a stream inside the process, and the link between them.
 
 A ``Publication`` hands each message, by reference, to the ``Connection`` of every subscription

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The plain NodeHandle: rospy's API in the name and on the queue of one nodelet, on topics.
 
 It declares topics here; derived from it, the one of ``dyknow.proxy`` declares ports.

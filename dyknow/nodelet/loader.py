@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Loads nodelets into this process and unloads them.
 
 Who owns what: the loader owns a table of names; an entry owns one nodelet and its context. A name

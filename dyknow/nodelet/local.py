@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """A middleware without ROS: everything stays in this process.
 
 The public fake beside the real one: runs nodelets in tests and wherever there is no roscore. Its

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The one lock that every message passes under.
 
 Strands, connections and publications guard their state with the same lock instead of one each. A

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The seam between the runtime and ROS.
 
 The runtime calls nothing of ROS itself: it is given a ``Middleware``, which is a transport for

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Look-up of nodelet classes by the names that packages declare.
 
 A package exports ``<dyknow plugin="${prefix}/FILE.xml"/>``; the file lists ``<library>`` elements

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """``Publisher`` and ``Subscriber``: what a nodelet holds of its streams.
 
 They are handles: what a switch changes, the topic and the registrations, belongs to the

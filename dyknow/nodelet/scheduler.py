@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Which thread runs a callback, and when.
 
 A *strand* runs its tasks one after another in the order in which they came; a nodelet has one,

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Services of nodelets: asked on any thread, answered on the nodelet's queue."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Tells a subscriber listener which peers a publication has, as rospy does.
 
 A lazy nodelet works only while it has listeners: its publisher has a ``subscriber_listener`` (see

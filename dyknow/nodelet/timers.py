@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Timers of all nodelets on one thread, which sleeps until the next one is due.
 
 The thread only posts to the timer's strand, so a slow callback delays no other timer. A timer

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Counts of what went through one end of a stream, cheap enough for every message."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The nodelet dyknow/Relay: the smallest useful nodelet with both kinds of ports."""
 
 from __future__ import annotations

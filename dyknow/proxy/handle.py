@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The DyKnow NodeHandle: the plain one, with ports where that has topics."""
 
 from __future__ import annotations

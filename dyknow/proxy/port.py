@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Ports: the state objects of the paper's figure 2.
 
 A port lives as long as its nodelet, while handles on it come and go: it keeps its type and its

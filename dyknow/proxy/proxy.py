@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The nodelet proxy: one for a nodelet, it maps ports to topics and changes that map.
 
 A change is checked as a whole, then applied as a whole. Reconfigurations and declarations of ports

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Every line of DyKnow that knows rospy or a message.
 
 In packages of their own: ``transport`` (the bus over rospy), ``bonding`` (bonds), ``nodelets``

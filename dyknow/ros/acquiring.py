@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Streams on request for Python programs: ``with dyknow.acquire(tag) as stream:``.
 
 Works in a rospy node and in a nodelet. The claim lives as long as the ``with`` block or, without

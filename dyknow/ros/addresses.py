@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Connections to hosts by name; a silent name server delays only callers that need it.
 
 ``getaddrinfo`` has no time limit. Each name is looked up by one thread at a time, for all callers,

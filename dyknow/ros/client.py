@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """A client of the DyKnow manager: typed, with a time limit for every call, answers as values.
 
 It needs no node: scripts and command lines can use it without ``rospy.init_node``.

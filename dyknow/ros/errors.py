@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Exceptions of handles that are also rospy's, so that converted nodes catch what they caught."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Exit codes of the processes of `nodelet`: those of nodelet_core."""
 
 DONE = 0

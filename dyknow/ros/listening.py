@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Room for many who connect to this node at once, and for one when there is no room any more.
 
 rospy's server has a queue of five connections. When a nodelet manager comes back, all who

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Texts for the log: what others sent is cut to a length that a log can bear."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Questions to the ROS master, each with a timeout (rosgraph's own have none)."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Conversion between DyKnow's values and the messages of ``dyknow_msgs``: all of it is here.
 
 ``x_message`` makes the message of a value, ``x_from`` the value of a message.

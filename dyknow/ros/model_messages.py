@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The manager's model as messages, serialised once for each thing that changes.
 
 A model may hold hundreds of nodelets and a hundred thousand transformations, and is asked for

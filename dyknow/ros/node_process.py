@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Runs a node in this process, from its start to an orderly end.
 
 rospy's own signal handler runs its whole shutdown in the main thread, in the middle of whatever

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Processes of this machine, identified by their id and the moment of their start.
 
 An id alone may belong to another process by now. The end of a process is noticed at once, also

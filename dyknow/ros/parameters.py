@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Parameters of nodelets, checked when a nodelet is loaded."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Remote calls with a time limit.
 
 rospy's service and parameter calls have none: a call to a stopped process blocks for as long as

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """A service client in which every step has a time limit.
 
 rospy's ServiceProxy has none: a call to a suspended process blocks for as long as it stays

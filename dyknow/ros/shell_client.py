@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The manager, the proxies and the master as a command of the shell asks them: without a node.
 
 Each call is a connection of its own with a time limit. Nothing registers with the master, so a

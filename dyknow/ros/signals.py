@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Signals, received by a thread that waits for nothing else.
 
 Python runs a handler in the main thread once that thread executes Python code again. A main thread

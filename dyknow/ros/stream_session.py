@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """What the streams of one process have in common: one bond, one subscription, one upkeep.
 
 There is a session for each manager that streams were acquired from; it comes with the first of

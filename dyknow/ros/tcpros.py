@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """TCPROS connections of our own, in which every step has a time limit (rospy's have none).
 
 What TCPROS sends is framed: four bytes that count, and what they count. A connection begins with a

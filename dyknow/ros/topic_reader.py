@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Reads a topic from one of its publishers, without being a node.
 
 A command of the shell need not register with the master: it asks the publisher itself for a

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Tests of your own nodelets: fast and deterministic without a ROS master, or in the real thing.
 
 ``NodeletHarness`` runs nodelets in the test's own process, without a ROS master, on time that

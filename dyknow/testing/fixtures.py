@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The harnesses as fixtures of pytest; a conftest.py has them by its ``pytest_plugins``."""
 
 from __future__ import annotations

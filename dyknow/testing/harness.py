@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Nodelets in the test's own process, without a ROS master."""
 
 from __future__ import annotations

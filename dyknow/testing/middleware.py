@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """ROS as a nodelet in a harness sees it: rospy's types and exceptions, without a master."""
 
 from __future__ import annotations

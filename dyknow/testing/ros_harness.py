@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Nodelets in a real nodelet manager, with a ROS master that belongs to the tests."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The steps that carry out the plan of a load, each with what takes it back."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """What loading a wiring would change, found out before anything is changed."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Reads a wiring from XML, or finds every problem of the file."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Several changes as one: when a step fails, those before it are taken back."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """A whole wiring as a value and as XML: what runs, how it is connected, and what it is made of."""
 
 from __future__ import annotations

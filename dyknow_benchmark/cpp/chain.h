@@ -1,3 +1,6 @@
+// SPDX-FileCopyrightText: 2026 the DyKnow developers
+// SPDX-License-Identifier: BSD-3-Clause
+
 // A chain of hops in C++: the peer that the benchmark compares DyKnow with.
 //
 // The source stamps messages at a fixed frequency, each hop compares the stamp with the time of arrival and forwards

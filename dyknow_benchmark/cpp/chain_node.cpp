@@ -1,3 +1,6 @@
+// SPDX-FileCopyrightText: 2026 the DyKnow developers
+// SPDX-License-Identifier: BSD-3-Clause
+
 // One part of the chain as a node: benchmark_chain source | hop
 #include "chain.h"
 

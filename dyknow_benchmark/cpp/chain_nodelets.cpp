@@ -1,3 +1,6 @@
+// SPDX-FileCopyrightText: 2026 the DyKnow developers
+// SPDX-License-Identifier: BSD-3-Clause
+
 // The chain's parts as nodelets of the stock C++ nodelet manager.
 #include "chain.h"
 

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The nodelet dyknow_demo/Camera: frames from files, as a camera would deliver them."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The nodelet dyknow_demo/Reporter: keeps account of every camera frame that reaches it."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Counts what was lost and doubled in a chain that is re-wired while it runs.
 
 Three independent records are compared, all in seconds of one clock:

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """What ``demo --rewiring`` takes, and the processes that it needs."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Names that tell each camera frame from every other.
 
 A frame's name travels in ``header.frame_id``, which every stage copies: rospy overwrites

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The nodelets of the demonstration, seen from another process: through services alone."""
 
 from __future__ import annotations

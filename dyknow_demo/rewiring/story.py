@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The story: a chain of nodelets that is re-wired in several ways while it runs.
 
 The chain is re-wired from outside, by ``set_config``. A camera is exchanged at the in-port of the

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """What the demonstration prints: a table line by line, and progress where there is a terminal."""
 
 from __future__ import annotations

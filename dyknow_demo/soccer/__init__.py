@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The soccer case study: where is the ball on the field?
 
 Bottom to top: geometry (``rigid``, ``pinhole``, ``nao``, ``ceiling``), the simulated truth

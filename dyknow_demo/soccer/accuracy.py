@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """How far off is the ball's place on the field? The whole way, without ROS, against the truth."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Annotated frames: images with a text file beside each, as the YOLO detectors read them.
 
 A line is ``class x_center y_center width height``, the last four as parts of the image's size.

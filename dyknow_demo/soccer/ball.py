@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """How the ball rolls: kicked from place to place along a loop, it slows down and comes to rest."""
 
 from __future__ import annotations

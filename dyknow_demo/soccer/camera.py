@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """What a camera over the field sees, as YUV 4:2:2."""
 
 from __future__ import annotations

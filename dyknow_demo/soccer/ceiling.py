@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The camera on the ceiling of the lab, above the middle of the field.
 
 Its own frame lies on the floor below it, as a robot's does; so the robot's software does for it.

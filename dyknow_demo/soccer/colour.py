@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Colours of balls, as boxes in YUV (ITU-R BT.601, narrow range)."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """One picture of all frames, with what was to be found and what was."""
 
 from __future__ import annotations

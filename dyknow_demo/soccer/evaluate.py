@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Measures the case study: ``python3 -m dyknow_demo.soccer.evaluate``.
 
 Prints how far the ball's place on the simulated field is off, for both cameras, and, where there

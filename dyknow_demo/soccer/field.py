@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The field of the RoboCup Standard Platform League, seen from above.
 
 Measures in metres from the league's rule book of 2015 (the last year of the orange ball),

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Draws the figures of the documentation: ``python3 -m dyknow_demo.soccer.figures doc/images``."""
 
 from __future__ import annotations

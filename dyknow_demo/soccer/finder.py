@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Finds round things of one colour, coarse to fine: what the robot knows of a ball in an image.
 
 The whole image is looked at in the coarsest planes only, with a generous idea of the colour.

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """A forest that tells balls from other regions: learnt by ``dyknow_demo.soccer.learn``."""
 
 from __future__ import annotations

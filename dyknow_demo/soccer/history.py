@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The last values of a signal, interpolated in between.
 
 An image is older than the joint states that arrive with it, or a little younger. A head that

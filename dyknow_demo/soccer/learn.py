@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Trains the ball's forest and judges it: ``python3 -m dyknow_demo.soccer.learn --frames DIR``.
 
 Each day is left out once: a forest of the other days is judged on it. The threshold comes from

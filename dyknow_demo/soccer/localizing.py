@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """From the frame of a camera's owner to that of the field."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """How a camera is mounted on its owner: what a detector has to know besides the intrinsics."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Where the NAO's bottom camera is, for given joint angles.
 
 Numbers of the NAO V4 and V5 in metres and radians, as its maker documents them at

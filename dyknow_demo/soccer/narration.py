@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Tells in words what has changed from one model of the graph to the next."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """What can be seen of the stream from outside: the graph, the claim's events, the positions."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """How round is an outline? A circle or an ellipse is fitted, and what lies off it put aside."""
 
 from __future__ import annotations

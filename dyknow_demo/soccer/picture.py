@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Draws the graph at the end of an act of the story: what was kept, what is new, what has gone."""
 
 from __future__ import annotations

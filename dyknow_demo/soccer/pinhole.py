@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The pinhole camera: between points in its optical frame and pixels."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The planes Y, U and V of an image, at several resolutions.
 
 Planes are arrays of uint8, (3, rows, columns): each plane lies in one piece. At a factor of 2 one

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Planes Y, U and V as one sensor_msgs/Image.
 
 The three planes follow each other from top to bottom in an image of encoding ``mono8``, so that

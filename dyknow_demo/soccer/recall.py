@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Recall and false finds of the detector in annotated frames.
 
 A find hits a ball when the intersection of their boxes is at least ``OVERLAP`` of their union, or

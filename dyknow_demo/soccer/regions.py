@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Regions that may be a ball of a warm colour, whatever the light, and numbers that describe them.
 
 One limit of a colour suits one hall. So two maps, how yellow and how orange a pixel is, are cut at

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Rigid transformations as 4 x 4 matrices; metres and radians.
 
 ``a_from_b`` takes points of frame b to frame a; ``a_from_b @ b_from_c`` is ``a_from_c``.

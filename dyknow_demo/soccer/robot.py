@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """How the NAO walks after the ball and looks at it; a function of time alone.
 
 It aims at a place behind the mean position of the ball over the last seconds, which keeps it

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """From a round outline in the image to the place of the ball: geometry and its uncertainty.
 
 The outline of a sphere is where a circular cone, with its tip in the camera, meets the image. The

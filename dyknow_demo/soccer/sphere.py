@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Draws a ball as a camera sees it: exactly, from the ray of each pixel."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Sets the stage for the story: a ROS master, a manager that knows the field, and a node.
 
 What is there already is used; what is not is started, and ended with the story.

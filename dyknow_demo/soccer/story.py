@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The story: a robot tracks a ball, leaves to recharge, and returns; the stream goes on.
 
 The story requests a stream, removes the robot's camera and adds it again. The manager makes,

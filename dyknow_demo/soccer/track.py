@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The ball's positions as they arrive, compared with the simulated truth."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The simulated truth: a function of one seed and the time.
 
 Whoever has the same seed has the same world, so each nodelet simulates its own part of it, in

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """YUV 4:2:2 as cameras deliver it, and the way there from BGR.
 
 ITU-R BT.601 with its narrow range (Y 16 to 235), which OpenCV's conversions from YUV 4:2:2 take

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The appearance of the items of the graph: states, texts, sizes. The layout places them."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Colours of the drawing, derived from the palette, so that dark themes work."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The base class of the items, and the small ones: boxes and ports."""
 
 from __future__ import annotations

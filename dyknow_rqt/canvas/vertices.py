@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Ovals for nodelets and ordinary nodes, rectangles for topics."""
 
 from __future__ import annotations

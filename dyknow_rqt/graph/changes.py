@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Changes of the computation graph as values: each can be applied, and most undone.
 
 A change calls a manager's client and raises its exceptions. ``inverse`` is called with the graph

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Writes a figure as DOT, and reads the layout that graphviz makes of it.
 
 The text depends on nothing but the figure and the sizes, and is sorted: equal figures are laid out

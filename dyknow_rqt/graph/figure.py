@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Selects what is drawn of a snapshot: vertices, edges and boxes, by filters and modes."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Geometry of the drawing: x to the right, y downwards, in pixels."""
 
 from __future__ import annotations

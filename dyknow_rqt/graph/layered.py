@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """A simple layout in layers, used if graphviz is missing or too slow."""
 
 from __future__ import annotations

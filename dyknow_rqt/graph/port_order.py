@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The order of ports on a nodelet, so that their arrows do not cross."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Rates of ports, from the counts of two readings of their statistics."""
 
 from __future__ import annotations

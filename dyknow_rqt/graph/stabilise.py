@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Keeps a drawing where it is when a part of it changes.
 
 graphviz computes each layout from nothing: one more nodelet can move all others. If it would move

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Decides which ports fit together, over which topic, and makes the changes that connect them."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The tab Connect: two ports over a topic that is chosen for them, or one port and a topic."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The tab Streams: asks for streams by their tags, and shows their states."""
 
 from __future__ import annotations

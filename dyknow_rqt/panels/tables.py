@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Tables that keep selection and scroll position when their contents change, at any length."""
 
 from __future__ import annotations

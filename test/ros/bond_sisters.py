@@ -1,4 +1,7 @@
 #!/usr/bin/env python3
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The other ends of some bonds, made with python3-bondpy: `bond_sisters.py TOPIC ID...`.
 
 Prints "formed ID" and "broken ID" as it happens; SIGINT breaks the bonds from this side.

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """What the suites about the demonstrations share: processes as their users start them."""
 
 from __future__ import annotations

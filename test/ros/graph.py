@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """What the suites about the ROS graph share: the test package, managers, and looks at the master.
 
 Importing it makes the packages of test/packages known to this process and those that it starts.

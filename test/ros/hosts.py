@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Hosts on one machine, and a network between them that the test commands.
 
 A host is a network namespace with an address of its own. Its only link is a TUN device whose

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """What the suites about several hosts share: the network, and nodelet managers on its hosts."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """What the suites about the DyKnow manager share: the process, its client, looks at the graph.
 
 Importing it makes the packages of test/packages known to this process and those that it starts.

@@ -1,4 +1,7 @@
 #!/usr/bin/env python3
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """A node of the outside: `peer.py talk RATE TOPIC...`, `listen TOPIC...`, `doze SECONDS TOPIC...`.
 
 A talker publishes headers, numbered, each number on every topic, the topics in turn. A listener

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Real processes for tests: started, watched by what they print, and ended for certain."""
 
 from __future__ import annotations

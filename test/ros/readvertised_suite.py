@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """What the suites about topics that come and go share: a talker, and outside listeners."""
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
 #!/usr/bin/env python3
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The window on the soccer case study: a stream is asked for, runs, and a camera replaces another.
 
 With DYKNOW_PICTURES the picture of the documentation is written into that folder.

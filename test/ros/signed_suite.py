@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Random life with signed messages: libraries whose sources sign, a client that reads the
 signatures, and the steps that users, faults and other programs take."""
 

@@ -1,4 +1,7 @@
 #!/usr/bin/env python3
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """A client of a stream as a process of its own: says each state, and whether messages arrive.
 
 It ends when it is told to. Arguments: the tag, and seconds of the lease if not the usual ones.

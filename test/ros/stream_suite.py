@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """What the suites about streams share: a library with tags, and what must always hold."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Test cases whose sub-tests say why they failed.
 
 rosunit counts a sub-test that fails, but loses its text; what is printed it keeps.

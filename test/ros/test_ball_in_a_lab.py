@@ -1,4 +1,7 @@
 #!/usr/bin/env python3
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The story of the ball in a lab: the robot leaves, another camera takes over, it returns."""
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
 #!/usr/bin/env python3
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Every measurement, with tiny numbers: the files have the promised shape and nothing is left."""
 
 from __future__ import annotations

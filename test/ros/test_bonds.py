@@ -1,4 +1,7 @@
 #!/usr/bin/env python3
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """`Bonds` against stock sisters in other processes: python3-bondpy, and nodelet_core's client."""
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
 #!/usr/bin/env python3
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The bus under the ROS graph: by reference inside, ordinary topics for everybody else."""
 
 from __future__ import annotations

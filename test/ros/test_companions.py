@@ -1,4 +1,7 @@
 #!/usr/bin/env python3
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Libraries made for rospy's nodes, in nodelets: filters, tf2, diagnostics, parameters."""
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
 #!/usr/bin/env python3
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """How messages are counted for the manager: by nodelet managers in one call, and by listening."""
 
 from __future__ import annotations

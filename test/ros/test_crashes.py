@@ -1,4 +1,7 @@
 #!/usr/bin/env python3
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Nodelets that crash their process, again and again: their neighbours are left in peace."""
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
 #!/usr/bin/env python3
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """However the process of a nodelet manager ends, its nodelets come back; unloads are followed.
 
 The parameter ~repetitions says how often each way is tried, each time with a new manager.

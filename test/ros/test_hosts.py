@@ -1,4 +1,7 @@
 #!/usr/bin/env python3
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Nodelet managers on hosts that are cut off and come back: nobody else waits, nothing is lost."""
 
 from __future__ import annotations

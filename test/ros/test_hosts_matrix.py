@@ -1,4 +1,7 @@
 #!/usr/bin/env python3
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """A claim over two hosts through every fault of a link or a process, watched or not."""
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
 #!/usr/bin/env python3
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Re-wiring and loading over and over: what the process has of the system stays the same."""
 
 from __future__ import annotations

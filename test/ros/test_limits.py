@@ -1,4 +1,7 @@
 #!/usr/bin/env python3
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Every text that a service takes has a limit, and what is refused is not logged whole."""
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
 #!/usr/bin/env python3
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Plain C++ nodelets of image_proc under the DyKnow manager, in one graph with Python ones."""
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
 #!/usr/bin/env python3
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """What the DyKnow manager survives: killed, stopped and hanging processes, its own among them."""
 
 from __future__ import annotations

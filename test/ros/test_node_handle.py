@@ -1,4 +1,7 @@
 #!/usr/bin/env python3
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """What rospy offers a node, through the NodeHandles of nodelets in a real manager."""
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
 #!/usr/bin/env python3
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """`nodelet load` and `unload` with nodelet_core's manager in C++, and with an odd one."""
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
 #!/usr/bin/env python3
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The nodelet manager and its clients, each a real process: names, bonds, launch files."""
 
 from __future__ import annotations

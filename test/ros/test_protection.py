@@ -1,4 +1,7 @@
 #!/usr/bin/env python3
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Nodelet managers unload protected nodelets for nobody but the DyKnow manager that protects."""
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
 #!/usr/bin/env python3
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """A topic that is withdrawn and advertised again by the same process is heard again.
 
 rospy's subscribers do not connect to an address to which they have a connection, and they do not

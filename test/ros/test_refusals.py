@@ -1,4 +1,7 @@
 #!/usr/bin/env python3
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Bad input: each is refused with a text that says what is wrong, and leaves nothing behind."""
 
 from __future__ import annotations

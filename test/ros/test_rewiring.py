@@ -1,4 +1,7 @@
 #!/usr/bin/env python3
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Ports that are connected elsewhere while messages flow, inside and across processes."""
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
 #!/usr/bin/env python3
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """A nodelet manager that two DyKnow managers share is under the guards of both."""
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
 #!/usr/bin/env python3
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The shipped nodelets in a real nodelet manager, used by an ordinary node of another process."""
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
 #!/usr/bin/env python3
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Sources sign their messages, and nothing reaches whom it is not meant for, whatever happens.
 
 The parameters ~seeds and ~steps say how often and how long (long/signed_streams.test).

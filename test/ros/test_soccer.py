@@ -1,4 +1,7 @@
 #!/usr/bin/env python3
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The soccer case study in a real nodelet manager: the ball's place, by either camera."""
 
 from __future__ import annotations

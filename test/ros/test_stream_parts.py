@@ -1,4 +1,7 @@
 #!/usr/bin/env python3
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """What claimed streams survive: parts that are destroyed, fail, fall silent, die or hang."""
 
 from __future__ import annotations

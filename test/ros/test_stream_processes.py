@@ -1,4 +1,7 @@
 #!/usr/bin/env python3
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """What claims survive: dead clients, a dead manager, and a roscore that goes and comes back."""
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
 #!/usr/bin/env python3
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Silence in real processes: whoever hangs, nobody else is taken for silent."""
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
 #!/usr/bin/env python3
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The end of a manager's process: in order, in time, whatever its nodelets are doing."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Every unit test runs with locks that assert their order, and fails where it is not kept.
 
 Property tests have the profile that the environment asks for.

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The page on the architecture is true: its modules exist, its rooms are those of the imports."""
 
 from __future__ import annotations

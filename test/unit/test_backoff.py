@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Pauses grow for what fails again and again, and for nothing else."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Tags that nothing supplies: named in the text of a refusal, and read out of it again."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Guards of several owners: they add up, and each owner has a parameter of its own."""
 
 from __future__ import annotations

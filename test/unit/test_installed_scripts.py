@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """What is installed runs with the Python that it was built for, whichever comes first."""
 
 from __future__ import annotations

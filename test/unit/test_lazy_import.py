@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The layers without ROS can be used where there is no ROS: importing them must not import it."""
 
 from __future__ import annotations

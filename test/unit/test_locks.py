@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The two kinds of locks, and the debug mode that asserts their order."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """One public class name stands for one thing over the whole repository."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Workers that work in rounds, in time that the test moves on."""
 
 from __future__ import annotations

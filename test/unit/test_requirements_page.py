@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The tests and benchmarks that the page on the paper's requirements names are there."""
 
 from __future__ import annotations

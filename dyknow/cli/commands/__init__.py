@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The commands of `dyknow`, a module for each group of them."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """`library`, `import`, `export` and `remove`: what can run."""
 
 from __future__ import annotations

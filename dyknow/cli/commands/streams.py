@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """`plan`, `streams`, `release` and `replan`: streams on request."""
 
 from __future__ import annotations

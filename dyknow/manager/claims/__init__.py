@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Streams on request: planned, made, repaired, and collected when they are not needed.
 
 ``reconciler`` is where to begin; ``context`` has what its parts share.

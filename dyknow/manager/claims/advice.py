@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """What clients are told besides their streams: why there is none, and what would be cheaper."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Carries a plan out: all of it, or nothing.
 
 Topics get the names of the out-ports that publish on them (``/NODELET/port``), except for the

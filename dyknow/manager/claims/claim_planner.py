@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Plans for claims, from what exists at the moment.
 
 Claims whose clients listen on the same topic are planned together, since one publisher has to

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The claims: written to disk first, then shown.
 
 A claim that has ended stays ended, whatever a repair that was still at work writes afterwards, and

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Connects ports for claims, so that no consumer receives what it does not demand.
 
 Before a producer comes to a topic, consumers there whose demand it does not meet are disconnected.

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """What the parts of the reconciler share, and the lock under which they change claims."""
 
 from __future__ import annotations

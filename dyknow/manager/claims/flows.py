@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """How many messages the parts of streams have sent, and in which spans of time they sent none.
 
 Nodelets are asked for the counts of their out-ports. Topics of ordinary nodes, and of plain C++

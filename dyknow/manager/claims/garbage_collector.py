@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Disconnects and destroys what claims leave behind: unneeded nodelets, and second publishers."""
 
 from __future__ import annotations

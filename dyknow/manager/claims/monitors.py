@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Which parts of streams are silent, and whose first message has come: judged by the counts."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """A plan that is carried out: the request, its result, and what is known meanwhile."""
 
 from __future__ import annotations

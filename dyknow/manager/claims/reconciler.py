@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Keeps requested streams alive: the reconciler of claims.
 
 The claims are the desired state, the graph is the observed one. Whatever has happened, each round

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The relay that brings a stream to where a client listens.
 
 It is made where the stream itself has to stay on its topic: an ordinary node publishes it, or

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Repairs streams: finds out what is wrong with one, and makes it from what exists now."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Who may receive what from whom: the producers and consumers of each topic, at one moment.
 
 A port counts on each topic on which it may be: where it was seen last, where it should be, and

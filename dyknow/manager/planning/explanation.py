@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Explains a plan: as a tree for people, and as a drawing in the language of Graphviz.
 
 A part that is used more than once is new where it stands first and shared everywhere else, so the

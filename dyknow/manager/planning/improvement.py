@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Counts shared parts once: from the cheapest tree to the cheapest plan.
 
 The problem is that of a Steiner arborescence with AND nodes, which is NP-hard. First every action

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The AND/OR graph of the library, in numbers: demands and actions are numbered as they come.
 
 Numbers make the planner fast: a library of 100,000 transformations is searched through lists of

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Finds the cheapest way to a stream.
 
 First Knuth's generalisation of Dijkstra's algorithm (``knuth``) finds the cheapest *tree*, in

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The planning problem and its answer, as values.
 
 An AND/OR graph: a transformation needs *all* its tagged in-ports supplied (AND); a demand is met

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """An index of out-ports and live streams by the tags that they satisfy."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Makes transformations from drafts, with the checks that a grammar cannot make."""
 
 from __future__ import annotations

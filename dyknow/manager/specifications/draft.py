@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """A specification as it was written: texts and lines, before templates and checks."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Refuses RDF/XML whose entities would expand to far more text than the file has.
 
 Editors of ontologies declare entities as shorthands for namespaces, so a DOCTYPE alone is

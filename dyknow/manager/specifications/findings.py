@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Collects the problems of a text, so that all are reported at once, and words them.
 
 Messages quote what was found; long texts and long lists are shortened.

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The elements of specifications: what `transformations.rng` says, in the reader's words.
 
 The schema is for people and their editors; a test compares the two.

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Ontologies: the individuals of classes, and the subclass relation.
 
 The files are read once, with rdflib, into plain dictionaries. Only local files are read:

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Warnings about statements of an ontology that are not read, with line and term.
 
 rdflib does not keep lines, so they are searched: the nearest place after a mention of the term

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Parses transformation specifications: the transformations, or all problems at once."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Tags: terms such as ``FieldPosition(ball)`` that describe streams.
 
 A supplied tag matches a demanded one if its functor is the same or a subclass, and each argument

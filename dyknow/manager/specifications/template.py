@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Templates: one specification that stands for many transformations.
 
 Each `<arg>` is a variable with a set of terms, written out as `{cam1; cam2}` or taken from a

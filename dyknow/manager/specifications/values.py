@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The values of parameters: converts the text of a specification for the parameter server.
 
 The parameter server speaks XML-RPC. It holds strings, integers of 32 bits, doubles, booleans,

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Explains in plain words why a text is not well-formed XML."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Reads XML by the rules of its elements, safely, and explains problems in plain words.
 
 The text may come from anybody who reaches the manager's service, so the reader streams: it

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The protocol of a bond as plain Python: no thread, no clock, no ROS.
 
 A bond ties two processes together so that each learns when the other goes. Both say on one topic,

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """All bonds of one topic, as plain Python: what has to be said, and when something is due next.
 
 The table owns the ends of the bonds (`BondEnd`) and one heartbeat for all of them, so that forty

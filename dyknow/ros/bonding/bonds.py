@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The bonds of a process on one topic, one thread for all of them.
 
 A nodelet manager has a bond with every client that loaded a nodelet and stays to watch over it.

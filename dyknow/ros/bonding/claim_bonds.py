@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Bonds with the clients of claims: a bond that breaks ends the claims that name it.
 
 Both ends speak on the manager's topic ``~bond``, as with nodelet managers. Bonds outlive a manager

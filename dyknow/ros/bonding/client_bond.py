@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The client's end of the bond that its claims hang on.
 
 It only publishes heartbeats. A client learns from its leases what has become of the manager, and

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The processes that a DyKnow manager started, on disk, so that the next one finds them."""
 
 from __future__ import annotations

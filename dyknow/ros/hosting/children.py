@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Nodelet managers as child processes: started, adopted, restarted when they die, and ended.
 
 Who owns what: ``Children`` owns a table of names and a thread for each child. That thread alone

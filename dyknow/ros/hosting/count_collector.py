@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Asks nodelet managers, side by side, how many messages their nodelets have sent.
 
 Who owns what: ``CountCollector`` owns a ``_CountClient`` for each nodelet manager. That owns a

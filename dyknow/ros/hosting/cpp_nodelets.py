@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The proxy's three services for plain C++ nodelets, offered by the manager in their place.
 
 Such a nodelet has no ports that can be moved: what connects it elsewhere is a reload with other

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Nodelet managers that the DyKnow manager did not start, on any host of the ROS graph.
 
 Who owns what: an ``ExternalManager`` owns what is known of one nodelet manager, and a thread that

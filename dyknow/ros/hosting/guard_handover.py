@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Hands the guards of a DyKnow manager to the nodelet managers that enforce them.
 
 With the guards go the names of the nodelets that only this DyKnow manager may unload

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The host of nodelets in ROS: loads, unloads and asks them, wherever they run.
 
 Every remote call has a time limit. A nodelet manager that hangs delays at most one question by

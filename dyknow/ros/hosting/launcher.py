@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Starts a nodelet manager as a process, finds one that runs, and cleans up after it."""
 
 from __future__ import annotations

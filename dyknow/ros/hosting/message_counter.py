@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Counts messages on topics whose publishers cannot be asked, by subscribing to them.
 
 Registering with the ROS master may take its time, so a thread does it, one registration after the

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The nodelet types that packages declare, in Python and in C++.
 
 Python classes are exported as ``<dyknow plugin=…>``, C++ ones as ``<nodelet plugin=…>``.

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The node dyknow_manager: the paper's manager, with all that it needs from ROS.
 
 Who owns what: ``ManagerNode`` owns the store, the nodelet managers that it started, the host, the

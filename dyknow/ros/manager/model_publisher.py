@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The latched topic of the model: a message follows each change, and few follow many."""
 
 from __future__ import annotations

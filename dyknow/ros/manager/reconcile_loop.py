@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The thread that reconciles claims; it sleeps while there are none."""
 
 from __future__ import annotations

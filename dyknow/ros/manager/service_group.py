@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The services of the DyKnow manager: offered together, and answered in the same way."""
 
 from __future__ import annotations

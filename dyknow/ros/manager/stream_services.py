@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The services about streams of the DyKnow manager, over the reconciler's methods."""
 
 from __future__ import annotations

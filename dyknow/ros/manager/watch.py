@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Keeps the manager's picture true: a look every half second, and at once after an event."""
 
 from __future__ import annotations

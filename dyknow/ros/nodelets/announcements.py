@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Nodelet managers tell of changes on the topic ``~changes``: the names of nodelets, no more.
 
 A name says that the nodelet was loaded or unloaded, or that its ports or their topics changed;

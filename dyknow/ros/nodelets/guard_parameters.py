@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """How DyKnow managers hand their guards to nodelet managers: private parameters of these.
 
 Each DyKnow manager has a parameter of its own, ``~guards/KEY``, and the guards of all add up:

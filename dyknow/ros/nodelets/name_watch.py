@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """A node ends when another one has registered under its name.
 
 The master tells it so at that moment, but only once. A node that is cut off just then never hears

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The client side of a nodelet manager: what `nodelet load` and `nodelet unload` do.
 
 They work with every manager that offers nodelet_core's services, in Python or C++. `load` is a

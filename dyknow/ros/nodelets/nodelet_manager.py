@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The nodelet manager: a node that hosts nodelets on threads, in place of the C++ one.
 
 Who owns what: the manager owns the runtime, the loader, the bonds and its services. A load

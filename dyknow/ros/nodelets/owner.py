@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Which DyKnow manager looks after a nodelet manager, and what happens when none does.
 
 A DyKnow manager holds a lock on a file as long as it lives; the kernel gives the lock back

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The three services of a nodelet's proxy, in the nodelet's own namespace."""
 
 from __future__ import annotations

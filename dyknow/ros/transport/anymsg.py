@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Messages of any type: between ``rospy.AnyMsg`` and the classes of messages.
 
 rospy has one subscriber for each topic of a process, and its first user decides which class its

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """What a topic owes to subscribers that were told of it and have yet to connect.
 
 A publisher that moves to a topic waits for its subscribers, but not for ever. What it sends

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Keeps rospy from connecting to itself where the bus delivers already.
 
 rospy links a publisher and a subscriber of one process through a TCP connection to itself. For a

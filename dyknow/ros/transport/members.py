@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """What of rospy a NodeHandle offers as it is, or with its first argument resolved."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Registers what rospy adds with the master, in rospy's place, and keeps what the master answers.
 
 The master answers the registration of a topic with the nodes on its other side. rospy drops that

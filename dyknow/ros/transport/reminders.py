@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Has the master tell subscribers again of a topic that this process advertises once more.
 
 A rospy subscriber does not connect to an address to which it has a connection, and it does not

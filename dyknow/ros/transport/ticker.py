@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The time that timers follow: steady, or /clock when the system runs on simulated time."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The nodelet dyknow_demo/BallDetector: from planes at two resolutions to a ball on the floor."""
 
 from __future__ import annotations

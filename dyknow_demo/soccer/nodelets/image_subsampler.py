@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The nodelet dyknow_demo/ImageSubsampler: one YUV image in, whatever of it is asked for out."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The nodelet dyknow_demo/Localization: from an observer's frame to the field's."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Places on the field, x, y (m) and yaw (rad), as geometry_msgs/PoseWithCovarianceStamped."""
 
 from __future__ import annotations

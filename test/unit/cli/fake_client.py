@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The client of the command line on a manager without ROS, and a way to run commands with it."""
 
 from __future__ import annotations

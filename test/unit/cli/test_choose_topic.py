@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The topic on which two ports meet: one choice, for the command line and for the window."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The graph in DOT, read back by graphviz and, where it is there, by pydot."""
 
 from __future__ import annotations

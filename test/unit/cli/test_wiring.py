@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Wirings as XML: the round trip, and everything that is wrong with a file."""
 
 from __future__ import annotations

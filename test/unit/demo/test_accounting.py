@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The books of the demonstration: whatever goes wrong in a chain must show in them."""
 
 from __future__ import annotations

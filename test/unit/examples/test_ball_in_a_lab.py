@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The ball in a lab, planned: templates over an ontology, and a kind of position."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The pages about converting nodes say how much changes; that is counted here."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """A manager whose nodelets, nodelet managers and own life may end at any moment."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The soccer field on the fake host: a manager, a reconciler, and time that is moved by hand."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Nodelet managers whose hosts are away: what is not known is not claimed, and made good later."""
 
 from __future__ import annotations

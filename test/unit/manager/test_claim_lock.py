@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """What happens to streams while a request waits for a nodelet that takes long to come up."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The table of claims: what is told comes in the order of what happened."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """A manager whose disk is full: it goes on, and what it shows is true."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """An active claim says when no message has come since its stream was changed last."""
 
 from __future__ import annotations

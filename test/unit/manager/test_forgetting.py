@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """What was asked for once, and what is gone, is not remembered for ever."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The schema, and the agreement of the reader with a real RelaxNG validator about it."""
 
 from pathlib import Path

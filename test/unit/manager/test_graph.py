@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Records of nodelets: their revision, their lifetimes, and who works on them."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Replacements: up, and delivering, before the old part goes; undone when a step fails."""
 
 from __future__ import annotations

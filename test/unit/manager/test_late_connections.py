@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """A connection that was not answered in time may be made later: it does not stay unnoticed."""
 
 from __future__ import annotations

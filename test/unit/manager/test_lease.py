@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Leases over the death of the manager: they go on, and are never longer than they were."""
 
 from __future__ import annotations

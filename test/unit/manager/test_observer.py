@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """A true picture: what others do is followed, what dies is brought back."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Ontologies: individuals, labels, subsumption, and files that are not what they seem."""
 
 import socket

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The planner: exact on small problems, quick and without recursion on large ones."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Claims under anything that may happen, in any order: what must hold, holds after every step."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Parsing specifications: what is accepted, what is refused, and what is said about it."""
 
 from pathlib import Path

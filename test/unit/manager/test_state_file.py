@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The state file on disks with real faults, and damaged in every way."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Who was at work in two crashes is kept apart; who was not is left in peace."""
 
 from __future__ import annotations

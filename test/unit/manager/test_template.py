@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Templates: sets of terms, products, one-pass substitution, and the caps before expansion."""
 
 from itertools import product

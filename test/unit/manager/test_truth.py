@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Nobody receives what was not asked for: the paths on which it could happen, one by one."""
 
 from __future__ import annotations

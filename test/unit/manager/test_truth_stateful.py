@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """At no moment does an in-port receive what it did not ask for, whatever happens in any order.
 
 Libraries, clients, users and accidents are random; a witness looks after every single change of

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Watches from outside what each in-port receives, and judges it by the tags alone.
 
 Knows nothing of how the manager keeps its promises: it reads terms and compares them in its own

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Other programs rely on the names, types and order of the fields, and on the constants."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """What the tests of the runtime share: message types, a small world, ways to wait."""
 
 from __future__ import annotations

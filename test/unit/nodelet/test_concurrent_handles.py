@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Multi-threaded handles: subscriptions overlap, each keeps its order."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Who was at work is known after the process has died, whatever it died of."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Loading: names, failures, and that one nodelet's start holds up nobody else."""
 
 from __future__ import annotations

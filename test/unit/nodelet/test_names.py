@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """ROS graph names: validity, resolution, remapping."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Registrations outside: when they are made, fed, and withdrawn."""
 
 from __future__ import annotations

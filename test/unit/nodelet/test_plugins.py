@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Plugin descriptions: what is read, what is refused, and that one hides no other."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Strands: order, exclusion, holding and killing, on an executor that is stepped by hand."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """A publisher's subscriber_listener: lazy nodelets work only while somebody listens."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Switches of publications and subscriptions, in every order, against a simple model.
 
 The model: a message belongs to whoever is on its topic when it is published, and a nodelet is

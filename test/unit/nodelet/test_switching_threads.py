@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Switches under fire: publishers at full speed on threads of their own, real workers."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Unloading: what is gone, what is refused, what is not waited for."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Packages that depend on DyKnow find its messages: C++, Python, and messages of their own."""
 
 from __future__ import annotations

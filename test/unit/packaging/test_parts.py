@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Demonstration, benchmark and window are parts that a robot can do without."""
 
 from __future__ import annotations

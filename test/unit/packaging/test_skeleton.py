@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The package to begin with, built in a workspace of its own; its tests pass there."""
 
 from __future__ import annotations

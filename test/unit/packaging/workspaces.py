@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Catkin workspaces with tiny packages that depend on DyKnow, built and tried as users do."""
 
 from __future__ import annotations

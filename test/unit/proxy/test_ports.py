@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Ports: declared once, shared by handles, remembered by the nodelet."""
 
 from __future__ import annotations

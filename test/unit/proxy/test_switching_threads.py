@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """set_config under fire: real workers, publishers at full speed, thousands of switches."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """A ROS graph small enough for a unit test: a master, and nodelet managers that only list."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Names of hosts are looked up by nobody for longer than there is time."""
 
 from __future__ import annotations

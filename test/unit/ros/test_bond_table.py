@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Many bonds of one topic, two tables talking to each other on a clock of the test's."""
 
 from __future__ import annotations

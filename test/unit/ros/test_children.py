@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Children of a DyKnow manager: their table answers at once, whatever the disk does."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Bonds of claims: there is one for each id that a claim names, whoever changes claims when."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The guards are handed over when the master said so, and until then nothing is loaded."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Values become messages, are sent, and are the same values where they arrive."""
 
 from __future__ import annotations

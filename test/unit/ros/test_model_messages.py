@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Models that are serialised from kept parts say what their messages would say."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """A node that lost its name to another one ends, however late it hears of it."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Processes known by id and start, and the lock that tells whether an owner lives."""
 
 from __future__ import annotations

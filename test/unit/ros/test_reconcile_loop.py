@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The thread that looks after streams: it works when there is reason to, and sleeps else."""
 
 from __future__ import annotations

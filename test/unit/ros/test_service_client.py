@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Calls of services whose every step has a time limit, and the connections under them."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """What a client's stream is told out of order does not win over what is newer."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Sessions of a process with its managers: opened once for each, whatever another one does."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Looks at the nodelet managers: what was heard of is looked at closely, once."""
 
 from __future__ import annotations

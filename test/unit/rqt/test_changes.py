@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Changes of the graph, and the ways back, on a manager that is made up."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Changes made in the graph: drags, keys, menus, whole wirings."""
 
 from __future__ import annotations

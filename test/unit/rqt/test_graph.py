@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """What is drawn of the computation graph, without Qt and ROS."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The graph, used as a person uses it: pointer, wheel, filters, search, and what is drawn."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The window as a whole: managers that are slow or away, undo, settings, many nodelets."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The harness with a ROS master; run by test_harness.py in a process that becomes a node."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The harness without a ROS master, used as authors of nodelets use it."""
 
 from __future__ import annotations

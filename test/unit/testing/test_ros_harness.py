@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The harness with a ROS master, in a process of its own: it would make this one a ROS node."""
 
 from __future__ import annotations

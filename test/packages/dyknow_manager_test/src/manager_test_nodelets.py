@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Nodelets that count, relay, fail, hang, abort and destroy themselves."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Signed messages: what a stream says it is, and whether that meets a demand.
 
 The matching is written here once more, from the contract alone, so that it judges DyKnow's own.

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """A nodelet of any ports, whose messages are signed and which reports what should not reach it."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The ball's place on the field against the truth, the whole way from pixels.
 
 The bounds are those of geometry. A camera at a height h above the ball's centre, looking in a

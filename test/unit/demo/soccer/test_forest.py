@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The ball's forest: candidates, training on drawn frames, and the model that is shipped."""
 
 from __future__ import annotations

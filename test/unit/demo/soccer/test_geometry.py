@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Rigid transformations, the pinhole camera and the NAO's kinematics."""
 
 from __future__ import annotations

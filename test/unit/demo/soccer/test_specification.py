@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The example's specifications: clean, true to the nodelets, and a plan for either camera.
 
 On the fake host the reconciler then does with them what the study tells.

@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """The study's story on the fake host: the robot's camera goes, another's footage takes its way."""
 
 from __future__ import annotations

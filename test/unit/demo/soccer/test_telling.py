@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """What the demonstration tells: the track's figures, changes of the graph, and its pictures."""
 
 from __future__ import annotations

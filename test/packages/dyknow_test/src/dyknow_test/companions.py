@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Nodelets that use libraries made for rospy's nodes."""
 
 from __future__ import annotations

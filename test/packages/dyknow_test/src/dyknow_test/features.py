@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """Nodelets that use what rospy offers a node, through a NodeHandle."""
 
 from __future__ import annotations

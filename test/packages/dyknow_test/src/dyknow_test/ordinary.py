@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 """A nodelet with ordinary handles of rospy beside those of the bus."""
 
 from __future__ import annotations
