@@ -85,7 +85,7 @@ def _add_vertex(menu: QMenu, item: VertexItem, snapshot: Snapshot, actions: Grap
         )
     elif item.vertex.kind is VertexKind.TOPIC:
         topic = snapshot.topics().get(name)
-        refs = topic.sources + topic.sinks if topic is not None else ()
+        refs = topic.sources + topic.targets if topic is not None else ()
         action = _add(menu, "&Disconnect all ports", partial(actions.disconnect_wanted.emit, refs))
         action.setEnabled(bool(refs))
     _add_copy(menu, name)

@@ -17,11 +17,11 @@ from typing import TYPE_CHECKING, Any, Callable, Iterable, List, Sequence
 
 from dyknow import names
 from dyknow.cli.arguments import default_manager
-from dyknow.cli.topics import topics_of
 from dyknow.errors import DyKnowError
 from dyknow.model.graph import PortRef
 from dyknow.model.transformation import IN, NODELET, OUT
 from dyknow.wiring.ports import types_fit
+from dyknow.wiring.topics import topics_of
 
 if TYPE_CHECKING:
     from dyknow.model.graph import NodeletStatus
@@ -80,7 +80,7 @@ class _Cursor:
 
     def topics(self) -> List[str]:
         """The topics of nodelets and of ordinary nodes, sorted."""
-        own = {topic.name for topic in topics_of(self.client.get_graph())}
+        own = {topic.name for topic in topics_of(self.client.get_graph().nodelets)}
         return sorted(own | set(self.client.topics()))
 
     def labels(self, type_: str = "") -> List[str]:

@@ -12,9 +12,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Dict, Iterator, List, Sequence, Set
 
 from dyknow import names
-from dyknow.cli.topics import topics_of
 from dyknow.cli.views import state_of
 from dyknow.graphviz import quote
+from dyknow.wiring.topics import topics_of
 
 if TYPE_CHECKING:
     from dyknow.model.graph import Model, NodeletStatus
@@ -32,7 +32,7 @@ def to_dot(snapshot: Model) -> str:
     spaces = _with_parents(names.parent(nodelet.name) for nodelet in nodelets)
     for nodelet in nodelets:
         inside.setdefault(names.parent(nodelet.name), []).append(_oval(nodelet))
-    topics = topics_of(snapshot)
+    topics = topics_of(snapshot.nodelets)
     known = {nodelet.name for nodelet in nodelets}
     for topic in topics:
         # /camera/image is drawn beside /camera, not in a box of its own.

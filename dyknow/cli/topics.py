@@ -5,56 +5,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Dict, Iterator, List, Sequence, Tuple
+from typing import TYPE_CHECKING, Iterator, Sequence
 
 from dyknow.cli.views import state_of
 from dyknow.model.graph import PortRef
-from dyknow.model.transformation import OUT
 from dyknow.wiring.ports import by_name
+from dyknow.wiring.topics import Topic
 
 if TYPE_CHECKING:
     from dyknow.model.graph import Model, NodeletStatus
-
-
-@dataclass(frozen=True)
-class Topic:
-    """A topic that ports are connected to.
-
-    Attributes:
-        name: global name.
-        datatype: ROS type, empty when no port knows it.
-        sources: out-ports on it, sorted.
-        targets: in-ports on it, sorted.
-    """
-
-    name: str
-    datatype: str
-    sources: Tuple[PortRef, ...]
-    targets: Tuple[PortRef, ...]
-
-
-def topics_of(snapshot: Model) -> List[Topic]:
-    """List the topics that nodelets are connected to, by name."""
-    sources: Dict[str, List[PortRef]] = {}
-    targets: Dict[str, List[PortRef]] = {}
-    types: Dict[str, str] = {}
-    for nodelet in sorted(snapshot.nodelets, key=lambda each: each.name):
-        for port in by_name(nodelet.ports):
-            if port.topic:
-                ends = sources if port.direction == OUT else targets
-                ends.setdefault(port.topic, []).append(PortRef(nodelet.name, port.name))
-                if port.datatype not in ("", "*"):
-                    types.setdefault(port.topic, port.datatype)
-    return [
-        Topic(
-            name,
-            types.get(name, ""),
-            tuple(sources.get(name, ())),
-            tuple(targets.get(name, ())),
-        )
-        for name in sorted({*sources, *targets})
-    ]
 
 
 def list_topics(snapshot: Model, topics: Sequence[Topic]) -> Iterator[str]:

@@ -12,11 +12,11 @@ from dyknow.errors import DyKnowError
 from dyknow.model.client import BaseManagerClient
 from dyknow.model.graph import SpawnRequest
 from dyknow.model.transformation import Transformation
-from dyknow.wiring.plan import Kept, Plan
+from dyknow.wiring.plan import Kept, LoadPlan
 from dyknow.wiring.steps import ReversibleStep
 
 
-def steps_of(plan: Plan, client: BaseManagerClient) -> List[ReversibleStep]:
+def steps_of(plan: LoadPlan, client: BaseManagerClient) -> List[ReversibleStep]:
     """List the steps: what makes way, transformations, new nodelets, changes of those that run."""
     steps = [_end(each, plan, client) for each in plan.remade]
     steps.extend(_add(each, client) for each in plan.added)
@@ -49,7 +49,7 @@ def _replace(
     )
 
 
-def _end(kept: Kept, plan: Plan, client: BaseManagerClient) -> ReversibleStep:
+def _end(kept: Kept, plan: LoadPlan, client: BaseManagerClient) -> ReversibleStep:
     """End a nodelet that is to be made anew."""
     former = kept.present.request
 
@@ -72,7 +72,9 @@ def _end(kept: Kept, plan: Plan, client: BaseManagerClient) -> ReversibleStep:
     )
 
 
-def _make(nodelet: SpawnRequest, plan: Plan, client: BaseManagerClient) -> List[ReversibleStep]:
+def _make(
+    nodelet: SpawnRequest, plan: LoadPlan, client: BaseManagerClient
+) -> List[ReversibleStep]:
     """Spawn a nodelet; ports that its transformation does not declare are connected then."""
     config, later = _by_declaration(nodelet, plan.blueprints[nodelet.label])
     manager = "" if nodelet.name in plan.any_manager else nodelet.manager

@@ -61,7 +61,7 @@ class Kept:
 
 
 @dataclass
-class Plan:
+class LoadPlan:
     """The steps of a load, and what stands against it.
 
     Attributes:
@@ -105,7 +105,7 @@ def plan_load(
     replace: bool = False,
     any_manager: bool = False,
     stored: Optional[Stored] = None,
-) -> Plan:
+) -> LoadPlan:
     """Compare a wiring with what runs.
 
     Args:
@@ -118,7 +118,7 @@ def plan_load(
         any_manager: Let the manager choose where the wanted nodelet manager is not up.
         stored: Tells the parameters of nodelets; None if nobody can tell.
     """
-    plan = Plan()
+    plan = LoadPlan()
     plan.former = {each.label: each for each in snapshot.transformations}
     plan.blueprints = {
         **plan.former,
@@ -197,7 +197,7 @@ def _topics(
     ]
 
 
-def _plan_transformations(plan: Plan, wiring: Wiring, replace: bool) -> None:
+def _plan_transformations(plan: LoadPlan, wiring: Wiring, replace: bool) -> None:
     for transformation in wiring.transformations:
         present = plan.former.get(transformation.label)
         if present is None:
@@ -215,7 +215,7 @@ def _plan_transformations(plan: Plan, wiring: Wiring, replace: bool) -> None:
 
 
 def _plan_present(
-    plan: Plan,
+    plan: LoadPlan,
     nodelet: SpawnRequest,
     present: NodeletStatus,
     replace: bool,
@@ -278,7 +278,7 @@ def _otherwise_made(
     return tuple(found)
 
 
-def _check_blueprint(plan: Plan, nodelet: SpawnRequest, blueprint: Transformation) -> None:
+def _check_blueprint(plan: LoadPlan, nodelet: SpawnRequest, blueprint: Transformation) -> None:
     if blueprint.type == TOPIC:
         plan.problems.append(
             f"nodelet '{nodelet.name}': transformation '{nodelet.label}' is an existing topic, "
@@ -286,7 +286,7 @@ def _check_blueprint(plan: Plan, nodelet: SpawnRequest, blueprint: Transformatio
         )
 
 
-def _check_topics(plan: Plan, wiring: Wiring) -> None:
+def _check_topics(plan: LoadPlan, wiring: Wiring) -> None:
     """Find topics to which ports of different types are to be connected."""
     first: Dict[str, Tuple[str, str]] = {}
     for nodelet in wiring.nodelets:

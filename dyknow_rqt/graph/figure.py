@@ -11,8 +11,9 @@ from typing import Dict, Iterator, List, NamedTuple, Set, Tuple
 
 from dyknow.model.graph import PortRef
 from dyknow.model.transformation import IN
+from dyknow.wiring.topics import Topic
 from dyknow_rqt.graph.filters import Filter
-from dyknow_rqt.graph.snapshot import Snapshot, Topic
+from dyknow_rqt.graph.snapshot import Snapshot
 
 #: Names that are in every graph and seldom of interest.
 _QUIET = Filter(
@@ -191,9 +192,9 @@ class _Ends:
 
     def shown(self, topic: Topic, options: Options) -> bool:
         """Whether the options show the topic."""
-        if not any(ref.nodelet in self._nodelets for ref in topic.sources + topic.sinks):
+        if not any(ref.nodelet in self._nodelets for ref in topic.sources + topic.targets):
             return False
-        readers = len(topic.sinks) + self._count(topic.name, subscribing=True)
+        readers = len(topic.targets) + self._count(topic.name, subscribing=True)
         writers = len(topic.sources) + self._count(topic.name, subscribing=False)
         if options.hide_dead_sinks and readers == 0:
             return False
@@ -228,7 +229,7 @@ class _Ends:
         ]
 
     def _sinks(self, topic: Topic) -> List[Tuple[str, str]]:
-        return self._ports(topic.sinks) + [
+        return self._ports(topic.targets) + [
             (key_of(VertexKind.NODE, node.name), "")
             for node in self._snapshot.nodes
             if node.name in self._nodes and topic.name in node.subscribes

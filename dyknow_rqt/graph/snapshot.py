@@ -22,6 +22,7 @@ from typing import (
 from dyknow.model.graph import PortRef, PortState
 from dyknow.model.transformation import IN
 from dyknow.wiring.ports import topic_after
+from dyknow.wiring.topics import Topic, topics_of
 
 if TYPE_CHECKING:
     from dyknow.model.graph import NodeletStatus
@@ -37,25 +38,6 @@ class PlainNode:
     name: str
     publishes: Tuple[str, ...]
     subscribes: Tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class Topic:
-    """A topic that ports are connected to.
-
-    Attributes:
-        name: global name.
-        datatype: ROS type, empty when not known.
-        sources: out-ports that publish on it.
-        sinks: in-ports that receive from it.
-        tags: of the out-ports.
-    """
-
-    name: str
-    datatype: str
-    sources: Tuple[PortRef, ...]
-    sinks: Tuple[PortRef, ...]
-    tags: Tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -91,24 +73,7 @@ class Snapshot:
 
     @cached_property
     def _topics(self) -> Dict[str, Topic]:
-        found: Dict[str, List[Tuple[PortRef, PortState]]] = {}
-        for nodelet in self.nodelets:
-            for port in nodelet.ports:
-                if port.topic:
-                    found.setdefault(port.topic, []).append(
-                        (PortRef(nodelet.name, port.name), port)
-                    )
-        return {name: _topic(name, found[name]) for name in sorted(found)}
-
-
-def _topic(name: str, ends: Sequence[Tuple[PortRef, PortState]]) -> Topic:
-    return Topic(
-        name,
-        next((port.datatype for _, port in ends if port.datatype not in ("", "*")), ""),
-        tuple(ref for ref, port in ends if port.direction != IN),
-        tuple(ref for ref, port in ends if port.direction == IN),
-        tuple(sorted({tag for _, port in ends if port.direction != IN for tag in port.tags})),
-    )
+        return {topic.name: topic for topic in topics_of(self.nodelets)}
 
 
 def plain_nodes(

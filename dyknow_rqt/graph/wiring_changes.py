@@ -12,7 +12,7 @@ from dyknow.errors import DyKnowError
 from dyknow.model.client import BaseManagerClient
 from dyknow.model.graph import PortRef
 from dyknow.wiring.load import steps_of
-from dyknow.wiring.plan import Plan, plan_load
+from dyknow.wiring.plan import LoadPlan, plan_load
 from dyknow.wiring.steps import carry_out
 from dyknow.wiring.wiring import Wiring
 from dyknow_rqt.graph.changes import (
@@ -44,7 +44,7 @@ class LoadWiring(Change):
 
     wiring: Wiring
     origin: str = "a wiring"
-    plan: Optional[Plan] = None
+    plan: Optional[LoadPlan] = None
 
     @property
     def text(self) -> str:
@@ -91,7 +91,7 @@ class Several(Change):
             change.check(client)
 
 
-def _ways_back(plan: Plan) -> List[Change]:
+def _ways_back(plan: LoadPlan) -> List[Change]:
     changes: List[Change] = []
     for kept in reversed(plan.kept):
         name, moves, before = kept.wanted.name, kept.moves, kept.present.connections

@@ -12,12 +12,6 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("dyknow", "dyknow_rqt", "dyknow_demo", "dyknow_benchmark")
 
-#: Names that still stand for several things, and the packages that are to give way.
-OPEN = {
-    "Plan": "dyknow.wiring",
-    "Topic": "dyknow_rqt",
-}
-
 
 def classes() -> dict[str, list[str]]:
     """Modules in which a public class is defined, by its name."""
@@ -31,5 +25,4 @@ def classes() -> dict[str, list[str]]:
 
 
 def test_a_public_class_name_stands_for_one_thing() -> None:
-    shared = {name: paths for name, paths in classes().items() if len(paths) > 1}
-    assert not {name: paths for name, paths in shared.items() if name not in OPEN}
+    assert not {name: paths for name, paths in classes().items() if len(paths) > 1}

@@ -16,8 +16,9 @@ from dyknow.cli.drawing import to_dot
 from dyknow.cli.files import write_file
 from dyknow.cli.json_output import nodelet_json
 from dyknow.cli.shell import Shell
-from dyknow.cli.topics import Topic, list_topics, topics_of
+from dyknow.cli.topics import list_topics
 from dyknow.graphviz import CannotDraw, render
+from dyknow.wiring.topics import Topic, topics_of
 
 if TYPE_CHECKING:
     from dyknow.model.graph import Model
@@ -67,7 +68,7 @@ def _graph(arguments: argparse.Namespace, shell: Shell) -> None:
         dot = to_dot(snapshot)
         shell.show({"dot": dot}, [dot.rstrip("\n")])
     else:
-        topics = topics_of(snapshot)
+        topics = topics_of(snapshot.nodelets)
         shell.show(
             {
                 "revision": snapshot.revision,

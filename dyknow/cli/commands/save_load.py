@@ -17,7 +17,7 @@ from dyknow.cli.tables import count
 from dyknow.cli.views import shows
 from dyknow.errors import Problem, SpecificationError
 from dyknow.wiring.load import steps_of
-from dyknow.wiring.plan import Plan, plan_load
+from dyknow.wiring.plan import LoadPlan, plan_load
 from dyknow.wiring.reader import read_wiring
 from dyknow.wiring.steps import carry_out
 from dyknow.wiring.wiring import Wiring, wiring_of
@@ -137,14 +137,14 @@ def _read(file: str) -> Wiring:
         raise SpecificationError([problem]) from error
 
 
-def _wait(shell: Shell, plan: Plan) -> None:
+def _wait(shell: Shell, plan: LoadPlan) -> None:
     """Wait until the model shows the new connections, so that the next command sees them."""
     moved = {kept.wanted.name: kept.moves for kept in plan.kept if kept.moves}
     if moved and not shell.client.wait_for_model(lambda model: shows(model, moved)):
         shell.warn("done, but the manager's model does not show all of it yet")
 
 
-def _json(plan: Plan, failed: List[str]) -> Dict[str, Any]:
+def _json(plan: LoadPlan, failed: List[str]) -> Dict[str, Any]:
     return {
         "transformations": {
             "added": [each.label for each in plan.added if each.label not in failed],
@@ -171,7 +171,7 @@ def _json(plan: Plan, failed: List[str]) -> Dict[str, Any]:
     }
 
 
-def _lines(plan: Plan, failed: List[str], dry_run: bool) -> Iterator[str]:
+def _lines(plan: LoadPlan, failed: List[str], dry_run: bool) -> Iterator[str]:
     result = _json(plan, failed)
     kept_otherwise = {each.wanted.name: each.differences for each in plan.kept}
     empty = True
