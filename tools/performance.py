@@ -122,7 +122,7 @@ def by_hops(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 def in_a_sentence(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """The machine and its load."""
-    of = dict(rows)
+    of = {row[0]: row[1] for row in rows}
     return (
         f"Measured on: {of['processor']}, {of['cores']} cores, Python {of['python']}, "
         f"{of['system']}; load average {float(of['load_average_before']):.1f} before and "
