@@ -112,7 +112,7 @@ class LazyTest(unittest.TestCase):
         peer.__exit__()
         told += [["unsubscribe", "/b", 0]]
         eventually(lambda: call("/lazy", "story") == told, 5.0, "all have left")
-        self.assertFalse(call("/lazy", "is_listening"))
+        eventually(lambda: not call("/lazy", "is_listening"), 5.0, "it listens no more")
 
     def test_ordinary_subscribers_of_the_process_are_no_peer_of_their_own(self):
         self.manager.load("Lazy", "/lazy", {"/in": "/a", "/out": "/b"})
