@@ -32,7 +32,7 @@ ROS_PYTHON = "/usr/bin/python3"
 STAGE_TIMEOUT = 420.0  # s
 LONG_TIMEOUT = 3600.0  # s, for a stage or suite of the long run
 IN_PARALLEL = ("-n", "2", "--dist", "worksteal")
-LAYERS_WITHOUT_ROS = ("nodelet", "proxy", "manager")
+LAYERS_WITHOUT_ROS = ("model", "nodelet", "proxy", "manager")
 
 
 @dataclass(frozen=True)
