@@ -24,7 +24,7 @@ from nodelet.srv import (
     NodeletUnload,
     NodeletUnloadResponse,
 )
-from processes import NODELET, STOCK_NODELET, Running, eventually, finished
+from processes import BUSY, NODELET, STOCK_NODELET, Running, eventually, finished
 
 MANAGER = "/command_test/manager"
 
@@ -82,9 +82,8 @@ class WithManager:
         return process
 
     def assert_ends(self, process, code=0, within=4.0):
-        start = time.monotonic()
-        self.assertEqual(process.exit_code(20.0), code, process.output)
-        self.assertLess(time.monotonic() - start, within, process.output)
+        """It ends by itself, in the time (s) of a quiet machine."""
+        self.assertEqual(process.exit_code(within * BUSY), code, process.output)
 
     def test_signals_unload(self):
         for number in (signal.SIGINT, signal.SIGTERM):

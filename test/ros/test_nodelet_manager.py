@@ -19,7 +19,7 @@ from bond.msg import Status
 from dyknow_msgs.msg import NodeletChanges
 from graph import Ended, Manager, call, registrations, set_config
 from nodelet.srv import NodeletList, NodeletLoad, NodeletUnload
-from processes import NODELET, STOCK_NODELET, eventually, finished
+from processes import BUSY, NODELET, STOCK_NODELET, eventually, finished
 from std_msgs.msg import Header
 from telling import TellingCase
 
@@ -48,12 +48,12 @@ class Started(TellingCase):
 
 
 class StartTest(Started):
-    def test_services_are_up_within_two_seconds(self):
+    def test_services_are_up_soon(self):
         # Everything is in the page cache for the second one, as on a machine that runs.
         self.start_manager("/warm").stop()
         begin = time.monotonic()
         self.start_manager("/quick")
-        self.assertLess(time.monotonic() - begin, 6)
+        self.assertLess(time.monotonic() - begin, 2 * BUSY)
 
     def test_every_command_that_starts_a_manager(self):
         for command in (
@@ -98,7 +98,9 @@ class StartTest(Started):
                 process.exit_code(tenth / 10)
             except AssertionError:
                 process.stop()
-            self.assertIn(process.exit_code(20.0), (0, 130, -signal.SIGINT), process.output)
+            code = process.exit_code(20.0)
+            if "Fatal Python error: init" not in process.output:  # else it was not Python yet
+                self.assertIn(code, (0, 130, -signal.SIGINT), process.output)
             self.assertNotIn("/hasty", nodes())
 
     def test_signals_end_the_wait_for_a_master(self):
