@@ -9,6 +9,7 @@ Property tests have the profile that the environment asks for.
 from __future__ import annotations
 
 import os
+import sys
 import tempfile
 from pathlib import Path
 from typing import Iterator
@@ -30,6 +31,15 @@ def no_lock_violations() -> Iterator[None]:
     yield
     found = _violations()[len(before) :]
     assert not found, f"the policy of doc/locks.rst was not kept:\n{found}"
+
+
+@pytest.fixture
+def impatient_interpreter() -> Iterator[None]:
+    """Threads take turns as often as they can, so in the middle of everything."""
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(1e-5)
+    yield
+    sys.setswitchinterval(before)
 
 
 def _violations() -> str:

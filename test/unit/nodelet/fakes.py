@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import threading
 import time
-from typing import Any, Callable, Dict, List, Optional, Sequence
+from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence
+
+import pytest
 
 import dyknow
 from dyknow.nodelet.context import Context, Runtime
@@ -142,6 +144,18 @@ class Idle(dyknow.Nodelet):
 def make_pool_world(size: int = 4, **options: Any) -> World:
     """A world on real threads."""
     return World(WorkerPool(size, **options))
+
+
+def pool_world(size: int) -> Any:
+    """A fixture, by the name it is given to: a world on real threads, which end with the test."""
+
+    @pytest.fixture
+    def world() -> Iterator[World]:
+        world = make_pool_world(size)
+        yield world
+        world.close()
+
+    return world
 
 
 def numbers(messages: Sequence[Message]) -> List[Any]:

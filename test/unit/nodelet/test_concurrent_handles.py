@@ -14,20 +14,15 @@ from unit.nodelet.fakes import (
     Message,
     in_thread,
     join,
-    make_pool_world,
     numbers,
+    pool_world,
     wait_for,
     wait_until,
 )
 
 from dyknow.nodelet.handle import PlainNodeHandle
 
-
-@pytest.fixture(name="world")
-def _world():
-    world = make_pool_world(4)
-    yield world
-    world.close()
+world = pool_world(4)
 
 
 def test_callbacks_of_two_subscriptions_overlap(world):

@@ -6,15 +6,10 @@
 from __future__ import annotations
 
 import pytest
-from unit.nodelet.fakes import AnyMessage, FakeClock, Message, OtherMessage, World, numbers
+from unit.nodelet.fakes import AnyMessage, FakeClock, Message, OtherMessage, numbers
 
 from dyknow.errors import HandleClosed, TypeMismatch
 from dyknow.nodelet.traffic import Traffic
-
-
-@pytest.fixture(name="world")
-def _world():
-    return World()
 
 
 def test_every_subscriber_gets_the_very_object_that_was_published(world):

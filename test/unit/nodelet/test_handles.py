@@ -12,11 +12,10 @@ import pytest
 from unit.nodelet.fakes import (
     Idle,
     Message,
-    World,
     in_thread,
     join,
-    make_pool_world,
     numbers,
+    pool_world,
     wait_for,
     wait_until,
 )
@@ -25,17 +24,7 @@ from dyknow.errors import DyKnowError, HandleClosed, InvalidName, NoMessageClass
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.handle import PlainNodeHandle
 
-
-@pytest.fixture(name="world")
-def _world():
-    return World()
-
-
-@pytest.fixture(name="pool")
-def _pool():
-    world = make_pool_world(2)
-    yield world
-    world.close()
+pool = pool_world(2)
 
 
 def parameters(function):

@@ -6,15 +6,10 @@
 from __future__ import annotations
 
 import pytest
-from unit.nodelet.fakes import Message, World, in_thread, join, numbers
+from unit.nodelet.fakes import Message, in_thread, join, numbers
 
 from dyknow.errors import HandleClosed
 from dyknow.nodelet.local import LocalPublisher
-
-
-@pytest.fixture(name="world")
-def _world():
-    return World()
 
 
 def publication_of(publisher):

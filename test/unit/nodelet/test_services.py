@@ -14,7 +14,7 @@ from unit.nodelet.fakes import (
     Message,
     in_thread,
     join,
-    make_pool_world,
+    pool_world,
     wait_for,
     wait_until,
 )
@@ -23,12 +23,7 @@ from dyknow.errors import DyKnowError
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.handle import PlainNodeHandle
 
-
-@pytest.fixture(name="world")
-def _world():
-    world = make_pool_world(4)
-    yield world
-    world.close()
+world = pool_world(4)
 
 
 class Caller:

@@ -50,11 +50,6 @@ class Lazy:
             self.sub = None
 
 
-@pytest.fixture(name="world")
-def _world():
-    return World()
-
-
 @pytest.fixture(name="nh")
 def _nh(world):
     return world.handle()

@@ -5,11 +5,13 @@
 
 from __future__ import annotations
 
-import sys
 import threading
 
 import pytest
-from unit.nodelet.fakes import Message, in_thread, join, make_pool_world, wait_until
+from unit.nodelet.fakes import Message, in_thread, join, pool_world, wait_until
+
+pytestmark = pytest.mark.usefixtures("impatient_interpreter")
+world = pool_world(3)
 
 SWITCHES = 1000
 
@@ -33,16 +35,6 @@ class Stream:
                 self.publisher.publish((self, self.sent))
             else:
                 threading.Event().wait(0.0005)
-
-
-@pytest.fixture(name="world")
-def _world():
-    world = make_pool_world(3)
-    before = sys.getswitchinterval()
-    sys.setswitchinterval(1e-5)  # threads change places in the middle of everything
-    yield world
-    sys.setswitchinterval(before)
-    world.close()
 
 
 def switches(*streams):

@@ -16,8 +16,8 @@ from unit.nodelet.fakes import (
     Message,
     in_thread,
     join,
-    make_pool_world,
     numbers,
+    pool_world,
     wait_for,
     wait_until,
 )
@@ -27,12 +27,7 @@ from dyknow.nodelet import loader as loader_module
 from dyknow.nodelet.loader import Loader
 from dyknow.nodelet.nodelet import Nodelet
 
-
-@pytest.fixture(name="world")
-def _world():
-    world = make_pool_world(3)
-    yield world
-    world.close()
+world = pool_world(3)
 
 
 class Hanging(Nodelet):

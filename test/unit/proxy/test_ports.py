@@ -17,8 +17,8 @@ from unit.nodelet.fakes import (
     World,
     in_thread,
     join,
-    make_pool_world,
     numbers,
+    pool_world,
     wait_until,
 )
 
@@ -42,6 +42,9 @@ class Bench:
 
     def topics(self):
         return {port.name: port.topic for port in self.proxy.get_config()}
+
+
+pool = pool_world(2)
 
 
 @pytest.fixture(name="bench")
@@ -282,10 +285,8 @@ class TestPersistence:
 
 class TestWaitForMessage:
     @pytest.fixture(name="bench")
-    def _bench(self):
-        world = make_pool_world(2)
-        yield Bench(world)
-        world.close()
+    def _bench(self, pool):
+        return Bench(pool)
 
     def test_waits_at_a_port_though_it_is_connected_meanwhile(self, bench):
         got = []

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import sys
 import threading
 
 import pytest
@@ -13,7 +12,7 @@ from unit.nodelet.fakes import (
     Message,
     in_thread,
     join,
-    make_pool_world,
+    pool_world,
     wait_until,
 )
 
@@ -21,17 +20,10 @@ import dyknow
 from dyknow.errors import HandleClosed, UnloadedMeanwhile
 from dyknow.proxy.proxy import NodeletProxy
 
+pytestmark = pytest.mark.usefixtures("impatient_interpreter")
+world = pool_world(3)
+
 SWITCHES = 1000
-
-
-@pytest.fixture(name="world")
-def _world():
-    world = make_pool_world(3)
-    before = sys.getswitchinterval()
-    sys.setswitchinterval(1e-5)  # threads change places in the middle of everything
-    yield world
-    sys.setswitchinterval(before)
-    world.close()
 
 
 class Filter(dyknow.Nodelet):

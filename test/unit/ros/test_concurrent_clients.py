@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import sys
 import threading
 import time
 from typing import Any, Callable, Iterator, List
@@ -20,6 +19,8 @@ from dyknow.ros.hosting.list_client import ListClients
 from dyknow.ros.master import Master
 from dyknow.ros.service_client import ServiceClient
 
+pytestmark = pytest.mark.usefixtures("impatient_interpreter")
+
 NAME = "/far"
 SECONDS = 1.0
 PATIENCE = 30.0
@@ -31,15 +32,6 @@ def graph() -> Iterator[SmallMaster]:
         graph.nodes[NAME] = SmallManager()
         graph.nodes[NAME].nodelets = ["/b", "/a"]
         yield graph
-
-
-@pytest.fixture(autouse=True)
-def _impatient_interpreter() -> Iterator[None]:
-    """Threads take turns as often as they can."""
-    before = sys.getswitchinterval()
-    sys.setswitchinterval(1e-5)
-    yield
-    sys.setswitchinterval(before)
 
 
 def together(*works: Callable[[], object], seconds: float = SECONDS) -> None:
