@@ -29,6 +29,7 @@ from dyknow_test.puppet import Call  # noqa: E402
 from nodelet.srv import NodeletList, NodeletLoad, NodeletUnload  # noqa: E402
 from processes import NODELET, Running, eventually  # noqa: E402
 from std_msgs.msg import String  # noqa: E402
+from telling import TellingCase  # noqa: E402
 
 PEER = [sys.executable, str(Path(__file__).resolve().parent / "peer.py")]
 
@@ -119,6 +120,20 @@ class Manager(Ended):
 
     def descriptors(self) -> int:
         return len(os.listdir(f"/proc/{self.pid}/fd"))
+
+
+class ManagerCase(TellingCase):
+    """Tests in one nodelet manager, in which each leaves nothing."""
+
+    manager: Manager
+
+    @classmethod
+    def setUpClass(cls) -> None:
+        cls.manager = Manager("/manager")
+        cls.addClassCleanup(cls.manager.__exit__)
+
+    def tearDown(self) -> None:
+        self.manager.unload_all()
 
 
 def call(nodelet: str, method: str, *args: Any) -> Any:

@@ -6,8 +6,6 @@
 
 from __future__ import annotations
 
-import unittest
-
 import dynamic_reconfigure.client
 import graph  # first: it makes the test package known
 import rospy
@@ -15,25 +13,12 @@ import rostest
 import tf2_ros
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import TransformStamped
-from graph import Manager, call
+from graph import ManagerCase, call
 from processes import eventually
 from sensor_msgs.msg import Image
 
 
-class CompanionTest(unittest.TestCase):
-    @classmethod
-    def setUpClass(cls):
-        cls.manager = Manager("/manager")
-
-    @classmethod
-    def tearDownClass(cls):
-        cls.manager.__exit__()
-
-    def tearDown(self):
-        self.manager.unload_all()
-
-
-class FilterTest(CompanionTest):
+class FilterTest(ManagerCase):
     def test_a_time_synchroniser_on_ports(self):
         self.manager.load("Synchroniser", "/n", {"/left": "/a", "/right": "/b"})
         publishers = {}
@@ -57,7 +42,7 @@ class FilterTest(CompanionTest):
         eventually(lambda: call("/n", "received")[-1] == [4, 4], 5.0, "across the re-wiring")
 
 
-class TransformTest(CompanionTest):
+class TransformTest(ManagerCase):
     def setUp(self):
         for name in ("/one", "/two"):
             self.manager.load("Frames", name)
@@ -133,7 +118,7 @@ class TransformTest(CompanionTest):
         eventually(lambda: call("/two", "look_up", "map", "robot", 1.0) == 2.0, 5.0, "old")
 
 
-class DiagnosticsTest(CompanionTest):
+class DiagnosticsTest(ManagerCase):
     def test_an_updater(self):
         heard = []
         subscriber = rospy.Subscriber("/diagnostics", DiagnosticArray, heard.append)
@@ -149,7 +134,7 @@ class DiagnosticsTest(CompanionTest):
         self.assertEqual(status.values[0].value, "71")
 
 
-class ReconfigureTest(CompanionTest):
+class ReconfigureTest(ManagerCase):
     def test_a_server_in_the_nodelets_namespace(self):
         rospy.set_param("/robot/n/gain", 2.5)
         self.manager.load("Reconfigurable", "/robot/n")

@@ -7,30 +7,18 @@
 from __future__ import annotations
 
 import threading
-import unittest
 
 import graph  # first: it makes the test package known
 import rospy
 import rostest
 from dyknow_test.puppet import Echo
-from graph import Manager, call
+from graph import ManagerCase, call
 from processes import eventually
 from rosgraph_msgs.msg import Log
 from std_msgs.msg import Header
 
 
-class HandleTest(unittest.TestCase):
-    @classmethod
-    def setUpClass(cls):
-        cls.manager = Manager("/manager")
-
-    @classmethod
-    def tearDownClass(cls):
-        cls.manager.__exit__()
-
-    def tearDown(self):
-        self.manager.unload_all()
-
+class HandleTest(ManagerCase):
     def speak(self, topic):
         """A publisher that is connected to the manager."""
         publisher = rospy.Publisher(topic, Header, queue_size=1000)

@@ -11,14 +11,13 @@ import re
 import signal
 import threading
 import time
-import unittest
 
 import graph  # first: it makes the test package known
 import rospy
 import rostest
 from dyknow_msgs.msg import PortConfig
 from dyknow_msgs.srv import SetConfig
-from graph import PEER, Ended, Manager, call, get_statistics, port_statistics, set_config
+from graph import PEER, Ended, ManagerCase, call, get_statistics, port_statistics, set_config
 from processes import eventually
 
 #: Seconds that a set_config waits for peers outside.
@@ -30,18 +29,7 @@ def missing(numbers):
     return set(range(min(numbers), max(numbers) + 1)) - set(numbers)
 
 
-class RewiringTest(unittest.TestCase):
-    @classmethod
-    def setUpClass(cls):
-        cls.manager = Manager("/manager")
-
-    @classmethod
-    def tearDownClass(cls):
-        cls.manager.__exit__()
-
-    def tearDown(self):
-        self.manager.unload_all()
-
+class RewiringTest(ManagerCase):
     def start_peer(self, *arguments):
         peer = Ended(*PEER, *arguments)
         self.addCleanup(peer.__exit__)
