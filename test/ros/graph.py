@@ -9,8 +9,10 @@ Importing it makes the packages of test/packages known to this process and those
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import os
+import queue
 import signal
 import sys
 import xmlrpc.client
@@ -33,6 +35,9 @@ from telling import TellingCase  # noqa: E402
 
 PEER = [sys.executable, str(Path(__file__).resolve().parent / "peer.py")]
 
+#: Seconds that a launched process and its first messages may take.
+TIMEOUT = 30.0
+
 
 class Ended(Running):
     """A process that is asked to end before it is killed, so it unregisters and ends children."""
@@ -46,17 +51,14 @@ class Ended(Running):
         super().__exit__()
 
 
-class Manager(Ended):
-    """A nodelet manager in a process of its own, and its nodelets' services."""
+class ManagerServices:
+    """The services of a nodelet manager, whoever started it."""
 
-    def __init__(self, name: str = "/manager", *arguments: str, wait: bool = True) -> None:
-        namespace, _, base = name.rpartition("/")
+    def __init__(self, name: str) -> None:
         self.name = name
-        super().__init__(
-            *NODELET, "manager", f"__name:={base}", f"__ns:={namespace or '/'}", *arguments
-        )
-        if wait:
-            eventually(self._answers, 20.0, f"{name} is up")
+
+    def wait_until_up(self) -> None:
+        eventually(self._answers, 20.0, f"{self.name} is up")
 
     def load(
         self,
@@ -111,6 +113,19 @@ class Manager(Ended):
         except rospy.ServiceException:
             return False
 
+
+class Manager(Ended, ManagerServices):
+    """A nodelet manager in a process of its own."""
+
+    def __init__(self, name: str = "/manager", *arguments: str, wait: bool = True) -> None:
+        namespace, _, base = name.rpartition("/")
+        ManagerServices.__init__(self, name)
+        super().__init__(
+            *NODELET, "manager", f"__name:={base}", f"__ns:={namespace or '/'}", *arguments
+        )
+        if wait:
+            self.wait_until_up()
+
     @property
     def pid(self) -> int:
         return self._process.pid
@@ -125,15 +140,42 @@ class Manager(Ended):
 class ManagerCase(TellingCase):
     """Tests in one nodelet manager, in which each leaves nothing."""
 
-    manager: Manager
+    manager: ManagerServices
 
     @classmethod
     def setUpClass(cls) -> None:
-        cls.manager = Manager("/manager")
-        cls.addClassCleanup(cls.manager.__exit__)
+        cls.manager = cls.start_manager()
+
+    @classmethod
+    def start_manager(cls) -> ManagerServices:
+        manager = Manager("/manager")
+        cls.addClassCleanup(manager.__exit__)
+        return manager
 
     def tearDown(self) -> None:
         self.manager.unload_all()
+
+
+class LaunchedManagerCase(ManagerCase):
+    """Tests in the nodelet manager of the launch file."""
+
+    numbers = itertools.count()
+
+    @classmethod
+    def start_manager(cls) -> ManagerServices:
+        manager = ManagerServices("/manager")
+        manager.wait_until_up()
+        return manager
+
+    def take(self, messages: queue.Queue, count: int) -> list[Any]:
+        """The next messages that come to a queue."""
+        return [messages.get(timeout=TIMEOUT) for _ in range(count)]
+
+
+def service(name: str, service_class: Any) -> Any:
+    """A service, once it is there."""
+    rospy.wait_for_service(name, TIMEOUT)
+    return rospy.ServiceProxy(name, service_class)
 
 
 def call(nodelet: str, method: str, *args: Any) -> Any:

@@ -6,7 +6,6 @@
 
 from __future__ import annotations
 
-import itertools
 import queue
 import sys
 
@@ -15,13 +14,11 @@ import rospy
 import rostest
 from dyknow_msgs.msg import Port, PortConfig
 from dyknow_msgs.srv import GetConfig, GetStatistics, SetConfig
-from nodelet.srv import NodeletList, NodeletLoad, NodeletUnload
+from graph import TIMEOUT, LaunchedManagerCase, service
 from rosgraph_msgs.msg import Log
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header, String
-from telling import TellingCase
 
-TIMEOUT = 15.0  # s
 SHIPPED = {
     "dyknow/Source": {("out", Port.OUT)},
     "dyknow/Relay": {("in", Port.IN), ("out", Port.OUT)},
@@ -30,33 +27,12 @@ SHIPPED = {
 }
 
 
-def service(name, service_class):
-    rospy.wait_for_service(name, TIMEOUT)
-    return rospy.ServiceProxy(name, service_class)
-
-
-class ShippedNodeletsTest(TellingCase):
-    numbers = itertools.count()
-
-    @classmethod
-    def setUpClass(cls):
-        cls.load_nodelet = service("/manager/load_nodelet", NodeletLoad)
-        cls.unload_nodelet = service("/manager/unload_nodelet", NodeletUnload)
-        cls.list = service("/manager/list", NodeletList)
-
+class ShippedNodeletsTest(LaunchedManagerCase):
     def load(self, nodelet_type, ports=(), **parameters):
         """Load a nodelet with ports connected as in {port: topic}; returns its name."""
         name = f"/nodelet_{next(self.numbers)}"
-        for key, value in parameters.items():
-            rospy.set_param(f"{name}/{key}", value)
-        ports = dict(ports)
-        self.load_nodelet(
-            name=name,
-            type=nodelet_type,
-            remap_source_args=[f"/{port}" for port in ports],
-            remap_target_args=list(ports.values()),
-        )
-        self.addCleanup(self.unload_nodelet, name)
+        remappings = {f"/{port}": topic for port, topic in dict(ports).items()}
+        self.manager.load(nodelet_type, name, remappings, **parameters)
         return name
 
     def listen(self, topic, datatype):
@@ -65,9 +41,6 @@ class ShippedNodeletsTest(TellingCase):
         subscriber = rospy.Subscriber(topic, datatype, messages.put)
         self.addCleanup(subscriber.unregister)
         return messages
-
-    def take(self, messages, count):
-        return [messages.get(timeout=TIMEOUT) for _ in range(count)]
 
     def test_each_has_the_ports_that_its_docstring_states(self):
         for nodelet_type, expected in SHIPPED.items():
@@ -84,7 +57,7 @@ class ShippedNodeletsTest(TellingCase):
             with self.subTest(type=nodelet_type):
                 rospy.set_param("/bad/datatype", "std_msgs/Nope")
                 with self.assertRaises(rospy.ServiceException) as failure:
-                    self.load_nodelet(
+                    self.manager.load_nodelet(
                         name="/bad",
                         type=nodelet_type,
                         remap_source_args=["/in", "/out"],
@@ -92,7 +65,7 @@ class ShippedNodeletsTest(TellingCase):
                     )
                 self.assertIn("/bad/datatype", str(failure.exception))
                 self.assertIn("std_msgs/Nope", str(failure.exception))
-                self.assertNotIn("/bad", self.list().nodelets)
+                self.assertNotIn("/bad", self.manager.list())
                 topics = [
                     topic
                     for side in rosgraph.Master("/t").getSystemState()[:2]

@@ -6,7 +6,6 @@
 
 from __future__ import annotations
 
-import itertools
 import queue
 import sys
 
@@ -16,15 +15,13 @@ import rostest
 from dyknow_msgs.msg import PortConfig
 from dyknow_msgs.srv import GetStatistics, SetConfig
 from geometry_msgs.msg import PointStamped, PoseWithCovarianceStamped
-from nodelet.srv import NodeletLoad, NodeletUnload
+from graph import TIMEOUT, LaunchedManagerCase, service
 from sensor_msgs.msg import CameraInfo, Image, JointState
-from telling import TellingCase
 
 from dyknow_demo.soccer.field import BALL_RADIUS
 from dyknow_demo.soccer.planes_message import planes_of
 from dyknow_demo.soccer.world import World
 
-TIMEOUT = 30.0  # s
 SEED = 4
 CEILING_MOUNT = {"height": 6.5, "pitch": 1.5707963267948966}
 
@@ -32,44 +29,19 @@ CEILING_MOUNT = {"height": 6.5, "pitch": 1.5707963267948966}
 LARGE_ERROR = 0.3
 
 
-def service(name, service_class):
-    rospy.wait_for_service(name, TIMEOUT)
-    return rospy.ServiceProxy(name, service_class)
-
-
-class SoccerTest(TellingCase):
-    numbers = itertools.count()
-
-    @classmethod
-    def setUpClass(cls):
-        cls.load_nodelet = service("/manager/load_nodelet", NodeletLoad)
-        cls.unload_nodelet = service("/manager/unload_nodelet", NodeletUnload)
-
+class SoccerTest(LaunchedManagerCase):
     def setUp(self):
         self.space = f"/test_{next(self.numbers)}"
-        self.loaded = set()
         self.world = World(SEED)
 
     def load(self, name, nodelet_class, ports=(), **parameters):
         """Load a nodelet with ports connected as in {port: topic}, all in a namespace of ours."""
         name = f"{self.space}/{name}"
-        for key, value in parameters.items():
-            rospy.set_param(f"{name}/{key}", value)
-        ports = dict(ports)
-        self.load_nodelet(
-            name=name,
-            type=f"dyknow_demo/{nodelet_class}",
-            remap_source_args=[f"{self.space}/{port}" for port in ports],
-            remap_target_args=[f"{self.space}/{topic}" for topic in ports.values()],
-        )
-        self.loaded.add(name)
-        self.addCleanup(self.unload, name)
+        remappings = {
+            f"{self.space}/{port}": f"{self.space}/{topic}" for port, topic in dict(ports).items()
+        }
+        self.manager.load(f"dyknow_demo/{nodelet_class}", name, remappings, **parameters)
         return name
-
-    def unload(self, name):
-        if name in self.loaded:
-            self.loaded.remove(name)
-            self.unload_nodelet(name)
 
     def listen(self, topic, datatype):
         messages = queue.Queue()
@@ -119,9 +91,6 @@ class SoccerTest(TellingCase):
         ports = {port: f"ceiling/{port}" for port in ("image", "camera_info")}
         ports["pose"] = "ceiling_camera/pose"
         return [self.load("ceiling", "CeilingCamera", ports, seed=SEED, rate=15.0)]
-
-    def take(self, messages, count):
-        return [messages.get(timeout=TIMEOUT) for _ in range(count)]
 
     def error_of(self, position):
         """Metres between a PointStamped on the field and the truth at its stamp."""
@@ -174,7 +143,7 @@ class SoccerTest(TellingCase):
             )
             self.assertTrue(answer.success, answer.message)
         for name in own:
-            self.unload(name)
+            self.manager.unload(name)
         while not positions.empty():
             positions.get()
         self.assert_true(self.take(positions, 20), "after the switch")
