@@ -12,25 +12,20 @@ import signal
 import graph  # first: it makes the test package known
 import rospy
 import rostest
-from graph import PEER, Manager, call, port_statistics, set_config
+from graph import PEER, ManagerCase, call, port_statistics, set_config
 from processes import Running, eventually, finished
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
-from telling import TellingCase
 
 
-class BusTest(TellingCase):
+class BusTest(ManagerCase):
     @classmethod
     def setUpClass(cls):
-        cls.manager = Manager("/manager")
+        super().setUpClass()
         cls.before = graph.registrations("/manager")
 
-    @classmethod
-    def tearDownClass(cls):
-        cls.manager.__exit__()
-
     def tearDown(self):
-        self.manager.unload_all()
+        super().tearDown()
         # A nodelet's ordinary rospy handles go with its on_shutdown, which unload does not await.
         eventually(lambda: graph.registrations("/manager") == self.before, 5.0, "nothing is left")
 
