@@ -12,26 +12,14 @@ import graph  # first: it makes the test packages known
 import rospy
 import rostest
 from dyknow_test.puppet import Echo
-from graph import Manager, call, registrations, set_config, set_config_pairs
+from graph import ManagerCase, call, registrations, set_config, set_config_pairs
 from processes import NODELET, Running, eventually
 from std_msgs.msg import Header, String
-from telling import TellingCase
 
 
-class Refusals(TellingCase):
-    @classmethod
-    def setUpClass(cls):
-        cls.manager = Manager("/manager")
-
-    @classmethod
-    def tearDownClass(cls):
-        cls.manager.__exit__()
-
+class Refusals(ManagerCase):
     def setUp(self):
         self.before = registrations("/manager"), graph.parameters()
-
-    def tearDown(self):
-        self.manager.unload_all()
 
     def assert_untouched(self):
         self.assertEqual((registrations("/manager"), graph.parameters()), self.before)
@@ -279,18 +267,14 @@ class SetConfigTest(Refusals):
         self.assertFalse([name for name in graph.services_of("/manager") if "/n/" in name])
 
 
-class CallbackTest(TellingCase):
+class CallbackTest(ManagerCase):
     """What goes wrong in a callback stays there."""
 
     @classmethod
     def setUpClass(cls):
         rospy.set_param("/manager/stuck_after", 1.0)
         rospy.set_param("/manager/num_worker_threads", 4)
-        cls.manager = Manager("/manager")
-
-    @classmethod
-    def tearDownClass(cls):
-        cls.manager.__exit__()
+        super().setUpClass()
 
     def setUp(self):
         self.speaker = rospy.Publisher("/orders", Header, queue_size=100)
@@ -300,7 +284,7 @@ class CallbackTest(TellingCase):
         for name in self.manager.list():
             if f"{name}/obey" in graph.services_of("/manager"):
                 call(name, "wake")
-        self.manager.unload_all()
+        super().tearDown()
         self.speaker.unregister()
 
     def load_fragile(self, *names):
