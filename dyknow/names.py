@@ -21,7 +21,7 @@ _LEGAL = re.compile(r"[~/A-Za-z][A-Za-z0-9_/]*\Z")
 def check(name: str, what: str = "name") -> str:
     """Return ``name``, in its usual form, if it is a legal graph name.
 
-    As in rospy, ``~/x`` is taken for ``~x`` and a slash at the end for none.
+    As in rospy, ``~/x`` means ``~x``, and a slash at the end is ignored.
 
     Raises:
         InvalidName: it is empty, holds a character that ROS does not allow, or a double slash.
@@ -49,7 +49,7 @@ def resolve(name: str, namespace: str, private: str, what: str = "name") -> str:
         name: what the user wrote; empty stands for the namespace itself.
         namespace: where relative names begin.
         private: what a leading ``~`` stands for.
-        what: the kind of name, for the error.
+        what: the kind of name, for the error message.
 
     Raises:
         InvalidName: ``name`` is not a graph name.
@@ -58,7 +58,7 @@ def resolve(name: str, namespace: str, private: str, what: str = "name") -> str:
 
 
 def complete(name: str, namespace: str, private: str) -> str:
-    """Make a name of any characters global, as rospy does; parameters may have such names.
+    """Make a name global without checking its characters, as rospy does for parameters.
 
     Args:
         name: what the user wrote; empty stands for the namespace itself.
@@ -75,9 +75,9 @@ def complete(name: str, namespace: str, private: str) -> str:
 
 
 def mark(name: str) -> int:
-    """Stand for a name where there is room for 64 bits only: an even number above 0.
+    """Hash a name to 64 bits: an even number above 0.
 
-    Two of a hundred thousand names share one with a probability of 1 to a thousand million.
+    Among a hundred thousand names, two share a hash with a probability of 1 in 10^9.
     """
     digest = hashlib.blake2b(name.encode(), digest_size=8).digest()
     return (int.from_bytes(digest, "big") | 2) & ~1
@@ -89,7 +89,7 @@ def pair_remappings(
     """Turn the two lists of a load request into a table of global names.
 
     Relative names begin in ``namespace`` (the manager's, as in the C++ manager); a ``~`` stands
-    for the nodelet itself, where the C++ manager would silently miss it.
+    for the nodelet itself, while the C++ manager silently ignores it.
 
     Raises:
         BadRemapping: the lists differ in length.

@@ -4,8 +4,8 @@
 """Streams on request for Python programs: ``with dyknow.acquire(tag) as stream:``.
 
 Works in a rospy node and in a nodelet. The claim lives as long as the ``with`` block or, without
-one, until ``release``: its lease is renewed by itself, and should the process die, a bond tells
-the manager.
+one, until ``release``. Its lease is renewed automatically, and a bond tells the manager when the
+process dies.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from dyknow.ros.stream_session import StreamSession
 
 OnEvent = Callable[[StreamEvent], None]
 
-#: Seconds after which a claim ends that its client does not renew.
+#: Seconds after which a claim ends if its client does not renew it.
 LEASE = 30.0
 _PERIOD = 0.2
 
@@ -37,10 +37,10 @@ class AcquiredStream:
 
     Attributes:
         tag: what was asked for.
-        claim_id: names the claim for ``dyknow streams``, ``replan`` and ``release``.
+        claim_id: the claim's id, for ``dyknow streams``, ``replan`` and ``release``.
         lease: seconds that the claim outlives a silent client.
-        spawned: nodelets that were made for it.
-        reused: nodelets that were there.
+        spawned: nodelets that were spawned for it.
+        reused: nodelets that ran already.
     """
 
     def __init__(
@@ -67,7 +67,7 @@ class AcquiredStream:
 
     @property
     def topic(self) -> str:
-        """Where to listen; it stays, whoever publishes there. Empty while nobody can."""
+        """The topic to subscribe to; it stays the same. Empty while the stream cannot be made."""
         return self._view.topic
 
     @property
@@ -77,7 +77,7 @@ class AcquiredStream:
 
     @property
     def state(self) -> ClaimState:
-        """Whether it is there, as the manager told last."""
+        """The claim's state, as last reported by the manager."""
         return self._view.state
 
     @property
@@ -87,7 +87,7 @@ class AcquiredStream:
 
     @property
     def nodelets(self) -> Tuple[str, ...]:
-        """Nodelets that it needs, by name, as the manager told last."""
+        """Names of the nodelets that it needs, as last reported by the manager."""
         return self._view.nodelets
 
     def wait_until_active(self, timeout: Optional[float] = None) -> bool:
@@ -97,7 +97,7 @@ class AcquiredStream:
             timeout: seconds; None for as long as it takes.
 
         Returns:
-            Whether it is there; False if the time, the node or the claim ended before.
+            Whether it is active; False if the time, the node or the claim ended first.
         """
         deadline = None if timeout is None else time.monotonic() + timeout
         with self._changed:
@@ -109,9 +109,9 @@ class AcquiredStream:
         return True
 
     def release(self) -> None:
-        """Ask for the stream no more. Again, or after the claim ended, it does nothing.
+        """End the claim; does nothing if it has ended.
 
-        A manager that cannot be reached ends the claim when it misses this process.
+        A manager that cannot be reached ends the claim when it notices that the bond is broken.
         """
         with self._changed:
             if self._released:
@@ -136,15 +136,15 @@ class AcquiredStream:
     def __repr__(self) -> str:
         return f"<stream {self.tag} on {self.topic or 'no topic'}: {self.state.name}>"
 
-    # What the session tells
+    # Called by the session
 
     @property
     def events(self) -> int:
-        """How many changes were taken in: what was asked before one of them is out of date."""
+        """Number of changes seen; an answer requested before the last change is out of date."""
         return self._events
 
     def note(self, event: StreamEvent) -> None:
-        """Take in a change; nothing changes a claim that ended."""
+        """Apply a change, unless the claim has ended."""
         with self._changed:
             if not self._view.state.ended:
                 self._events += 1
@@ -152,14 +152,14 @@ class AcquiredStream:
         self._telling.deliver()
 
     def note_view(self, view: StreamStatus, events: int) -> None:
-        """Take in what the claim was like after so many changes; news if one was missed."""
+        """Apply the claim's status as of ``events`` changes; reported if a change was missed."""
         with self._changed:
             if events == self._events:
                 self._take(view, view.detail or "an earlier event was missed")
         self._telling.deliver()
 
     def note_end(self, why: str) -> None:
-        """Take in that the manager knows the claim no more."""
+        """Mark the claim as ended: the manager no longer knows it."""
         self._change(why, state=ClaimState.EXPIRED, detail=why)
 
     def _change(self, reason: str, **changes: Any) -> None:
@@ -200,22 +200,22 @@ def acquire(
     Args:
         tag: a term such as ``FieldPosition(ball)`` or ``BallObject(?robot)``.
         datatype: the type that it must have, as a message class or by name; any by default.
-        max_silence: seconds without a message after which a part counts as broken; 0: only parts
-            that died do.
+        max_silence: seconds without a message after which a part counts as broken; 0: only dead
+            parts count as broken.
         exclude: labels of transformations that must not be used, or a single one.
-        pending: take a stream that cannot be made yet, too; see ``wait_until_active``.
-        lease: seconds that the claim outlives this process at most.
+        pending: also accept a stream that cannot be made yet; see ``wait_until_active``.
+        lease: the most seconds that the claim outlives this process.
         on_event: called with each change of the claim (``before``, ``after``, ``reason``), on a
             thread of rospy.
-        client_id: who asks; by default this node.
+        client_id: name of the client; by default this node's.
         manager: the manager's node; by default ``$DYKNOW_MANAGER``, else ``dyknow_manager``.
-        timeout: seconds for making it.
+        timeout: seconds allowed for making it.
 
     Raises:
-        StreamRefused: it cannot be made; the text says why, and names the tags that are missing.
+        StreamRefused: it cannot be made; the text says why, and which tags nothing supplies.
         HostError: there is no manager.
         PeerTimeout: the manager does not answer in time.
-        rospy.ROSInitException: this process is no node.
+        rospy.ROSInitException: this process is not a node.
     """
     if not rospy.core.is_initialized():
         raise rospy.ROSInitException("dyknow.acquire needs a node: call rospy.init_node first")
@@ -249,7 +249,7 @@ def acquire(
 def _ask(
     client: ManagerClient, request: StreamRequest, pending: bool, timeout: float
 ) -> Tuple[StreamStatus, Optional[Acquisition]]:
-    """Ask for a stream; without an answer if it is not there yet."""
+    """Request a stream; return its status, and the answer unless it is still pending."""
     view = StreamStatus(
         "", request.client_id, request.tag, "", "", ClaimState.PENDING, "", (), 0.0
     )

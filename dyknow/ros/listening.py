@@ -1,15 +1,14 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Room for many who connect to this node at once, and for one when there is no room any more.
+"""Lets many peers connect to this node at once, and one more when descriptors run out.
 
-rospy's server has a queue of five connections. When a nodelet manager comes back, all who
-subscribed to its topics connect within milliseconds; the kernel drops those that the queue has no
-room for, and they try again after 1 s, then after 3 s.
+rospy's server has a queue of five connections. When a nodelet manager comes back, all subscribers
+of its topics connect within milliseconds; the kernel drops the connections that do not fit into
+the queue, and these are tried again after 1 s, then after 3 s.
 
-The thread of rospy that accepts connections ends for good when the process has no file descriptor
-left, and with it every service of the node. Then nodelets cannot even be unloaded, which would
-help.
+rospy's accepting thread ends for good when the process has no file descriptor left, and every
+service of the node ends with it. Then nodelets cannot even be unloaded to free descriptors.
 """
 
 from __future__ import annotations
@@ -23,19 +22,19 @@ from typing import Any, Optional, Tuple
 
 from rospy.impl.tcpros_base import init_tcpros_server
 
-#: Connections that may wait to be accepted; the kernel's own bound is at least that everywhere.
+#: Connections that may wait to be accepted; no kernel's own bound is smaller.
 QUEUE = 128
-#: Seconds until the next attempt when there is no descriptor left.
+#: Seconds before the next attempt when no descriptor is left.
 _AGAIN = 0.1
 
 _log = logging.getLogger("rosout.dyknow")
 
 
 def enlarge_queue() -> None:
-    """Lengthen the queue of this node's server, which is started if need be, and keep it going.
+    """Lengthen the queue of this node's server, starting it if need be, and keep it accepting.
 
-    The node must be initialised. To listen again on a socket that listens changes its queue and
-    nothing else.
+    The node must be initialised. Calling ``listen`` again on a listening socket changes only its
+    queue.
     """
     server = init_tcpros_server()
     server.start_server()
@@ -47,11 +46,12 @@ def enlarge_queue() -> None:
 class PatientSocket:
     """A listening socket whose ``accept`` outlives a lack of file descriptors.
 
-    One descriptor is kept for whoever connects next then; further ones wait until others are free.
+    One descriptor is kept in reserve for the next connection; further connections wait until
+    descriptors are free.
     """
 
     def __init__(self, listening: socket.socket) -> None:
-        """Take the place of ``listening``."""
+        """Wrap ``listening``, and reserve a descriptor."""
         self._socket = listening
         self._spare: Optional[int] = None
         self._keep_spare()
@@ -60,7 +60,7 @@ class PatientSocket:
         """Accept a connection.
 
         Raises:
-            socket.timeout: there is no descriptor left; to be called again.
+            socket.timeout: no descriptor is left; call it again.
         """
         self._keep_spare()
         try:
@@ -87,4 +87,4 @@ class PatientSocket:
             try:
                 self._spare = os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC)
             except OSError:
-                return  # there is none
+                return  # none is left

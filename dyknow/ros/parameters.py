@@ -24,7 +24,7 @@ def get_datatype(nh: Any) -> Any:
         try:
             found = roslib.message.get_message_class(name)
         except ValueError:
-            found = None  # more than one slash; reported below with everything else
+            found = None  # more than one slash; reported below like any other error
     if found is None:
         expected = "a message type of a built package, such as sensor_msgs/Image"
         raise BadParameter(nh.resolve_name("~datatype"), name, expected)
@@ -32,10 +32,10 @@ def get_datatype(nh: Any) -> Any:
 
 
 def get_positive(nh: Any, name: str, default: float, unit: str) -> float:
-    """Return a parameter that is a number above zero, or its default.
+    """Return a parameter that must be a number above zero, or its default.
 
     Raises:
-        BadParameter: it is something else.
+        BadParameter: it is not such a number.
     """
     value = nh.get_param(name, default)
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not value > 0:

@@ -1,11 +1,12 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What the streams of one process have in common: one bond, one subscription, one upkeep.
+"""What the streams of one process share: a bond, a subscription and a thread for the leases.
 
-There is a session for each manager that streams were acquired from; it comes with the first of
-them and goes with the last. Who owns what: the session owns the bond's heart, the subscriber of
-``~stream_events`` and the thread that renews leases; streams only hold what they are told.
+There is one session for each manager that streams were acquired from: it is opened with the first
+stream and closed with the last. Who owns what: the session owns the bond's heart, the subscriber
+of ``~stream_events`` and the thread that renews leases; streams only hold what the session tells
+them.
 """
 
 from __future__ import annotations
@@ -26,33 +27,33 @@ from dyknow.ros.bonding.client_bond import ClientBond
 from dyknow.ros.client import ManagerClient
 from dyknow.ros.messages import event_from
 
-#: A lease is renewed when this part of it is over.
+#: A lease is renewed when this fraction of it has passed.
 _RENEWED_AFTER = 1 / 3
-#: Seconds until a manager that does not answer is asked again.
+#: Seconds before a manager that did not answer is asked again.
 _RETRY = 1.0
-#: Seconds to wait for the events' connection, so that none of the first are missed.
+#: Seconds to wait for the events' connection, so that the first events are not missed.
 _CONNECT_PATIENCE = 0.5
 _POLL = 0.01
 
 
 class Follower(Protocol):
-    """A stream, as its session sees it."""
+    """A stream, as seen by its session."""
 
     claim_id: str
     lease: float
 
     @property
     def events(self) -> int:
-        """How many changes were taken in."""
+        """Number of changes seen."""
 
     def note(self, event: StreamEvent) -> None:
-        """Take in a change."""
+        """Apply a change."""
 
     def note_view(self, view: StreamStatus, events: int) -> None:
-        """Take in what the claim was like after so many changes."""
+        """Apply the claim's status as of so many changes."""
 
     def note_end(self, why: str) -> None:
-        """Take in that the manager knows the claim no more."""
+        """Mark the claim as ended: the manager no longer knows it."""
 
 
 class StreamSession:
@@ -77,7 +78,7 @@ class StreamSession:
         return session
 
     def __init__(self, client: ManagerClient) -> None:
-        """Prepare; ``open`` returns a session that listens and beats."""
+        """Store the client; ``open`` returns a session with its subscription and bond."""
         self._client = client
         self._users = 0
         self._turn = turn_lock("opening of a stream session")
@@ -90,25 +91,25 @@ class StreamSession:
 
     @property
     def bond_id(self) -> str:
-        """The bond that claims of this process hang on."""
+        """Id of the bond on which this process's claims depend."""
         assert self._heart is not None
         return self._heart.bond_id
 
     def add(self, stream: Follower) -> None:
-        """Keep a stream's claim alive, and tell it what becomes of it."""
+        """Keep a stream's claim alive, and pass on its changes."""
         with self._state_lock:
             self._streams[stream.claim_id] = stream
-            self._due[stream.claim_id] = 0.0  # at once, for what happened before it was here
+            self._due[stream.claim_id] = 0.0  # at once, for changes before it was added
         self._worker.wake()
 
     def remove(self, claim_id: str) -> None:
-        """Care for a stream no more."""
+        """Stop renewing a stream's claim."""
         with self._state_lock:
             self._streams.pop(claim_id, None)
             self._due.pop(claim_id, None)
 
     def close(self) -> None:
-        """Let go; the last one ends the session."""
+        """Give up one ``open``; the last one ends the session."""
         with self._sessions_lock:
             self._users -= 1
             if self._users:
@@ -124,7 +125,7 @@ class StreamSession:
     # Inside
 
     def _start(self) -> None:
-        """Begin to listen and to beat, unless it does already."""
+        """Subscribe to the events and start the bond and the renewals, unless that is done."""
         with self._turn:
             if self._heart is None:
                 self._heart = ClientBond(self._client.manager)
@@ -153,7 +154,7 @@ class StreamSession:
             stream.note(event_from(message))
 
     def _keep(self) -> None:
-        """Renew the leases that are due."""
+        """Renew the leases when they are due."""
         now = time.monotonic()
         with self._state_lock:
             due = [self._streams[each] for each, at in self._due.items() if at <= now]
@@ -163,18 +164,18 @@ class StreamSession:
             self._refresh([stream.claim_id for stream in due])
 
     def _until_due(self) -> Optional[float]:
-        """Seconds until the next lease is to be renewed; None if there is none."""
+        """Seconds until the next lease has to be renewed; None without leases."""
         with self._state_lock:
             soonest = min(self._due.values(), default=None)
         return None if soonest is None else max(0.0, soonest - time.monotonic())
 
     def _renew(self, stream: Follower) -> None:
-        self._put_off(stream, time.monotonic() + _RETRY)  # if it fails, whatever fails
+        self._put_off(stream, time.monotonic() + _RETRY)  # for any failure
         next_due = self._next_due(stream)
         try:
             self._client.renew_stream(stream.claim_id, stream.lease)
         except Refused as error:
-            self._refresh([stream.claim_id])  # the manager may still know how it ended
+            self._refresh([stream.claim_id])  # the manager may still know why it ended
             self.remove(stream.claim_id)
             stream.note_end(str(error))
             return
@@ -189,13 +190,13 @@ class StreamSession:
                 self._due[stream.claim_id] = due
 
     def _refresh(self, claim_ids: List[str]) -> None:
-        """See to it that nothing was missed: events are not kept for those who come late."""
+        """Ask for the current status: events are not latched, so some may have been missed."""
         with self._state_lock:
             events = {key: self._streams[key].events for key in claim_ids if key in self._streams}
         try:
             claims = {each.claim_id: each for each in self._client.list_streams()}
         except (HostError, PeerTimeout):
-            return  # the next renewal tells
+            return  # the next renewal will show
         for claim_id in claim_ids:
             with self._state_lock:
                 stream: Optional[Follower] = self._streams.get(claim_id)

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Reads a topic from one of its publishers, without being a node.
+"""Reads a topic from one of its publishers without registering a node.
 
-A command of the shell need not register with the master: it asks the publisher itself for a
-connection and takes what is sent on it.
+A shell command need not register with the master: it asks the publisher for a connection and reads
+the messages from it.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ class TopicReader:
         """Connect.
 
         Args:
-            master: where the node is looked up.
+            master: the master that knows the node.
             publisher: global name of the node.
             topic: global name of the topic.
             message_class: generated class of the message.
-            timeout: seconds for all of it.
+            timeout: seconds for the whole of it.
 
         Raises:
             LookupError: the node is unknown, or does not publish the topic.
@@ -59,7 +59,7 @@ class TopicReader:
         self.close()
 
     def read(self, timeout: float) -> Optional[Any]:
-        """Return the next message, or None if none comes in time.
+        """Return the next message, or None if there is none in time.
 
         Raises:
             OSError: the connection broke; the publisher may be gone.

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What clients are shown of claims, as values."""
+"""What clients see of claims, as values."""
 
 from __future__ import annotations
 
@@ -35,22 +35,22 @@ _RESULTS: Tuple[Tuple[Type[DyKnowError], Result], ...] = (
 
 
 class StreamAnswers:
-    """Makes the values that clients get; leases run on steady time, clients read another clock."""
+    """Makes the values that clients get; converts lease times from steady time to their clock."""
 
     def __init__(
         self, now: Callable[[], float], clock: Callable[[], float] = time.monotonic
     ) -> None:
-        """Translate moments of ``clock``, which is the reconciler's, into those of ``now``.
+        """Convert times of ``clock``, the reconciler's, to times of ``now``.
 
         Args:
-            now: seconds on the clock of the clients, such as ROS time.
+            now: seconds on the clients' clock, such as ROS time.
             clock: seconds, steady.
         """
         self._now = now
         self._clock = clock
 
     def status(self, claim: Claim) -> StreamStatus:
-        """Return what is shown of a claim."""
+        """Return the status of a claim."""
         return StreamStatus(
             claim.claim_id,
             claim.request.client_id,
@@ -70,7 +70,7 @@ class StreamAnswers:
         return self._now() + max(0.0, claim.deadline - self._clock())
 
     def event(self, event: ClaimEvent, is_new: bool) -> StreamEvent:
-        """Return what is shown of a change; there was nothing before a new claim."""
+        """Return the event for a change; a new claim has no state before it."""
         before = None if is_new else self.status(event.before)
         return StreamEvent(self._now(), before, self.status(event.after), event.reason)
 
@@ -91,7 +91,7 @@ class StreamAnswers:
         )
 
     def replanned(self, acquired: Acquired) -> Replanned:
-        """Return the answer to a request for the cheapest way."""
+        """Return the answer to a request to plan a stream again."""
         return Replanned(
             tuple(sorted(acquired.spawned)),
             tuple(sorted(acquired.reused)),
@@ -102,7 +102,7 @@ class StreamAnswers:
 
 
 def refusal_of(error: BaseException) -> StreamRefused:
-    """Return the refusal of a stream for what went wrong, which may be the cause of the error."""
+    """Return the refusal for an error, or for the error that caused it."""
     cause: Optional[BaseException] = error
     while cause is not None:
         for kind, result in _RESULTS:
