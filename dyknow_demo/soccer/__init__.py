@@ -7,6 +7,6 @@ Bottom to top: geometry (``rigid``, ``pinhole``, ``nao``, ``ceiling``), the simu
 (``field``, ``ball``, ``robot``, ``world``) and what cameras see of it (``yuv``, ``scenery``,
 ``sphere``, ``camera``), the robot's own vision (``planes``, ``colour``, ``outline``, ``finder``,
 ``sighting``), and ``nodelets`` around them. Beside it, the demonstration: ``command``, ``stage``,
-``story``, and what they show (``observing``, ``track``, ``narration``, ``picture``). Nothing but
-``nodelets``, ``planes_message``, ``stage``, ``story`` and ``observing`` knows ROS.
+``story``, and what they show (``observing``, ``track``, ``narration``, ``picture``). Only
+``nodelets``, ``planes_message``, ``stage``, ``story`` and ``observing`` use ROS.
 """

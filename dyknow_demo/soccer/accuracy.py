@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""How far off is the ball's place on the field? The whole way, without ROS, against the truth."""
+"""How far off is the ball's place on the field? Measured without ROS."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ FACTORS = (2, 4)
 #: A find further than this (m) from the truth does not count.
 _FALSE = 0.5
 
-#: The cameras that ``measure`` knows.
+#: The cameras that ``measure`` accepts.
 EYES = ("bottom_camera", "ceiling_camera")
 
 
@@ -38,9 +38,9 @@ class Accuracy:
     """Errors (m) of the ball's place, one for each frame in which it was found.
 
     Attributes:
-        frames: frames in which the ball is in view.
+        frames: number of frames in which the ball is in view.
         errors: of the place on the field.
-        false_finds: frames in which something else was found: more than half a metre off.
+        false_finds: number of frames with a find more than half a metre off.
     """
 
     frames: int
@@ -54,7 +54,7 @@ class Accuracy:
 
 @dataclass(frozen=True)
 class _Eye:
-    """A camera, what it truly sees and what its owner believes."""
+    """A camera: its true view, and the pose that its owner assumes."""
 
     camera: Pinhole
     true_pose: Callable[[float], Array]
@@ -85,9 +85,9 @@ class Look:
     """One frame.
 
     Attributes:
-        truth: centre (3,) of the ball on the field, m.
-        in_view: whether that is in the picture.
-        found: where the ball is taken to be (3,), or None.
+        truth: true centre (3,) of the ball on the field, m.
+        in_view: whether the centre is in the picture.
+        found: estimated centre of the ball (3,), m, or None.
     """
 
     truth: Array
@@ -96,7 +96,7 @@ class Look:
 
 
 def measure(name: str, seed: int, times: Sequence[float]) -> Accuracy:
-    """Let a camera look for the ball at some times (s).
+    """Measure the errors of one camera at some times (s).
 
     Args:
         name: one of ``EYES``.

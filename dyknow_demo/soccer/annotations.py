@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Annotated frames: images with a text file beside each, as the YOLO detectors read them.
+"""Annotated frames: images with a text file beside each, in the format of the YOLO detectors.
 
-A line is ``class x_center y_center width height``, the last four as parts of the image's size.
+A line is ``class x_center y_center width height``, the last four as fractions of the image's size.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class AnnotatedFrame:
 
     Attributes:
         image: the file.
-        balls: x and y of the centre, width, height, as parts of the image's.
+        balls: x and y of the centre, width, height, as fractions of the image's size.
     """
 
     image: Path
@@ -32,7 +32,7 @@ class AnnotatedFrame:
 
     @property
     def day(self) -> str:
-        """The second part of a name such as cam0_20190606_204236.jpg; of another name, all."""
+        """Second part of a name such as cam0_20190606_204236.jpg; otherwise the whole name."""
         parts = self.image.stem.split("_")
         return parts[1] if len(parts) > 1 else self.image.stem
 
@@ -41,7 +41,7 @@ def read_frames(folder: Path) -> List[AnnotatedFrame]:
     """Find the annotated images of a folder, sorted by name.
 
     Raises:
-        ValueError: an annotation is not of that form; the message names file and line.
+        ValueError: an annotation does not have that form; the message names file and line.
     """
     images = sorted(each for each in folder.iterdir() if each.suffix.lower() in _SUFFIXES)
     return [

@@ -11,7 +11,7 @@ import numpy as np
 
 from dyknow_demo.soccer.rigid import Array
 
-#: Kicks in a round, seconds from one to the next, and seconds that the ball rolls of those.
+#: Kicks in a round, seconds from one kick to the next, and for how many of these the ball rolls.
 KICKS = 24
 INTERVAL = 4.0
 ROLLING = 3.0
@@ -25,7 +25,7 @@ class Ball:
     """Where the ball is, as a function of time; a round takes ``KICKS * INTERVAL`` seconds."""
 
     def __init__(self, seed: int) -> None:
-        """Draw the places from which the ball is kicked."""
+        """Choose at random the places from which the ball is kicked."""
         generator = np.random.default_rng([seed, 1])
         angles = 2 * math.pi * np.arange(KICKS) / KICKS
         loop = np.stack((_LOOP[0] * np.cos(angles), _LOOP[1] * np.sin(angles)), axis=1)

@@ -21,7 +21,7 @@ _LAB = (120, 118, 112)
 
 #: Standard deviation of the sensor's noise, in grey levels.
 _NOISE = 3.0
-#: Pixels by which the pattern of noise is shifted at most, either way, from frame to frame.
+#: The most pixels, either way, by which the noise pattern is shifted from frame to frame.
 _SHIFTS = 256
 
 
@@ -29,7 +29,7 @@ class FieldCamera:
     """Renders frames of one camera; the field's picture and the noise are made once."""
 
     def __init__(self, camera: Pinhole, seed: int) -> None:
-        """Prepare a camera with these intrinsics."""
+        """Make the picture of the field and the noise for these intrinsics."""
         self.camera = camera
         self._field = yuv_from_bgr(field.picture(seed))
         self._lab = _yuv(_LAB)
@@ -49,7 +49,7 @@ class FieldCamera:
         Args:
             field_from_camera: pose of the optical frame on the field.
             ball: centre (3,) on the field, m.
-            number: of the frame; frames of the same number have the same noise.
+            number: the frame's number; frames with the same number have the same noise.
             frame: (rows, columns, 2) of UYVY to write to.
         """
         camera_from_field = inverse(field_from_camera)
@@ -64,7 +64,7 @@ class FieldCamera:
         cv2.subtract(frame, self._darker[window], dst=frame)
 
     def _background(self, camera_from_field: Array) -> Pixels:
-        """Field and lab without the ball; as long as the camera keeps still, the same."""
+        """Field and lab without the ball; kept as long as the camera does not move."""
         key = camera_from_field.tobytes()
         if self._still[0] != key:
             self._still = key, self._warp(camera_from_field)
@@ -88,7 +88,7 @@ class FieldCamera:
         return warped
 
     def _above_horizon(self, camera_from_field: Array) -> Pixels | None:
-        """Mask of the pixels that look up, if there are any: the field's plane mirrors there."""
+        """Mask of the pixels above the horizon, if any: there the field would be mirrored."""
         up = camera_from_field[:3, 2]
         camera = self.camera
         columns = (np.arange(camera.width) - camera.cx) / camera.fx * up[0]

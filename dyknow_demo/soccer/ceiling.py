@@ -3,7 +3,7 @@
 
 """The camera on the ceiling of the lab, above the middle of the field.
 
-Its own frame lies on the floor below it, as a robot's does; so the robot's software does for it.
+Its own frame lies on the floor below it, as a robot's does, so the robot's software fits it too.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from dyknow_demo.soccer.rigid import BODY_FROM_OPTICAL, Array, shift, turn
 #: Metres above the floor.
 HEIGHT = 6.5
 
-#: The field of 9 m x 6 m and its border fit into the picture.
+#: With these, the field of 9 m x 6 m and its border fit into the picture.
 CEILING_CAMERA = Pinhole.of_view(1280, 960, math.radians(78.0), math.radians(62.5))
 
 #: Place of the camera's own frame on the field: x, y (m), yaw (rad).

@@ -18,7 +18,7 @@ _Range = Tuple[int, int]
 
 @dataclass(frozen=True)
 class Colour:
-    """From and to, both inclusive, of brightness and of the two differences of colour."""
+    """Lowest and highest values, both inclusive, of Y, U and V."""
 
     y: _Range
     u: _Range

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What ``demo`` takes."""
+"""Runs the demonstration for the command ``demo``."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def run(arguments: Sequence[str]) -> bool:
         DyKnowError: something failed.
     """
     options = _parse(arguments)
-    # Imported here, so that --help and a wrong usage answer at once.
+    # Imported here, so that --help and usage errors answer at once.
     from dyknow_demo.soccer.stage import play
 
     return play(options.manager, options.seconds, options.max_silence, options.pictures)

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""One picture of all frames, with what was to be found and what was."""
+"""One picture of all frames, with the annotated balls and the finds."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Finds round things of one colour, coarse to fine: what the robot knows of a ball in an image.
+"""Finds round things of one colour in an image, coarse to fine.
 
-The whole image is looked at in the coarsest planes only, with a generous idea of the colour.
-Around what that finds, finer planes are searched for a region with a round outline.
+The whole image is searched in the coarsest planes only, with wide limits of the colour. Around
+each region found there, finer planes are searched for a region with a round outline.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ class Limits:
 
     Attributes:
         slack: grey levels by which colours may be off in the coarse planes, whose pixels mix.
-        regions: how many of the largest regions in the coarse planes are looked at.
+        regions: how many of the largest regions in the coarse planes are examined.
         area: least number of pixels of a region in the fine planes.
         roundness: least score, see ``Find``.
-        size: largest radius as a part of the image's width.
+        size: largest radius as a fraction of the image's width.
         stretch: how much longer than wide an outline may be; 1 for circles. Lenses that distort
             need more.
     """
@@ -57,8 +57,8 @@ class Find:
         radius: pixels.
         box: left, top, right, bottom of the region itself.
         outline: points (n, 2) of the outline that lie on the curve.
-        score: 0 to 1: how much of the outline lies on the curve, times how much of the inside is
-            filled.
+        score: 0 to 1: the fraction of the outline on the curve, times the fraction of the inside
+            that is filled.
     """
 
     centre: Tuple[float, float]
@@ -74,7 +74,8 @@ def find_balls(
     """Find round regions of a colour, the best first.
 
     Args:
-        pyramid: planes by their factor; the largest factor is searched, the smallest one decides.
+        pyramid: planes by their factor; balls are searched for at the largest factor and confirmed
+            at the smallest one.
         colour: of the ball.
         limits: what counts as a ball.
     """
@@ -129,7 +130,7 @@ def _round(outline: Any, size: Tuple[int, int], factor: int, limits: Limits) -> 
         return None
     points = outline.reshape(-1, 2).astype(np.float64)
     inside = np.all((points > 0) & (points < np.array(size) - 1), axis=1)
-    fit = fit_round(points[inside], limits.stretch)  # the image's border is no outline
+    fit = fit_round(points[inside], limits.stretch)  # the image's border is no part of it
     if fit is None or fit.curve.radius + 0.5 > limits.size * size[0]:
         return None
     score = fit.agreement * min(1.0, area / _visible(fit.curve, size))

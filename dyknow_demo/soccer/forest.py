@@ -19,10 +19,10 @@ from dyknow_demo.soccer.rigid import Array
 
 #: The shipped model, trained on all days.
 MODEL = Path(__file__).with_name("ball_forest.yml.gz")
-#: Of the shipped model: what ``dyknow_demo.soccer.learn`` prints for the best find of a frame.
+#: Threshold of the shipped model: what ``learn`` prints for the best find of a frame.
 THRESHOLD = 0.16
 
-#: Finds share at most this part of the smaller one's box.
+#: Two finds overlap by at most this fraction of the smaller one's box.
 _SHARED = 0.3
 #: Omnidirectional cameras draw near balls as ellipses.
 _STRETCH = 2.2
@@ -30,7 +30,7 @@ _TREES, _DEPTH, _LEAST, _TRIED = 40, 10, 4, 7
 
 
 def train(features: Array, is_ball: Array, trees: int = _TREES) -> Any:
-    """Train a forest; the same examples make the same forest.
+    """Train a forest; the same examples always give the same forest.
 
     Args:
         features: (n, numbers) of regions.
@@ -52,7 +52,7 @@ def load(file: Path = MODEL) -> Any:
     """Read a forest.
 
     Raises:
-        ValueError: the file is none.
+        ValueError: the file holds no forest.
     """
     try:
         return cv2.ml.RTrees_load(str(file))
@@ -99,7 +99,7 @@ def find_learnt(
 
 
 def _shared(one: Sequence[int], other: Sequence[int]) -> float:
-    """Intersection of two boxes (left, top, width, height) as a part of the smaller one."""
+    """Intersection of two boxes (left, top, width, height) as a fraction of the smaller one."""
     width = min(one[0] + one[2], other[0] + other[2]) - max(one[0], other[0])
     height = min(one[1] + one[3], other[1] + other[3]) - max(one[1], other[1])
     if width <= 0 or height <= 0:

@@ -3,8 +3,8 @@
 
 """The last values of a signal, interpolated in between.
 
-An image is older than the joint states that arrive with it, or a little younger. A head that
-turns at 1 rad/s is 1 degree further after 20 ms, so the angles at the image's own time count.
+An image is older than the joint states that arrive with it, or a little younger. A head that turns
+at 1 rad/s is 1 degree further after 20 ms, so the angles have to be those at the image's own time.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 
 from dyknow_demo.soccer.rigid import Array
 
-#: Values kept, and seconds beyond the first and last of them that are still answered for.
+#: Values kept, and seconds beyond the first and last of them for which values are extrapolated.
 _LENGTH = 100
 _REACH = 0.1
 
@@ -27,7 +27,7 @@ class History:
     """Values by time; differences of angles are taken the short way round."""
 
     def __init__(self, angular: Sequence[bool]) -> None:
-        """Start empty; ``angular`` tells which components are angles in rad."""
+        """Make an empty history; ``angular`` marks the components that are angles in rad."""
         self._angular = np.array(angular)
         self._times: Deque[float] = deque(maxlen=_LENGTH)
         self._values: Deque[Array] = deque(maxlen=_LENGTH)
@@ -41,7 +41,7 @@ class History:
         self._values.append(np.array(values, np.float64))
 
     def at(self, time: float) -> Optional[Tuple[float, ...]]:
-        """Interpolate linearly, or extrapolate a little; None if that would be a guess."""
+        """Interpolate linearly, or extrapolate a little; None further outside."""
         times = self._times
         if not times or not times[0] - _REACH <= time <= times[-1] + _REACH:
             return None

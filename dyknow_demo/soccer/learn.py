@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Trains the ball's forest and judges it: ``python3 -m dyknow_demo.soccer.learn --frames DIR``.
+"""Trains the ball's forest and evaluates it: ``python3 -m dyknow_demo.soccer.learn --frames DIR``.
 
-Each day is left out once: a forest of the other days is judged on it. The threshold comes from
-these other days alone: among them each is left out once more, and the least threshold is taken at
-which the finds of all of them together have the precision that is aimed at. With ``--model`` a
-forest of all days is written; the same frames make the same file.
+Each day is left out once, and a forest trained on the other days is evaluated on it. The threshold
+is found from the other days alone: each of them is left out in turn, and the threshold is the
+lowest at which the finds of all these days together reach the wanted precision. With ``--model`` a
+forest trained on all days is written; the same frames always give the same file.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from dyknow_demo.soccer.recall import Box, boxes_of, is_hit, overlap, planes_fro
 from dyknow_demo.soccer.regions import Region, regions
 from dyknow_demo.soccer.rigid import Array
 
-#: Of the finds, in the validation that sets the threshold.
+#: Wanted precision of the finds, in the validation that sets the threshold.
 PRECISION = 0.88
 _THRESHOLDS = np.round(np.arange(0.1, 0.97, 0.02), 2)
 
-#: Pictures of a frame to learn from: itself and some in another light.
+#: Training pictures made from each frame: itself and some in another light.
 _LIGHTS = 4
 _GAIN, _GAMMA = 0.08, 0.2  # standard deviations of their logarithms
 
@@ -51,8 +51,8 @@ class Example:
     """One frame.
 
     Attributes:
-        day: on which it was taken.
-        balls: their number.
+        day: the day on which it was taken.
+        balls: number of annotated balls.
         found: regions of the frame as it is.
         hits: for each region whether it hits a ball.
         features: (n, numbers) of regions to learn from, in several lights.
@@ -69,12 +69,12 @@ class Example:
 
 @dataclass(frozen=True)
 class DetectionScore:
-    """What was found on days.
+    """What was found on some days.
 
     Attributes:
-        balls: that were there.
+        balls: number of annotated balls.
         hits: balls that were found.
-        false: finds that are none.
+        false: number of finds that are not balls.
     """
 
     balls: int
@@ -83,18 +83,18 @@ class DetectionScore:
 
     @property
     def recall(self) -> float:
-        """Part of the balls that was found."""
+        """Fraction of the balls that were found."""
         return self.hits / self.balls if self.balls else float("nan")
 
     @property
     def precision(self) -> float:
-        """Part of the finds that are balls; 1 without any."""
+        """Fraction of the finds that are balls; 1 without finds."""
         finds = self.hits + self.false
         return self.hits / finds if finds else 1.0
 
 
 def example_of(frame: AnnotatedFrame, number: int) -> Example:
-    """Read a frame; its number seeds the lights."""
+    """Make an example of a frame; its number seeds the random lights."""
     pixels = read_image(frame)
     balls = boxes_of(frame, pixels)
     generator = np.random.default_rng(number)
@@ -120,7 +120,7 @@ def learn(examples: Sequence[Example], trees: Optional[int] = None) -> Any:
 
 
 def score(examples: Sequence[Example], forest: Any) -> List[Scored]:
-    """Find in each frame what the forest takes for a ball, with whether it is one."""
+    """Score the regions of each frame by the forest, with whether each is a ball."""
     scored = []
     for each in examples:
         hits = {id(region): hit for region, hit in zip(each.found, each.hits)}
@@ -132,7 +132,7 @@ def score(examples: Sequence[Example], forest: Any) -> List[Scored]:
 def judge(
     scored: Sequence[Scored], balls: int, threshold: float, only_best: bool
 ) -> DetectionScore:
-    """Count; only the best find of a frame counts, or all of them."""
+    """Count finds and balls, with only the best find of each frame, or with all of them."""
     hits = false = 0
     for frame in scored:
         finds = [hit for value, hit in frame if value >= threshold][: 1 if only_best else None]
@@ -142,17 +142,17 @@ def judge(
 
 
 def choose(scored: Sequence[Scored], only_best: bool) -> float:
-    """Take the least threshold that has the precision, or else the most precise one."""
+    """Choose the lowest threshold with the wanted precision, or else the most precise one."""
     precise = [judge(scored, 1, float(each), only_best).precision for each in _THRESHOLDS]
     good = [number for number, value in enumerate(precise) if value >= PRECISION]
     return float(_THRESHOLDS[good[0] if good else int(np.argmax(precise))])
 
 
 def main(argv: Optional[Sequence[str]] = None) -> int:
-    """Train, judge and print.
+    """Train, evaluate and print.
 
     Returns:
-        0, or 1 if there are not frames of three days.
+        0, or 1 if the frames are of fewer than three days.
     """
     options = _parse(argv)
     frames = read_frames(options.frames) if options.frames.is_dir() else []

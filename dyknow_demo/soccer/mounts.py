@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""How a camera is mounted on its owner: what a detector has to know besides the intrinsics."""
+"""How a camera is mounted on its owner; a detector needs this besides the intrinsics."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Fixed:
     joints: Tuple[str, ...] = ()
 
     def owner_from_camera(self, angles: Sequence[float]) -> Array:
-        """Pose of the optical frame; there are no angles."""
+        """Pose of the optical frame, which depends on no joint."""
         return ceiling.floor_from_camera(self.height, self.pitch, self.roll)
 
 
@@ -52,7 +52,7 @@ EXPECTED = "nao_bottom, or the numbers height (m, above 0), pitch and, optionall
 
 
 def mount_of(given: Any) -> Mount:
-    """Read a parameter.
+    """Make a mount from the value of a parameter.
 
     Args:
         given: ``"nao_bottom"``, or a mapping with ``height``, ``pitch`` and perhaps ``roll``.

@@ -1,15 +1,15 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Where the NAO's bottom camera is, for given joint angles.
+"""Pose of the NAO's bottom camera for given joint angles.
 
-Numbers of the NAO V4 and V5 in metres and radians, as its maker documents them at
+Dimensions of the NAO V4 and V5 in metres and radians, as documented by the manufacturer at
 http://doc.aldebaran.com/1-14/family/nao_h25/links_h25.html (links), ``joints_h25.html`` beside it,
 and http://doc.aldebaran.com/1-14/family/robots/video_robot.html (cameras; head 4.0, of which the
 V5 has the same): angles of view 60.9 x 47.6 degrees, up to 1280 x 960 in YUV 4:2:2 at 30 Hz.
 
 The robot's frame lies on the ground below its torso, x ahead, y left, z up (``base_footprint`` of
-REP 120). The feet stand flat; what the gait does sideways is left out.
+REP 120). The feet stand flat; sideways motion of the gait is left out.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ BOTTOM_CAMERA = Pinhole.of_view(640, 480, math.radians(60.97), math.radians(47.6
 
 @dataclass(frozen=True)
 class Posture:
-    """The joints between the ground and the camera, in rad; both legs do the same."""
+    """The joints between the ground and the camera, in rad; both legs have the same angles."""
 
     head_yaw: float
     head_pitch: float
@@ -70,7 +70,7 @@ assert len(JOINT_NAMES) == len(fields(Posture))
 
 
 def robot_from_torso(posture: Posture) -> Array:
-    """Climb from the ground along a leg: height and pitch of the torso."""
+    """Height and pitch of the torso, from the ground up along a leg."""
     shin = -posture.ankle_pitch
     thigh = shin - posture.knee_pitch
     torso = thigh - posture.hip_pitch

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Tells in words what has changed from one model of the graph to the next."""
+"""Describes the changes from one model of the graph to the next."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from dyknow.model.graph import Model, NodeletStatus, State
 def changes(before: Model, after: Model, space: str = "/") -> List[str]:
     """List nodelets that came, went or were re-wired, a line each.
 
-    Out-ports that publish on the topic of their own name, as they mostly do, are not told.
+    Out-ports that publish on the topic of their own name, as most do, are left out.
 
     Args:
         before: the earlier model.

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What can be seen of the stream from outside: the graph, the claim's events, the positions."""
+"""Observes the stream from outside: the graph, the claim's events, the positions."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ from dyknow_demo.soccer.narration import changes
 from dyknow_demo.soccer.track import Track
 from dyknow_demo.soccer.world import World
 
-#: Labels of the robot's own tracking, which is kept and re-wired.
+#: Labels of the robot's own tracking nodelets, which are kept and re-wired.
 TRACKING = ("image_subsampler(nao)", "ball_detector(nao)", "localization(nao, ball)")
 
 
 class Observation:
-    """Listens while it is open, and tells what changes as it does.
+    """Listens while it is open, and prints changes as they happen.
 
     Attributes:
-        model: the graph, as the manager showed it last.
+        model: the graph, as last published by the manager.
         reasons: of the events of the claim, in order.
         track: the positions that arrived; begins with ``follow``.
     """
 
     def __init__(self, manager: str, tell: Callable[[str], None]) -> None:
-        """Begin to listen.
+        """Subscribe to the manager's topics.
 
         Args:
             manager: global name of the manager.
@@ -64,7 +64,7 @@ class Observation:
             each.unregister()
 
     def follow(self, stream: Any) -> None:
-        """Take the positions of an acquired stream, from now on."""
+        """Record the positions of an acquired stream from now on."""
         self._stream = stream
         self._reported = time.monotonic()
         self.track = Track(self._reported, World().ball_on_field)
@@ -76,7 +76,7 @@ class Observation:
         self._tell(f"{time.monotonic() - self._began:6.2f} s  {text}")
 
     def report(self) -> None:
-        """Print how the tracking went since the last report."""
+        """Print how well the tracking went since the last report."""
         now = time.monotonic()
         latest = self.track.stretch(self._reported, now)
         self._reported = now
@@ -87,7 +87,7 @@ class Observation:
         )
 
     def note_event(self, event: StreamEvent) -> None:
-        """Take in an event of the claim."""
+        """Record and print an event of the claim."""
         self.reasons.append(event.reason)
         self.say(f"{event.after.state.name}: {event.reason}")
 
@@ -103,7 +103,7 @@ class Observation:
 
 
 def feeding(model: Optional[Model]) -> str:
-    """Label of the camera whose images the robot's tracking takes; empty for none."""
+    """Label of the camera that feeds the robot's tracking; empty for none."""
     nodelets = model.nodelets if model is not None else ()
     topics = {
         port.topic

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""How round is an outline? A circle or an ellipse is fitted, and what lies off it put aside."""
+"""How round is an outline? Fits a circle or an ellipse, leaving out points that lie off it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import numpy as np
 from dyknow_demo.soccer.rigid import Array
 
 _ROUNDS = 4
-#: Points within this part of the radius, or this many pixels, are taken to lie on the curve.
+#: Points within this fraction of the radius, or this many pixels, count as on the curve.
 _TOLERANCE, _PIXELS = 0.12, 0.75
 
 #: Fewer points fit any ellipse.
@@ -24,7 +24,7 @@ _ENOUGH_FOR_ELLIPSE = 40
 
 @dataclass(frozen=True)
 class Ellipse:
-    """A curve; a circle is one with equal axes.
+    """An ellipse; a circle has equal axes.
 
     Attributes:
         centre: column and row.
@@ -42,7 +42,7 @@ class Ellipse:
         return math.sqrt(self.axes[0] * self.axes[1])
 
     def ratios(self, points: Array) -> Array:
-        """How far points (..., 2) are out, as a part of the way to the curve: 1 lies on it."""
+        """Distances of points (..., 2) from the centre, relative to the curve: 1 lies on it."""
         turned = (points - self.centre) @ np.array(
             [
                 [math.cos(self.angle), -math.sin(self.angle)],
@@ -60,7 +60,7 @@ class Fit:
     Attributes:
         curve: the curve.
         points: those of the outline (n, 2) that lie on it.
-        agreement: their part of all points, 0 to 1.
+        agreement: their fraction of all points, 0 to 1.
     """
 
     curve: Ellipse
@@ -73,10 +73,11 @@ def fit_round(points: Array, stretch: float = 1.0) -> Optional[Fit]:
 
     Args:
         points: some of them may belong to something else.
-        stretch: the longer axis of an ellipse by the shorter one, at most; 1 for circles only.
+        stretch: the largest ratio of an ellipse's longer axis to its shorter one; 1 for circles
+            only.
 
     Returns:
-        The fit, or None if the points make no such curve.
+        The fit, or None if no such curve fits the points.
     """
     circle = _fit(points, _circle, 1.0)
     if stretch <= 1.0 or len(points) < _ENOUGH_FOR_ELLIPSE:

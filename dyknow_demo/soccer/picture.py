@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Draws the graph at the end of an act of the story: what was kept, what is new, what has gone."""
+"""Draws the graph at the end of an act of the story: kept, new and removed nodelets."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ class PictureContents:
     """What a picture shows.
 
     Attributes:
-        title: what it shows.
+        title: heading of the picture.
         model: the graph.
         needed: names of the nodelets of the stream.
         goal: topic on which the client listens.
-        space: namespace that is left out of names.
+        space: namespace left out of names.
     """
 
     title: str
@@ -50,9 +50,9 @@ class PictureContents:
 def to_dot(contents: PictureContents, first: Model) -> str:
     """Write a picture in graphviz's DOT language.
 
-    Ovals are nodelets and rectangles are topics; the topic of the client is drawn bold. Blue is
-    what was there in the first picture, green what was not, grey what the stream needs no more.
-    What has gone since the first picture is dashed.
+    Ovals are nodelets and rectangles are topics; the topic of the client is drawn bold. Whatever
+    was in the first picture is blue, new things are green, and what the stream no longer needs is
+    grey. Anything that has gone since the first picture is dashed.
 
     Args:
         contents: what to draw.
@@ -77,7 +77,7 @@ def draw(dot: str, folder: Path, name: str) -> List[Path]:
     """Draw a picture in every form, into files of that name.
 
     Raises:
-        CannotDraw: with the reason.
+        CannotDraw: drawing failed; the text says why.
     """
     folder.mkdir(parents=True, exist_ok=True)
     files = [folder / f"{name}.{form}" for form in FORMS]

@@ -16,7 +16,7 @@ from dyknow_demo.soccer.rigid import Array
 
 @dataclass(frozen=True)
 class Pinhole:
-    """Intrinsics without distortion; pixel (0, 0) is the centre of the upper left one.
+    """Intrinsics without distortion; (0, 0) is the centre of the upper left pixel.
 
     Attributes:
         width: pixels.
@@ -57,13 +57,13 @@ class Pinhole:
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     def project(self, points: Array) -> Array:
-        """Pixels (..., 2) of points (..., 3) that lie before the camera."""
+        """Pixels (..., 2) of points (..., 3) in front of the camera."""
         x = self.fx * points[..., 0] / points[..., 2] + self.cx
         y = self.fy * points[..., 1] / points[..., 2] + self.cy
         return np.stack((x, y), axis=-1)
 
     def rays(self, pixels: Array) -> Array:
-        """Unit vectors (..., 3) of the directions in which pixels (..., 2) look."""
+        """Unit vectors (..., 3) of the viewing directions of pixels (..., 2)."""
         x = (pixels[..., 0] - self.cx) / self.fx
         y = (pixels[..., 1] - self.cy) / self.fy
         directions = np.stack((x, y, np.ones_like(x)), axis=-1)

@@ -3,8 +3,8 @@
 
 """The planes Y, U and V of an image, at several resolutions.
 
-Planes are arrays of uint8, (3, rows, columns): each plane lies in one piece. At a factor of 2 one
-pixel is the mean of 2 x 2, and so on; colours of YUV 4:2:2 have half the columns anyway.
+Planes are arrays of uint8, (3, rows, columns): each plane is contiguous. At a factor of 2 each
+pixel is the mean of 2 x 2 pixels, and so on; U and V of YUV 4:2:2 have half the columns anyway.
 """
 
 from __future__ import annotations

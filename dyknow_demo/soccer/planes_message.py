@@ -4,7 +4,7 @@
 """Planes Y, U and V as one sensor_msgs/Image.
 
 The three planes follow each other from top to bottom in an image of encoding ``mono8``, so that
-each is in one piece and any viewer can show them. ROS has no encoding of that order.
+each is contiguous and any viewer can show them. ROS has no encoding for planes in this order.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from dyknow_demo.images import Pixels, array_of, blank
 
 
 def blank_planes(header: Any, rows: int, columns: int) -> Any:
-    """Make an image for planes of so many rows and columns, to be written to."""
+    """Make an image for planes of that many rows and columns, to be written to."""
     return blank(header, 3 * rows, columns, "mono8")
 
 
@@ -23,7 +23,7 @@ def planes_of(image: Any) -> Pixels:
     """View an image as planes (3, rows, columns).
 
     Raises:
-        ValueError: these are no three planes.
+        ValueError: the image does not hold three planes.
     """
     if image.encoding != "mono8" or image.height % 3:
         raise ValueError(

@@ -6,8 +6,8 @@
 A find hits a ball when the intersection of their boxes is at least ``OVERLAP`` of their union, or
 when its centre lies inside the ball's box and the ball's centre inside the find's box: a
 ball of 20 pixels that is off by two has a union that is mostly edge. The box of a find is that of
-its region, so a ball that is half out of the image is compared with what is to be seen of it.
-Each ball is hit by one find at most; whatever is left over is false.
+its region, so a ball that is half out of the image is compared by its visible part.
+Each ball is hit by at most one find; all other finds are false.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from dyknow_demo.soccer.yuv import pack, yuv_from_bgr
 OVERLAP = 0.5
 FACTORS = (2, 4)
 
-#: Omnidirectional cameras distort near balls; balls of less than 10 pixels are not asked for.
+#: Omnidirectional cameras distort near balls; balls of less than 10 pixels do not count.
 LIMITS = Limits(area=25, size=0.25, stretch=2.2)
 
 Box = Tuple[float, float, float, float]
@@ -44,7 +44,7 @@ class FrameResult:
         pixels: its image, BGR.
         balls: boxes of the annotated balls.
         finds: all finds, the best first.
-        hits: for each ball the place of the find that hits it, or None.
+        hits: for each ball the index of the find that hits it, or None.
     """
 
     frame: AnnotatedFrame
@@ -96,7 +96,7 @@ def read_image(frame: AnnotatedFrame) -> Pixels:
 
 
 def boxes_of(frame: AnnotatedFrame, pixels: Pixels) -> Tuple[Box, ...]:
-    """Tell the boxes of a frame's balls in pixels of its image."""
+    """Boxes of a frame's balls in pixels of its image."""
     height, width = pixels.shape[:2]
     return tuple(
         ((x - w / 2) * width, (y - h / 2) * height, (x + w / 2) * width, (y + h / 2) * height)
@@ -105,12 +105,12 @@ def boxes_of(frame: AnnotatedFrame, pixels: Pixels) -> Tuple[Box, ...]:
 
 
 def find_in_bgr(pixels: Pixels, colour: Colour, limits: Limits = LIMITS) -> List[Find]:
-    """Find balls in an image in BGR, on the way that a camera's YUV 4:2:2 takes."""
+    """Find balls in a BGR image, converted to YUV 4:2:2 first as a camera would deliver it."""
     return find_balls(pyramid(_packed(pixels), FACTORS), colour, limits)
 
 
 def planes_from_bgr(pixels: Pixels, factor: int) -> Pixels:
-    """Make the planes at one factor of an image in BGR, on the way of a camera's YUV 4:2:2."""
+    """Make the planes of a BGR image at one factor, converted to YUV 4:2:2 first."""
     return pyramid(_packed(pixels), (factor,))[factor]
 
 
@@ -122,7 +122,7 @@ def _packed(pixels: Pixels) -> Pixels:
 
 
 def match(balls: Sequence[Box], finds: Sequence[Find]) -> Tuple[Any, ...]:
-    """Give each ball the best find that hits it and is not given to one before."""
+    """Assign to each ball the best find that hits it and is not assigned yet."""
     taken: Dict[int, int] = {}
     for number, find in enumerate(finds):
         for ball, box in enumerate(balls):

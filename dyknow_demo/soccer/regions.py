@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Regions that may be a ball of a warm colour, whatever the light, and numbers that describe them.
+"""Regions that may be a ball of a warm colour, in any light, and numbers that describe them.
 
-One limit of a colour suits one hall. So two maps, how yellow and how orange a pixel is, are cut at
-many levels each; a ball is a region of its own at some of them. What is a ball is decided by
-``dyknow_demo.soccer.forest``, from the numbers.
+Fixed colour limits suit only one hall. So two maps, how yellow and how orange each pixel is, are
+cut at many levels each; a ball is a separate region at some of these levels. Which regions are
+balls is decided by ``dyknow_demo.soccer.forest`` from the numbers.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _WARM = 108
 #: Pixels of the planes.
 _LEAST_AREA, _LARGEST = 12, 110
 _STRETCH = 4.2
-#: Least part of its box that a region fills.
+#: Least fraction of its box that a region fills.
 _EXTENT = 0.4
 
 _Box = Tuple[int, int, int, int]
@@ -38,7 +38,7 @@ class Region:
     Attributes:
         box: left, top, width, height, pixels of the planes.
         outline: as OpenCV's findContours returns it.
-        features: what the forest judges it by.
+        features: the forest's input.
     """
 
     box: _Box
@@ -47,7 +47,7 @@ class Region:
 
 
 def regions(planes: Pixels) -> List[Region]:
-    """Find regions in planes (3, rows, columns), in an order that depends on these only."""
+    """Find regions in planes (3, rows, columns); the same planes give the same order."""
     y, u, v = planes
     yellow: Any = np.maximum(128 - u.astype(np.int16), 0)
     orange = np.clip(yellow + v.astype(np.int16) - 128, 0, 255).astype(np.uint8)

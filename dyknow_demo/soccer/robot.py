@@ -24,7 +24,7 @@ from dyknow_demo.soccer.nao import (
 )
 from dyknow_demo.soccer.rigid import Array, apply, inverse, shift, turn
 
-#: Seconds over which the robot averages the ball, and by which its head is late.
+#: Seconds over which the robot averages the ball's position, and delay of its head in seconds.
 _PATIENCE = 8.0
 _LATENESS = 0.15
 
@@ -40,7 +40,7 @@ _CAMERA_OVER_BALL = 0.43
 
 @dataclass(frozen=True)
 class RobotState:
-    """Place on the field, x, y (m) and yaw (rad), and joints."""
+    """Place on the field, x, y (m) and yaw (rad), and joint angles."""
 
     place: Tuple[float, float, float]
     posture: Posture
@@ -53,7 +53,7 @@ class RobotState:
 
 
 def robot_at(ball: Ball, time: float) -> RobotState:
-    """Find out where the robot is and how it stands."""
+    """Compute the robot's place and posture."""
     past = time - np.linspace(0.0, _PATIENCE, 33)
     mean = ball.positions(past).mean(axis=0)
     place = mean + _BEHIND
@@ -65,7 +65,7 @@ def robot_at(ball: Ball, time: float) -> RobotState:
     head_yaw = _clamp(math.atan2(y, x), HEAD_YAW_LIMITS)
     down = math.atan2(_CAMERA_OVER_BALL, math.hypot(x, y)) - BOTTOM_CAMERA_PITCH
     knee = _KNEE + _SWING * math.sin(2 * math.pi * _STEPS * (time % 3600.0))
-    # The torso nods a little with each step: the hip does not quite make up for the knee.
+    # The torso nods a little with each step: the hip does not fully compensate the knee.
     posture = Posture(head_yaw, _clamp(down, HEAD_PITCH_LIMITS), -0.45 * knee, knee, -0.5 * knee)
     return RobotState((float(place[0]), float(place[1]), yaw), posture)
 

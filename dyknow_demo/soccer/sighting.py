@@ -19,7 +19,7 @@ from dyknow_demo.soccer.finder import Find
 from dyknow_demo.soccer.pinhole import Pinhole
 from dyknow_demo.soccer.rigid import Array
 
-#: How well, in rad, a camera's owner knows where it looks: mounting, encoders.
+#: Error (rad) of the camera's direction as its owner knows it, from mounting and encoders.
 ANGLE_ERROR = math.radians(0.3)
 
 #: How far (pixels of the planes) the centre of an outline may be off: standard deviation.
@@ -28,7 +28,7 @@ _CENTRE_ERROR = 0.25
 
 @dataclass(frozen=True)
 class Geometry:
-    """What is known about camera and ball.
+    """Known quantities of camera and ball.
 
     Attributes:
         camera: intrinsics in full resolution.
@@ -52,7 +52,7 @@ class Sighting:
     Attributes:
         position: centre (3,), m.
         covariance: (3, 3), m^2.
-        find: the outline that it was seen by.
+        find: the round region that it was computed from.
     """
 
     position: Array
@@ -70,7 +70,7 @@ def best_sighting(finds: Iterable[Find], geometry: Geometry) -> Optional[Sightin
 
 
 def sight(find: Find, geometry: Geometry) -> Optional[Sighting]:
-    """Locate a ball; None if it is above the floor's horizon or not of a ball's size."""
+    """Locate a ball; None if it is above the horizon or does not have a ball's size."""
     axis, angle = cone(geometry.camera.rays(find.outline))
     # The outline runs through the outermost pixels' centres.
     pixel = geometry.factor / geometry.camera.fx
@@ -99,7 +99,7 @@ def cone(rays: Array) -> tuple[Array, float]:
 
 
 def _covariance(ray: Array, distance: float, error: float) -> Array:
-    """Covariance of where a ray meets a level plane, for errors of its direction."""
+    """Covariance of where a ray meets a level plane, given errors of its direction."""
     # A turn by w moves the ray by w x ray, and along the ray it goes on to the plane.
     turned = np.cross(np.eye(3), ray)
     moved = distance * (turned - np.outer(turned[:, 2] / ray[2], ray))

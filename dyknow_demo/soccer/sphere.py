@@ -48,7 +48,7 @@ def draw_ball(
     hit = inside > 0
     distance = along - np.sqrt(np.where(hit, inside, 0.0))
     normal = (distance[..., None] * rays - centre) / radius
-    # The sky lights the upper side, the grass gives a part of that back to the lower one.
+    # The sky lights the upper side, the grass reflects some of the light to the lower side.
     light = np.where(hit, 0.7 + 0.3 * (normal @ up), 0.0)
     part = _means(hit.astype(np.float64))[..., None]
     shade = _means(light)[..., None]
@@ -63,7 +63,7 @@ def _window(camera: Pinhole, centre: Array, radius: float) -> Optional[Tuple[int
     if centre[2] < 2 * radius:
         return None
     column, row = camera.project(centre)
-    # A silhouette is an ellipse, the longer the further it is from the optical axis.
+    # A silhouette is an ellipse, longer the further it is from the optical axis.
     reach = radius / (centre[2] - radius) * np.linalg.norm(centre) / centre[2]
     across, down = camera.fx * reach + 2, camera.fy * reach + 2
     left, right = max(0, int(column - across)), min(camera.width, int(column + across) + 1)

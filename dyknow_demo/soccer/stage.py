@@ -3,7 +3,7 @@
 
 """Sets the stage for the story: a ROS master, a manager that knows the field, and a node.
 
-What is there already is used; what is not is started, and ended with the story.
+A master or manager that runs is used; otherwise one is started, and ended with the story.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from dyknow_demo.processes import (
 )
 from dyknow_demo.soccer.story import Script, tell_story, wait_for
 
-#: Seconds that nodelets may go on should the manager be killed.
+#: Seconds that nodelets may go on if the manager is killed.
 _ORPHAN_TIMEOUT = 3.0
 
 
@@ -37,13 +37,13 @@ def play(manager: str, seconds: float, max_silence: float, pictures: Path) -> bo
     """Tell the story.
 
     Args:
-        manager: one that runs and knows the field; empty to start one.
+        manager: a running one that knows the field; empty to start one.
         seconds: for each act.
         max_silence: seconds without a position that the claim allows.
         pictures: folder for the drawings.
 
     Returns:
-        Whether the position was never lost for longer.
+        Whether the position was never lost for longer than that.
 
     Raises:
         DyKnowError: something failed.
@@ -59,7 +59,7 @@ def play(manager: str, seconds: float, max_silence: float, pictures: Path) -> bo
 
 @contextlib.contextmanager
 def _manager(name: str) -> Iterator[tuple[ManagerClient, Callable[[], None]]]:
-    """Use a manager, or start one; yields its client and a check that raises when it has ended."""
+    """Use a manager, or start one; yields its client and a check that raises if it has ended."""
     if name:
         client = ManagerClient(name)
         _tell(f"manager: {client.manager}")
@@ -86,7 +86,7 @@ def _manager(name: str) -> Iterator[tuple[ManagerClient, Callable[[], None]]]:
 
 @contextlib.contextmanager
 def _node() -> Iterator[None]:
-    """Be a node for a while: ``dyknow.acquire`` needs one."""
+    """Make this process a node for a while: ``dyknow.acquire`` needs one."""
     rospy.init_node("dyknow_demo", anonymous=True, disable_signals=True)
     try:
         yield
@@ -103,7 +103,7 @@ def _answers(client: ManagerClient) -> bool:
 
 
 def _forget_parameters() -> None:
-    """Delete the parameters of what was started."""
+    """Delete the parameters of the started nodelets."""
     with contextlib.suppress(LookupError, PeerTimeout):
         Master(NAMESPACE).ask("deleteParam", NAMESPACE)
 

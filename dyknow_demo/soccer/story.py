@@ -4,7 +4,7 @@
 """The story: a robot tracks a ball, leaves to recharge, and returns; the stream goes on.
 
 The story requests a stream, removes the robot's camera and adds it again. The manager makes,
-repairs and re-wires the stream by itself; the story reads from the model what it did.
+repairs and re-wires the stream by itself; the story reads what was done from the model.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ OWN_CAMERA, OTHER_CAMERA = "bottom_camera", "ceiling_camera"
 
 _PERIOD = 1.0  # s between two reports
 _LOOK = 0.05  # s
-_PATIENCE = 15.0  # s for what the manager does by itself
+_PATIENCE = 15.0  # s for the manager's own work
 
 
 class NotAsTold(DyKnowError):
@@ -50,7 +50,7 @@ class Script:
         max_silence: seconds without a position that the claim allows.
         pictures: folder for the drawings.
         tell: prints a line.
-        check: raises when a process has ended that is needed.
+        check: raises if a process that is needed has ended.
     """
 
     seconds: float
@@ -61,10 +61,10 @@ class Script:
 
 
 def tell_story(client: ManagerClient, script: Script) -> bool:
-    """Tell the story; True if the position was never lost, and all went as told.
+    """Tell the story; True if the position was never lost and all went as told.
 
     Args:
-        client: of a manager that knows the transformations of the soccer field.
+        client: client of a manager that has the transformations of the soccer field.
         script: how to tell it.
 
     Raises:
@@ -115,7 +115,7 @@ class _Story:
         return self._verdict()
 
     def _track_by(self, camera: str, act: str, title: str) -> None:
-        """Follow the ball for a while; then look at who does the work, and draw it."""
+        """Follow the ball for a while; then check which nodelets do the work, and draw them."""
         end = time.monotonic() + self._script.seconds
         while time.monotonic() < end:
             time.sleep(min(_PERIOD, max(0.0, end - time.monotonic())))
@@ -184,7 +184,7 @@ class _Story:
     # Inside
 
     def _destroy(self, name: str) -> None:
-        """Destroy a nodelet, unless the manager was quicker."""
+        """Destroy a nodelet, unless the manager has already destroyed it."""
         try:
             self._client.destroy(name)
         except Refused:
@@ -206,10 +206,10 @@ class _Story:
 
 
 def wait_for(client: ManagerClient, check: Callable[[], None], patience: float) -> None:
-    """Wait until a manager answers and knows the transformations of the story.
+    """Wait until a manager answers and has the transformations of the story.
 
     Raises:
-        DyKnowError: it does not, in time.
+        DyKnowError: it does not in time.
     """
     end = time.monotonic() + patience
     while True:

@@ -11,18 +11,18 @@ from typing import Callable, List, Sequence
 
 from dyknow_demo.soccer.rigid import Array
 
-#: Metres: several times what is measured, so that a stream of wrong positions is no success.
+#: Metres: several times the measured error; a stream of wrong positions must not pass.
 LARGE_ERROR = 0.3
 
 
 @dataclass(frozen=True)
 class Stretch:
-    """What arrived in a stretch of time.
+    """The positions that arrived in a stretch of time.
 
     Attributes:
-        count: positions.
-        rate: of them, Hz.
-        median: error in m, of half of them at most; nan without positions.
+        count: number of positions.
+        rate: positions per second.
+        median: median error, m; nan without positions.
         worst: greatest error, m; nan without positions.
         pause: longest time (s) without a position, the time at either end included.
     """
@@ -35,10 +35,10 @@ class Stretch:
 
 
 class Track:
-    """Arrivals and errors, in order of arrival; times of arrival are of one steady clock."""
+    """Arrivals and errors, in order of arrival; arrival times are of one steady clock."""
 
     def __init__(self, begin: float, truth: Callable[[float], Array]) -> None:
-        """Begin without a position.
+        """Make an empty track.
 
         Args:
             begin: time from which on positions are expected, s.
@@ -50,13 +50,13 @@ class Track:
         self._errors: list[float] = []
 
     def note(self, arrival: float, stamp: float, x: float, y: float) -> None:
-        """Take in a position (m) on the field."""
+        """Add a position (m) on the field."""
         truth = self._truth(stamp)
         self._errors.append(float(((x - truth[0]) ** 2 + (y - truth[1]) ** 2) ** 0.5))
         self._arrivals.append(arrival)
 
     def stretch(self, begin: float, end: float) -> Stretch:
-        """Sum up what arrived between two times."""
+        """Summarise the arrivals between two times."""
         count = len(self._arrivals)
         chosen = [
             (arrival, error)
@@ -76,7 +76,7 @@ class Track:
         )
 
     def whole(self, end: float) -> Stretch:
-        """Sum up everything."""
+        """Summarise all arrivals."""
         return self.stretch(self._begin, end)
 
 

@@ -3,9 +3,9 @@
 
 """The simulated truth: a function of one seed and the time.
 
-Whoever has the same seed has the same world, so each nodelet simulates its own part of it, in
-whichever process it runs. What is known to the robot's software is a little wrong, as in life:
-each camera's mounting and the robot's idea of its own place have errors, drawn from the seed too.
+The same seed gives the same world, so each nodelet can simulate its own part of it in any process.
+The robot's software has slightly wrong data, as in reality: each camera's mounting and the robot's
+estimate of its own place have errors, which also depend on the seed.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from dyknow_demo.soccer.rigid import Array, apply, inverse, shift, turn
 from dyknow_demo.soccer.robot import RobotState, robot_at
 
 #: Standard deviations: a camera's mounting about each axis after calibration, the robot's
-#: self-localization on the field, and the time in which that forgets its errors.
+#: self-localization on the field, and the time after which its errors are new.
 MOUNTING_ERROR = math.radians(0.2)
 PLACE_ERROR = 0.03  # m
 HEADING_ERROR = math.radians(0.7)
@@ -31,10 +31,10 @@ _FORGETS = 4.0  # s
 
 
 class World:
-    """A ball, a NAO and a camera on the ceiling, of which everything is known."""
+    """A ball, a NAO and a camera on the ceiling, with their true states."""
 
     def __init__(self, seed: int = 0) -> None:
-        """Draw the world's errors and paths from a seed."""
+        """Generate the world's errors and paths from a seed."""
         self.seed = seed
         self.ball = Ball(seed)
         generator = np.random.default_rng([seed, 2])
@@ -55,7 +55,7 @@ class World:
         return apply(inverse(self.robot(time).field_from_robot), self.ball_on_field(time))
 
     def robot(self, time: float) -> RobotState:
-        """Where the robot is and how it stands."""
+        """The robot's true place and posture."""
         return robot_at(self.ball, time)
 
     def encoders(self, time: float) -> Posture:
@@ -64,7 +64,7 @@ class World:
         return Posture(*(round(each / ENCODER_STEP) * ENCODER_STEP for each in angles))
 
     def believed_place(self, time: float) -> Tuple[float, float, float]:
-        """Where the robot's self-localization takes it to be: x, y (m), yaw (rad)."""
+        """The robot's place as estimated by its self-localization: x, y (m), yaw (rad)."""
         knots = len(self._place_errors)
         count = time / _FORGETS
         before = math.floor(count)

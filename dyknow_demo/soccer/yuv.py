@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""YUV 4:2:2 as cameras deliver it, and the way there from BGR.
+"""YUV 4:2:2 as cameras deliver it, and the conversion from BGR.
 
-ITU-R BT.601 with its narrow range (Y 16 to 235), which OpenCV's conversions from YUV 4:2:2 take
-for granted. Packed pixels are in the order UYVY, ROS's encoding ``yuv422``.
+ITU-R BT.601 with its narrow range (Y 16 to 235), which OpenCV's conversions from YUV 4:2:2 assume.
+Packed pixels are in the order UYVY, which is ROS's encoding ``yuv422``.
 """
 
 from __future__ import annotations

@@ -34,26 +34,26 @@ Finder = Callable[[Mapping[int, Pixels]], List[Find]]
 class BallDetector(dyknow.Nodelet):
     """Finds the ball by colour and roundness, and locates it in the frame of the camera's owner.
 
-    It does so for whichever camera it is connected to: the intrinsics come with the images, the
-    mounting is a parameter, and joints count only where the mounting has some. Which camera it is,
-    the frame of the images tells; intrinsics of another frame are put aside.
+    It works with any camera that it is connected to: the intrinsics come with the images, the
+        mounting is a parameter, and joints matter only for a mounting that has some. The frame of
+        the images identifies the camera; intrinsics with another frame are ignored.
 
     Ports:
-        yuv_coarse, yuv_fine (in): sensor_msgs/Image, planes as of ImageSubsampler, of the same
-            stamps; the coarse ones are searched, the fine ones decide.
+        yuv_coarse, yuv_fine (in): sensor_msgs/Image, planes as published by ImageSubsampler, with
+            equal stamps; balls are searched for in the coarse ones and confirmed in the fine ones.
         camera_info (in): sensor_msgs/CameraInfo, of the camera in full resolution, with the frame
             of the images.
         joint_states (in): sensor_msgs/JointState; may stay disconnected if the mount is fixed.
         ball (out): geometry_msgs/PoseWithCovarianceStamped, in the owner's frame on the floor;
-            nothing is published where no ball is seen.
+            nothing is published when no ball is seen.
 
     Parameters:
         ~mount (string or mapping, nao_bottom): nao_bottom, or {height, pitch, roll} in m and rad.
         ~owner (string, nao): name of the owner's frame.
-        ~fixed_cameras (mapping, empty): how other cameras are mounted whose images may come, by
-            the frame of these: {height, pitch, roll} as above. Each is its own owner.
-        ~colour (string, orange): orange or yellow, by fixed limits; or learnt: what a forest that
-            was trained on real frames takes for a ball, whatever the light.
+        ~fixed_cameras (mapping, empty): mounts of other cameras whose images may arrive, by the
+            frame of the images: {height, pitch, roll} as above. Each is its own owner.
+        ~colour (string, orange): orange or yellow, by fixed limits; or learnt: by a forest trained
+            on real frames, in any light.
         ~radius (double, 0.0325): of the ball, m.
     """
 
@@ -78,7 +78,7 @@ class BallDetector(dyknow.Nodelet):
         """Read the parameters.
 
         Raises:
-            BadParameter: one is not what is expected.
+            BadParameter: one of them is not valid.
         """
         get = self.nh.get_param
         self.mount = self.read_mount("~mount", get("~mount", "nao_bottom"))
@@ -96,14 +96,14 @@ class BallDetector(dyknow.Nodelet):
 
     @staticmethod
     def finder_of(colour: str) -> Finder:
-        """Tell how balls are found in planes by their factors."""
+        """Return the function that finds balls in planes by their factors."""
         if colour == LEARNT:
             model = forest.load()
             return lambda pyramid: forest.find_learnt(pyramid[min(pyramid)], min(pyramid), model)
         return lambda pyramid: find_balls(pyramid, COLOURS[colour])
 
     def read_mount(self, parameter: str, given: Any) -> mounts.Mount:
-        """Read how one camera is mounted."""
+        """Read the mount of one camera."""
         try:
             return mounts.mount_of(given)
         except (TypeError, ValueError):
@@ -111,12 +111,12 @@ class BallDetector(dyknow.Nodelet):
             raise BadParameter(name, given, mounts.EXPECTED) from None
 
     def on_info(self, info: Any) -> None:
-        """Take the camera's intrinsics."""
+        """Store the camera's intrinsics."""
         camera = Pinhole.of_matrix(info.width, info.height, info.K)
         self.cameras[info.header.frame_id] = camera
 
     def on_joints(self, state: Any) -> None:
-        """Keep the angles that move the camera."""
+        """Store the angles that move the camera."""
         angles = dict(zip(state.name, state.position))
         if all(name in angles for name in self.mount.joints):
             chosen = [angles[name] for name in self.mount.joints]
@@ -141,7 +141,7 @@ class BallDetector(dyknow.Nodelet):
             self.publish(Header(stamp=stamp, frame_id=owner), sighting)
 
     def publish(self, header: Any, sighting: Sighting) -> None:
-        """Publish where the ball is; its orientation is not known."""
+        """Publish the ball's position; its orientation is unknown."""
         message = PoseWithCovarianceStamped(header=header)
         message.pose.pose.position = Point(*sighting.position.tolist())
         message.pose.pose.orientation = Quaternion(0.0, 0.0, 0.0, 1.0)

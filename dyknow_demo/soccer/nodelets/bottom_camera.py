@@ -11,7 +11,7 @@ from dyknow_demo.soccer.rigid import Array
 
 
 class BottomCamera(SimulatedCamera):
-    """Publishes what the NAO sees before its feet, 640 x 480.
+    """Publishes the NAO's view of the floor before its feet, 640 x 480.
 
     Ports:
         image (out): sensor_msgs/Image, yuv422 (YUV 4:2:2 in the order UYVY).
@@ -28,5 +28,5 @@ class BottomCamera(SimulatedCamera):
         self.start(BOTTOM_CAMERA, 20.0)
 
     def pose(self, time: float) -> Array:
-        """Follow the robot and its head."""
+        """Pose of the camera as the robot walks and turns its head."""
         return self.world.field_from_bottom_camera(time)

@@ -16,13 +16,13 @@ from dyknow_demo.soccer.rigid import Array
 
 
 class CeilingCamera(SimulatedCamera):
-    """Publishes what is to be seen from the ceiling, 1280 x 960.
+    """Publishes the view from the ceiling, 1280 x 960.
 
     Ports:
         image (out): sensor_msgs/Image, yuv422 (YUV 4:2:2 in the order UYVY).
         camera_info (out): sensor_msgs/CameraInfo, with each frame.
-        pose (out): geometry_msgs/PoseWithCovarianceStamped, with each frame: where on the field
-            the camera's own frame is, the place on the floor right below it.
+        pose (out): geometry_msgs/PoseWithCovarianceStamped, with each frame: place on the field of
+            the camera's own frame, which is on the floor right below it.
 
     Parameters:
         ~rate (double, 15): frames a second.
@@ -36,9 +36,9 @@ class CeilingCamera(SimulatedCamera):
         self.pose_pub = self.nh.Publisher("pose", PoseWithCovarianceStamped, queue_size=5)
 
     def pose(self, time: float) -> Array:
-        """Hang still."""
+        """Pose of the camera, which does not move."""
         return self.world.field_from_ceiling_camera()
 
     def publish_besides(self, header: Any) -> None:
-        """Say where the camera hangs."""
+        """Publish the place of the camera's frame."""
         self.pose_pub.publish(place_message(header.stamp, PLACE, 0.0, 0.0))

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The nodelet dyknow_demo/ImageSubsampler: one YUV image in, whatever of it is asked for out."""
+"""The nodelet dyknow_demo/ImageSubsampler: a YUV image in; other sizes and colour spaces out."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from dyknow_demo.soccer.planes_message import blank_planes, planes_of
 
 
 class ImageSubsampler(dyknow.Nodelet):
-    """Converts and shrinks camera images; only what has subscribers is made.
+    """Converts and shrinks camera images; makes only those that have subscribers.
 
     Ports:
         yuv (in): sensor_msgs/Image, yuv422 (UYVY), rows and columns even.
@@ -40,7 +40,7 @@ class ImageSubsampler(dyknow.Nodelet):
         self.sub = self.nh.Subscriber("yuv", Image, self.on_image, queue_size=2)
 
     def on_image(self, image: Any) -> None:
-        """Make what is listened to of one image."""
+        """Make and publish the images that have subscribers."""
         if image.encoding != "yuv422" or image.height % 2 or image.width % 2:
             raise ValueError(
                 f"an image of {image.width} x {image.height} in '{image.encoding}': "
@@ -50,7 +50,7 @@ class ImageSubsampler(dyknow.Nodelet):
         self.publish_colours(image)
 
     def publish_planes(self, image: Any) -> None:
-        """Publish the planes, down to the smallest that is listened to."""
+        """Publish the planes, down to the smallest with subscribers."""
         listened = [pub.get_num_connections() > 0 for pub in self.plane_pubs]
         rows, columns, before = image.height, image.width, None
         for level, pub in enumerate(self.plane_pubs):

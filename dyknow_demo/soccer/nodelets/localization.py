@@ -19,7 +19,7 @@ from dyknow_demo.soccer.nodelets.places import FIELD, place_of
 
 
 class Localization(dyknow.Nodelet):
-    """Transforms objects that an observer sees to the field, by where the observer was then.
+    """Transforms objects to the field's frame, by the observer's place at the time of their stamp.
 
     Ports:
         pose (in): geometry_msgs/PoseWithCovarianceStamped, of the observer's frame on the field.
@@ -50,10 +50,10 @@ class Localization(dyknow.Nodelet):
         )
 
     def read_place(self, given: Any) -> Tuple[float, ...]:
-        """Read where one camera is.
+        """Read the place of one camera.
 
         Raises:
-            BadParameter: that is not what is expected.
+            BadParameter: it is not a place.
         """
         try:
             return tuple(float(given[name]) for name in ("x", "y", "yaw"))
@@ -62,7 +62,7 @@ class Localization(dyknow.Nodelet):
             raise BadParameter(name, given, "the numbers x, y (m) and yaw (rad)") from None
 
     def on_pose(self, pose: Any) -> None:
-        """Keep where the observer is."""
+        """Store the observer's place."""
         self.places.add(pose.header.stamp.to_sec(), place_of(pose))
 
     def on_object(self, observed: Any) -> None:

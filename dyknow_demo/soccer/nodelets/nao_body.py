@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The nodelet dyknow_demo/NaoBody: what a simulated NAO knows of itself."""
+"""The nodelet dyknow_demo/NaoBody: joint angles and self-localization of a simulated NAO."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from dyknow_demo.soccer.world import HEADING_ERROR, PLACE_ERROR, World
 
 
 class NaoBody(dyknow.Nodelet):
-    """Publishes joint angles and the robot's own idea of where it stands.
+    """Publishes joint angles and the robot's own estimate of its place.
 
-    The self-localization on the field's lines is not simulated, its result is: the true place with
-    errors of a few centimetres that change slowly.
+    Self-localization by the field's lines is not simulated, only its result: the true place with
+    slowly changing errors of a few centimetres.
 
     Ports:
         joint_states (out): sensor_msgs/JointState: HeadYaw, HeadPitch and a leg's pitch joints,
@@ -44,7 +44,7 @@ class NaoBody(dyknow.Nodelet):
         self.timer = self.nh.Timer(self.nh.Duration(1.0 / rate), self.on_timer)
 
     def on_timer(self, event: Any) -> None:
-        """Publish the state of this moment."""
+        """Publish the current state."""
         stamp = self.nh.Time.now()
         time = stamp.to_sec()
         angles = self.world.encoders(time).angles

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What both simulated cameras have in common."""
+"""The base of both simulated cameras."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from dyknow_demo.soccer.world import World
 
 
 class SimulatedCamera(dyknow.Nodelet):
-    """Publishes what a camera sees of the world at this moment, with its intrinsics."""
+    """Publishes a camera's current view of the world, with its intrinsics."""
 
     def start(self, camera: Pinhole, default_rate: float) -> None:
         """Declare the ports and start the timer."""
@@ -54,7 +54,7 @@ class SimulatedCamera(dyknow.Nodelet):
         self.count += 1
 
     def publish_besides(self, header: Any) -> None:
-        """Publish what else a camera knows, before its frame."""
+        """Publish anything else before a frame; nothing by default."""
 
 
 def _intrinsics(camera: Pinhole) -> Dict[str, Any]:
