@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What the suites about the demonstrations share: processes as their users start them."""
+"""Shared by the suites about the demonstrations: processes as users start them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def port_without_master():
 
 
 def alone():
-    """Environment of a machine on which no master runs."""
+    """Environment with a master URI at which no master runs."""
     return {**os.environ, "ROS_MASTER_URI": f"http://127.0.0.1:{port_without_master()}"}
 
 
@@ -35,7 +35,7 @@ def is_running(pid):
 
 
 class DemoCase(unittest.TestCase):
-    """Starts demonstrations, and ends them."""
+    """Starts demonstrations and ends them."""
 
     arguments = ()
 

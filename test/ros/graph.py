@@ -40,7 +40,7 @@ TIMEOUT = 30.0
 
 
 class Ended(Running):
-    """A process that is asked to end before it is killed, so it unregisters and ends children."""
+    """A process that is asked to end before being killed, to unregister and end its children."""
 
     def __exit__(self, *unused: object) -> None:
         if not self.has_ended:
@@ -69,7 +69,7 @@ class ManagerServices:
         bond_id: str = "",
         **parameters: Any,
     ) -> None:
-        """Load a nodelet of the test package; the parameters are set before."""
+        """Set the parameters and load a nodelet of the test package."""
         for key, value in parameters.items():
             rospy.set_param(f"{name}/{key}", value)
         remappings = remappings or {}
@@ -89,7 +89,7 @@ class ManagerServices:
         return rospy.ServiceProxy(f"{self.name}/unload_nodelet", NodeletUnload)(name)
 
     def unload_all(self) -> None:
-        """Unload what is loaded, and delete its parameters."""
+        """Unload all nodelets, and delete their parameters."""
         for name in self.list():
             self.unload(name)
             if rospy.has_param(name):
@@ -99,7 +99,7 @@ class ManagerServices:
         return list(rospy.ServiceProxy(f"{self.name}/list", NodeletList)().nodelets)
 
     def is_free(self, name: str) -> bool:
-        """Whether a nodelet can be loaded under a name; what is loaded for that goes again."""
+        """Whether a nodelet can be loaded under a name; unloads it again."""
         try:
             self.load("dyknow_test/Introspector", name)
         except rospy.ServiceException:
@@ -212,7 +212,7 @@ def port_statistics(nodelet: str, port: str) -> Any:
 
 
 def registrations(node: str) -> dict[str, list[str]]:
-    """What the master has of a node: topics that it publishes, subscribes to, and services."""
+    """A node's registrations: topics that it publishes, topics that it subscribes to, services."""
     state = rosgraph.Master(rospy.get_name()).getSystemState()
     kinds = ("publishers", "subscribers", "services")
     return {
@@ -226,7 +226,7 @@ def services_of(node: str) -> list[str]:
 
 
 def nodes_on(topic: str) -> tuple[set[str], set[str]]:
-    """The nodes that publish on a topic and those that subscribe to it, for the master."""
+    """Publishers and subscribers of a topic, according to the master."""
     state = rosgraph.Master(rospy.get_name()).getSystemState()
     publishers, subscribers = ({*dict(part).get(topic, ())} for part in state[:2])
     return publishers, subscribers
@@ -239,6 +239,6 @@ def bus_info(node: str) -> list[Any]:
 
 
 def parameters() -> dict[str, Any]:
-    """All parameters but those that roslaunch and rosout keep for themselves."""
+    """All parameters except those of roslaunch and rosout."""
     every = rospy.get_param("/")
     return {key: value for key, value in every.items() if key not in ("roslaunch", "run_id")}

@@ -1,16 +1,16 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Hosts on one machine, and a network between them that the test commands.
+"""Hosts on one machine, and a network between them that the test controls.
 
-A host is a network namespace with an address of its own. Its only link is a TUN device whose
-other end this process holds: a thread reads each packet and hands it to the host that it is for,
-later if that host is far away, or never if the way there is cut. What is lost here is lost without
-a word, as on a radio link: nobody is told that a host is away. The namespace that the test itself
-runs in, with the master of its suite, is one of the hosts, `network.desk`.
+A host is a network namespace with an address of its own. Its only link is a TUN device whose other
+end this process holds: a thread reads each packet and delivers it to its host, delayed if that
+host is far away, or never if the link is cut. Packets are lost silently, as on a radio link: no
+error tells that a host is unreachable. The namespace that the test itself runs in, with the master
+of its suite, is one of the hosts, `network.desk`.
 
-Nothing outlives the test, however that ends: the devices go with the descriptors that this process
-holds, and a namespace goes with its last process.
+Nothing outlives the test, however it ends: a device is removed when this process closes its
+descriptor, and a namespace when its last process ends.
 """
 
 from __future__ import annotations
@@ -32,20 +32,20 @@ from urllib.parse import urlsplit
 
 from processes import Running
 
-#: A range that is set aside for tests of networks (RFC 2544); each network takes one /24 of it.
+#: A range reserved for network tests (RFC 2544); each network takes one /24 of it.
 _RANGE = "198.18"
 _MTU = 9000
 _QUEUE = 10000
 _TUNSETIFF = 0x400454CA
-#: A device for IP packets without a header of its own, which must not be there yet.
+#: A new device for IP packets, without an extra header.
 _TUN = 0x0001 | 0x1000 | 0x8000
 _DEVICE = "/dev/net/tun"
-#: Address of a name server that never answers: there is no such host.
+#: Address of a name server that never answers: no host has it.
 _NOBODY = 250
 
 
 def missing() -> str:
-    """What this machine lacks for hosts of its own; empty if nothing."""
+    """Why this machine cannot run such hosts; empty if it can."""
     if os.geteuid():
         return "root may make network namespaces, others may not"
     for program in ("ip", "nsenter", "unshare"):
@@ -60,14 +60,14 @@ def missing() -> str:
 
 
 class Host:
-    """A place with an address, where processes run.
+    """A network namespace with an address, in which processes run.
 
     Attributes:
         address: its IP address.
     """
 
     def __init__(self, network: Network, number: int) -> None:
-        """Join a network; made by `Network`."""
+        """Join a network; called by `Network`."""
         self.device, name = network.plug(number)
         self.address = f"{network.prefix}.{number}"
         self._network = network
@@ -89,7 +89,7 @@ class Host:
         self._here("ip", "address", "add", f"{self.address}/24", "dev", name)
 
     def command(self, *command: str, resolver: str = "") -> list[str]:
-        """Write a command so that it runs here, in the same process.
+        """Wrap a command so that it runs on this host, in the same process.
 
         Args:
             command: program and arguments.
@@ -102,14 +102,14 @@ class Host:
         return [*self._entering(), "env", "-u", "ROS_HOSTNAME", *environment, *mounting, *command]
 
     def run(self, *command: str) -> Running:
-        """Start a process here."""
+        """Start a process on this host."""
         return Running(*self.command(*command))
 
     def is_heard(self) -> bool:
-        """Whether all that was sent from here has arrived.
+        """Whether everything that was sent from this host has arrived.
 
-        What has not is sent again after a pause that doubles, and arrives though its sender is
-        dead: the master would take a late registration for a new node of that name.
+        The kernel sends lost packets again after pauses that double, even when the sender is dead:
+            the master would take a late registration for a new node of that name.
         """
         table = subprocess.run(
             [*self._entering(), "cat", "/proc/net/tcp"], check=True, capture_output=True, text=True
@@ -151,7 +151,7 @@ class Network:
     """
 
     def __init__(self, master_uri: str) -> None:
-        """Make a network with nobody but the desk.
+        """Make a network that has only the desk.
 
         Args:
             master_uri: the master of the suite, as this process knows it.
@@ -198,7 +198,7 @@ class Network:
 
     @contextlib.contextmanager
     def without(self, *ways: tuple[Host, Host]) -> Iterator[None]:
-        """Lose every packet on these ways, each from one host to another."""
+        """Lose every packet on these links, each from one host to another."""
         with self._lock:
             new = set(ways) - self._cut
             self._cut |= new
@@ -210,7 +210,7 @@ class Network:
 
     @contextlib.contextmanager
     def far(self, host: Host, seconds: float) -> Iterator[None]:
-        """Let every packet from and to a host take so long, each way."""
+        """Delay every packet from and to a host, in each direction."""
         with self._lock:
             self._delays[host] = seconds
         try:
@@ -226,7 +226,7 @@ class Network:
         if self.prefix:
             subnet = self.prefix.rpartition(".")[2]
             return _tun(f"dk{subnet}-{number}"), f"dk{subnet}-{number}"
-        for subnet in range(1, 255):  # the device of the desk keeps others off the subnet
+        for subnet in range(1, 255):  # the desk's device reserves the subnet
             with contextlib.suppress(OSError):
                 device = _tun(f"dk{subnet}-{number}")
                 self.prefix = f"{_RANGE}.{subnet}"

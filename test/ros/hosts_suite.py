@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What the suites about several hosts share: the network, and nodelet managers on its hosts."""
+"""Shared by the suites about several hosts: the network, and nodelet managers on its hosts."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ from dyknow.model.streams import ClaimState, StreamEvent, StreamRequest
 from dyknow.ros.master import Master
 from dyknow.ros.service_client import ServiceClient
 
-#: Within so many seconds the manager knows that a host is away, or back.
+#: The manager notices within this many seconds that a host is unreachable, or back.
 NOTICED = 5.0
-#: A time limit of a remote call: what waits for none of them is faster by as much.
+#: Time limit (s) of a remote call: a step that waits for none is faster than this.
 CALL_TIMEOUT = 1.0
 
 
 def changes_of_state(events: Sequence[StreamEvent]) -> list[str]:
-    """Why claims changed their states, in words; what is merely said of them is left out."""
+    """Reasons of the changes of claims' states; changes of the detail alone are left out."""
     return [
         f"{each.after.state.name}: {each.reason}"
         for each in events
@@ -42,18 +42,18 @@ def changes_of_state(events: Sequence[StreamEvent]) -> list[str]:
 
 
 class HostsCase(StreamCase):
-    """Each test makes its own hosts on the network of the suite, whose desk it runs on."""
+    """Each test makes its own hosts on the suite's network, and runs on the desk."""
 
     network: Network
 
     def setUp(self) -> None:
         lacking = missing()
         if lacking:
-            print(f"skipped: {lacking}")  # the results of rostest do not have it
+            print(f"skipped: {lacking}")  # rostest's results do not contain it
             raise unittest.SkipTest(lacking)
 
     def host(self) -> Host:
-        """Make a host, which stays when the test is over: it refuses what its dead are asked.
+        """Make a host that stays after the test, to refuse connections to its ended processes.
 
         The master has three threads to tell nodes of changes, and each waits for two minutes for
         a host that does not answer.
@@ -69,7 +69,7 @@ class HostsCase(StreamCase):
         return process
 
     def hosting(self, manager: ManagerProcess, name: str) -> None:
-        """Wait until the manager uses a nodelet manager of others: it spawns there."""
+        """Wait until the manager can spawn in an external nodelet manager."""
 
         def spawned() -> bool:
             try:
@@ -83,7 +83,7 @@ class HostsCase(StreamCase):
         manager.client.destroy(f"/{name}_probe")
 
     def listed(self, name: str) -> list[str] | None:
-        """What a nodelet manager itself says that it runs; None if it does not answer."""
+        """The nodelets that a nodelet manager lists; None if it does not answer."""
         master = Master(rospy.get_name())
         try:
             return sorted(ServiceClient(master, f"{name}/list", NodeletList).call(5.0).nodelets)
@@ -99,10 +99,10 @@ class HostsCase(StreamCase):
         eventually(lambda: self.state_of(manager, name) is state, NOTICED, what)
 
     def spawn_time(self, manager: ManagerProcess, where: str = "") -> float:
-        """Shortest of some spawns, in s: whatever waits for a remote time limit adds that.
+        """Time (s) of the fastest of some spawns: it shows any wait for a remote time limit.
 
         Args:
-            manager: who spawns.
+            manager: the manager that spawns.
             where: nodelet manager to use; empty for the manager's choice.
         """
         times = []
@@ -123,7 +123,7 @@ class HostsCase(StreamCase):
         return time.monotonic() - begin
 
     def stays(self, seconds: float, holds: Callable[[], bool], what: Callable[[], object]) -> None:
-        """See to it that something holds for a while; ``what`` is said if it does not."""
+        """Check that something holds for a while; ``what`` is the message if it does not."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             assert holds(), what()
@@ -134,7 +134,7 @@ class Split(HostsCase):
     """Two nodelet managers of one name, on hosts that could not see each other."""
 
     def newcomer_survives(self, meanwhile: Callable[[ManagerProcess], None]) -> None:
-        """Of two that meet, one goes on with its nodelets and the claims; the other ends."""
+        """When the two meet, one goes on with its nodelets and the claims; the other ends."""
         far = self.host()
         elder = self.nodelet_manager(far, "twin")
         manager = self.tracking(nodelet_managers=["/twin"], num_nodelet_managers=0)
@@ -164,7 +164,7 @@ class Split(HostsCase):
         flow.wait()
 
     def placed(self, manager: ManagerProcess, name: str) -> bool:
-        """Spawn a nodelet of our own in it; the one of an earlier process is gone by then."""
+        """Spawn a nodelet in it, after the one in an earlier process has gone."""
         try:
             if manager.nodelet("/probe") is None:
                 manager.client.spawn("camera", "/probe", manager=name)
@@ -174,9 +174,9 @@ class Split(HostsCase):
 
 
 class ClaimOverHosts(HostsCase):
-    """A claim that is met by a nodelet on another host, of which something becomes.
+    """A claim that is met by a nodelet on another host, to which something happens.
 
-    What it needs can be made on the desk too.
+    The stream can be made on the desk too.
     """
 
     def with_claim(self, max_silence: float) -> None:
@@ -211,7 +211,7 @@ class ClaimOverHosts(HostsCase):
         return self.claim(self.manager, self.claim_id).state is ClaimState.ACTIVE
 
     def loses_it(self, fault: ContextManager[None], seconds: float) -> None:
-        """It is replaced once, others notice nothing, and what comes back is cleared up once."""
+        """It is replaced once, others are unaffected, and the returning nodelet is removed."""
         with fault:
             eventually(lambda: self.is_met() and not self.on_far(), NOTICED, "it is replaced")
             eventually(lambda: self.mended() == 1, NOTICED, "it is told that it was mended")
@@ -231,12 +231,12 @@ class ClaimOverHosts(HostsCase):
         self.settled(self.manager)
 
     def keeps_it(self, fault: ContextManager[None], seconds: float) -> None:
-        """Nothing happens to it, neither while the fault lasts nor when it is over."""
+        """It does not change, neither during the fault nor after it."""
         with fault:
             self.stays(seconds, lambda: not self.reasons(), self.reasons)
             self.manager.client.spawn("relay", "/late", {"in": "/x"}, manager="/far")
             self.manager.client.destroy("/late")
-            # On the desk: over there a spawn takes eight seconds at 200 ms each way.
+            # On the desk: on the far host a spawn takes eight seconds at 200 ms each way.
             self.assertLess(self.spawn_time(self.manager, CHILD), self.fast + CALL_TIMEOUT)
         self.stays(seconds, lambda: not self.reasons(), self.reasons)
         self.assertEqual(self.claim(self.manager, self.claim_id).state, ClaimState.ACTIVE)

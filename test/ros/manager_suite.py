@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What the suites about the DyKnow manager share: the process, its client, looks at the graph.
+"""Shared by the suites about the DyKnow manager: its process, its client, views of the graph.
 
 Importing it makes the packages of test/packages known to this process and those that it starts.
 """
@@ -74,7 +74,7 @@ LIBRARY = "".join(
 
 
 class ManagerProcess:
-    """A DyKnow manager in a process of its own, its state, and a client."""
+    """A DyKnow manager in its own process, its state, and a client."""
 
     def __init__(self, state: str, node: str = MANAGER, **parameters: Any) -> None:
         self.state = state
@@ -112,7 +112,7 @@ class ManagerProcess:
             return log.read()
 
     def children(self) -> dict[str, ProcessId]:
-        """Nodelet managers that it has on its list."""
+        """Nodelet managers on its list."""
         name = re.sub(r"[^A-Za-z0-9.]+", "-", self.node)
         for file in Path(self.state).glob(f"*{name}.children.json"):
             return {
@@ -126,7 +126,7 @@ class ManagerProcess:
         return self.children()[name]
 
     def kill_child(self, name: str = CHILD) -> None:
-        """Kill a nodelet manager and wait until it was started again."""
+        """Kill a nodelet manager and wait until it is started again."""
         killed = self.child(name)
         killed.signal(signal.SIGKILL)
         eventually(lambda: self.child(name) != killed, 10.0, f"{name} is started again")
@@ -136,14 +136,14 @@ class ManagerProcess:
         self.process.wait()
 
     def stop(self, number: int = signal.SIGINT) -> float:
-        """End it as a user does; returns how long (s) it took."""
+        """End it as a user would; returns how long (s) that took."""
         begin = time.monotonic()
         self.process.send_signal(number)
         self.process.wait(20.0)
         return time.monotonic() - begin
 
     def destroy(self) -> None:
-        """Leave nothing, whatever the test did."""
+        """Remove everything, whatever the test did."""
         started = []
         if self.process is not None and self.process.poll() is None:
             self.process.send_signal(signal.SIGSTOP)
@@ -184,7 +184,7 @@ class ManagerCase(TellingCase):
 
 
 class Receiver:
-    """The numbers of the headers that arrive on a topic, in order."""
+    """Records the numbers of the headers that arrive on a topic, in order."""
 
     def __init__(self, topic: str) -> None:
         self.numbers: list[int] = []
@@ -203,7 +203,7 @@ class Receiver:
 
 
 def _stat(pid: int) -> list[str]:
-    """What the kernel says of a process, from its state on."""
+    """Fields of a process's /proc stat, from its state on."""
     return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
 
 
@@ -217,7 +217,7 @@ def _children_of(pid: int) -> list[ProcessId]:
 
 
 def registrations(prefix: str) -> list[str]:
-    """Topics and services at the master whose name begins so."""
+    """Topics and services at the master whose names begin with a prefix."""
     state = rosgraph.Master(rospy.get_name()).getSystemState()
     return sorted(name for part in state for name, _ in part if name.startswith(prefix))
 
@@ -232,12 +232,12 @@ def nodes() -> set[str]:
 
 
 def gaps(numbers: list[int]) -> list[tuple[int, int]]:
-    """Neighbours in a sequence that do not follow each other."""
+    """Pairs of neighbours in a sequence that are not consecutive."""
     return [(a, b) for a, b in zip(numbers, numbers[1:]) if b != a + 1]
 
 
 def _clean_master() -> None:
-    """Unregister what killed processes left."""
+    """Unregister what killed processes left behind."""
     from dyknow.ros.master import Master
 
     master = Master(rospy.get_name())
@@ -251,7 +251,7 @@ def _clean_master() -> None:
 
 
 def each_within(seconds: float) -> Iterator[float]:
-    """Moments, as long as the time lasts."""
+    """Yield times until the given time is over."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         yield time.monotonic()

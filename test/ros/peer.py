@@ -2,12 +2,12 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""A node of the outside: `peer.py talk RATE TOPIC...`, `listen TOPIC...`, `doze SECONDS TOPIC...`.
+"""An outside node: `peer.py talk RATE TOPIC...`, `listen TOPIC...`, `doze SECONDS TOPIC...`.
 
 A talker publishes headers, numbered, each number on every topic, the topics in turn. A listener
 prints "TOPIC NUMBER" for each header, and the number of bytes for each image; a dozer sleeps after
-each header, and does not notice meanwhile what becomes of the connection. Each connection of rospy
-calls it on a thread of its own, so a line is printed whole or not at all.
+each header, and does not notice lost connections meanwhile. rospy calls it on a thread for each
+connection, so each line is printed in a single write.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def say(*words: object) -> None:
 
 
 def talk(rate: str, *topics: str) -> None:
-    # Without a queue: what is published is sent, so the topics keep in step.
+    # Without a queue: publishing sends at once, so the topics keep in step.
     publishers = [rospy.Publisher(topic, Header, queue_size=None) for topic in topics]
     number = 0
     due = time.monotonic()

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Real processes for tests: started, watched by what they print, and ended for certain."""
+"""Real processes for tests: started, watched by their output, and certain to be ended."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ NODELET = [sys.executable, "-m", "dyknow.cli.nodelet"]
 STOCK_NODELET = ["rosrun", "nodelet", "nodelet"]
 
 
-#: How many times as long as on a quiet machine things may take on a busy one.
+#: Factor by which waits may be longer on a busy machine than on a quiet one.
 BUSY = 4.0
 
 
 def eventually(condition: Callable[[], object], timeout: float, what: str) -> float:
-    """Wait until something holds and return how long (s) that took; fail when it does not.
+    """Wait until something holds and return how long (s) that took; fail if it does not.
 
-    The timeout is that of a quiet machine.
+    The timeout is for a quiet machine.
     """
     start = time.monotonic()
     timeout *= BUSY
@@ -98,7 +98,7 @@ class Running:
 
 
 def finished(command: Sequence[str], timeout: float = 20.0) -> tuple[int, str]:
-    """Run a process to its end; its exit code and all that it printed."""
+    """Run a process to its end; returns its exit code and its output."""
     with Running(*command) as process:
         code = process.exit_code(timeout)
     return code, process.output

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What the suites about topics that come and go share: a talker, and outside listeners."""
+"""Shared by the suites about topics that come and go: a talker, and outside listeners."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from processes import Running, eventually
 
 
 class ReadvertisedCase(unittest.TestCase):
-    """Each test has a talker on /t in a nodelet manager of its own."""
+    """Each test has a talker on /t in its own nodelet manager."""
 
     def setUp(self):
         self.manager = Manager("/manager")
@@ -25,13 +25,13 @@ class ReadvertisedCase(unittest.TestCase):
         self.manager.load("Talker", "/talker", {"/out": "/t"})
 
     def dozer(self, seconds):
-        """A peer that sleeps so long (s) over each message."""
+        """A peer that sleeps for a time (s) after each message."""
         peer = Running(*PEER, "doze", str(seconds), "/t")
         self.addCleanup(peer.__exit__)
         return peer
 
     def are_there(self, count):
-        """Wait for so many peers."""
+        """Wait for a number of peers."""
         eventually(lambda: len(nodes_on("/t")[1]) == count, 20.0, "they are there")
 
     def publish(self):

@@ -2,7 +2,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The window on the soccer case study: a stream is asked for, runs, and a camera replaces another.
+"""The window on the soccer case study: a stream is requested, runs, and changes its camera.
 
 With DYKNOW_PICTURES the picture of the documentation is written into that folder.
 """
@@ -97,7 +97,7 @@ class CaseStudyTest(ManagerCase):
         return widget
 
     def look_at(self, window: DyKnowWidget) -> None:
-        """Look whether there is something on the picture."""
+        """Check that the picture is not empty."""
         picture = window.grab().toImage()
         right = range(picture.width() // 2, picture.width(), 7)
         colours = {picture.pixel(x, y) for x in right for y in range(100, picture.height(), 7)}

@@ -2,7 +2,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The window, with a DyKnow manager in a process of its own."""
+"""The window, with a DyKnow manager in another process."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ OUT, IN = PortRef("/count", "out"), PortRef("/relay", "in")
 
 
 def until(condition: Callable[[], object], what: str, timeout: float = 30.0) -> None:
-    """Let the window live until something holds."""
+    """Process the window's events until something holds."""
     start = time.monotonic()
     while not condition():
         if time.monotonic() - start > timeout:
@@ -80,7 +80,7 @@ class WindowTest(ManagerCase):
         receiver = Receiver("/end")
         self.addCleanup(receiver.close)
         until(lambda: len(receiver.numbers) > 5, "messages flow through what was connected")
-        window.graph.bar.debug.setChecked(False)  # this node is called as one of rqt's
+        window.graph.bar.debug.setChecked(False)  # this node is named like rqt's
         window.graph.bar.nodes.setChecked(True)
         until(lambda: f"p_{rospy.get_name()}" in self.keys(window), "the listening node is shown")
 
@@ -92,7 +92,7 @@ class WindowTest(ManagerCase):
         manager = self.started()
         window = self.window()
         until(lambda: window.monitor.is_linked, "the manager is found")
-        window.monitor.set_period(60.0)  # what comes now comes by the topic
+        window.monitor.set_period(60.0)  # what comes now arrives by the topic
         until(lambda: window.monitor.remote._latest is not None, "the topic is heard")
         manager.client.spawn("counter", "/count")
         until(lambda: "n_/count" in self.keys(window), "it is drawn")

@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Random life with signed messages: libraries whose sources sign, a client that reads the
-signatures, and the steps that users, faults and other programs take."""
+"""Random tests with signed messages: libraries whose sources sign, a client that reads the
+signatures, and random steps of users, faults and other programs."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ RDFS = rdflib.RDFS
 
 @dataclass(frozen=True)
 class SignedPort:
-    """A port and the tags that its stream has, or must have."""
+    """A port and the tags that its stream supplies or must satisfy."""
 
     name: str
     direction: str
@@ -73,7 +73,7 @@ class SignedTransformation:
         )
 
     def replaced(self, choice: random.Random) -> SignedTransformation:
-        """Another transformation of this label: it supplies what others of its functor do."""
+        """A transformation with this label whose out-ports keep the functors of their tags."""
         ports = tuple(
             SignedPort(port.name, port.direction, _other(port.tags, choice), port.datatype)
             if port.direction == "out"
@@ -103,7 +103,7 @@ FUNCTORS = ("Raw", "Clean", "Found", "Placed")
 
 @dataclass
 class SignedLibrary:
-    """Transformations, what is a kind of what, and what may be asked for."""
+    """Transformations, the subclass relation, and the tags that clients may request."""
 
     transformations: list[SignedTransformation]
     kinds: dict[str, list[str]]
@@ -157,7 +157,7 @@ def _turtle(kinds: dict[str, list[str]]) -> str:
 
 
 def soccer_library(examples: Path) -> SignedLibrary:
-    """The shipped case study, with nodelets that sign in the place of its own."""
+    """The shipped case study, with signing nodelets in place of its own."""
     ontology = examples / "ontologies" / "soccer.ttl"
     kinds = _kinds(ontology)
     names = {"Robot": ["nao"], "Camera": ["ceiling_camera"]}
@@ -220,7 +220,7 @@ def _kinds(ontology: Path) -> dict[str, list[str]]:
 
 
 class Reader:
-    """A client's subscriber: notes what is signed otherwise than was asked for."""
+    """A client's subscriber: records messages whose signature does not meet its request."""
 
     def __init__(self, topic: str, datatype: str, tag: str, kinds: signatures.Kinds) -> None:
         self.topic, self.tag, self.count = topic, tag, 0
@@ -240,7 +240,7 @@ class Reader:
 
 @dataclass
 class RandomLife:
-    """Steps that are taken at random, and what must hold after each of them."""
+    """Takes random steps, and checks after each of them."""
 
     manager: ManagerProcess
     library: SignedLibrary
@@ -269,7 +269,7 @@ class RandomLife:
     # The steps
 
     def step(self, kind: Callable[[], str] | None = None) -> None:
-        """Take a step, by default a random one, and look whether all is right."""
+        """Take a step, by default a random one, and check everything."""
         kind = kind or self.choice.choice(
             [self.acquire] * 4
             + [self.release, self.remove, self.remove, self.add_back, self.add_back, self.replace]
@@ -434,7 +434,7 @@ class RandomLife:
                 self.readers[each.claim_id] = reader
 
     def check(self) -> None:
-        """Nothing wrong arrived anywhere, and claims that wait deliver nothing."""
+        """Check that no wrong message arrived, and that pending claims deliver nothing."""
         self._read_what_is_made_later()
         wrong = [text for reader in self.readers.values() for text in reader.wrong]
         if self.report.exists():
@@ -443,7 +443,7 @@ class RandomLife:
         waiting = self._waiting()
         if not waiting:
             return
-        time.sleep(0.2)  # what was sent before has arrived then
+        time.sleep(0.2)  # earlier messages have arrived by then
         counts = {claim_id: self.readers[claim_id].count for claim_id in waiting}
         time.sleep(0.2)
         after = {claim_id: self.readers[claim_id].count for claim_id in waiting}
@@ -462,7 +462,7 @@ class RandomLife:
         }
 
     def make_whole(self) -> None:
-        """Everything is there again: each claim comes back and flows."""
+        """Restore all parts: each claim comes back and flows."""
         self.add_all()
         self.orders.publish("all speak")
         counts = {}

@@ -2,9 +2,9 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""A client of a stream as a process of its own: says each state, and whether messages arrive.
+"""A stream's client as a separate process: prints each state, and whether messages arrive.
 
-It ends when it is told to. Arguments: the tag, and seconds of the lease if not the usual ones.
+It ends on request. Arguments: the tag, and optionally the lease in seconds.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from std_msgs.msg import Header
 import dyknow
 from dyknow.ros.acquiring import LEASE
 
-#: Seconds without a message after which the stream is said to be still.
+#: Seconds without a message after which the stream is reported as still.
 PATIENCE = 1.0
 
 rospy.init_node("stream_client", anonymous=True)

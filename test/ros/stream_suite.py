@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What the suites about streams share: a library with tags, and what must always hold."""
+"""Shared by the suites about streams: a library with tags, and the invariants."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from dyknow.ros.messages import event_from
 
 
 def transformation(label: str, source: str, supplies: str, needs: str = "", cost: int = 1) -> str:
-    """Write a transformation with a tag on its port out, and on its port in if it has one."""
+    """Write a transformation with tags on its port out and, if it has one, its port in."""
     ports, tags = '<port type="out">out</port>', f'<tag port="out">{supplies}</tag>'
     if needs:
         ports += '<port type="in">in</port>'
@@ -50,7 +50,7 @@ GOAL = "Position(ball)"
 
 
 class Flow:
-    """The times at which messages arrive on a topic."""
+    """Records the times at which messages arrive on a topic."""
 
     def __init__(self, topic: str) -> None:
         self.arrivals: list[float] = []
@@ -68,14 +68,14 @@ class Flow:
         return eventually(lambda: len(self.arrivals) > count + 2, timeout, "messages arrive")
 
     def longest_pause(self, since: float) -> float:
-        """Longest time (s) without a message after the last one before ``since``."""
+        """Longest time (s) without a message, counted from the last message before ``since``."""
         before = [when for when in self.arrivals if when <= since][-1:]
         times = before + [when for when in self.arrivals if when > since]
         return max((later - earlier for earlier, later in zip(times, times[1:])), default=0.0)
 
 
 class Events:
-    """The events of all claims, in order."""
+    """Records the events of all claims, in order."""
 
     def __init__(self) -> None:
         self.all: list[StreamEvent] = []
@@ -90,7 +90,7 @@ class Events:
         self._subscriber.unregister()
 
     def mended(self, cause: str, timeout: float = 10.0) -> None:
-        """Wait until a stream was mended for a cause whose text contains this."""
+        """Wait for a repair whose reason contains a text."""
 
         def is_mended() -> bool:
             reasons = [each.reason for each in list(self.all)]
@@ -123,7 +123,7 @@ class StreamCase(ManagerCase):
         return events
 
     def tell(self, nodelet: str, order: str) -> None:
-        """Give a moody nodelet an order."""
+        """Send an order to a moody nodelet."""
         publisher = rospy.Publisher(f"{nodelet}/order", String, queue_size=1)
         try:
             eventually(publisher.get_num_connections, 5.0, f"{nodelet} listens")
@@ -138,7 +138,7 @@ class StreamCase(ManagerCase):
     def become(
         self, manager: ManagerProcess, claim_id: str, state: ClaimState, timeout: float = 10.0
     ) -> float:
-        """Wait until a claim has a state; returns how long (s) that took."""
+        """Wait until a claim is in a state; returns how long (s) that took."""
         return eventually(
             lambda: self.claim(manager, claim_id).state is state,
             timeout,
@@ -156,7 +156,7 @@ class StreamCase(ManagerCase):
         return found[0]
 
     def settled(self, manager: ManagerProcess, timeout: float = 10.0) -> None:
-        """Wait until what must always hold in the end holds; says what does not."""
+        """Wait until the invariants hold; fails with the violations."""
         wrong: list[str] = []
 
         def holds() -> bool:
@@ -170,7 +170,7 @@ class StreamCase(ManagerCase):
 
 
 def _violations(manager: ManagerProcess) -> list[str]:
-    """What does not hold of the invariants: reality is the nodelet managers' lists and proxies."""
+    """Violated invariants, judged by the nodelet managers' lists and the proxies."""
     import rosgraph
     from nodelet.srv import NodeletList
 
@@ -219,7 +219,7 @@ def _violations(manager: ManagerProcess) -> list[str]:
     return found
 
 
-#: Where the names of nodelets that the manager makes for claims begin in these suites.
+#: Prefix of the names of nodelets that the manager makes for claims in these suites.
 OF_CLAIMS = ("/camera", "/ceiling", "/filter", "/cheap", "/spare", "/tracker")
 
 

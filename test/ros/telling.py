@@ -3,7 +3,7 @@
 
 """Test cases whose sub-tests say why they failed.
 
-rosunit counts a sub-test that fails, but loses its text; what is printed it keeps.
+rosunit counts a failed sub-test, but loses its text; printed output is kept.
 """
 
 from __future__ import annotations

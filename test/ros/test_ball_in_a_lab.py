@@ -45,7 +45,7 @@ class LabTest(StreamCase):
             self.assertEqual(self.nodelet_of(manager, "tracker"), "/tracker_1")
             self.settled(manager)
 
-            # It returns, which is told, and taken up on request.
+            # It returns: an event announces the cheaper plan, which is applied on request.
             manager.client.add_transformation(Path(cameras["robot"]).read_text())
             client.wait_for("cheaper")
             manager.client.replan_stream(claim.claim_id)
@@ -59,7 +59,7 @@ class LabTest(StreamCase):
 
 
 class Seen:
-    """Who saw the ball, position by position."""
+    """Records which camera saw the ball, for each position."""
 
     def __init__(self, topic: str) -> None:
         self.longest_pause = 0.0

@@ -2,7 +2,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Every measurement, with tiny numbers: the files have the promised shape and nothing is left."""
+"""Every measurement, with tiny numbers: the files have the right format and nothing is left."""
 
 from __future__ import annotations
 
@@ -71,9 +71,9 @@ class BenchmarkTest(TellingCase):
             return list(csv.DictReader(file))
 
     def test_small_ones_side_by_side(self):
-        """Their numbers mean nothing then, but what is written has to be right all the same."""
+        """Their numbers are meaningless then, but the files still have to be right."""
         commands = {
-            # Without a name it is the chain.
+            # Without a name, the chain is measured.
             "every_kind": (
                 *("--kinds", *CHAINS, "--hops", 1, 3),
                 *("--rate", 200, "--messages", 6, "--repeats", 2),

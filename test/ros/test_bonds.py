@@ -223,7 +223,7 @@ class BondsTest(unittest.TestCase):
 
 
 class StockClientTest(unittest.TestCase):
-    """This node plays the manager; nodelet_core's client loads a nodelet into it."""
+    """This node acts as the manager; nodelet_core's client loads a nodelet into it."""
 
     def setUp(self):
         self.events = queue.Queue()

@@ -2,7 +2,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The bus under the ROS graph: by reference inside, ordinary topics for everybody else."""
+"""The bus under the ROS graph: by reference inside, ordinary topics outside."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class BusTest(ManagerCase):
         return process
 
     def listen(self, topic, message_class=Header):
-        """A list that fills with the messages of a topic, once this process is connected."""
+        """Returns a list to which a topic's messages are added, once this process is connected."""
         heard = []
         subscriber = rospy.Subscriber(topic, message_class, heard.append, tcp_nodelay=True)
         self.addCleanup(subscriber.unregister)
@@ -70,7 +70,7 @@ class InsideTest(BusTest):
         heard = {hop: self.listen(hop) for hop in (hops[0], hops[3], hops[5])}
         for first in range(0, 2500, 100):
             call("/talker", "publish", first, 100)
-            # Outside, a queue of ten holds what the network is slow to take.
+            # Outside, a queue of ten holds the messages that the network has not taken yet.
             eventually(
                 lambda first=first: call("/last", "count") == first + 100, 5.0, "a hundred more"
             )
@@ -151,7 +151,7 @@ class OutsideTest(BusTest):
         info = finished(["rostopic", "info", "/a"])[1]
         self.assertIn("Type: std_msgs/Header", info)
         self.assertEqual(info.count(" * /manager ("), 2, info)
-        eventually(  # rospy links the process to itself when the master has told it
+        eventually(  # rospy connects the process to itself when the master has notified it
             lambda: "INTRAPROCESS" in finished(["rosnode", "info", "/manager"])[1], 5.0, "the link"
         )
         links = [info for info in graph.bus_info("/manager") if info[4] == "/a"]
@@ -184,7 +184,7 @@ class OutsideTest(BusTest):
 
     @staticmethod
     def latched(topic):
-        """What somebody who comes late gets."""
+        """The messages that a late subscriber gets."""
         code, output = finished(["rostopic", "echo", "-n", "1", f"{topic}/seq"], 10.0)
         assert code == 0, output
         return f"\n{output}"
@@ -298,7 +298,7 @@ class OrdinaryHandleTest(BusTest):
         self.assertEqual(sorted(call("/n", "received", label)), numbers, label)
 
     def settle(self, labels):
-        """Wait until rospy has connected the ordinary handles, which takes the master's call."""
+        """Wait until rospy has connected the ordinary handles, after the master's notification."""
         for label in labels:
             eventually(lambda label=label: call("/n", "connections", label) > 0, 5.0, label)
 
@@ -311,7 +311,7 @@ class OrdinaryHandleTest(BusTest):
                 numbers = iter(range(100))
                 expected = {label: [] for label in order if "subscriber" in label}
                 present = list(order)
-                # Remove one after another; what is left goes on, each message once.
+                # Remove one after another; the others go on, with each message once.
                 for removed in order:
                     for publisher in [label for label in present if "publisher" in label]:
                         sent = [next(numbers) for _ in range(2)]
@@ -355,7 +355,7 @@ class OrdinaryHandleTest(BusTest):
         call("/n", "remove", "late")
 
     def test_the_connection_header_is_that_of_rospy(self):
-        """Compared with what this process receives of the same publishers."""
+        """Compared with the header that this process receives from the same publishers."""
         outside = []
         subscriber = rospy.Subscriber("/a", Header, outside.append)
         self.addCleanup(subscriber.unregister)
@@ -394,7 +394,7 @@ class OrdinaryHandleTest(BusTest):
 
     def test_an_ordinary_subscriber_outlives_many_publishers_of_the_bus(self):
         call("/n", "make_subscriber", "rospy_subscriber", "rospy", "/a")
-        for _ in range(1200):  # more than Python nests calls
+        for _ in range(1200):  # deeper than Python's limit of nested calls
             call("/n", "make_publisher", "bus_publisher", "bus", "/a")
             call("/n", "remove", "bus_publisher")
         call("/n", "make_publisher", "bus_publisher", "bus", "/a")

@@ -2,7 +2,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Libraries made for rospy's nodes, in nodelets: filters, tf2, diagnostics, parameters."""
+"""Libraries for rospy nodes, used in nodelets: filters, tf2, diagnostics, parameters."""
 
 from __future__ import annotations
 
@@ -145,7 +145,7 @@ class ReconfigureTest(ManagerCase):
         self.assertEqual(call("/robot/n", "seen")[-1], [10.0, 7])
         self.assertEqual(rospy.get_param("/robot/n/size"), 7)
         client.close()
-        # What the nodelet itself has shut down is gone, and can be there again.
+        # The topics that the nodelet shut down itself are gone, and can be advertised again.
         self.manager.unload("/robot/n")
         self.assertFalse(graph.nodes_on("/robot/n/parameter_updates")[0])
         self.manager.load("Reconfigurable", "/robot/n")

@@ -25,7 +25,7 @@ HEIGHT, WIDTH, RADIUS = 120, 160, 9
 
 
 def picture(number, ball=None):
-    """An image with a yellow ball at (x, y), or with none; its number is its time stamp."""
+    """An image with a yellow ball at (x, y), or without a ball; its number is its time stamp."""
     pixels = np.full((HEIGHT, WIDTH, 3), (60, 130, 40), np.uint8)
     if ball is not None:
         cv2.circle(pixels, ball, RADIUS, (30, 200, 250), -1)
@@ -55,7 +55,7 @@ class BallFinderTest(unittest.TestCase):
         return self.number
 
     def connect(self):
-        """Send balls until both have found one, and let both come to the last of them."""
+        """Send balls until both have found one, and wait until both have processed the last."""
         waiting = set(VERSIONS)
         deadline = time.monotonic() + TIMEOUT
         while waiting:
@@ -70,7 +70,7 @@ class BallFinderTest(unittest.TestCase):
         self.found_until(self.send((20, 20)))
 
     def found_until(self, last):
-        """What each version found, up to the image of that number."""
+        """The finds of each version, up to the image of a number."""
         found = {version: [] for version in VERSIONS}
         for version, balls in found.items():
             while not balls or balls[-1].header.stamp.secs != last:
@@ -87,7 +87,7 @@ class BallFinderTest(unittest.TestCase):
 
     def test_both_find_the_same_balls(self):
         for x in range(RADIUS, WIDTH - RADIUS, 10):
-            # No more at once than their queues hold: a full queue drops images.
+            # Not more at once than their queues hold: a full queue drops images.
             for ball in ((x, HEIGHT // 2), None, (x + 1, 20), None):
                 self.send(ball)
             before, after = self.found_until(self.send((30, 40)))
@@ -177,7 +177,7 @@ class VelocityGuardTest(OutputsTest):
         self.command = self.publisher("/cmd_vel", Twist)
 
     def drive_until(self, version, speed, turn, command=None):
-        """Command until the version lets such a speed through."""
+        """Send commands until the version passes such a speed on."""
         deadline = time.monotonic() + TIMEOUT
         while True:
             self.assertLess(time.monotonic(), deadline, f"{version} never drives at {speed}")

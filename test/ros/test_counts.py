@@ -2,7 +2,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""How messages are counted for the manager: by nodelet managers in one call, and by listening."""
+"""How messages are counted for the manager: by nodelet managers in one call, or by subscribing."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class ServiceTest(unittest.TestCase):
 
 
 class CountingTest(unittest.TestCase):
-    """Nodelet managers of all sorts; their services are offered by this process."""
+    """Nodelet managers of all kinds; this process provides their services."""
 
     def setUp(self):
         self.counting = CountCollector(Master(rospy.get_name()))
@@ -96,7 +96,7 @@ class CountingTest(unittest.TestCase):
         self.offer(f"/{name}/get_counts", GetCounts, answer)
 
     def hung(self, name):
-        """One that answers when the event is set."""
+        """A nodelet manager that answers only when the event is set."""
         awake, asked = threading.Event(), []
         self.addCleanup(awake.set)
 
@@ -165,7 +165,7 @@ class HearingTest(unittest.TestCase):
         self.addCleanup(self.publisher.unregister)
 
     def speak(self, *listeners):
-        """Publish until each of these has heard something new."""
+        """Publish until each of the counters has seen something new."""
         before = [each.count().messages for each in listeners]
 
         def heard():

@@ -2,7 +2,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Nodelets that crash their process, again and again: their neighbours are left in peace."""
+"""Nodelets that crash their process repeatedly: their neighbours are left in peace."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class CrashesTest(ManagerCase):
         self.receiver.flows()
 
     def spawn_fatal(self, topic: str = "", **moments: str) -> None:
-        """Spawn one that ends its process at the given moments, but not while it is made."""
+        """Spawn a nodelet that ends its process at the given moments, but not in the spawn."""
         self.client.spawn("fatal", "/fatal", {"in": topic})
         for moment, way in moments.items():
             rospy.set_param(f"/fatal/{moment}", way)
@@ -67,7 +67,7 @@ class CrashesTest(ManagerCase):
         return all(states.get(name) is State.RUNNING for name in NEIGHBOURS)
 
     def assert_left_in_peace(self) -> None:
-        """The neighbours have a process that lives on, without losing a message."""
+        """The neighbours' process lives on, without losing a message."""
         eventually(self.neighbours_run, 5.0, f"the neighbours run\n{self.manager.output}")
         self.receiver.flows()
         self.receiver.numbers.clear()
@@ -133,7 +133,7 @@ class CrashesTest(ManagerCase):
 
 
 class ClaimsTest(StreamCase):
-    """Claims one of whose parts crashes its process on its first message."""
+    """Claims with a part that crashes its process on its first message."""
 
     def fatal(self, way: str) -> str:
         parameter = f'<params><param name="on_message" type="string">{way}</param></params>'
@@ -150,7 +150,7 @@ class ClaimsTest(StreamCase):
         return len(re.findall(rf"nodelet manager {which} crashed", self.manager.output))
 
     def tries_apart(self, times: int) -> bool:
-        """Whether it was; a stream that crashed before it was made is asked for again."""
+        """Whether it was tried apart; requests a stream that crashed while being made again."""
         if all(each.tag != GOAL or each.state.ended for each in self.client.list_streams()):
             with contextlib.suppress(StreamRefused):
                 self.client.acquire_stream(StreamRequest(GOAL))
@@ -186,12 +186,12 @@ class ClaimsTest(StreamCase):
 
 
 def everything() -> set[str]:
-    """All that the master knows."""
+    """All registrations at the master."""
     return {*parameters("/"), *registrations("/"), *nodes()}
 
 
 def files() -> list[str]:
-    """What the nodelet managers of this master keep among the logs."""
+    """Files of this master's nodelet managers in the log folder."""
     host, port = rosgraph.network.parse_http_host_and_port(rosgraph.get_master_uri())
     return os.listdir(os.path.join(rospkg.get_log_dir(), f"dyknow-{host}-{port}"))
 
@@ -243,7 +243,7 @@ class LeftoversTest(ManagerCase):
         eventually(lambda: not forked.alive, 5.0, "it has ended")
         eventually(lambda: rospy.get_param("/forks/pid", 0), 10.0, "it is back, and forks again")
         forked = ProcessId.of(rospy.get_param("/forks/pid"))
-        forked.signal(signal.SIGTERM)  # which is not for the nodelet manager
+        forked.signal(signal.SIGTERM)  # not meant for the nodelet manager
         eventually(lambda: not forked.alive, 5.0, "it has ended")
         eventually(lambda: manager.nodelet("/forks").state is State.RUNNING, 10.0, "it runs")
         rospy.delete_param("/forks/pid")

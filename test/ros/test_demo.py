@@ -2,7 +2,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The demonstration on the soccer field, run as its users run it."""
+"""The demonstration on the soccer field, run as users run it."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The chain of camera frames that is re-wired by hand, run as its users run it."""
+"""The chain of camera frames that is re-wired by hand, run as users run it."""
 
 from __future__ import annotations
 

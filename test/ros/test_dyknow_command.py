@@ -58,7 +58,7 @@ class Done:
 
 
 def completions(line):
-    """What argcomplete is told at the end of a line, without the space behind a word."""
+    """Completions by argcomplete at the end of a line, without the space after a word."""
     done = subprocess.run(
         ["sh", "-c", 'exec "$@" 8>&1 >/dev/null', "sh", *DYKNOW],
         stdout=subprocess.PIPE,
@@ -108,13 +108,13 @@ class CommandTest(unittest.TestCase):
             self.client.remove_transformation(transformation.label)
 
     def done(self, *words, **more):
-        """Run a command that has to work; nothing but its result is said."""
+        """Run a command that has to succeed and print only its result."""
         done = Done(*words, **more)
         self.assertEqual((done.code, done.err), (0, ""), done.out)
         return done
 
     def failed(self, code, *words, **more):
-        """Run a command that has to fail; returns the one line that says why."""
+        """Run a command that has to fail; returns its one-line message."""
         done = Done(*words, **more)
         self.assertEqual(done.code, code, done.out + done.err)
         self.assertEqual(done.err.count("\n"), 1, done.err)
@@ -197,7 +197,7 @@ class CommandTest(unittest.TestCase):
         done = self.done("connect", "c:out", "r:in")
         self.assertEqual(done.lines, ["/c:out -> /c/out -> /r:in"])
         receiver.flows()
-        # What the command did is in the model when it ends.
+        # When the command ends, its effect is in the model.
         found = self.done("graph", "--json").json["topics"]
         self.assertIn(
             {
@@ -285,7 +285,7 @@ class CommandTest(unittest.TestCase):
         self.assertEqual((done.code, done.lines), (0, [f"{file}: odd"]))
         self.assertTrue(done.err.startswith(f"dyknow: warning: {file}:1: "), done.err)
 
-    # The whole
+    # Everything together
 
     def test_graph_in_all_forms(self):
         self.done("spawn", "relay", "r", "--connect", "in:/x")
@@ -357,7 +357,7 @@ class CommandTest(unittest.TestCase):
         self.assertIn("nodelet /r: exists already", done.lines)
         self.assertEqual(rospy.get_param("/c/rate"), 20.0)
         self.assertEqual(self.topics("/c"), {"out": "/x"})
-        # A parameter that others have changed is told, and set back by --replace alone.
+        # A parameter changed by others is reported, and reset only by --replace.
         rospy.set_param("/c/rate", 5.0)
         done = self.done("load", str(file))
         line = "nodelet /c: exists already (parameter rate is 5.0, expected 20.0: see --replace)"
@@ -380,7 +380,7 @@ class CommandTest(unittest.TestCase):
         self.assertEqual(done.code, 0)
         self.assertIn("warning: no transformation is labelled 'tagget'", done.err)
 
-    # Habits
+    # Conventions
 
     def test_no_node_is_started(self):
         self.done("spawn", "relay", "r")
@@ -425,7 +425,7 @@ class CommandTest(unittest.TestCase):
 
 
 class UnreachableTest(unittest.TestCase):
-    """Whoever is missing is named, and the exit code is 3."""
+    """The missing party is named, and the exit code is 3."""
 
     def setUp(self):
         folder = tempfile.TemporaryDirectory()

@@ -27,7 +27,7 @@ from dyknow.ros.os_process import ProcessId
 PEER = "/peer"
 CPP = "/dyknow_cpp_nodelet_manager"
 NATIVE = specification("native", "image_proc/resize", ">image ~image>")
-#: Port to topic, by nodelet; `/fatal` is an order away from ending its process.
+#: Port to topic, by nodelet; an order makes `/fatal` end its process.
 WIRING = {
     "/counter": {"out": "/s0"},
     "/relay1": {"in": "/s0", "out": "/s1"},
@@ -64,7 +64,7 @@ class EndsTest(ManagerCase):
             publisher.unregister()
 
     def looks_as_spawned(self) -> bool:
-        """Whether everything is there, as it was, and nothing else."""
+        """Whether everything is as it was, with nothing added."""
         found = {each.name: each for each in self.manager.client.get_model().nodelets}
         return {
             name: {port.name: port.topic for port in nodelet.ports}
@@ -140,7 +140,7 @@ class EndsTest(ManagerCase):
             f"/native{number}" for number in range(3)
         ]
 
-    # One that others start, end and start again
+    # An external nodelet manager, which others start, end and start again
 
     def test_a_peer_that_others_end(self):
         peer = self.start_peer()
@@ -169,7 +169,7 @@ class EndsTest(ManagerCase):
         found = self.manager.client.get_model().nodelets
         return [each.name for each in found if each.state is State.LOST] == sorted(WIRING)
 
-    # What somebody wants to be gone
+    # Nodelets that were unloaded on purpose
 
     def test_what_is_unloaded_by_the_stock_service_is_gone(self):
         self.spawn("")

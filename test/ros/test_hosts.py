@@ -2,7 +2,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Nodelet managers on hosts that are cut off and come back: nobody else waits, nothing is lost."""
+"""Nodelet managers on hosts that are cut off and return: nothing else waits, nothing is lost."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Lazy nodelets: they work only while somebody listens, in their process or in another."""
+"""Lazy nodelets: they work only while they have subscribers, in their process or in another."""
 
 from __future__ import annotations
 

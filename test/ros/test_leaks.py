@@ -2,7 +2,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Re-wiring and loading over and over: what the process has of the system stays the same."""
+"""Re-wiring and loading over and over: the process's resources do not grow."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from graph import PEER, Ended, Manager, call
 from processes import eventually
 from std_msgs.msg import Header
 
-#: For connections that the master keeps, and workers that were hired when the machine was busy.
+#: For connections that the master keeps, and workers that were started while the machine was busy.
 SPARE = 10
 #: Rounds inside the process, across processes, and of loads; each has to be well above the spare.
 INSIDE, ACROSS, LOADS = (
@@ -36,7 +36,7 @@ class LeakTest(unittest.TestCase):
     def assert_back(self, before, what):
         """Wait until there are no more descriptors and threads than before.
 
-        rospy's registrations and the ends of connections take their time.
+        rospy's registrations and closing of connections take some time.
         """
 
         def back():

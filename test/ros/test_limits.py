@@ -2,7 +2,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Every text that a service takes has a limit, and what is refused is not logged whole."""
+"""Every text that a service takes has a limit, and refused texts are not logged in full."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ SERVICES = {
     "renew_stream": RenewStream,
     "replan_stream": ReplanStream,
 }
-#: A specification is as long as it is: it has limits of its own.
+#: Specifications may be long: they have their own limits.
 UNLIMITED = ("specification",)
 
 
@@ -80,7 +80,7 @@ class LimitsTest(ManagerCase):
         self.assertFalse(answer.success)
         self.assertLess(len(answer.message), 1000)
 
-        # The log tells of the last refusals, of the manager and of its nodelet manager.
+        # The log has the last refusals, by the manager and by its nodelet manager.
         self.assertIn("adding transformations for", manager.output)
         eventually(lambda: "Failed to unload nodelet" in manager.output, 10.0, "the child's log")
         self.assertLess(max(map(len, manager.output.splitlines())), 10_000)

@@ -216,7 +216,7 @@ class ServicesTest(ManagerCase):
         self.assertLessEqual(len(self.models) - count, 2 + 20 * (time.monotonic() - begin))
         self.assertEqual(self.models[-1].transformations, [])
         count = len(self.models)
-        time.sleep(1.5)  # nothing happens: nothing is told
+        time.sleep(1.5)  # nothing changes, so nothing is published
         self.assertEqual(len(self.models), count)
         revisions = [(model.revision, model.library_revision) for model in self.models]
         self.assertEqual(revisions, sorted(set(revisions)))
@@ -241,7 +241,7 @@ class ServicesTest(ManagerCase):
         self.assertEqual(errors, [])
         names = [nodelet.name for nodelet in self.client.get_model().nodelets]
         self.assertEqual(names, [f"/w{index}" for index in range(6)])
-        time.sleep(0.7)  # a look takes none of them for gone
+        time.sleep(0.7)  # a check finds none of them missing
         self.assertEqual(len(self.client.get_model().nodelets), 6)
 
     def test_a_spawn_takes_milliseconds(self):
@@ -270,7 +270,7 @@ class GuardsTest(ManagerCase):
             load("/theirs", "dyknow_manager_test/Relay", ["/out"], ["/e_stop"], [], "")
         self.assertEqual(registrations("/e_stop"), [])
 
-        # A new life with other guards: they reach the nodelets that run.
+        # After a restart with other guards: they reach the running nodelets.
         manager.kill()
         manager.parameters.update(denied_topics=["/fine_no_more"], read_only=True)
         manager.start()
@@ -291,7 +291,7 @@ class GuardsTest(ManagerCase):
                 change()
         with self.assertRaises(rospy.ServiceException):
             rospy.ServiceProxy(f"{CHILD}/unload_nodelet", NodeletUnload)("/robot/relay")
-        # What dies is brought back all the same.
+        # Nodelets that die are still brought back.
         manager.kill_child()
         eventually(lambda: self.is_back(manager, "/robot/relay"), 10.0, "it is back")
         self.assertEqual(manager.topics("/robot/relay"), {"in": "", "out": "/fine"})
@@ -328,7 +328,7 @@ class StartTest(ManagerCase):
         manager = self.make(transformations=[str(file)])
         manager.start()
         self.assertIn("relay", [t.label for t in manager.client.get_model().transformations])
-        manager.kill()  # whoever starts it again starts it with its parameters
+        manager.kill()  # it is always started with its parameters
         self.assertTrue(rospy.has_param(f"{MANAGER}/transformations"))
         manager.start()
         manager.stop()
@@ -426,7 +426,7 @@ class StartTest(ManagerCase):
         self.assertNotEqual(second.process.wait(20.0), 0)
         self.assertIn("runs already", second.output)
         self.assertIs(manager.nodelet("/relay").state, State.RUNNING)
-        # Under another name it has a state and nodelet managers of its own.
+        # Under another name it has its own state and nodelet managers.
         other = subprocess.Popen(
             [*second.process.args, "__name:=other_manager", f"_state_dir:={manager.state}"]
         )

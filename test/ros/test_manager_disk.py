@@ -2,7 +2,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The DyKnow manager on a disk that is full or read-only, and leases over its death."""
+"""The DyKnow manager on a disk that is full or read-only, and leases across its death."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What the DyKnow manager survives: killed, stopped and hanging processes, its own among them."""
+"""The DyKnow manager survives killed, stopped and hanging processes, including its own."""
 
 from __future__ import annotations
 
@@ -185,7 +185,7 @@ class ManagerFaultsTest(ManagerCase):
             self.assertGreater(manager.client.get_model().revision, before.revision)
         receiver.flows()
         self.assertEqual(gaps(receiver.numbers), [])
-        # What changed while nobody looked is followed; what died meanwhile is brought back.
+        # Changes during its absence are followed; nodelets that died meanwhile are brought back.
         manager.kill()
         manager.client.set_config("/relay", {"out": "/other"})
         children["/alone_nodelet_manager"].signal(signal.SIGKILL)
@@ -271,7 +271,7 @@ class ManagerFaultsTest(ManagerCase):
                 for each in manager.client.get_model().nodelets
             }
             for name, (old, new) in doubtful.items():
-                # What was not acknowledged was done, or was not.
+                # A change that was not acknowledged was made completely or not at all.
                 self.assertIn(found.get(name), (old, new), name)
                 promised.pop(name, None)
                 if name in found:
@@ -280,7 +280,7 @@ class ManagerFaultsTest(ManagerCase):
         self.assertEqual(gaps(receiver.numbers), [])
 
     def work_until_killed(self, manager, dice, promised):
-        """Change things until the manager is dead; returns what was being changed then."""
+        """Make changes until the manager is dead; returns the change that was under way."""
         doubtful = {}
         killer = threading.Timer(dice.uniform(0.05, 1.0), manager.process.kill)
         killer.start()
@@ -310,7 +310,7 @@ class ManagerFaultsTest(ManagerCase):
 
 
 def offers(master: rosgraph.Master, service: str) -> bool:
-    """Whether a master knows a service."""
+    """Whether a service is registered at a master."""
     return any(name == service for name, _ in master.getSystemState()[2])
 
 

@@ -2,7 +2,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What rospy offers a node, through the NodeHandles of nodelets in a real manager."""
+"""rospy's API, through the NodeHandles of nodelets in a real manager."""
 
 from __future__ import annotations
 
@@ -266,7 +266,7 @@ class LogTest(HandleTest):
                 "plainly logged",
             ],
         )
-        # Where it was logged is the nodelet's code, not ours.
+        # The logged position is in the nodelet's code, not in DyKnow's.
         plainly = next(line for line in lines if "plainly" in line.msg)
         self.assertEqual(plainly.function, "Features.log_often")
         self.assertRegex(plainly.file, "features.py$")

@@ -35,7 +35,7 @@ def registered_nodes():
 
 
 def let_the_bond_form():
-    """Wait until both ends have spoken twice: then they have heard each other."""
+    """Wait until both ends have sent two messages: then each has heard the other."""
     heard = collections.Counter()
     watch = rospy.Subscriber(
         f"{MANAGER}/bond", Status, lambda status: heard.update([status.instance_id])
@@ -56,7 +56,7 @@ class Started(unittest.TestCase):
 
 
 class WithManager:
-    """What holds for the manager in C++ and for ours alike."""
+    """Tests that apply to the manager in C++ and to DyKnow's."""
 
     def setUp(self):
         self.manager = self.start(
@@ -247,7 +247,7 @@ class WaitingTest(Started):
 
 
 class OddManagerTest(Started):
-    """This node plays a manager that is slow to load, tells causes, and knows nothing of bonds."""
+    """This node acts as a manager that loads slowly, reports causes, and has no bonds."""
 
     def setUp(self):
         self.requests = queue.Queue()

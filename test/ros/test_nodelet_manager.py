@@ -203,7 +203,7 @@ class ServiceTest(Started):
         self.assertEqual(graph.nodes_on("/source"), (set(), {"/robot/manager"}))
 
     def test_it_publishes_nothing_of_a_type_that_nodelets_use(self):
-        """Programs may look for a nodelet's topics by their type."""
+        """Programs may search for a nodelet's topics by type."""
         published = registrations("/robot/manager")["publishers"]
         types = dict(rosgraph.Master(rospy.get_name()).getTopicTypes())
         self.assertEqual(types["/robot/manager/changes"], "dyknow_msgs/NodeletChanges")
@@ -288,7 +288,7 @@ class ProcessRemappingTest(Started):
 
 
 class ClientTest(Started):
-    """`nodelet load`, the stock one and our own, against our manager."""
+    """`nodelet load`, the stock one and DyKnow's, against DyKnow's manager."""
 
     def setUp(self):
         self.manager = self.start_manager("/robot/manager")
@@ -350,7 +350,7 @@ class ClientTest(Started):
                 self.assertIn("bond", self.manager.output)
 
     def let_the_bond_form(self):
-        """Wait until both ends have spoken twice: then they have heard each other."""
+        """Wait until both ends have sent two messages: then each has heard the other."""
         heard = collections.Counter()
         watch = rospy.Subscriber(
             f"{self.manager.name}/bond", Status, lambda status: heard.update([status.instance_id])

@@ -2,7 +2,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Nodelet managers unload protected nodelets for nobody but the DyKnow manager that protects."""
+"""Nodelet managers unload a protected nodelet only for the DyKnow manager that protects it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ RELAY = "/relay"
 
 
 def running(manager):
-    """The nodelets of a nodelet manager; none while that is not there."""
+    """The nodelets of a nodelet manager; none while it does not run."""
     try:
         return list(rospy.ServiceProxy(f"{manager}/list", NodeletList)().nodelets)
     except (rospy.ServiceException, rospy.TransportException):
@@ -26,7 +26,7 @@ def running(manager):
 
 
 def refusal(manager, name=RELAY):
-    """Why a nodelet manager does not unload a nodelet; empty when it does."""
+    """The reason for which a nodelet manager refuses an unload; empty if it does not."""
     try:
         rospy.ServiceProxy(f"{manager}/unload_nodelet", NodeletUnload)(name)
     except rospy.ServiceException as error:
@@ -75,7 +75,7 @@ class ProtectionTest(ManagerCase):
         manager = self.started(nodelet_managers=["/other"])
         manager.client.spawn("relay", RELAY, manager="/other", is_protected=True)
         self.assertIn("protected from unloading", refusal("/other"))
-        manager.stop()  # on purpose: what it made there ends with it
+        manager.stop()  # deliberately: its nodelets there end with it
         eventually(lambda: running("/other") == [], 10.0, "nothing is left")
 
 

@@ -2,7 +2,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""A topic that is withdrawn and advertised again by the same process is heard again.
+"""A topic that is withdrawn and advertised again by the same process reaches its subscribers.
 
 rospy's subscribers do not connect to an address to which they have a connection, and they do not
 connect again when that connection turns out to be closed.
@@ -37,7 +37,7 @@ class ReadvertisedTest(ReadvertisedCase):
         self.manager.unload("/talker")
         self.load()
         self.is_heard_by(peer)
-        # What was withdrawn for good stays withdrawn, whoever was to be told again.
+        # A topic that is withdrawn for good stays so, even with notifications still pending.
         self.manager.unload("/talker")
         self.load()
         self.manager.unload("/talker")

@@ -2,7 +2,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Topics that come and go many times, at all distances, are heard by everybody in the end."""
+"""Topics that come and go many times, at various intervals, reach all subscribers in the end."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Bad input: each is refused with a text that says what is wrong, and leaves nothing behind."""
+"""Bad input is refused with a text that says what is wrong, and leaves nothing behind."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Refusals(ManagerCase):
         self.assertEqual((registrations("/manager"), graph.parameters()), self.before)
 
     def assert_refused(self, *texts, **request):
-        """Have a load refused, with all the texts in the answer and in the log."""
+        """Check that a load is refused, with all the texts in the answer and in the log."""
         with self.assertRaises(rospy.ServiceException) as caught:
             self.manager.load_nodelet(**request)
         self.assert_told(str(caught.exception), texts)
@@ -247,7 +247,7 @@ class SetConfigTest(Refusals):
         )
         subscriber.unregister()
         eventually(lambda: not any(graph.nodes_on("/outside")), 2.0, "nobody is there any more")
-        # The master remembers the type, but there is nobody who would mind.
+        # The master remembers the type, but the topic has no publisher or subscriber.
         answer = set_config("/n", **{"in": "/outside"})
         self.assertTrue(answer.success, answer.message)
 
@@ -381,7 +381,7 @@ class CallbackTest(ManagerCase):
             "it is reported",
         )
         self.assertIn("in pass_through", self.manager.output)
-        # Re-wired and unloaded they can be all the same.
+        # They can still be re-wired and unloaded.
         self.assertTrue(
             set_config("/third", **{"in": "/elsewhere", "out": "/elsewhere_too"}).success
         )
@@ -433,7 +433,7 @@ class CallbackTest(ManagerCase):
         self.assertEqual(self.manager.list(), [])
         after = [self.manager.output.count(f"{name}: shut down for the") for name in names]
         self.assertEqual(after, [count + 1 for count in before])
-        for name in names:  # each name is free as soon as its unload is through
+        for name in names:  # each name is free as soon as its unload is done
             eventually(lambda name=name: self.manager.is_free(name), 2.0, f"{name} is free")
 
     def test_unloaded_in_the_middle_of_a_service_call(self):

@@ -2,7 +2,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Ports that are connected elsewhere while messages flow, inside and across processes."""
+"""Ports that are re-wired while messages flow, inside and across processes."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ PATIENCE = 0.5
 
 
 def missing(numbers):
-    """The numbers between the first and the last that are not there."""
+    """The missing numbers between the first and the last."""
     return set(range(min(numbers), max(numbers) + 1)) - set(numbers)
 
 
@@ -36,7 +36,7 @@ class RewiringTest(ManagerCase):
         return peer
 
     def assert_complete(self, numbers, what=""):
-        """Nothing is missing between the first and the last; returns how often one is doubled."""
+        """Check that no number is missing; returns how many are doubled."""
         lost = missing(numbers)
         self.assertFalse(lost, f"{len(lost)} lost {what}: {sorted(lost)[:20]}")
         return len(numbers) - len(set(numbers))
@@ -44,8 +44,8 @@ class RewiringTest(ManagerCase):
 
 class AcrossProcessesTest(RewiringTest):
     def test_an_in_port_between_outside_publishers_loses_nothing(self):
-        """But for switches to a publisher that is not connected within the time they wait."""
-        # The same number on both topics: whoever is connected to one of them at any time has all.
+        """Except for switches to a publisher that does not connect in time."""
+        # The same number on both topics: a port always connected to one of them gets all.
         self.start_peer("talk", "1000", "/a", "/b")
         self.manager.load("Listener", "/n", {"/in": "/a"})
         eventually(lambda: call("/n", "count") > 100, 10.0, "messages come")
@@ -131,8 +131,8 @@ class AcrossProcessesTest(RewiringTest):
         numbers = [int(number) for number in re.findall(r"^/[ab] (\d+)$", peer.output, re.M)]
         self.assertEqual(min(numbers), 0)
         self.assertEqual(self.assert_complete(numbers), 0, "nothing comes twice")
-        # Whoever connects to a topic that is gone never connects again, so the old one stays
-        # only as long as somebody may be on the way to it.
+        # A subscriber that connects to a topic that is gone never connects again, so the old
+        # one stays as long as a subscriber may still be connecting to it.
         eventually(lambda: not graph.nodes_on("/a")[0], 15.0, "the old one is gone")
 
     def test_large_messages_are_sent_before_the_old_topic_goes(self):

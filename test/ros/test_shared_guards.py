@@ -23,13 +23,13 @@ class SharedGuardsTest(ManagerCase):
         self.first.client.spawn("relay", RELAY)
 
     def other(self, **guards):
-        """Another DyKnow manager, that uses the nodelet manager of the first."""
+        """Another DyKnow manager that uses the nodelet manager of the first."""
         manager = self.make(OTHER, num_nodelet_managers=0, nodelet_managers=[CHILD], **guards)
         manager.start()
         return manager
 
     def refusal(self, topic):
-        """Why the proxy does not connect a port to a topic; empty when it does."""
+        """The reason for which the proxy refuses a connection; empty if it does not."""
         call = rospy.ServiceProxy(f"{RELAY}/set_config", SetConfig)
         try:
             return call([PortConfig("out", topic)]).message

@@ -2,7 +2,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Sources sign their messages, and nothing reaches whom it is not meant for, whatever happens.
+"""Sources sign their messages, and no receiver gets a message that does not meet its demand.
 
 The parameters ~seeds and ~steps say how often and how long (long/signed_streams.test).
 """

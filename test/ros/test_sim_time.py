@@ -57,7 +57,7 @@ class SimTimeTest(unittest.TestCase):
         self.assertEqual(len(times), 10)
         for number, at in enumerate(times):
             self.assertAlmostEqual(at, 101.0 + number, delta=0.2)
-        # While the clock stands, nothing happens; real time shows that by a call of our own.
+        # While the clock stands, nothing happens, even after a call that takes real time.
         call("/n", "start_once", 0.5)
         self.assertEqual(call("/n", "count_shots"), 0)
         self.run_clock(110.1, 0.8)

@@ -2,7 +2,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What claimed streams survive: parts that are destroyed, fail, fall silent, die or hang."""
+"""Claimed streams survive parts that are destroyed, fail, fall silent, die or hang."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class PartsTest(StreamCase):
     """Something happens to a part of a stream; its client keeps listening to the same topic."""
 
     def begin(self, **request):
-        """Acquire a stream that flows; its manager, the stream, its flow and its events."""
+        """Acquire a stream that flows; returns the manager, the stream, flow and events."""
         manager = self.tracking()
         manager.client.add_transformation(SPARE_FILTER)
         events = self.events()
@@ -47,7 +47,7 @@ class PartsTest(StreamCase):
         eventually(lambda: stream.state is ClaimState.ACTIVE, 2.0, "the client knows")
 
     def is_one_loss(self, events):
-        """All three parts went at once: the claim was planned anew once."""
+        """All three parts were lost at once: the claim was planned again only once."""
         states = [state for state, _ in itertools.groupby(each.after.state for each in events.all)]
         reasons = [each.reason for each in events.all]
         self.assertEqual(states.count(ClaimState.RECOVERING), 1, reasons)

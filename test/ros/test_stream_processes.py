@@ -2,7 +2,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What claims survive: dead clients, a dead manager, and a roscore that goes and comes back."""
+"""Claims through the death of clients, of the manager, and of the roscore."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class ProcessesTest(StreamCase):
             for pause in (0.0, 6.0):
                 manager.kill()
                 time.sleep(pause)
-                flow.wait()  # nobody needs the manager for messages to flow
+                flow.wait()  # messages flow without the manager
                 manager.start()
                 flow.wait()
                 self.become(manager, before.claim_id, ClaimState.ACTIVE)
@@ -66,7 +66,7 @@ class ProcessesTest(StreamCase):
                 )
                 self.assertIs(self.claim(manager, leased.claim_id).state, ClaimState.ACTIVE)
                 self.settled(manager)
-            # What dies while nobody looks is mended by the next life.
+            # Parts that die while the manager is dead are replaced after its restart.
             manager.kill()
             manager.child().signal(signal.SIGKILL)
             manager.start()

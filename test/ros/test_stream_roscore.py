@@ -2,7 +2,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What becomes of claimed streams when the roscore goes and comes back."""
+"""Claimed streams when the roscore ends and is started again."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class RoscoreTest(StreamCase):
         with socket.socket() as free:
             free.bind(("", 0))
             self.port = str(free.getsockname()[1])
-        # Every process of this test belongs to a master of its own, which can be killed.
+        # All processes of this test have a separate master, which can be killed.
         environment = {"ROS_MASTER_URI": f"http://localhost:{self.port}"}
         patch = mock.patch.dict(os.environ, environment)
         patch.start()
@@ -78,7 +78,7 @@ class RoscoreTest(StreamCase):
         return True
 
     def flows_on(self, listener):
-        """Wait until its stream flows; it was never anything but active."""
+        """Wait until its stream flows; it has always been active."""
 
         def said():
             return [line for line in listener.output.splitlines() if line[0] != "["]
@@ -94,21 +94,21 @@ class RoscoreTest(StreamCase):
         listener = self.run_it(*CLIENT, GOAL)
         listener.wait_for("flows")
 
-        # Without a master streams flow on, and their claims are renewed all the same.
+        # Without a master, streams flow on, and their claims are still renewed.
         core.stop(9)
         core.exit_code(5.0)
         time.sleep(35.0)
         self.flows_on(listener)
         self.assertNotIn("EXPIRED", manager.output)
-        self.assertFalse(self.answers())  # nobody can be found, so nothing can be asked or mended
+        self.assertFalse(self.answers())  # nothing can be looked up or requested
 
-        # A new master knows nobody: the streams flow on as before, and nobody new can ask.
+        # A new master has no registrations: streams flow on, but there are no new requests.
         self.roscore()
         time.sleep(3.0)
         self.assertFalse(self.answers())
         self.flows_on(listener)
 
-        # A manager that is started again makes the streams anew, behind the same topics.
+        # A restarted manager makes the streams again, behind the same topics.
         manager.stop(9)
         manager.exit_code(5.0)
         manager = self.manager()
@@ -120,7 +120,7 @@ class RoscoreTest(StreamCase):
         eventually(is_back, 40.0, f"the stream is back\n{manager.output}")
         again = self.run_it(*CLIENT, GOAL)
         again.wait_for("flows")
-        # Clients that the new master does not know are not heard any more: their claims end.
+        # Clients that are not registered at the new master are no longer heard: their claims end.
         listener.wait_for("EXPIRED", 40.0)
 
 

@@ -2,7 +2,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Silence in real processes: whoever hangs, nobody else is taken for silent."""
+"""Silence in real processes: a process that hangs makes no other part count as silent."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ import dyknow
 from dyknow.model.streams import NO_MESSAGE, ClaimState, StreamRequest
 
 DYKNOW = [sys.executable, "-m", "dyknow.cli"]
-#: Of equal worth with the camera of the suite's library.
+#: As good as the camera of the suite's library.
 TWIN = CAMERA.replace("<label>camera", "<label>twin")
 MAP = transformation("map", "Counter", "Map(here)")
 SPARE_MAP = transformation("spare map", "Counter", "Map(here)", cost=3)
@@ -30,7 +30,7 @@ LIMIT = 0.6  # s
 
 class StoppedTest(StreamCase):
     def test_who_hangs_makes_nobody_else_change(self):
-        """Two claims; what one of them relies on is stopped for ten seconds and goes on."""
+        """Two claims; a process that one of them relies on is stopped for ten seconds."""
         manager = self.tracking()
         for text in (TWIN, MAP, SPARE_MAP):
             manager.client.add_transformation(text)
@@ -55,12 +55,12 @@ class StoppedTest(StreamCase):
         process.signal(signal.SIGSTOP)
         self.addCleanup(process.signal, signal.SIGCONT)
         stopped = time.monotonic()
-        others.wait(15.0)  # somebody else publishes there
+        others.wait(15.0)  # another node publishes there
         self.become(manager, far.claim_id, ClaimState.ACTIVE)
         time.sleep(max(0.0, stopped + 10.0 - time.monotonic()))
         process.signal(signal.SIGCONT)
         self.settled(manager)
-        time.sleep(4 * LIMIT)  # what is silent now would be noticed in this time
+        time.sleep(4 * LIMIT)  # a silent part would be noticed in this time
 
         self.assertEqual(events.states(near.claim_id), [], [each.reason for each in events.all])
         self.assertEqual(self.claim(manager, near.claim_id), before)

@@ -174,7 +174,7 @@ class AcquireTest(StreamCase):
 
 
 class CommandTest(StreamCase):
-    """``dyknow`` in a shell, which is no node."""
+    """``dyknow`` in a shell, without a node."""
 
     def run_it(self, *words):
         code, output = finished([*DYKNOW, *words])
