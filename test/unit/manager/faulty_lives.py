@@ -19,10 +19,10 @@ NUMBERS = st.integers(0, 30)
 
 
 class FaultyLife(RuleBasedStateMachine):
-    """The steps that every machine has: clients end claims, and processes die and hang.
+    """The steps that all state machines share: clients end claims, and processes die and hang.
 
-    A machine says in ``make_field`` what there is, in ``after_kill`` and ``after_hang`` what else
-    follows from a fault, and adds steps of its own.
+    A subclass makes the field in ``make_field``, adds consequences of faults in ``after_kill`` and
+    ``after_hang``, and adds its own steps.
     """
 
     def __init__(self) -> None:
@@ -43,7 +43,7 @@ class FaultyLife(RuleBasedStateMachine):
         """Called after a nodelet manager was stopped, or went on."""
 
     def end_faults(self) -> None:
-        """End what hinders nodelets and nodelet managers, at the end of a life."""
+        """End all faults of nodelets and nodelet managers, at the end of a run."""
         self.ids.stop()
         host = self.field.host
         host.fail = lambda operation, argument: None

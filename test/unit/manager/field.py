@@ -66,7 +66,7 @@ GOAL = "FieldPosition(ball)"
 
 CHAIN = ["bottom camera", "detector", "localization", "subsampler"]
 LINGER = 5.0
-#: What is told of a claim some time after each change of its stream.
+#: Reasons of events that come some time after each change of a stream.
 FIRST_MESSAGE = "its first message has come"
 
 
@@ -106,7 +106,7 @@ def specification(
 
 
 def counted_ids() -> Any:
-    """Name claims by their number, in whose order they are looked at; a patch to be started."""
+    """A patch that numbers the ids of claims, which are processed in the order of their ids."""
     numbers = itertools.count(1)
     return mock.patch(
         "dyknow.manager.claims.reconciler.uuid.uuid4",
@@ -192,7 +192,7 @@ class Field:
         self.reconciler.reconcile()
 
     def tidy(self) -> None:
-        """Wait until what lingers is gone: nothing is left that nobody needs."""
+        """Wait until nodelets that are no longer needed are gone."""
         self.settle(LINGER + 10.0)
         needed = set(self.by_hand)
         for claim in self.living():
@@ -209,7 +209,7 @@ class Field:
                 continue
             for port in self.host.nodelet(name).ports.values():
                 topic = record.topics.get(port.name, "")
-                if record.rewired_by_reload and not topic:  # plain ones use a topic of their own
+                if record.rewired_by_reload and not topic:  # plain ones use their own topic
                     topic = f"{name}/disconnected/{port.name}"
                 assert topic == port.topic
         assert set(self.by_hand) <= set(records), "nothing that was made by hand is removed"

@@ -12,7 +12,7 @@ from dyknow.periodic import Clock
 
 
 class HandClock(Clock):
-    """A clock on which a wait takes no time, and the time that it would have taken is over."""
+    """A clock on which a wait returns at once and moves the time forward instead."""
 
     def __init__(self) -> None:
         self.time = 0.0

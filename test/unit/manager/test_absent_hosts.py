@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Nodelet managers whose hosts are away: what is not known is not claimed, and made good later."""
+"""Nodelet managers on unreachable hosts: nothing unknown is stated, and work is done later."""
 
 from __future__ import annotations
 

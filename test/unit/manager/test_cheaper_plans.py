@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""A cheaper way is one by which all claims together cost less."""
+"""A plan is cheaper only if all claims together cost less."""
 
 from __future__ import annotations
 

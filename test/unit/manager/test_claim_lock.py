@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What happens to streams while a request waits for a nodelet that takes long to come up."""
+"""Streams while a request waits for a nodelet that takes long to start."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def field() -> Field:
 
 
 def meanwhile(field: Field, name: str, happens: Callable[[], None]) -> List[str]:
-    """Let something happen while a nodelet is loaded, once; returns what happened so far."""
+    """Run something once while a nodelet is loaded; returns the results so far."""
     done: List[str] = []
 
     def fail(operation: str, argument: str) -> None:

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The table of claims: what is told comes in the order of what happened."""
+"""The table of claims: events come in the order of the changes."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""A manager whose disk is full: it goes on, and what it shows is true."""
+"""A manager whose disk is full: it goes on, and shows the truth."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def stored(world: World) -> dict[str, str]:
 
 
 def written(world: World) -> dict[str, str]:
-    """What the file has, once the disk has room again."""
+    """The contents of the file once the disk has room again."""
     world.store.close()
     assert world.store.trouble == ""
     world.open()

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What was asked for once, and what is gone, is not remembered for ever."""
+"""Old requests, and nodelets that are gone, are forgotten."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Records of nodelets: their revision, their lifetimes, and who works on them."""
+"""Records of nodelets: their revision, their lifetimes, and the work that is under way on them."""
 
 from __future__ import annotations
 

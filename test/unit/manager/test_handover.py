@@ -28,7 +28,7 @@ def field() -> Field:
 
 
 def watch(field: Field, topic: str) -> List[str]:
-    """Note every operation before which nothing flows, or two publish, on a topic."""
+    """Record every operation before which nothing or two nodelets publish on a topic."""
     gaps: List[str] = []
 
     def look(operation: str, argument: str) -> None:

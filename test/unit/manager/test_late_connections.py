@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""A connection that was not answered in time may be made later: it does not stay unnoticed."""
+"""A connection that was not confirmed in time may be made later, and is noticed then."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_a_mend_that_was_not_answered_is_taken_back_when_it_comes(field: Field) 
     assert "did not answer" in field.claim(claim.claim_id).detail
     assert topic(field, "/subsampler_1", "yuv") == "/bottom_camera_1/image"
     field.host.fail = lambda what, name: None
-    field.manager.add_transformation(CAMERA)  # so that nothing else is to be done
+    field.manager.add_transformation(CAMERA)  # so that there is nothing else to do
     field.host.arrive()
     assert topic(field, "/subsampler_1", "yuv") == "/ceiling_camera_1/image"
     field.host.slow.clear()

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Leases over the death of the manager: they go on, and are never longer than they were."""
+"""Leases across the death of the manager: they go on, and never get longer."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ WRITTEN = Moment(steady=1000.0, wall=50_000.0, boot="first")
 
 
 def left(now: Moment) -> float:
-    """What is left of a lease of ten seconds that was written with eight to go."""
+    """Rest of a lease of ten seconds that was stored with eight left."""
     claim = Claim("c", StreamRequest("T(a)", lease=10.0), deadline=WRITTEN.steady + 8.0)
     body = json.loads(json.dumps(claim.body(WRITTEN)))
     deadline = Claim.from_body(body, now).deadline

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""A true picture: what others do is followed, what dies is brought back."""
+"""A true picture: changes by others are followed, dead nodelets are brought back."""
 
 from __future__ import annotations
 

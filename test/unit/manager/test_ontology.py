@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Ontologies: individuals, labels, subsumption, and files that are not what they seem."""
+"""Ontologies: individuals, labels, subsumption, and malformed files."""
 
 import socket
 from pathlib import Path

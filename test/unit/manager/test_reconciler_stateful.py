@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Claims under anything that may happen, in any order: what must hold, holds after every step."""
+"""Claims under random events in any order: the invariants hold after every step."""
 
 from __future__ import annotations
 

@@ -66,7 +66,7 @@ def test_one_loss_is_one_repair_however_soon_somebody_looks(field: Field, fault:
 
 @contextlib.contextmanager
 def reconciling_at_once(field: Field) -> Iterator[None]:
-    """Reconcile after each change, as soon as nobody works on a nodelet."""
+    """Reconcile after each change, as soon as no work on a nodelet is under way."""
     graph, asked, at_work = field.manager.graph, [], []
     real = graph.changing
 

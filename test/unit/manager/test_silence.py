@@ -138,7 +138,7 @@ def test_two_claims_with_different_patience_share_a_part(field: Field) -> None:
 
 
 def without_looks(field: Field) -> None:
-    """Let nobody but the watch find out that a nodelet manager hangs."""
+    """Let only the watch find out that a nodelet manager hangs."""
     field.manager.look = lambda changed=None: None  # type: ignore[method-assign]
 
 

@@ -169,7 +169,7 @@ def test_a_start_with_a_sound_file_that_cannot_be_written_reads_it_and_writes_it
 
 
 def leave_log(path: str) -> None:
-    """Write the rows as somebody who is killed right afterwards."""
+    """Write the rows as a process that is killed right afterwards would."""
     os.remove(path)
     code = (
         "import os, sys; from unit.manager.test_state_file import *;"
@@ -253,7 +253,7 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 def check_start(sound: str, folder: Path, damage: Callable[[bytearray], bytes]) -> None:
-    """Start with a damaged file: nothing is raised, and what is used next lasts."""
+    """Start with a damaged file: nothing is raised, and the next file works."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
     path = str(folder / "state")

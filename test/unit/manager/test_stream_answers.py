@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What clients are shown of claims, and the causes of refusals."""
+"""Claims as shown to clients, and the causes of refusals."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Tags: what is a term, and what satisfies what."""
+"""Tags: which texts are terms, and which tags satisfy which demands."""
 
 from __future__ import annotations
 

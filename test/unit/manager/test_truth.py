@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Nobody receives what was not asked for: the paths on which it could happen, one by one."""
+"""No in-port receives what it does not demand: every way in which it could, one by one."""
 
 from __future__ import annotations
 
@@ -310,7 +310,7 @@ def test_ordinary_nodes_are_heard_beside_a_relay_only_while_somebody_describes_t
 
 
 def loaded(lab: Field, name: str) -> List[Dict[str, str]]:
-    """Listen to where a nodelet's ports are each time that it comes up."""
+    """Record the topics of a nodelet's ports each time that it starts."""
     seen: List[Dict[str, str]] = []
 
     def note(operation: str, argument: str) -> None:

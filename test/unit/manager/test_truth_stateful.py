@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""At no moment does an in-port receive what it did not ask for, whatever happens in any order.
+"""At no moment does an in-port receive what it does not demand, under any sequence of events.
 
-Libraries, clients, users and accidents are random; a witness looks after every single change of
-the fake host, and again when the manager had its round.
+Libraries, clients, users and accidents are random; a witness checks after every single change of
+the fake host, and again after each round of the manager.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ PLAN = st.tuples(
 
 
 class Truth(FaultyLife):
-    """A library, claims, and everything that can go wrong."""
+    """A library, claims, and all faults."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -254,7 +254,7 @@ class Truth(FaultyLife):
     # How it is done
 
     def topics(self) -> List[str]:
-        """Every topic that anything is connected to."""
+        """Every topic to which a port is connected."""
         host = self.field.host
         return sorted(
             {
@@ -267,7 +267,7 @@ class Truth(FaultyLife):
         )
 
     def arrive_late(self) -> None:
-        """Whoever people connected meanwhile where something is on its way, they connected."""
+        """Let late connections arrive; wrong ones at nodelets made by hand count as people's."""
         self.field.host.arrive()
         by_hand = self.witness.by_hand
         self.witness.guilt = [

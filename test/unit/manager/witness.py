@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Watches from outside what each in-port receives, and judges it by the tags alone.
+"""Watches from outside the messages that each in-port receives, and judges them by tags alone.
 
-Knows nothing of how the manager keeps its promises: it reads terms and compares them in its own
-way, looks at the fake host's ports as they really are, and looks after every single change.
+Independent of the manager's code: it reads and compares terms in its own way, reads the real ports
+of the fake host, and checks after every single change.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def satisfies(supplied: str, demanded: str, concepts: Concepts) -> bool:
 
 
 class Witness:
-    """Finds receivers of what they did not ask for.
+    """Finds in-ports that receive what they do not demand.
 
     Attributes:
         signed: for each nodelet type its ports' tags: what its messages are signed with.
@@ -76,7 +76,7 @@ class Witness:
         host.on_change = self._watch
 
     def excuse(self) -> None:
-        """What is wrong now was brought about by somebody else."""
+        """Attribute the present violations to others than the manager."""
         self.wrong = self.look(hidden=True)
         self._willed |= {each[:3] for each in self.look() if each[0] in self.by_hand}
 
@@ -87,7 +87,7 @@ class Witness:
         self.wrong = self.look(hidden=True)
 
     def _is_will(self, wrong: Wrong) -> bool:
-        """Whether people connected two with each other; what died comes back so."""
+        """Whether people connected the two; nodelets that died come back with such connections."""
         receiver, port, topic, sender = wrong
         if receiver not in self.by_hand:
             return False
@@ -96,7 +96,7 @@ class Witness:
         return (receiver, port, topic) in self._willed
 
     def look(self, hidden: bool = False) -> Set[Wrong]:
-        """Compare what everybody receives with what everybody asked for.
+        """Compare all receivers' messages with their demands.
 
         Args:
             hidden: also count ordinary nodes that nobody can tell of, beside nodelets: they were

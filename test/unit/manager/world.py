@@ -67,7 +67,7 @@ LIBRARY = """
 
 
 class World:
-    """Everything that outlives a manager, and the manager of the day."""
+    """Everything that outlives a manager, and the current manager."""
 
     def __init__(
         self,
