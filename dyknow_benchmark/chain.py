@@ -5,10 +5,10 @@
 
 A source stamps messages at a fixed frequency, every hop compares the stamp with the time of
 arrival before it forwards the message. One chain of the largest length serves all numbers of hops,
-as in the paper. The kinds take turns in blocks, so that a drift of the machine's speed meets them
-all. What the proxy adds is measured apart: the messages of DyKnow's chain and of the plain one
-alternate, and each pair of such blocks yields one difference. The targets' ratios at the other
-frequency and with images follow.
+as in the paper. The kinds take turns in blocks, so that a drift of the machine's speed affects
+them all. The time that the proxy adds is measured separately: the messages of DyKnow's chain and
+of the plain one alternate, and each pair of such blocks yields one difference. The targets' ratios
+at the other frequency and with images follow.
 """
 
 from __future__ import annotations

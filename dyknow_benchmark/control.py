@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The measuring side: tells the sources of chains to send, and collects what the hops saw."""
+"""The measuring side: tells the sources of chains to send, and collects the hops' reports."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _BLOCK = 50
 
 @dataclass
 class Block:
-    """What came of some messages that were sent together.
+    """The result of some messages that were sent together.
 
     Attributes:
         sent: number of messages that count.

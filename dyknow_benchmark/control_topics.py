@@ -20,14 +20,14 @@ _REPORTS = 1000
 
 
 class Sender(Protocol):
-    """What takes orders: a source or a ring."""
+    """A part that takes orders: a source or a ring."""
 
     def send(self, count: int, frequency: float, start: float, /) -> None:
         """Carry an order out."""
 
 
 class Collected(Protocol):
-    """What has something to report."""
+    """A part that has something to report."""
 
     def collect(self) -> List[float]:
         """Return numbers and forget them."""

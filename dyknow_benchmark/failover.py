@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""``benchmark failover``: a part of a claimed stream fails, until its replacement delivers.
+"""``benchmark failover``: from the failure of a part of a claimed stream to its replacement.
 
-Counted from the failure to the first message that the replacement publishes on the client's topic,
-without the silence that the claim allows.
+The time is counted from the failure to the replacement's first message on the client's topic, less
+the silence that the claim allows.
 """
 
 from __future__ import annotations

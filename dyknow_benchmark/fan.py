@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""``benchmark fan``: from one publisher to many subscribers, until the last of them has a message.
+"""``benchmark fan``: time from one publisher until the last of many subscribers has a message.
 
 The receivers are those of the chain, all of which listen to the source. The kinds take turns in
 blocks.

@@ -3,8 +3,9 @@
 
 """``benchmark footprint``: memory and threads of a nodelet, and of a node that does the same.
 
-Chains are set up and carry a message. Memory is the proportional set size (PSS): of what processes
-share, each counts its part. Of nodelets it is what further ones add to their nodelet manager.
+Chains are set up and carry a message. Memory is the proportional set size (PSS), which counts a
+share of shared memory for each process. For nodelets it is the memory that further ones add to
+their nodelet manager.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""``benchmark leak``: what re-wiring and loading leave behind in a nodelet manager.
+"""``benchmark leak``: leftovers of re-wiring and loading in a nodelet manager.
 
 File descriptors, threads and registrations of the manager are counted before and after many
 re-wirings and many cycles of load and unload; nothing may be left.

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The machine of the measurement, and its load meanwhile."""
+"""The machine of the measurement, and its load during it."""
 
 from __future__ import annotations
 

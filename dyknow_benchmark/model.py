@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""``benchmark model``: spawn many nodelets, ask for the model, and check that it is quiet."""
+"""``benchmark model``: spawn many nodelets, request the model, and check that it is quiet."""
 
 from __future__ import annotations
 

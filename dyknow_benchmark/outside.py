@@ -3,7 +3,7 @@
 
 """``benchmark outside``: time to arrival over a chain that another process listens to.
 
-All chains are in one nodelet manager; of each, another process subscribes to a number of topics,
+All chains are in one nodelet manager; another process subscribes to a number of topics of each,
 spread over its length. A message is serialised once for each topic that has subscribers outside.
 The messages of the chains alternate.
 """

@@ -4,8 +4,8 @@
 """The parts of a chain: a source that stamps messages and hops that forward them.
 
 They know neither rospy nor nodelets: the same code runs in every kind of chain, so that only the
-transport differs. Nothing is reported while messages flow; what a hop saw is kept until it is
-collected. Times are those of the machine's clock, which all processes of a machine share.
+transport differs. Nothing is reported while messages flow; each hop keeps its records until they
+are collected. Times are those of the machine's clock, which all processes of a machine share.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The ratios at 50 hops that DyKnow is held to, as far as the chain experiment tells them.
+"""The targets for ratios at 50 hops that the chain experiment can check.
 
 Two of them need messages of their own: DyKnow beside C++ nodelets at the frequency that the figure
 is not measured at, and images beside time stamps.

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""``benchmark recover``: kill -9 of the nodelet manager, until every stream is back.
+"""``benchmark recover``: time from kill -9 of the nodelet manager until every stream is back.
 
-Each kill follows as soon as the streams are back from the last, so the times hold the pauses that
-a nodelet manager is given when it dies again and again.
+Each kill follows as soon as the streams are back from the last, so the times include the pauses
+before a nodelet manager that dies repeatedly is restarted.
 """
 
 from __future__ import annotations

@@ -4,8 +4,9 @@
 """``benchmark rewire``: from a set_config call to the first message of the new topic.
 
 The client is another process with a persistent ServiceProxy, both topics are live, and the
-messages of both carry numbers: what is lost or comes twice is counted. In turns an in-port and an
-out-port are switched. The time includes the wait for the next message, half a period on average.
+messages of both carry numbers, by which lost and doubled messages are counted. In turns an in-port
+and an out-port are switched. The time includes the wait for the next message, half a period on
+average.
 """
 
 from __future__ import annotations

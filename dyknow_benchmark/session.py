@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""A ROS of its own for a measurement: a master on a free port and the processes that it needs.
+"""A separate ROS for a measurement: a master on a free port and the processes that it needs.
 
 Who owns what: a ``Session`` owns every process that it starts and ends each by its pid, the newest
 first. Everything stays on the loopback interface.

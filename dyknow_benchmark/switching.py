@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""A pair of nodelets whose connection is switched: how it is set up and re-wired."""
+"""Sets up and re-wires a pair of nodelets whose connection is switched."""
 
 from __future__ import annotations
 
