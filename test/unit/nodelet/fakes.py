@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What the tests of the runtime share: message types, a small world, ways to wait."""
+"""Shared by the tests of the runtime: message types, a small world, ways to wait."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Message:
 
 
 class OtherMessage(Message):
-    """A message type that does not fit ``Message``."""
+    """A message type other than ``Message``."""
 
     _type = "test/OtherMessage"
     _md5sum = "other"
@@ -65,7 +65,7 @@ class FakeClock:
 
 
 class RecordingTransport(LocalTransport):
-    """Records registrations in the order of their making, and can refuse or pause at a topic."""
+    """Records registrations in order, and can refuse or pause at a topic."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -107,7 +107,7 @@ class World:
         self.bus = self.runtime.bus
 
     def context(self, name: str = "/probe", **options: Any) -> Context:
-        """A nodelet's share whose callbacks run."""
+        """A nodelet's context, with callbacks enabled."""
         context = Context(self.runtime, name, **options)
         context.start()
         return context
@@ -135,7 +135,7 @@ class World:
 
 
 class Idle(dyknow.Nodelet):
-    """A nodelet that sets nothing up."""
+    """A nodelet without ports or callbacks."""
 
     def on_init(self) -> None:
         pass
@@ -169,7 +169,7 @@ def wait_for(event: threading.Event) -> None:
 
 
 def wait_until(condition: Callable[[], Any]) -> None:
-    """Wait for a condition that nobody signals."""
+    """Poll until a condition holds."""
     deadline = time.monotonic() + PATIENCE
     pause = threading.Event()
     while not condition():

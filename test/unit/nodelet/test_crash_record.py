@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Who was at work is known after the process has died, whatever it died of."""
+"""The nodelets at work are known after the process has died, whatever the cause."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ record.close()
 
 
 def run(path: Path, way: str) -> tuple[int, AtWork]:
-    """Let a process end that way; its exit code, and what is read of it afterwards."""
+    """Let a process end in a given way; returns its exit code and its crash record."""
     process = subprocess.Popen([sys.executable, "-c", PROGRAM, str(path), way])
     code = process.wait(30.0)
     return code, read(str(path), process.pid)

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Loading: names, failures, and that one nodelet's start holds up nobody else."""
+"""Loading: names, failures, and independence of one nodelet's start from the others."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def test_what_comes_during_on_init_is_called_back_after_it(world, gate, concurre
     world.handle().Publisher("/in", Message).publish(message)
     world.ticker.advance(1.0)
     wait_until(lambda: not world.runtime.timers._heap)
-    # Whatever could run by now has been given to the workers before this one.
+    # Everything that could run by now was given to the workers before this one.
     others = [world.context(f"/other{n}").strand for n in range(20)]
     for strand in others:
         strand.post(lambda: None)

@@ -230,7 +230,7 @@ def test_a_refused_registration_undoes_the_whole_switch(world):
 
 
 def test_a_refused_registration_of_a_live_topic_leaves_no_old_ones(world):
-    # Inside, the switch is done by then: what is left is to be true, and to let go of the old.
+    # Inside, the switch is done by then: it remains to report the truth and drop the old topic.
     got = []
     nh, other = world.handle(), world.handle("/other")
     other.Subscriber("/b", Message, got.append)

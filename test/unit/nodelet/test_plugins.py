@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Plugin descriptions: what is read, what is refused, and that one hides no other."""
+"""Plugin descriptions: accepted and refused ones, and that a bad one does not hide others."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ number = 5
 
 
 class Packages:
-    """Packages in a folder, with modules whose names nobody else has."""
+    """Packages in a folder, with modules of unique names."""
 
     def __init__(self, folder):
         self.folder = folder

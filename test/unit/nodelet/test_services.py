@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Services of nodelets: asked on any thread, answered on the nodelet's queue."""
+"""Services of nodelets: called on any thread, answered on the nodelet's queue."""
 
 from __future__ import annotations
 

@@ -168,7 +168,7 @@ def test_nothing_is_noted_of_a_strand_that_ran_nothing_when_it_was_killed(caplog
 
 
 def test_a_task_that_comes_while_the_strand_lets_go_is_not_forgotten():
-    # The narrow place: the strand has seen that it is empty and is still busy.
+    # The critical moment: the strand has found its queue empty and is still busy.
     executor, ran = ManualExecutor(), []
     strand = Strand(executor, "s")
     guest = threading.Thread(target=lambda: strand.post(lambda: ran.append("late")))

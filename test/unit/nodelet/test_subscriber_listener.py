@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""A publisher's subscriber_listener: lazy nodelets work only while somebody listens."""
+"""A publisher's subscriber_listener: lazy nodelets work only while they have subscribers."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from dyknow.proxy.proxy import NodeletProxy
 
 
 class Listener:
-    """Notes what it is told; ``count`` is asked at that moment."""
+    """Records each call, with the result of ``count`` at that moment."""
 
     def __init__(self, count=lambda: None):
         self.notes = []
@@ -33,7 +33,7 @@ class Listener:
 
 
 class Lazy:
-    """Relays from ``source`` to ``target``, only while somebody listens there."""
+    """Relays from ``source`` to ``target``, only while ``target`` has subscribers."""
 
     def __init__(self, nh, source, target):
         self.nh, self.source = nh, source

@@ -3,8 +3,8 @@
 
 """Switches of publications and subscriptions, in every order, against a simple model.
 
-The model: a message belongs to whoever is on its topic when it is published, and a nodelet is
-called back in the order of all that happened to it. Nothing else may come out of the bus.
+The model: a message goes to all subscriptions of its topic at the time of publishing, and a
+nodelet's callbacks run in the order of its events. The bus must deliver nothing else.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ STEPS = st.lists(
 
 
 class Bench:
-    """Real ends on a bus, and beside them what the model says they should see."""
+    """Real ends on a bus, with the messages that the model expects at each."""
 
     def __init__(self, queue_size=None):
         self.world = World()
@@ -108,7 +108,7 @@ class Bench:
         self.world.drain()
 
     def release(self, end):
-        self.drain()  # what a release drops is another test's matter
+        self.drain()  # drops by a release are tested elsewhere
         self.released.add(end)
         self.topics[end] = ""
         self.world.bus.release([self.ends[end]])

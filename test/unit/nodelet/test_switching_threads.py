@@ -38,7 +38,7 @@ class Stream:
 
 
 def switches(*streams):
-    """Numbers of the switches to make; now and then messages are awaited, so that they meet."""
+    """Numbers of the switches to make; sometimes waits for messages, so that the two overlap."""
     for number in range(SWITCHES):
         yield number
         if number % 10 == 0:
@@ -47,7 +47,7 @@ def switches(*streams):
 
 
 def watcher(faults):
-    """A callback that checks each stream's own numbers."""
+    """Make a callback that checks the numbers of each stream."""
     last = {}
 
     def receive(message):

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Unloading: what is gone, what is refused, what is not waited for."""
+"""Unloading: what is removed, what is refused, and what is not awaited."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ world = pool_world(3)
 
 
 class Hanging(Nodelet):
-    """Its callback blocks until the test lets go, then publishes."""
+    """A nodelet whose callback blocks until the test releases it, then publishes."""
 
     def on_init(self):
         self.started, self.release = threading.Event(), threading.Event()

@@ -87,7 +87,7 @@ def test_strands_overlap_with_each_other(make_pool):
 
 
 def test_no_wake_up_is_lost_under_many_posting_threads(make_pool):
-    # Strands run empty all the time here, which is when a wake-up could be missed.
+    # Strands run empty all the time here, and only then could a wake-up be missed.
     pool = make_pool(3)
     strands = [Strand(pool, str(n)) for n in range(4)]
     counts = [itertools.count() for _ in strands]
@@ -222,7 +222,7 @@ def test_a_stuck_callback_is_reported_once_with_its_stack(make_pool, caplog):
     look(3)
     assert caplog.text.count("has not returned") == 1
     assert "a_callback_that_hangs" in caplog.text
-    # The next callback of the same strand that hangs is a new fault, and told again.
+    # The next callback of the same strand that hangs is a new fault, and is reported again.
     blocker.release.set()
     second = Blocker()
     strand.post(second)

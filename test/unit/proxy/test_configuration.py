@@ -45,7 +45,7 @@ class Bench:
         return {port.name: port.topic for port in self.proxy.get_config()}
 
     def refuse(self, config):
-        """Set a configuration that must be refused without a trace; returns its problems."""
+        """Set a configuration that must be refused without any effect; returns its problems."""
         before = (
             self.proxy.get_config(),
             self.world.registrations,

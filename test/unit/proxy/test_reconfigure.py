@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The reconfigure callback, and what the host is told."""
+"""The reconfigure callback, and the notifications to the host."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ TOPICS = ("", "/a", "/b", "/c")
 
 
 class Recorder:
-    """A nodelet that writes down all that happens to it, in order."""
+    """A nodelet that records all its calls, in order."""
 
     def __init__(self, world, name):
         self.context = world.context(name)
@@ -183,7 +183,7 @@ def test_nodelets_see_messages_and_reconfigurations_exactly_in_order(steps):
 
 
 def _any_order_of_one_message(log):
-    """Two ports on one topic get a message in either order: sort those that stand together."""
+    """Two ports on one topic get a message in either order: sort neighbours."""
     result = list(log)
     for at in range(len(result) - 1):
         first, second = result[at : at + 2]

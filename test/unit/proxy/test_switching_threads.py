@@ -27,7 +27,7 @@ SWITCHES = 1000
 
 
 class Filter(dyknow.Nodelet):
-    """Checks what comes, in the order of its queue, and passes it on."""
+    """Checks messages in the order of its queue, and passes them on."""
 
     def on_init(self):
         nh = dyknow.NodeHandle(self.node_handle)
@@ -47,7 +47,7 @@ class Filter(dyknow.Nodelet):
 
 
 class Bare(dyknow.Nodelet):
-    """Has no ports, and so no proxy."""
+    """A nodelet without ports, and so without a proxy."""
 
     def on_init(self):
         pass
@@ -94,7 +94,7 @@ def test_a_chain_that_is_rewired_all_the_time_loses_and_doubles_nothing(world):
         proxy_of(last).set_config([(new, f"/m{number % 5}")])
         proxy_of(first).set_config([("out", f"/m{number % 5}")])
         proxy_of(last).set_config([(old, "")])
-        last.maps = []  # their topics are another test's
+        last.maps = []  # their topics belong to another test
         ports.reverse()
         if number % 10 == 0:
             due = pump.sent + 20
@@ -240,7 +240,7 @@ def test_handles_that_are_made_at_once_share_one_proxy(world, monkeypatch):
         made.append(proxy)
         if len(made) > 1:
             others.set()
-        others.wait(0.2)  # whoever is let through between the check and the act is here by then
+        others.wait(0.2)  # a call that slips in between check and act has arrived by then
         make(proxy, of)
 
     monkeypatch.setattr(NodeletProxy, "__init__", wait_for_others)

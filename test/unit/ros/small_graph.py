@@ -43,7 +43,7 @@ def _in_form(function: Any) -> Any:
 
 
 class SmallMaster:
-    """Knows which nodelet manager bears which name."""
+    """A master that looks up nodelet managers by name."""
 
     def __init__(self) -> None:
         self.nodes: Dict[str, SmallManager] = {}
@@ -68,10 +68,10 @@ class SmallMaster:
 
 
 class SmallManager:
-    """Offers `list`, says its process id, and ends when it is told to.
+    """Serves `list`, reports its process id, and ends on request.
 
     Attributes:
-        nodelets: what it runs.
+        nodelets: names of its nodelets.
         goes_on: cleared while the process is stopped.
         ended: set when it was told to end.
         connections: how many clients have connected so far.
@@ -133,7 +133,7 @@ class SmallManager:
 
     @staticmethod
     def _read(connection: socket.socket) -> None:
-        """Take in what begins with its length."""
+        """Read data that begins with its length."""
         (length,) = struct.unpack("<I", connection.recv(4, socket.MSG_WAITALL))
         if length:
             connection.recv(length, socket.MSG_WAITALL)

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Names of hosts are looked up by nobody for longer than there is time."""
+"""Looking up a host's name never takes longer than its time limit."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ LONG = 30.0
 
 
 class NameServer:
-    """Answers when it is told to."""
+    """A name server that answers when the test allows it."""
 
     def __init__(self) -> None:
         self.asked = threading.Semaphore(0)

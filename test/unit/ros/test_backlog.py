@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What subscribers that connect late are owed."""
+"""Messages that are kept for subscribers that connect late."""
 
 from __future__ import annotations
 

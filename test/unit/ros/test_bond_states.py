@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""One end of a bond, with a clock of its own."""
+"""One end of a bond, with a clock set by the test."""
 
 from __future__ import annotations
 

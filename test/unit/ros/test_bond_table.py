@@ -20,7 +20,7 @@ TIMINGS = BondTimings(
 
 
 class Network:
-    """Tables on one topic; carries their words to all of them, the speaker included."""
+    """Tables on one topic; delivers each message to all of them, including the sender."""
 
     def __init__(self, *tables):
         self.now = 0.0
@@ -36,7 +36,7 @@ class Network:
                 self.carry(table.hear(word.bond_id, word.instance_id, word.active, self.now))
 
     def run(self, until):
-        """Let the time pass from one due moment to the next; silence counts."""
+        """Let time pass from one due moment to the next."""
         while True:
             due = [t for t in (table.next_due() for table in self.tables) if t is not None]
             if not due or min(due) > until:

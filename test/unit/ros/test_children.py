@@ -23,7 +23,7 @@ PATIENCE = 10.0
 
 
 class SlowDisk:
-    """Takes records only when it is let; says what it was given last."""
+    """A disk that accepts records only when allowed; keeps the last one."""
 
     def __init__(self) -> None:
         self.writing = threading.Event()

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Bonds of claims: there is one for each id that a claim names, whoever changes claims when."""
+"""Bonds of claims: one for each id in a claim, under concurrent changes of claims."""
 
 from __future__ import annotations
 

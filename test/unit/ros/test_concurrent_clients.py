@@ -35,7 +35,7 @@ def graph() -> Iterator[SmallMaster]:
 
 
 def together(*works: Callable[[], object], seconds: float = SECONDS) -> None:
-    """Repeat each work in a thread of its own for some time; what they raise is raised here."""
+    """Repeat each function in its own thread for some time; raises their exceptions."""
     failures: List[BaseException] = []
     end = time.monotonic() + seconds
 

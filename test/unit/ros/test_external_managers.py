@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Nodelet managers of others: who looks for them, and who never waits for them."""
+"""External nodelet managers: which thread looks for them, and which never wait for them."""
 
 from __future__ import annotations
 
@@ -193,7 +193,7 @@ def test_one_that_has_just_come_is_found_by_who_names_it(graph: SmallMaster) -> 
     try:
         eventually(lambda: not peer.state.unseen)
         assert not peer.state.alive
-        for number in range(1, 6):  # whenever in the pause between two looks it is asked for
+        for number in range(1, 6):  # at any moment of the pause between two looks
             graph.nodes[FAR] = SmallManager()
             peer.look_now()
             assert peer.state.responsive and peer.state.alive, number

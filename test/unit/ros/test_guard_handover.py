@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The guards are handed over when the master said so, and until then nothing is loaded."""
+"""Guards count as handed over once the master has confirmed it; until then nothing is loaded."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ KEY = "/nodelet_manager/guards/manager"
 
 
 class SlowMaster:
-    """The parameter server of a master that answers late as long as it is told to."""
+    """A master's parameter server that answers late until the test ends that."""
 
     def __init__(self):
         self.parameters = {}
@@ -57,7 +57,7 @@ class SlowMaster:
 
 
 class OneChild:
-    """A nodelet manager that runs."""
+    """A single nodelet manager, which is up."""
 
     def __init__(self):
         record = SimpleNamespace(name=NODELET_MANAGER, kind=NodeletKind.PYTHON, isolated_for="")
@@ -98,7 +98,7 @@ def test_guards_that_were_not_taken_are_handed_over_again(master):
         host.managers()  # the next looks
     assert master.parameters[KEY]["denied_topics"] == ["/e_stop"]
     assert master.parameters[KEY]["read_only"] is True
-    with pytest.raises(HostError, match="is not offered"):  # it gets as far as asking for a list
+    with pytest.raises(HostError, match="is not offered"):  # it reaches its request for a list
         host.load(NODELET_MANAGER, request, 1.0)
 
 

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""A node's server has room for many who connect at once."""
+"""A node's server lets many peers connect at once."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_the_queue_of_the_server_is_lengthened(server: tcpros_base.TCPROSServer)
 
 def test_the_server_outlives_a_lack_of_descriptors() -> None:
     class Exhausted:
-        """A socket whose process has no descriptor left, until somebody closes one."""
+        """A socket whose process has no descriptor left until one is closed."""
 
         def __init__(self) -> None:
             self.outcomes: list[Any] = []

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Values become messages, are sent, and are the same values where they arrive."""
+"""Values that are sent as messages arrive unchanged."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ lines = st.text(st.characters(min_codepoint=32, max_codepoint=126), min_size=1, 
 
 
 def sent(message: M) -> M:
-    """What arrives when a message is sent."""
+    """Serialise and deserialise a message."""
     buffer = BytesIO()
     sending: Any = message
     sending.serialize(buffer)

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Models that are serialised from kept parts say what their messages would say."""
+"""Models serialised from cached parts equal their messages."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ OTHER = Record("/theirs", None, "/manager", state=State.RUNNING)
 
 
 def sent(message: Any) -> Any:
-    """What arrives when a message is sent."""
+    """Serialise and deserialise a message."""
     rospy.rostime.set_rostime_initialized(True)
     buffer = BytesIO()
     message.serialize(buffer)

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""A node that lost its name to another one ends, however late it hears of it."""
+"""A node that lost its name to another one ends, however late it learns of it."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_it_ends_when_another_node_has_its_name_and_not_before(graph: SmallMaste
     end_when_displaced("/twin", elder.uri, reasons.put)
     with pytest.raises(queue.Empty):
         reasons.get(timeout=0.2)
-    del graph.nodes["/twin"]  # a new master knows nobody
+    del graph.nodes["/twin"]  # a new master has no registrations
     with pytest.raises(queue.Empty):
         reasons.get(timeout=0.2)
     graph.nodes["/twin"] = SmallManager()

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Processes known by id and start, and the lock that tells whether an owner lives."""
+"""Processes identified by id and start time, and the lock that shows whether an owner lives."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ FORKS = (
     "if not pid: print('up', os.getpid(), flush=True)\n"
     "time.sleep(1000)",
 )
-#: Its forked process is told to end, and then it is told itself.
+#: Its forked process is told to end first, then it is itself.
 HANDLES = """
 import os, queue, signal, threading, time
 from dyknow.ros.signals import on_signals
@@ -80,7 +80,7 @@ def test_the_end_of_a_child_is_noticed(tmp_path: Path) -> None:
     found.signal(signal.SIGKILL)
     assert found.wait(5.0)
     assert not found.alive
-    found.signal(signal.SIGKILL)  # nobody is there to get it
+    found.signal(signal.SIGKILL)  # no process is there to get it
 
 
 def test_how_a_child_ended_is_known(tmp_path: Path) -> None:
@@ -185,7 +185,7 @@ def test_an_owner_that_returns_in_time_is_an_owner(tmp_path: Path) -> None:
     owner.release()
     assert orphaned.wait(5.0)
     with open(path) as file:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # nobody holds it
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # no process holds it
 
 
 def test_one_that_waits_and_is_stopped_does_not_keep_a_new_owner_away(tmp_path: Path) -> None:

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The thread that looks after streams: it works when there is reason to, and sleeps else."""
+"""The thread that looks after streams: it works when there is reason to, or else sleeps."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Who is told again of a topic that is back, and for how long."""
+"""Which subscribers are notified again of a topic that is back, and for how long."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Surroundings:
         self.reminders = Reminders(self.tell_again, lambda topic: self.connected, lambda: self.now)
         monkeypatch.setattr(
             self.reminders._worker, "start", lambda: None
-        )  # looks are made by hand
+        )  # the test makes the looks
 
     def tell_again(self, topic: str, datatype: str) -> Optional[Addresses]:
         self.told.append(f"{topic} {datatype}")
@@ -38,7 +38,7 @@ class Surroundings:
         self.reminders.advertised("/t", "pkg/T", BOTH)
 
     def wait(self, seconds: float) -> int:
-        """Let time pass; returns how often everybody was told again."""
+        """Let time pass; returns how often all were notified again."""
         before = len(self.told)
         for _ in range(round(seconds * 10)):
             self.now += 0.1

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What a client's stream is told out of order does not win over what is newer."""
+"""An outdated status or event does not replace newer ones of a client's stream."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Sessions of a process with its managers: opened once for each, whatever another one does."""
+"""Sessions of a process with its managers: opened once for each, independently of the others."""
 
 from __future__ import annotations
 

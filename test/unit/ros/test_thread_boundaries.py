@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Threads go on after whatever is raised in them."""
+"""Threads go on after any exception in them."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Fault:
 
 
 class FakeTopic:
-    """Stands for publisher and subscriber; the first publish raises what nobody expects."""
+    """Stands for publisher and subscriber; the first publish raises an unexpected error."""
 
     made: List[FakeTopic] = []
 

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Looks at the nodelet managers: what was heard of is looked at closely, once."""
+"""Looks at the nodelet managers: a manager with a reported change is looked at closely, once."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from dyknow.ros.manager.watch import Watch
 
 
 class FakeManager:
-    """Notes what it is asked to look at closely; the first such look fails."""
+    """Records requests for a close look; the first of them fails."""
 
     def __init__(self) -> None:
         self.graph = self
