@@ -44,7 +44,7 @@ def test_the_page_tells_the_numbers_of_the_files():
     page = (ROOT / "doc" / "convert_a_node.rst").read_text()
     said = re.search(
         r"Of (\d+) lines,\s+(\d+) stay as they are,\s+(\d+) are edited in place"
-        r"\s+and\s+(\d+) go;\s+(\d+) (?:is|are) new",
+        r"\s+and\s+(\d+) are removed;\s+(\d+) (?:is|are) new",
         page,
     )
     assert said is not None
