@@ -182,7 +182,6 @@ STAGES: tuple[Stage, ...] = (
     ("ruff check", check(str(VENV / "ruff"), "check")),
     ("ruff format", check(str(VENV / "ruff"), "format", "--check")),
     ("mypy", check(str(VENV / "mypy"))),
-    ("mypy on tests", check(str(VENV / "mypy"), "--config-file", "test/mypy.ini")),
     ("lint-imports", check(str(VENV / "lint-imports"))),
     (
         "catkin_lint",
@@ -198,6 +197,7 @@ STAGES: tuple[Stage, ...] = (
 LONG_STAGES: tuple[Stage, ...] = (
     ("build", check("make", "--no-print-directory", "build")),
     ("check tools", check("make", "--no-print-directory", "venv")),
+    ("mypy on tests", check(str(VENV / "mypy"), "--config-file", "test/mypy.ini")),
     ("coverage", coverage),
     ("long unit tests", lambda: unit_tests(long=True)),
     ("long ROS tests", lambda: ros_tests(long=True)),

@@ -20,14 +20,11 @@ IN_WORKSPACE = ("bash", str(Path(__file__).resolve().parent / "in-workspace.sh")
 SUITE_TIMEOUT = 420.0  # s
 #: Suites that take a minute or longer.
 SLOW = (
-    "benchmark",
-    "bonds",
-    "crashes",
     "demo",
     "dyknow_command",
-    "ends_of_nodelet_managers",
-    "endurance",
     "hosts",
+    "manager",
+    "manager_faults",
     "nodelet_command",
     "nodelet_manager",
     "stream_parts",
