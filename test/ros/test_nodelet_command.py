@@ -134,7 +134,7 @@ class WithManager:
         process = self.load(MANAGER)
         code, output = finished([*NODELET, "unload", "/command_test/nodelet", MANAGER])
         self.assertEqual(code, 0, output)
-        self.assert_ends(process, within=2.0)
+        self.assert_ends(process)
         self.assertIn("Bond broken, exiting\n", process.output)
         self.assertNotIn("Unloading", process.output)
 
