@@ -190,7 +190,6 @@ STAGES: tuple[Stage, ...] = (
     ("codespell", check(str(VENV / "codespell"))),
     ("docs", check("make", "--no-print-directory", "docs")),
     ("unit tests", unit_tests),
-    ("unit tests on Python 3.8", unit_tests_py38),
     ("ROS tests", ros_tests),
 )
 
@@ -198,6 +197,7 @@ LONG_STAGES: tuple[Stage, ...] = (
     ("build", check("make", "--no-print-directory", "build")),
     ("check tools", check("make", "--no-print-directory", "venv")),
     ("mypy on tests", check(str(VENV / "mypy"), "--config-file", "test/mypy.ini")),
+    ("unit tests on Python 3.8", unit_tests_py38),
     ("coverage", coverage),
     ("long unit tests", lambda: unit_tests(long=True)),
     ("long ROS tests", lambda: ros_tests(long=True)),

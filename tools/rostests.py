@@ -25,7 +25,6 @@ SLOW = (
     "hosts",
     "manager",
     "manager_faults",
-    "nodelet_command",
     "nodelet_manager",
     "stream_parts",
     "stream_processes",
