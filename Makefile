@@ -28,10 +28,10 @@ demo-rewiring: build ## re-wire a chain of camera frames by hand, and count the 
 gui: build ## open the window on the computation graph
 	@$(IN_WORKSPACE) rosrun dyknow dyknow_rqt $(ARGS)
 
-test: deps ## run every check and test (ROSTEST_JOBS=1 runs the rostest suites one by one)
+test: deps ## run the checks and the tests that are quick (ROSTEST_JOBS=1 runs the rostest suites one by one)
 	@$(ROS_PYTHON) tools/check.py
 
-test-long: deps ## run the tests that take long: many random steps, repeated faults, stress
+test-long: deps ## run what takes long: many random steps, repeated faults, measurements, Python 3.8, coverage
 	@$(ROS_PYTHON) tools/check.py --long
 
 benchmark: build ## measure the time to arrival over a chain of nodelets (options: make benchmark ARGS="...")

@@ -20,6 +20,7 @@ from dyknow import names
 from dyknow.errors import DyKnowError, HostError
 from dyknow.model.graph import Model
 from dyknow.model.streams import StreamEvent
+from dyknow.periodic import in_background
 from dyknow.ros.client import ManagerClient
 from dyknow.ros.master import Master
 from dyknow.ros.messages import event_from, model_from
@@ -55,7 +56,7 @@ class RosRemote(Remote):
     ) -> None:
         """Subscribe, as soon as there is a master."""
         self._on_model, self._on_event = on_model, on_event
-        threading.Thread(target=self._subscribe, name="dyknow_rqt subscribe", daemon=True).start()
+        in_background("subscribing to the manager", self._subscribe)
 
     def close(self) -> None:
         """Listen no more."""

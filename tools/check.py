@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Runs every check and test of the repository, one after the other, and sums up.
+"""Runs the checks and tests of the repository, one after the other, and sums up.
 
 A stage that fails fails the run, but the later stages still run, so that one run shows everything
 there is to mend. With ``--long`` it runs what takes too long for every change instead: the unit
-tests that are marked ``long``, the rostest suites in ``test/ros/long``, and the measurement of
-what the unit tests cover.
+tests that are marked ``long``, those on Python 3.8, the rostest suites in ``test/ros/long``, the
+types of the tests, and the measurement of what the unit tests cover.
 """
 
 from __future__ import annotations

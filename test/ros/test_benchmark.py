@@ -15,17 +15,12 @@ import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-import rospy
 from telling import TellingCase
 
 from dyknow_benchmark.kinds import KINDS
 
 PKG, NAME = "dyknow", "benchmark"
 TIME_LIMIT = 150.0
-#: Whether to try all measurements, and chains of all kinds.
-EVERYTHING = rospy.get_param("/benchmark/everything", False)
-QUICK = ("every_kind", "images", "throughput", "model", "library")
-CHAINS = tuple(KINDS) if EVERYTHING else ("dyknow", "nodelet", "function", "cpp_nodelet")
 
 
 def processes_with(text):
@@ -75,7 +70,7 @@ class BenchmarkTest(TellingCase):
         commands = {
             # Without a name, the chain is measured.
             "every_kind": (
-                *("--kinds", *CHAINS, "--hops", 1, 3),
+                *("--kinds", *KINDS, "--hops", 1, 3),
                 *("--rate", 200, "--messages", 6, "--repeats", 2),
             ),
             "ratios": (
@@ -97,7 +92,6 @@ class BenchmarkTest(TellingCase):
             runs = {
                 name: pool.submit(self.measure, *command, name=name)
                 for name, command in commands.items()
-                if EVERYTHING or name in QUICK
             }
         files = {"every_kind": "figure4", "ratios": "targets"}
         for name, run in runs.items():
@@ -112,7 +106,7 @@ class BenchmarkTest(TellingCase):
         )
         self.assertEqual(
             [(row["kind"], row["hops"]) for row in rows],
-            [(kind, hops) for kind in CHAINS for hops in ("1", "3")],
+            [(kind, hops) for kind in KINDS for hops in ("1", "3")],
         )
         for row in rows:
             self.assertEqual((row["messages"], row["lost"]), ("6", "0"), row)

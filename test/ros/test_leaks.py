@@ -19,10 +19,8 @@ from std_msgs.msg import Header
 
 #: For connections that the master keeps, and workers that were started while the machine was busy.
 SPARE = 10
-#: Rounds inside the process, across processes, and of loads; each has to be well above the spare.
-INSIDE, ACROSS, LOADS = (
-    (1000, 100, 100) if rospy.get_param("/leaks/long", False) else (300, 40, 30)
-)
+#: Rounds inside the process, across processes, and of loads.
+INSIDE, ACROSS, LOADS = 1000, 100, 100
 
 
 class LeakTest(unittest.TestCase):
