@@ -16,13 +16,13 @@ import os
 import re
 import sys
 import time
-import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Callable, Tuple
 
 import rostests
 from processes import run_logged
+from reports import read_report
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "build" / "test-results"
@@ -37,12 +37,16 @@ LAYERS_WITHOUT_ROS = ("model", "nodelet", "proxy", "manager")
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a stage came to: counts of checks or tests, what to print, or why it was skipped."""
+    """What a stage came to: counts of checks or tests, what to print, or why it was skipped.
+
+    For each test that failed, `failures` has a line, which is printed at the end.
+    """
 
     passed: int
     failed: int
     output: str = ""
     note: str = ""
+    failures: tuple[str, ...] = ()
 
 
 def run_command(*argv: str, timeout: float = STAGE_TIMEOUT, **environment: str) -> tuple[int, str]:
@@ -66,27 +70,18 @@ def run_pytest(
     results: str, *argv: str, timeout: float = STAGE_TIMEOUT, **environment: str
 ) -> Outcome:
     """Runs pytest by the given command and counts its tests."""
-    report = RESULTS / results
-    report.unlink(missing_ok=True)
-    code, output = run_command(*argv, f"--junit-xml={report}", timeout=timeout, **environment)
-    passed, failed, skipped = _counts(report)
-    if passed + failed + skipped == 0:
+    path = RESULTS / results
+    path.unlink(missing_ok=True)
+    code, output = run_command(*argv, f"--junit-xml={path}", timeout=timeout, **environment)
+    report = read_report(path)
+    failed = len(report.failures)
+    if report.passed + failed + report.skipped == 0:
         return Outcome(0, 1, output, "no tests found" if code in (0, 4, 5) else "")
-    note = f"{passed} passed, {failed} failed" + (f", {skipped} skipped" if skipped else "")
-    if code != 0:
-        return Outcome(passed, max(failed, 1), output, note)
-    return Outcome(passed, failed, note=note)
-
-
-def _counts(report: Path) -> tuple[int, int, int]:
-    if not report.exists():
-        return 0, 0, 0
-    suites = list(ElementTree.parse(report).getroot().iter("testsuite"))
-    total, failures, errors, skipped = (
-        sum(int(suite.get(name, "0")) for suite in suites)
-        for name in ("tests", "failures", "errors", "skipped")
-    )
-    return total - failures - errors - skipped, failures + errors, skipped
+    note = f"{report.passed} passed, {failed} failed"
+    note += f", {report.skipped} skipped" if report.skipped else ""
+    if code == 0:
+        return Outcome(report.passed, failed, "", note, report.failures)
+    return Outcome(report.passed, max(failed, 1), output, note, report.failures)
 
 
 def unit_tests(long: bool = False) -> Outcome:
@@ -96,6 +91,8 @@ def unit_tests(long: bool = False) -> Outcome:
         *IN_WORKSPACE,
         *(str(VENV / "python"), "-m", "pytest", "-q", *IN_PARALLEL),
         *("-m", "long" if long else "not long", "test/unit"),
+        # Stacks that are taken of a running test, rather than a stuck one, may crash it.
+        *(("-o", "faulthandler_timeout=0") if long else ()),
         timeout=LONG_TIMEOUT if long else STAGE_TIMEOUT,
         QT_QPA_PLATFORM="offscreen",
     )
@@ -164,13 +161,13 @@ def ros_tests(long: bool = False) -> Outcome:
     suites = sorted((folder / "long" if long else folder).glob("*.test"))
     if not suites:
         return Outcome(0, 1, note="no tests found")
-    passed, failed = rostests.run_all(
+    passed, failed, failures = rostests.run_all(
         suites,
         RESULTS,
         jobs=int(os.environ.get("ROSTEST_JOBS", "6")),
         timeout=LONG_TIMEOUT if long else rostests.SUITE_TIMEOUT,
     )
-    return Outcome(passed, failed, note=f"{passed} passed, {failed} failed")
+    return Outcome(passed, failed, "", f"{passed} passed, {failed} failed", failures)
 
 
 Stage = Tuple[str, Callable[[], Outcome]]
@@ -216,6 +213,7 @@ def main() -> int:
     begin = time.monotonic()
     passed = failed = 0
     failed_stages = []
+    failures: list[str] = []
     for name, stage in stages:
         started = time.monotonic()
         outcome = stage()
@@ -223,6 +221,7 @@ def main() -> int:
         failed += outcome.failed
         if outcome.failed:
             failed_stages.append(name)
+            failures += outcome.failures
             if outcome.output:
                 print(outcome.output.rstrip("\n"))
         word = "FAILED" if outcome.failed else "ok"
@@ -230,6 +229,7 @@ def main() -> int:
     print(f"\n{time.monotonic() - begin:.1f} s in all")
     if failed_stages:
         print(f"failed: {', '.join(failed_stages)}")
+        print("".join(f"  {failure}\n" for failure in failures), end="")
     print(f"{passed} passed, {failed} failed")
     return 1 if failed else 0
 

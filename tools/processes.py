@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import subprocess
 from pathlib import Path
-from typing import Mapping, Sequence
+from typing import Mapping, Sequence, Tuple
 
 END_TIMEOUT = 30.0  # s, for a command to end its children after SIGINT
 
@@ -65,3 +66,25 @@ def _end(process: subprocess.Popen[bytes]) -> None:
     except subprocess.TimeoutExpired:
         os.killpg(process.pid, signal.SIGKILL)
         process.wait()
+
+
+def own_network() -> Tuple[str, ...]:
+    """What to put before a command for a network of its own; () where none may be made.
+
+    ROS masters end and notify nodes by their address. Commands that run at the same time and share
+    a network do this to each other's nodes, whenever a port is used again soon enough. The network
+    has the addresses that the name of this host stands for, and no way out.
+    """
+    try:
+        infos = socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)
+        adds = "".join(
+            f"ip address add {address} dev lo && "
+            for address in sorted({str(info[4][0]) for info in infos})
+            if not address.startswith("127.")
+        )
+        script = f'ip link set lo up && {adds}exec "$@"'
+        prefix = ("unshare", "--net", "sh", "-c", script, "sh")
+        subprocess.run([*prefix, "true"], capture_output=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        return ()
+    return prefix

@@ -1,20 +1,23 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Runs rostest suites, each with a ROS master, a ROS home and a time limit of its own."""
+"""Runs rostest suites, each with a ROS master, a ROS home and a time limit of its own.
+
+Where that is allowed (to root, mostly), each has a network of its own as well.
+"""
 
 from __future__ import annotations
 
 import re
 import shutil
 import time
-import xml.etree.ElementTree as ElementTree
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Sequence
 
-from processes import run_logged
+from processes import own_network, run_logged
+from reports import read_report
 
 IN_WORKSPACE = ("bash", str(Path(__file__).resolve().parent / "in-workspace.sh"))
 SUITE_TIMEOUT = 420.0  # s
@@ -38,35 +41,41 @@ SUMMARY = re.compile(r" \* (TESTS|ERRORS|FAILURES): (\d+)")
 
 @dataclass(frozen=True)
 class SuiteOutcome:
-    """What a suite came to: its counts, what it skipped, its duration in s, all it printed."""
+    """What a suite came to: what failed, what it skipped, its duration in s, all it printed."""
 
     name: str
     passed: int
     failed: int
+    failures: tuple[str, ...]
     skipped: str
     duration: float
     output: str
 
 
-def run_all(suites: Sequence[Path], results: Path, jobs: int, timeout: float) -> tuple[int, int]:
+def run_all(
+    suites: Sequence[Path], results: Path, jobs: int, timeout: float
+) -> tuple[int, int, tuple[str, ...]]:
     """Runs the suites, at most `jobs` at a time and `timeout` s each, and prints a line for each.
 
     The slow ones come first, so that none of them is left alone at the end. Before the line of a
     failing one stands what it printed.
 
     Returns:
-        The numbers of tests passed and failed.
+        The numbers of tests passed and failed, and a line for each failure.
     """
     passed = failed = 0
+    failures: list[str] = []
+    network = own_network()
     with ThreadPoolExecutor(max_workers=max(1, jobs)) as pool:
         runs = [
-            pool.submit(run_suite, suite, results, timeout)
+            pool.submit(run_suite, suite, results, timeout, network)
             for suite in sorted(suites, key=lambda suite: suite.stem not in SLOW)
         ]
         for run in as_completed(runs):
             outcome = run.result()
             passed += outcome.passed
             failed += outcome.failed
+            failures += [f"{outcome.name}: {failure}" for failure in outcome.failures]
             if outcome.failed:
                 print(outcome.output.rstrip("\n"))
             word = "FAILED" if outcome.failed else "ok"
@@ -74,46 +83,35 @@ def run_all(suites: Sequence[Path], results: Path, jobs: int, timeout: float) ->
                 f"  {word:7}{outcome.name:24}{outcome.duration:6.1f} s"
                 f"  {outcome.passed} passed, {outcome.failed} failed{outcome.skipped}"
             )
-    return passed, failed
+    return passed, failed, tuple(failures)
 
 
-def run_suite(suite: Path, results: Path, timeout: float) -> SuiteOutcome:
-    """Runs one suite in the built workspace."""
+def run_suite(
+    suite: Path, results: Path, timeout: float, network: tuple[str, ...]
+) -> SuiteOutcome:
+    """Runs one suite in the built workspace, below a command that gives it a network."""
     home = results / "ros" / suite.stem
     shutil.rmtree(home, ignore_errors=True)
     home.mkdir(parents=True)
     log = home / "output.txt"
     begin = time.monotonic()
     code = run_logged(
-        [*IN_WORKSPACE, "rostest", f"--results-base-dir={home}", str(suite)],
+        [*network, *IN_WORKSPACE, "rostest", f"--results-base-dir={home}", str(suite)],
         log,
         timeout,
         {"ROS_HOME": str(home), "QT_QPA_PLATFORM": "offscreen"},
     )
     text = log.read_text(errors="replace")
-    printed = _printed_by_tests(home)
+    reports = [read_report(path) for path in sorted(home.glob("*/rosunit-*.xml"))]
+    printed = "".join(report.printed for report in reports)
     reasons = SKIPPED.findall(printed)
     passed, failed = _count(text, code, len(reasons))
     skipped = f", {len(reasons)} skipped: {', '.join(sorted(set(reasons)))}" if reasons else ""
-    return SuiteOutcome(
-        suite.stem, passed, failed, skipped, time.monotonic() - begin, text + printed
-    )
-
-
-def _printed_by_tests(home: Path) -> str:
-    """What the test nodes of a suite printed; rostest keeps it in its result files alone."""
-    texts = []
-    for report in sorted(home.glob("*/rosunit-*.xml")):
-        try:
-            elements = list(ElementTree.parse(report).getroot())
-        except ElementTree.ParseError:
-            continue
-        for element in elements:
-            if element.tag in ("system-out", "system-err"):
-                # rosunit writes the markers of a CDATA section as if they were text.
-                text = re.sub(r"<!\[CDATA\[|\]\]>", "", element.text or "").strip()
-                texts.append(f"\n{report.stem}, {element.tag}:\n{text}\n" if text else "")
-    return "".join(texts)
+    failures = tuple(failure for report in reports for failure in report.failures)
+    if failed and not failures:
+        failures = (f"exit code {code}",)
+    duration = time.monotonic() - begin
+    return SuiteOutcome(suite.stem, passed, failed, failures, skipped, duration, text + printed)
 
 
 def _count(text: str, code: int, skipped: int) -> tuple[int, int]:
