@@ -27,9 +27,16 @@ def main() -> None:
         )
         for bond_id in bond_ids
     ]
+
+    def part() -> None:
+        for bond in bonds:
+            bond.break_bond()
+        for bond in bonds:  # rospy may drop what is still queued when it ends
+            bond.wait_until_broken(rospy.Duration(5))
+
+    rospy.on_shutdown(part)
     for bond in bonds:
         bond.start()
-    rospy.on_shutdown(lambda: [bond.break_bond() for bond in bonds])
     rospy.spin()
 
 

@@ -96,7 +96,7 @@ class ManagerProcess:
                 stderr=subprocess.STDOUT,
             )
         if wait:
-            eventually(self.is_up, 30.0, f"the manager is up\n{self.output}")
+            eventually(self.is_up, 30.0, "the manager is up", lambda: self.output)
 
     def is_up(self) -> bool:
         try:

@@ -21,16 +21,25 @@ STOCK_NODELET = ["rosrun", "nodelet", "nodelet"]
 BUSY = 4.0
 
 
-def eventually(condition: Callable[[], object], timeout: float, what: str) -> float:
+def eventually(
+    condition: Callable[[], object],
+    timeout: float,
+    what: str,
+    shown: Callable[[], object] = lambda: "",
+) -> float:
     """Wait until something holds and return how long (s) that took; fail if it does not.
 
-    The timeout is for a quiet machine.
+    Args:
+        condition: Whether it holds.
+        timeout: How long (s) it may take on a quiet machine.
+        what: Says what is to hold.
+        shown: Returns what a failure shows besides, as it is then.
     """
     start = time.monotonic()
     timeout *= BUSY
     while not condition():
         if time.monotonic() - start > timeout:
-            raise AssertionError(f"not within {timeout:g} s: {what}")
+            raise AssertionError(f"not within {timeout:g} s: {what}\n{shown()}".rstrip())
         time.sleep(0.02)
     return time.monotonic() - start
 
@@ -72,10 +81,11 @@ class Running:
 
     def wait_for(self, text: str, timeout: float = 20.0) -> None:
         """Wait until the process has printed a text."""
-        eventually(lambda: text in self.output or self.has_ended, timeout, self._says(text))
+        what = f"{self.command} says '{text}'"
+        eventually(lambda: text in self.output or self.has_ended, timeout, what, self._said)
         if text not in self.output:
             self._reader.join()
-        assert text in self.output, self._says(text)
+        assert text in self.output, f"not true: {what}\n{self._said()}"
 
     def stop(self, number: int = signal.SIGINT) -> None:
         self._process.send_signal(number)
@@ -89,8 +99,10 @@ class Running:
         self._reader.join()
         return code
 
-    def _says(self, text: str) -> str:
-        return f"{self.command} says '{text}'; it said:\n{self.output}"
+    def _said(self) -> str:
+        code = self._process.poll()
+        end = "It runs on" if code is None else f"It ended with code {code}"
+        return f"{end}; it said:\n{self.output}"
 
     def _read(self) -> None:
         for line in self._process.stdout:

@@ -51,7 +51,6 @@ class ReadvertisedCase(unittest.TestCase):
             self.publish()
             return all(map(heard, peers))
 
-        try:
-            eventually(all_heard, 8.0, f"{first} is heard")
-        except AssertionError as error:
-            raise AssertionError(f"{error}: {[peer.output[-60:] for peer in peers]}") from error
+        eventually(
+            all_heard, 8.0, f"{first} is heard", lambda: [peer.output[-60:] for peer in peers]
+        )

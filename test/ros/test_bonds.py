@@ -21,6 +21,7 @@ import rosgraph
 import rospy
 import rostest
 from bond.msg import Constants, Status
+from bond_watch import let_the_bond_form
 from nodelet.srv import NodeletLoad, NodeletLoadResponse, NodeletUnload, NodeletUnloadResponse
 from processes import BUSY, STOCK_NODELET, Running, eventually
 
@@ -28,7 +29,11 @@ from dyknow.ros.bonding.bond_table import DuplicateBond
 from dyknow.ros.bonding.bonds import STOCK_TIMINGS, Bonds, BondsClosed
 
 SISTERS = str(Path(__file__).with_name("bond_sisters.py"))
-HASTY = dataclasses.replace(STOCK_TIMINGS, heartbeat_timeout=1.6)
+#: A bond that breaks within a minute does so because its sister said so.
+PATIENT = dataclasses.replace(STOCK_TIMINGS, connect_timeout=60.0, heartbeat_timeout=60.0)
+#: One that breaks because its sister is silent, and not because she took long to start.
+WATCHFUL = dataclasses.replace(PATIENT, heartbeat_timeout=STOCK_TIMINGS.heartbeat_timeout)
+HASTY = dataclasses.replace(PATIENT, heartbeat_timeout=2.5)
 
 
 def bond_threads():
@@ -41,7 +46,7 @@ class BondsTest(unittest.TestCase):
     def setUp(self):
         self.topic = next(self.topics)
         self.broken = queue.Queue()
-        self.bonds = self.make(STOCK_TIMINGS)
+        self.bonds = self.make(PATIENT)
 
     def make(self, timings):
         bonds = Bonds(self.topic, timings)
@@ -53,17 +58,32 @@ class BondsTest(unittest.TestCase):
             (bonds or self.bonds).add(bond_id, lambda b=bond_id: self.broken.put(b))
 
     def sisters(self, *bond_ids):
+        """Start sisters in another process, and let the bonds form."""
         process = Running(sys.executable, SISTERS, self.topic, *bond_ids)
         self.addCleanup(process.__exit__)
-        for bond_id in bond_ids:
-            process.wait_for(f"formed {bond_id}\n")
+        self.let_form(process, *bond_ids)
         return process
 
+    def let_form(self, process, *bond_ids):
+        """Wait until each end has heard the other."""
+        for bond_id in bond_ids:
+            process.wait_for(f"formed {bond_id}\n")
+        heard = set()  # by this process, so by its bonds as well
+
+        def note(status):
+            if status.active and status._connection_header["callerid"] != rospy.get_name():
+                heard.add(status.id)
+
+        watch = rospy.Subscriber(self.topic, Status, note)
+        eventually(lambda: heard.issuperset(bond_ids), 5.0, f"{bond_ids} are heard", lambda: heard)
+        watch.unregister()
+
     def assert_broken(self, bond_id, within):
+        """It breaks in the time (s) of a quiet machine."""
         try:
-            self.assertEqual(self.broken.get(timeout=within), bond_id)
+            self.assertEqual(self.broken.get(timeout=within * BUSY), bond_id)
         except queue.Empty:
-            self.fail(f"{bond_id} is not broken within {within} s")
+            self.fail(f"{bond_id} is not broken within {within * BUSY} s")
 
     def test_a_sister_that_parts(self):
         self.add("one", "two")
@@ -77,11 +97,11 @@ class BondsTest(unittest.TestCase):
         self.assertTrue(self.broken.empty())
 
     def test_a_sister_that_is_killed(self):
-        self.add("one")
+        self.add("one", bonds=self.make(WATCHFUL))
         process = self.sisters("one")
         process.stop(signal.SIGKILL)
         start = time.monotonic()
-        self.assert_broken("one", within=13.5)
+        self.assert_broken("one", within=5.5)
         self.assertGreater(time.monotonic() - start, 2.5)
 
     def test_a_suspended_sister_learns_that_she_was_given_up(self):
@@ -109,7 +129,7 @@ class BondsTest(unittest.TestCase):
         self.add("one", bonds=self.make(HASTY))
         process = self.sisters("one")
         with self.assertRaises(queue.Empty):
-            self.broken.get(timeout=5.0)
+            self.broken.get(timeout=8.0)
         self.assertNotIn("broken", process.output)
 
     def test_an_id_once_alive_and_used_again(self):
@@ -129,17 +149,18 @@ class BondsTest(unittest.TestCase):
         first, *others = bond_ids = [f"bond{number}" for number in range(40)]
         process = Running(sys.executable, SISTERS, self.topic, *bond_ids)
         self.addCleanup(process.__exit__)
-        self.add(first)
-        process.wait_for(f"formed {first}\n")
+        bonds = self.make(WATCHFUL)
+        self.add(first, bonds=bonds)
+        self.let_form(process, first)
         threads_of_one = threading.active_count()
-        self.add(*others)
-        for bond_id in others:
-            process.wait_for(f"formed {bond_id}\n")
+        self.add(*others, bonds=bonds)
+        self.let_form(process, *others)
         self.assertEqual(len(bond_threads()), 1)
         eventually(
             lambda: threading.active_count() <= threads_of_one,
             5.0,
-            f"40 bonds have no more threads than one: {threading.enumerate()}",
+            "40 bonds have no more threads than one",
+            threading.enumerate,
         )
         process.stop(signal.SIGKILL)
         self.assertEqual({self.broken.get(timeout=5.0 * BUSY) for _ in bond_ids}, set(bond_ids))
@@ -238,7 +259,8 @@ class StockClientTest(unittest.TestCase):
         self.bond_id = self.event("loaded")
 
     def event(self, expected, timeout=10.0):
-        event, value = self.events.get(timeout=timeout)
+        """Return the value of the next event; the timeout (s) is for a quiet machine."""
+        event, value = self.events.get(timeout=timeout * BUSY)
         self.assertEqual(event, expected)
         return value
 
@@ -252,12 +274,6 @@ class StockClientTest(unittest.TestCase):
         self.events.put(("unloaded", request.name))
         return NodeletUnloadResponse(success=True)
 
-    def let_the_bond_form(self):
-        heard = set()
-        watch = rospy.Subscriber("~bond", Status, lambda status: heard.add(status.instance_id))
-        eventually(lambda: len(heard) == 2, 5.0, "both ends are heard")
-        watch.unregister()
-
     def test_the_client_lives_on_and_unloads_when_it_is_stopped(self):
         with self.assertRaises(queue.Empty):
             self.events.get(timeout=12.0)
@@ -267,12 +283,12 @@ class StockClientTest(unittest.TestCase):
         self.assertTrue(self.events.empty())
 
     def test_the_client_is_killed(self):
-        self.let_the_bond_form()
+        let_the_bond_form("~bond")
         self.client.stop(signal.SIGKILL)
         self.assertEqual(self.event("broken", 4.5), self.bond_id)
 
     def test_the_nodelet_is_unloaded_by_others(self):
-        self.let_the_bond_form()
+        let_the_bond_form("~bond")
         self.bonds.remove(self.bond_id)
         self.client.wait_for("Bond broken, exiting", 2.5)
         self.assertEqual(self.client.exit_code(20.0), 0)

@@ -68,7 +68,7 @@ class CrashesTest(ManagerCase):
 
     def assert_left_in_peace(self) -> None:
         """The neighbours' process lives on, without losing a message."""
-        eventually(self.neighbours_run, 5.0, f"the neighbours run\n{self.manager.output}")
+        eventually(self.neighbours_run, 5.0, "the neighbours run", lambda: self.manager.output)
         self.receiver.flows()
         self.receiver.numbers.clear()
         child = self.manager.child()

@@ -6,7 +6,6 @@
 
 from __future__ import annotations
 
-import collections
 import queue
 import signal
 import threading
@@ -16,7 +15,7 @@ import unittest
 import rosgraph
 import rospy
 import rostest
-from bond.msg import Status
+from bond_watch import let_the_bond_form
 from nodelet.srv import (
     NodeletList,
     NodeletLoad,
@@ -27,21 +26,12 @@ from nodelet.srv import (
 from processes import BUSY, NODELET, STOCK_NODELET, Running, eventually, finished
 
 MANAGER = "/command_test/manager"
+BOND = f"{MANAGER}/bond"
 
 
 def registered_nodes():
     state = rosgraph.Master(rospy.get_name()).getSystemState()
     return {node for kind in state for _, nodes in kind for node in nodes}
-
-
-def let_the_bond_form():
-    """Wait until both ends have sent two messages: then each has heard the other."""
-    heard = collections.Counter()
-    watch = rospy.Subscriber(
-        f"{MANAGER}/bond", Status, lambda status: heard.update([status.instance_id])
-    )
-    eventually(lambda: len(heard) == 2 and min(heard.values()) >= 2, 8.0, "both ends are heard")
-    watch.unregister()
 
 
 def nodelets(manager=MANAGER):
@@ -108,7 +98,7 @@ class WithManager:
 
     def test_the_manager_misses_a_killed_client(self):
         process = self.load(MANAGER)
-        let_the_bond_form()
+        let_the_bond_form(BOND)
         process.stop(signal.SIGKILL)
         eventually(lambda: nodelets() == [], 5.5, "the nodelet is unloaded")
 
@@ -123,7 +113,7 @@ class WithManager:
     def test_the_client_ends_with_the_manager(self):
         for number in (signal.SIGKILL, signal.SIGINT):
             process = self.load(MANAGER)
-            let_the_bond_form()
+            let_the_bond_form(BOND)
             self.manager.stop(number)
             self.assert_ends(process, within=6.0)
             self.assertIn("Bond broken, exiting\n", process.output)
@@ -132,15 +122,16 @@ class WithManager:
 
     def test_the_client_ends_when_others_unload(self):
         process = self.load(MANAGER)
+        let_the_bond_form(BOND)
         code, output = finished([*NODELET, "unload", "/command_test/nodelet", MANAGER])
         self.assertEqual(code, 0, output)
-        self.assert_ends(process)
+        self.assert_ends(process, within=2.0)
         self.assertIn("Bond broken, exiting\n", process.output)
         self.assertNotIn("Unloading", process.output)
 
     def test_a_stopped_manager_does_not_hold_up_the_client(self):
         process = self.load(MANAGER)
-        let_the_bond_form()
+        let_the_bond_form(BOND)
         self.manager.stop(signal.SIGSTOP)
         process.stop()
         self.assert_ends(process, within=3.5)
@@ -150,7 +141,7 @@ class WithManager:
 
     def test_a_dead_manager_does_not_hold_up_the_client(self):
         process = self.load(MANAGER)
-        let_the_bond_form()  # so that the client has its answer
+        let_the_bond_form(BOND)  # so that the client has its answer
         self.manager.stop(signal.SIGKILL)
         self.manager.exit_code(20.0)
         process.stop()

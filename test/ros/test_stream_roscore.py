@@ -117,7 +117,7 @@ class RoscoreTest(StreamCase):
             (claim,) = [c for c in self.client.list_streams() if c.claim_id == kept.claim_id]
             return claim.state is ClaimState.ACTIVE and claim.topic == kept.topic
 
-        eventually(is_back, 40.0, f"the stream is back\n{manager.output}")
+        eventually(is_back, 40.0, "the stream is back", lambda: manager.output)
         again = self.run_it(*CLIENT, GOAL)
         again.wait_for("flows")
         # Clients that are not registered at the new master are no longer heard: their claims end.
