@@ -13,7 +13,7 @@ our end of one bond:
        +---------------------------^
        +--dead, or too long--> DEAD
 
-The rules are those of bond_core's state machine (bondcpp, bondpy), with four differences that its
+The rules are those of bond_core's state machine (bondcpp, bondpy), with five differences that its
 sisters cannot tell from ordinary traffic:
 
 * Silence counts from the moment the sister was first heard, not from her second heartbeat; a
@@ -24,6 +24,9 @@ sisters cannot tell from ordinary traffic:
   connecting, and would wait for the whole connect timeout.
 * After the sister's death is acknowledged, the end lingers and acknowledges again while she
   repeats herself; the first answer may have been sent before she could hear it.
+* An id can be used again at once: what former sisters say in answer to the earlier bond's end does
+  not count. One that still says "alive" after the disconnect timeout does not listen to us, and is
+  the sister of the new bond.
 
 As in bond_core, the timeouts that a sister announces are for debugging; each end follows its own.
 """
@@ -32,7 +35,6 @@ from __future__ import annotations
 
 import enum
 from dataclasses import dataclass
-from typing import AbstractSet
 
 
 @dataclass(frozen=True)
@@ -105,7 +107,7 @@ class BondEnd:
         instance_id: str,
         timings: BondTimings,
         now: float,
-        former: AbstractSet[str] = frozenset(),
+        former: BondEnd | None = None,
     ) -> None:
         """Start to wait for the sister.
 
@@ -114,8 +116,8 @@ class BondEnd:
             instance_id: A unique id for this end.
             timings: How long to wait and how often to speak.
             now: The time.
-            former: Instances of an earlier bond with the same id, whose last words are not meant
-                for this one.
+            former: Our end of an earlier bond with the same id, whose sisters' last words are not
+                meant for this one.
         """
         self.bond_id = bond_id
         self.instance_id = instance_id
@@ -123,7 +125,12 @@ class BondEnd:
         self.state = BondState.WAITING
         self.deadline: float | None = now + timings.connect_timeout
         self._timings = timings
-        self._former = former
+        self._own_instances = {instance_id}
+        self._former_sisters: set[str | None] = set()
+        if former is not None:
+            self._own_instances |= former._own_instances
+            self._former_sisters |= former._former_sisters | {former.sister}
+        self._former_settled_at = now + timings.disconnect_timeout
         self._parted_at = now
 
     @property
@@ -136,20 +143,15 @@ class BondEnd:
         """Whether nothing can happen to this end any more."""
         return self.state is BondState.DEAD and self.deadline is None
 
-    @property
-    def instances(self) -> AbstractSet[str]:
-        """Every instance that spoke on this bond or on an earlier one with its id."""
-        sister = {self.sister} if self.sister is not None else set()
-        return self._former | {self.instance_id} | sister
-
     def hear(self, instance_id: str, active: bool, now: float) -> Outcome:
         """Take in a status message with this bond's id."""
-        if instance_id == self.instance_id or instance_id in self._former:
+        if instance_id in self._own_instances:
             return NOTHING
-        if self.sister is None:
+        is_former = instance_id in self._former_sisters
+        if self.sister is None and not (is_former and self._are_last_words(active, now)):
             self.sister = instance_id
         if instance_id != self.sister:
-            return Outcome(intruder=True)
+            return NOTHING if is_former else Outcome(intruder=True)
         return self._sister_alive(now) if active else self._sister_dead(now)
 
     def tick(self, now: float) -> Outcome:
@@ -192,6 +194,10 @@ class BondEnd:
         self._parted_at = now
         self.deadline = now + self._timings.dead_publish_period
         return Outcome(say=False)
+
+    def _are_last_words(self, active: bool, now: float) -> bool:
+        """Whether a former sister speaks of the earlier bond."""
+        return not active or now < self._former_settled_at
 
     def _sister_alive(self, now: float) -> Outcome:
         if not self.wants_heartbeats:

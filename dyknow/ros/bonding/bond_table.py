@@ -100,13 +100,7 @@ class BondTable:
                 raise DuplicateBond(bond_id)
         if not self._has_living():
             self._next_heartbeat = now + self._timings.heartbeat_period
-        end = BondEnd(
-            bond_id,
-            str(uuid.uuid4()),
-            self._timings,
-            now,
-            former.instances if former else frozenset(),
-        )
+        end = BondEnd(bond_id, str(uuid.uuid4()), self._timings, now, former)
         self._ends[bond_id] = (end, on_broken)
         return Effects(words=[Word(bond_id, end.instance_id, True)])
 

@@ -145,7 +145,22 @@ def test_a_third_party_is_reported_and_ignored():
 def test_last_words_to_an_earlier_bond_do_not_count():
     former = formed()
     former.part(2.0)
-    end = BondEnd("id", "we too", TIMINGS, now=2.0, former=former.instances)
+    end = BondEnd("id", "we too", TIMINGS, now=2.0, former=former)
+    assert end.hear("she", True, 2.1) == NOTHING
     assert end.hear("she", False, 2.1) == NOTHING
     assert end.hear("we", False, 2.1) == NOTHING
     assert end.hear("she again", True, 2.2) == Outcome(say=True)
+    assert end.hear("she", False, 9.0) == NOTHING
+    assert end.hear("we", True, 9.0) == NOTHING
+
+
+def test_a_sister_of_an_earlier_bond_who_lives_on_is_taken_up_again():
+    former = formed()
+    former.part(2.0)
+    end = BondEnd("id", "we too", TIMINGS, now=2.5, former=former)
+    assert end.hear("she", True, 4.4) == NOTHING
+    assert end.hear("she", False, 4.5) == NOTHING
+    assert end.hear("we", True, 4.5) == NOTHING
+    assert end.hear("she", True, 4.5) == Outcome(say=True)
+    assert end.state is BondState.ALIVE
+    assert end.hear("she", False, 5.0) == Outcome(say=False, broken=True)

@@ -138,6 +138,26 @@ def test_an_id_can_be_used_again_at_once(pair, broken):
     assert broken == [("A", "a")]
 
 
+def test_an_id_can_be_used_again_for_a_sister_who_does_not_listen(broken):
+    table = BondTable(TIMINGS)
+    network = Network(table)
+
+    def beat():
+        network.run(network.now + 1.0)
+        network.carry(table.hear("a", "deaf", True, network.now))
+
+    for _ in range(3):
+        network.carry(table.add("a", lambda: broken.append("a"), network.now))
+        beat()
+        network.carry(table.remove("a", network.now))
+    network.carry(table.add("a", lambda: broken.append("a"), network.now))
+    for _ in range(30):
+        beat()
+    assert broken == []
+    network.run(network.now + 5.0)
+    assert broken == ["a"]
+
+
 def test_removing_what_is_not_there_does_nothing(pair):
     assert not pair.tables[0].remove("nobody", 1.0)
     assert not pair.tables[0].hear("nobody", "x", True, 1.0)
