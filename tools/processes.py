@@ -73,7 +73,9 @@ def own_network() -> Tuple[str, ...]:
 
     ROS masters end and notify nodes by their address. Commands that run at the same time and share
     a network do this to each other's nodes, whenever a port is used again soon enough. The network
-    has the addresses that the name of this host stands for, and no way out.
+    has the addresses that the name of this host stands for, and no way out. Servers that do not
+    ask for a port get an odd one in the lower half of the range: it is wide, so that a node seldom
+    gets the port of one that has ended, to which the master still sends what is meant for that.
     """
     try:
         infos = socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)
@@ -82,7 +84,8 @@ def own_network() -> Tuple[str, ...]:
             for address in sorted({str(info[4][0]) for info in infos})
             if not address.startswith("127.")
         )
-        script = f'ip link set lo up && {adds}exec "$@"'
+        ports = "(echo 12000 65535 >/proc/sys/net/ipv4/ip_local_port_range) 2>/dev/null"
+        script = f'ip link set lo up && {adds}{{ {ports}; exec "$@"; }}'
         prefix = ("unshare", "--net", "sh", "-c", script, "sh")
         subprocess.run([*prefix, "true"], capture_output=True, check=True)
     except (OSError, subprocess.CalledProcessError):
