@@ -33,6 +33,8 @@ from dyknow.periodic import in_background
 
 #: Seconds that the registration of an old topic stays at most while its messages are being sent.
 _LONGEST_DRAIN = 30.0
+#: Seconds for what has come to be received: the machine is all that it takes.
+_LONGEST_DRAIN_IN = 0.1
 
 Endpoint = Union[Publication, Subscription]
 Registration = Union[OutsidePublisher, OutsideSubscriber]
@@ -66,6 +68,7 @@ class _Plan:
         link: the new connection of a subscription.
         registration: on the new topic.
         register_after: whether that is made after the switch.
+        drained: the connection that receives no more from outside, until the switch.
         old: registration on the topic that the endpoint leaves.
     """
 
@@ -74,6 +77,7 @@ class _Plan:
     link: Optional[Connection] = None
     registration: Optional[Registration] = None
     register_after: bool = False
+    drained: Optional[Connection] = None
     old: Optional[Registration] = None
 
 
@@ -120,6 +124,7 @@ class Bus:
         deadline = self._clock() + patience
         try:
             self._make(plans, deadline)
+            self._drain(plans, patience)
             self._switch(plans, between)
         except BaseException:
             self._undo(plans)
@@ -151,7 +156,7 @@ class Bus:
             if registration is not None:
                 registration.close()
 
-    # The four steps of a switch.
+    # The five steps of a switch.
 
     def _make(self, plans: List[_Plan], deadline: float) -> None:
         with self._lock:
@@ -177,12 +182,21 @@ class Bus:
             elif seconds and isinstance(registration, OutsideSubscriber) and plan.link is not None:
                 registration.wait(plan.link.arrived, seconds)
 
+    def _drain(self, plans: List[_Plan], patience: float) -> None:
+        """Receive what old publishers outside have sent by now: it goes before the new."""
+        with self._lock:
+            self._check(plans)
+        until = self._clock() + min(patience, _LONGEST_DRAIN_IN)
+        for plan in plans:
+            endpoint = plan.endpoint
+            connection = endpoint.connection if isinstance(endpoint, Subscription) else None
+            if patience and connection is not None and connection.outside is not None:
+                plan.drained = connection
+                connection.outside.drain(until - self._clock())
+
     def _switch(self, plans: List[_Plan], between: Optional[Callable[[], None]]) -> None:
         with self._lock:
-            for plan in plans:
-                self._check_open(plan)
-                if plan.topic:
-                    self._topic(plan.topic, plan.endpoint.datatype)
+            self._check(plans)
             for plan in plans:
                 if isinstance(plan.endpoint, Publication):
                     self._move(plan, plan.endpoint)
@@ -265,6 +279,25 @@ class Bus:
         for plan in plans:
             if plan.registration is not None:
                 plan.registration.close()
+            if plan.drained is not None:
+                self._subscribe_again(plan.endpoint, plan.drained)
+
+    def _subscribe_again(self, endpoint: Endpoint, connection: Connection) -> None:
+        """Renew the registration of a connection that was drained, but is not left."""
+        with self._lock:
+            old = connection.outside
+            if endpoint.closed or old is None:
+                return
+        old.close()
+        registration = self._transport.subscribe(
+            connection.topic, endpoint.datatype, connection.push, endpoint.options
+        )
+        with self._lock:
+            current = not endpoint.closed
+            if current:
+                connection.outside = registration
+        if not current:
+            registration.close()
 
     @staticmethod
     def _check_open(plan: _Plan) -> None:
@@ -272,6 +305,12 @@ class Bus:
             raise HandleClosed(f"an endpoint of topic '{plan.topic}'")
 
     # The table; every method below is called with the lock held, except ``_make_registration``.
+
+    def _check(self, plans: List[_Plan]) -> None:
+        for plan in plans:
+            self._check_open(plan)
+            if plan.topic:
+                self._topic(plan.topic, plan.endpoint.datatype)
 
     def _made(self, plans: List[_Plan]) -> None:
         self._making = [plan for plan in self._making if plan not in plans]

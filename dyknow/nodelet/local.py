@@ -144,6 +144,7 @@ class LocalSubscriber(OutsideSubscriber):
         self.datatype = datatype
         self.receive = receive
         self.open = True
+        self.drained = False
         transport.subscribers.append(self)
 
     def publishers(self) -> int:
@@ -152,6 +153,10 @@ class LocalSubscriber(OutsideSubscriber):
 
     def wait(self, arrived: Callable[[float], bool], seconds: float) -> None:
         """Return at once: a publisher outside is known only when it sends."""
+
+    def drain(self, seconds: float) -> None:
+        """Receive no more: what was sent was received at once."""
+        self.drained = True
 
     def close(self) -> None:
         """Withdraw the registration."""
@@ -183,7 +188,7 @@ class LocalTransport(Transport):
     def send(self, topic: str, message: Any) -> None:
         """Publish from outside."""
         for subscriber in list(self.subscribers):
-            if subscriber.topic == topic:
+            if subscriber.topic == topic and not subscriber.drained:
                 subscriber.receive(message)
 
     def listen(self, topic: str, listener: Callable[[Any], None]) -> None:

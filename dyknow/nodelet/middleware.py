@@ -89,6 +89,10 @@ class OutsideSubscriber(ABC):
         """
 
     @abstractmethod
+    def drain(self, seconds: float) -> None:
+        """Receive what outside publishers have sent by now and no more; return when time is up."""
+
+    @abstractmethod
     def close(self) -> None:
         """Withdraw the registration."""
 

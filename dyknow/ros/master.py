@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import http.client
 import os
+import re
 import xmlrpc.client
 from typing import Any, List, Set, Tuple
 
@@ -16,6 +17,8 @@ from dyknow.ros.addresses import connect
 
 #: Seconds that the master may take to answer.
 TIMEOUT = 3.0
+#: The port of the subscriber in what rospy and roscpp say of a connection.
+_PORT = re.compile(r"\bto \[[^]]*:(\d+) on socket")
 #: Seconds for a node to say what it subscribes to, while somebody waits for a switch.
 _AT_ONCE = 0.2
 
@@ -152,6 +155,26 @@ class Master:
             return int(server.ask("getPid", self.caller))
         finally:
             server.close()
+
+    def connections(self, uri: str, topic: str, timeout: float) -> Set[int]:
+        """Ask a node to which ports its connections on a topic send.
+
+        Args:
+            uri: the node's address.
+            topic: global name of a topic that it publishes.
+            timeout: seconds for its answer.
+
+        Raises:
+            PeerTimeout: it does not answer in time.
+            LookupError: it refuses.
+        """
+        server = _Server(uri, f"the node at {uri}", timeout)
+        try:
+            infos = server.ask("getBusInfo", self.caller)
+        finally:
+            server.close()
+        ports = (_PORT.search(str(info[-1])) for info in infos if info[2:5:2] == ["o", topic])
+        return {int(port.group(1)) for port in ports if port}
 
     def shut_down(self, name: str, uri: str, reason: str, timeout: float) -> None:
         """Tell a node to end, as the master does when another one takes its name.

@@ -4,7 +4,8 @@
 
 """An outside node: `peer.py talk RATE TOPIC...`, `listen TOPIC...`, `doze SECONDS TOPIC...`.
 
-A talker publishes headers, numbered, each number on every topic, the topics in turn. A listener
+A talker publishes headers, numbered, each number on every topic, the topics in turn. A hesitant
+one does the same, but pauses between its greeting of a subscriber and sending to it. A listener
 prints "TOPIC NUMBER" for each header, and the number of bytes for each image; a dozer sleeps after
 each header, and does not notice lost connections meanwhile. rospy calls it on a thread for each
 connection, so each line is printed in a single write.
@@ -17,6 +18,8 @@ import threading
 import time
 
 import rospy
+from rospy.impl.tcpros_base import TCPROSTransport
+from rospy.impl.transport import OUTBOUND
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
@@ -40,6 +43,18 @@ def talk(rate: str, *topics: str) -> None:
         number += 1
         due += 1.0 / float(rate)
         time.sleep(max(0.0, due - time.monotonic()))
+
+
+def hesitate(seconds: str, rate: str, *topics: str) -> None:
+    greet = TCPROSTransport.write_header
+
+    def greet_and_pause(transport: TCPROSTransport) -> None:
+        greet(transport)
+        if transport.direction == OUTBOUND:
+            time.sleep(float(seconds))
+
+    TCPROSTransport.write_header = greet_and_pause
+    talk(rate, *topics)
 
 
 def listen(*topics: str) -> None:
@@ -74,4 +89,6 @@ if __name__ == "__main__":
     sys.stdout.reconfigure(line_buffering=True)
     rospy.init_node("peer", anonymous=True)
     command, *arguments = rospy.myargv()[1:]
-    {"doze": doze, "listen": listen, "talk": talk, "watch": watch}[command](*arguments)
+    {"doze": doze, "hesitate": hesitate, "listen": listen, "talk": talk, "watch": watch}[command](
+        *arguments
+    )

@@ -5,7 +5,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
+import fcntl
+import socket
+import sys
+import termios
 import time
 import warnings
 from typing import Any, Callable, Dict, FrozenSet, Optional, Tuple
@@ -22,8 +27,6 @@ from dyknow.ros.transport.registrar import Registrar
 
 #: Messages kept for each slow outside subscriber when the nodelet does not say how many.
 DEFAULT_QUEUE_SIZE = 100
-#: Seconds after the handshake in which a publisher that is not slow has sent something.
-_GRACE = 0.05
 _STEP = 0.002
 
 
@@ -210,7 +213,7 @@ class RospySubscriber(OutsideSubscriber):
         return len(self._implementation.connections or ())
 
     def wait(self, arrived: Callable[[float], bool], seconds: float) -> None:
-        """Wait for a first message, or for all handshakes and a little longer."""
+        """Wait for a first message, or until all publishers would send us one."""
         deadline = time.monotonic() + seconds
         expected = self._expected
         if expected is None:  # an ordinary subscriber of this process had registered
@@ -218,17 +221,45 @@ class RospySubscriber(OutsideSubscriber):
                 expected = _publishers(self._topic)
             except PeerTimeout:
                 return
-        while expected and time.monotonic() < deadline:
-            if arrived(_STEP):
+        while expected and not arrived(_STEP):
+            left = deadline - time.monotonic()
+            if left <= 0 or all(self._is_served(publisher, left) for publisher in expected):
                 return
-            greeted = {
-                connection.endpoint_id
-                for connection in list(self._implementation.connections)
-                if connection.callerid_pub != "unknown"
-            }
-            if expected <= greeted:
-                arrived(min(_GRACE, max(0.0, deadline - time.monotonic())))
+
+    def _is_served(self, publisher: str, seconds: float) -> bool:
+        """Whether a publisher has us among its connections.
+
+        It greets before that, and what it publishes in between does not reach us.
+        """
+        ports = {
+            connection.local_endpoint[1]
+            for connection in list(self._implementation.connections)
+            if connection.endpoint_id == publisher and connection.callerid_pub != "unknown"
+        }
+        if not ports:
+            return False
+        try:
+            master = Master(rospy.get_name())
+            return not ports.isdisjoint(master.connections(publisher, self._topic, seconds))
+        except (PeerTimeout, LookupError):
+            return False
+
+    def drain(self, seconds: float) -> None:
+        """Stop reading: rospy's threads deliver what their sockets hold, and end.
+
+        While others in this process subscribe to the topic, the threads go on; they are waited for
+        until their sockets are empty.
+        """
+        deadline = time.monotonic() + seconds
+        connections = [each for each in self._implementation.connections or () if each.socket]
+        alone = len(self._implementation.callbacks or ()) == 1
+        for connection in connections if alone else ():
+            with contextlib.suppress(OSError, AttributeError):  # it has ended by itself
+                connection.socket.shutdown(socket.SHUT_RD)
+        while not all(each.done or not (alone or _unread(each)) for each in connections):
+            if time.monotonic() >= deadline:
                 return
+            time.sleep(_STEP / 4)
 
     def close(self) -> None:
         """Unregister."""
@@ -255,6 +286,16 @@ def _put_away(implementation: Any) -> None:
         poll.add_fd = poll.remove_fd = poll.noop  # for connections that end late
         poll.error_iter = poll.noop_iter
         close()
+
+
+def _unread(connection: Any) -> int:
+    """Bytes that a connection's socket holds."""
+    try:
+        return int.from_bytes(
+            fcntl.ioctl(connection.socket, termios.FIONREAD, bytes(4)), sys.byteorder
+        )
+    except (OSError, TypeError, ValueError):
+        return 0
 
 
 def _idle(connection: Any) -> bool:

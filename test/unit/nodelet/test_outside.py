@@ -9,7 +9,7 @@ import pytest
 from unit.nodelet.fakes import Message, in_thread, join, numbers
 
 from dyknow.errors import HandleClosed
-from dyknow.nodelet.local import LocalPublisher
+from dyknow.nodelet.local import LocalPublisher, LocalSubscriber
 
 
 def publication_of(publisher):
@@ -277,6 +277,65 @@ def test_nothing_is_registered_after_an_unload_while_peers_are_waited_for(world)
     before, after = seen
     assert len(before) == 4
     assert after == []
+    assert world.registrations == []
+
+
+class Draining(LocalSubscriber):
+    """Calls a function when it is drained, as long as it still receives."""
+
+    def drain(self, seconds):
+        self.on_drain()
+        super().drain(seconds)
+
+
+def test_what_comes_until_the_switch_is_delivered_before_the_new(world):
+    got = []
+    nh = world.handle()
+    subscriber = nh.Subscriber("old", Message, got.append)
+    (registration,) = world.transport.subscribers
+    registration.__class__ = Draining
+
+    def last_words():
+        world.transport.send("/new", Message("new"))
+        world.transport.send("/old", Message("last"))
+
+    registration.on_drain = last_words
+    world.bus.rewire(
+        [(subscription_of(subscriber), "/new")],
+        lambda: world.transport.send("/old", Message("late")),
+        patience=1.0,
+    )
+    world.drain()
+    assert numbers(got) == ["last", "new"]
+
+
+def test_a_switch_that_fails_after_the_last_words_leaves_the_port_receiving(world):
+    got = []
+    nh, other = world.handle(), world.handle("/other")
+    subscriber = nh.Subscriber("old", Message, got.append)
+    publisher = other.Publisher("out", Message, queue_size=1)
+    (registration,) = world.transport.subscribers
+    registration.__class__ = Draining
+    registration.on_drain = lambda: join(in_thread(other.context.close))
+    moves = [(subscription_of(subscriber), "/new"), (publication_of(publisher), "/a")]
+    with pytest.raises(HandleClosed):
+        world.bus.rewire(moves, patience=1.0)
+    assert world.registrations == [("subscriber", "/old")]
+    world.transport.send("/old", Message(1))
+    world.drain()
+    assert numbers(got) == [1]
+    nh.context.close()
+    assert world.registrations == []
+
+
+def test_a_nodelet_unloaded_during_the_last_words_of_its_topic_leaves_nothing(world):
+    nh = world.handle()
+    subscriber = nh.Subscriber("old", Message, print)
+    (registration,) = world.transport.subscribers
+    registration.__class__ = Draining
+    registration.on_drain = lambda: join(in_thread(nh.context.close))
+    with pytest.raises(HandleClosed):
+        world.bus.rewire([(subscription_of(subscriber), "/new")], patience=1.0)
     assert world.registrations == []
 
 
