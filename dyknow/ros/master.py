@@ -19,6 +19,8 @@ from dyknow.ros.addresses import connect
 TIMEOUT = 3.0
 #: The port of the subscriber in what rospy and roscpp say of a connection.
 _PORT = re.compile(r"\bto \[[^]]*:(\d+) on socket")
+#: What every node of rospy and roscpp subscribes to when it logs, and keeps to its end.
+_LOG_PARAMETER = "/rosout_disable_topics_generation"
 #: Seconds for a node to say what it subscribes to, while somebody waits for a switch.
 _AT_ONCE = 0.2
 
@@ -192,6 +194,10 @@ class Master:
     def purge(self, node: str, uri: str) -> None:
         """Unregister, in its name, all that a dead node left, as ``rosnode cleanup`` does.
 
+        The master forgets the node's address then, unless it subscribed to parameters of its own.
+        Otherwise it would tell the address to end when the name registers again, and with it any
+        node that has the port by then.
+
         Args:
             node: its name.
             uri: its address; registrations of a successor of that name stay.
@@ -208,6 +214,7 @@ class Master:
         for service, nodes in services:
             if node in nodes:
                 dead.ask("unregisterService", service, self.ask("lookupService", service))
+        dead.ask("unsubscribeParam", uri, _LOG_PARAMETER)
 
     def _subscribed(self, node: str, topic: str) -> str:
         """Return the type a node subscribes to a topic with; empty without a quick answer."""

@@ -1,0 +1,47 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Questions to a ROS master, with a real one."""
+
+from __future__ import annotations
+
+from typing import Iterator
+
+import pytest
+import rosmaster.master
+
+from dyknow.ros.master import Master
+
+URI = "http://localhost:9/"
+
+
+@pytest.fixture
+def uri(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    monkeypatch.setenv("ROS_HOSTNAME", "localhost")
+    started = rosmaster.master.Master(port=0)
+    started.start()
+    yield started.uri
+    started.stop()
+
+
+def test_the_master_forgets_a_node_that_is_purged(uri: str) -> None:
+    """Else it would tell whoever has that address by then to end, as soon as the name is back."""
+    dead = Master("/dead", uri)
+    dead.ask("registerPublisher", "/topic", "std_msgs/Empty", URI)
+    dead.ask("registerSubscriber", "/topic", "std_msgs/Empty", URI)
+    dead.ask("registerService", "/dead/service", "rosrpc://localhost:9", URI)
+    dead.ask("subscribeParam", URI, "/rosout_disable_topics_generation")
+    asking = Master("/asking", uri)
+    assert asking.node("/dead") == URI
+    asking.purge("/dead", URI)
+    assert asking.node("/dead") == ""
+
+
+def test_a_successor_stays(uri: str) -> None:
+    Master("/dead", uri).ask("registerPublisher", "/topic", "std_msgs/Empty", URI)
+    other = "http://localhost:10/"
+    Master("/dead", uri).ask("registerPublisher", "/topic", "std_msgs/Empty", other)
+    asking = Master("/asking", uri)
+    asking.purge("/dead", URI)
+    assert asking.node("/dead") == other
+    assert asking.publishers("/topic") == {"/dead"}
