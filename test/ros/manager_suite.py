@@ -24,7 +24,7 @@ os.environ["ROS_PACKAGE_PATH"] = os.pathsep.join([os.environ["ROS_PACKAGE_PATH"]
 
 import rosgraph  # noqa: E402
 import rospy  # noqa: E402
-from processes import eventually  # noqa: E402
+from processes import eventually, forget_ended  # noqa: E402
 from roslib.packages import find_node  # noqa: E402
 from std_msgs.msg import Header  # noqa: E402
 from telling import TellingCase  # noqa: E402
@@ -156,7 +156,8 @@ class ManagerProcess:
         for name in (self.node, CHILD, CHILD + "_2"):
             if rospy.has_param(name):
                 rospy.delete_param(name)
-        _clean_master()
+        others = {rospy.get_name(), "/rosout"}
+        forget_ended(self.node, CHILD, CHILD + "_2", *(nodes() - others))
 
     def nodelet(self, name: str) -> Any:
         return self.client.get_model().nodelet(name)
@@ -234,20 +235,6 @@ def nodes() -> set[str]:
 def gaps(numbers: list[int]) -> list[tuple[int, int]]:
     """Pairs of neighbours in a sequence that are not consecutive."""
     return [(a, b) for a, b in zip(numbers, numbers[1:]) if b != a + 1]
-
-
-def _clean_master() -> None:
-    """Unregister what killed processes left behind."""
-    from dyknow.ros.master import Master
-
-    master = Master(rospy.get_name())
-    for node in nodes():
-        if node != rospy.get_name() and node not in ("/rosout",) and "rostest" not in node:
-            uri = master.node(node)
-            try:
-                master.pid(node, uri, 1.0)
-            except Exception:
-                master.purge(node, uri)
 
 
 def each_within(seconds: float) -> Iterator[float]:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -12,6 +13,11 @@ import sys
 import threading
 import time
 from typing import Callable, Sequence
+
+import rosgraph
+
+from dyknow.errors import PeerTimeout
+from dyknow.ros.master import Master
 
 NODELET = [sys.executable, "-m", "dyknow.cli.nodelet"]
 STOCK_NODELET = ["rosrun", "nodelet", "nodelet"]
@@ -70,6 +76,9 @@ class Running:
         self._process.wait()
         self._reader.join()
         self._process.stdout.close()
+        special = dict(word.split(":=", 1) for word in self.command if word.startswith("__"))
+        if "__name" in special:
+            forget_ended(rosgraph.names.ns_join(special.get("__ns", "/"), special["__name"]))
 
     @property
     def output(self) -> str:
@@ -107,6 +116,22 @@ class Running:
     def _read(self) -> None:
         for line in self._process.stdout:
             self._lines.append(line)
+
+
+def forget_ended(*nodes: str) -> None:
+    """Make the master forget those nodes that have ended.
+
+    Else it tells whoever has their port by then to end, as soon as their names are back.
+    """
+    master = Master("/tests")
+    for node in nodes:
+        with contextlib.suppress(PeerTimeout):  # no master: it has ended too
+            uri = master.node(node)
+            try:
+                if uri:
+                    master.pid(node, uri, 1.0)
+            except (PeerTimeout, LookupError):
+                master.purge(node, uri)
 
 
 def finished(command: Sequence[str], timeout: float = 20.0) -> tuple[int, str]:

@@ -433,7 +433,8 @@ class StandaloneTest(Started):
             *NODELET, "standalone", "dyknow_test/Relay", "in:=/a", "out:=/b", "__name:=relay"
         )
         rospy.wait_for_service("/relay/call", 10.0)
-        self.assertEqual(graph.topics_of_ports("/relay"), {"in": "/a", "out": "/b"})
+        connected = {"in": "/a", "out": "/b"}
+        eventually(lambda: graph.topics_of_ports("/relay") == connected, 5.0, "they are connected")
         process.stop(signal.SIGTERM)
         self.assertEqual(process.exit_code(20.0), 0, process.output)
 

@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+from typing import Callable
+
 import pytest
 from unit.nodelet.fakes import Message, in_thread, join, numbers
 
@@ -282,6 +284,8 @@ def test_nothing_is_registered_after_an_unload_while_peers_are_waited_for(world)
 
 class Draining(LocalSubscriber):
     """Calls a function when it is drained, as long as it still receives."""
+
+    on_drain: Callable[[], None]
 
     def drain(self, seconds):
         self.on_drain()
