@@ -16,6 +16,7 @@ import rospy
 import rostest
 from dyknow_msgs.srv import GetStatistics
 from manager_suite import LIBRARY, ManagerCase, eventually, registrations, specification
+from processes import BUSY
 from sensor_msgs.msg import CameraInfo, Image
 
 from dyknow.errors import Refused
@@ -131,7 +132,7 @@ class CppTest(ManagerCase):
         self.manager.kill()
         time.sleep(0.5)
         self.assertTrue(process.alive)
-        self.assertTrue(process.wait(5.0))
+        self.assertTrue(process.wait(5.0 * BUSY))
 
     def test_a_type_that_its_package_cannot_provide(self):
         self.client.add_transformation(specification("gone", "image_proc/nothing", ""))

@@ -118,7 +118,7 @@ class NodeletManagerFaultsTest(ManagerCase):
         eventually(order.get_num_connections, 5.0, "it listens")
         count = len(beside.numbers)
         order.publish(Header())
-        self.assertTrue(process.wait(5.0))
+        self.assertTrue(process.wait(5.0 * BUSY))
         through.numbers.clear()
         through.flows(10.0)
         self.assertEqual(gaps(beside.numbers), [])
@@ -213,14 +213,14 @@ class ManagerFaultsTest(ManagerCase):
         self.assertEqual(manager.topics("/counter"), {"out": "/s"})
 
     def test_children_end_when_nobody_looks_after_them(self):
-        manager = self.started(orphan_timeout=5.0)
+        manager = self.started(orphan_timeout=12.0)  # more than a busy machine takes for a start
         manager.client.spawn("relay", "/relay")
         child = manager.child()
         manager.kill()
         manager.start()  # in time
-        self.assertFalse(child.wait(6.0))
+        self.assertFalse(child.wait(13.0))
         manager.kill()
-        self.assertTrue(child.wait(10.0))
+        self.assertTrue(child.wait(12.0 + 5.0 * BUSY))
         self.assertEqual(registrations("/relay") + registrations(CHILD + "/load"), [])
 
     def test_children_end_when_the_master_is_gone_as_well(self):
