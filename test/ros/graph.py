@@ -98,6 +98,14 @@ class ManagerServices:
     def list(self) -> list[str]:
         return list(rospy.ServiceProxy(f"{self.name}/list", NodeletList)().nodelets)
 
+    def lists(self) -> bool:
+        """Whether it says what it has loaded; it does until it ends."""
+        try:
+            self.list()
+        except rospy.ServiceException:
+            return False
+        return True
+
     def is_free(self, name: str) -> bool:
         """Whether a nodelet can be loaded under a name; unloads it again."""
         try:

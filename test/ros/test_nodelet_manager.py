@@ -7,9 +7,13 @@
 from __future__ import annotations
 
 import collections
+import contextlib
 import signal
+import socket
 import tempfile
 import time
+import xmlrpc.client
+from typing import Callable
 
 import graph  # first: it makes the test package known
 import rosgraph
@@ -28,6 +32,26 @@ from dyknow.ros.master import Master
 from dyknow.ros.service_client import ServiceClient
 
 CLIENTS = {"stock": STOCK_NODELET, "own": NODELET}
+
+
+#: What rospy says of a connection to a topic that the process does not publish.
+REFUSED = "Could not process inbound connection"
+
+
+def connector(node: str, topic: str) -> Callable[[str], None]:
+    """Return a function that connects to topics of a node, which publishes one for certain."""
+    api = rosgraph.Master(rospy.get_name()).lookupNode(node)
+    _, host, port = xmlrpc.client.ServerProxy(api).requestTopic(
+        rospy.get_name(), topic, [["TCPROS"]]
+    )[2]
+
+    def connect(name: str) -> None:
+        fields = {"topic": name, "md5sum": "*", "type": "*", "callerid": rospy.get_name()}
+        with socket.create_connection((host, port), 5.0) as connection:
+            rosgraph.network.write_ros_handshake_header(connection, fields)
+            connection.recv(1)  # the answer: it is refused
+
+    return connect
 
 
 def nodes() -> set[str]:
@@ -401,7 +425,22 @@ class EndTest(Started):
         for process in (manager, *clients):
             process.exit_code(20.0)
             self.assertNotIn("Couldn't find service", process.output)
-            self.assertNotIn("Could not process inbound connection", process.output)
+            self.assertNotIn(REFUSED, process.output)
+
+    def test_who_connects_to_what_has_ended_already_is_not_told_of_at_the_end(self):
+        manager = self.start_manager("/ending")
+        client = self.start(*STOCK_NODELET, "load", "dyknow_test/Relay", "ending", "__name:=relay")
+        eventually(lambda: manager.list() == ["/relay"], 10.0, "it is loaded")
+        connect = connector("/ending", "/rosout")
+        connect("/nowhere")
+        manager.wait_for(REFUSED)
+        client.stop(signal.SIGSTOP)  # so that the manager waits for it at its end
+        manager.stop()
+        eventually(lambda: not manager.lists(), 5.0, "it ends")
+        with contextlib.suppress(ConnectionError):  # on a busy machine it has ended by now
+            connect("/nowhere_either")
+        manager.exit_code(20.0)
+        self.assertNotIn("/nowhere_either", manager.output)
 
 
 class StandaloneTest(Started):

@@ -11,6 +11,7 @@ on that.
 from __future__ import annotations
 
 import faulthandler
+import logging
 import os
 import sys
 import traceback
@@ -52,6 +53,11 @@ from dyknow.ros.transport.middleware import rospy_middleware
 
 #: Seconds, at the end, for clients that end at the same time.
 CLIENTS_PATIENCE = 0.5
+
+
+def _is_no_late_connection(record: logging.LogRecord) -> bool:
+    """Pass on all but rospy's warnings of clients that connect to a bond that has just ended."""
+    return "Could not process inbound connection" not in record.getMessage()
 
 
 @dataclass(frozen=True)
@@ -192,6 +198,7 @@ class NodeletManager(Closable):
         No client asked for these unloads, so the list is not answered any more: a manager that
         keeps nodelets running has to see a process that ends, not nodelets that go.
         """
+        logging.getLogger("rosout").addFilter(_is_no_late_connection)
         self._ending = True
         # Ctrl-C of a launch file ends the clients too: they unload what they loaded.
         with self._bond_ended:
