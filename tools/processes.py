@@ -13,7 +13,7 @@ import signal
 import socket
 import subprocess
 from pathlib import Path
-from typing import Mapping, Sequence, Tuple
+from typing import Mapping, Sequence
 
 END_TIMEOUT = 30.0  # s, for a command to end its children after SIGINT
 
@@ -68,7 +68,7 @@ def _end(process: subprocess.Popen[bytes]) -> None:
         process.wait()
 
 
-def own_network() -> Tuple[str, ...]:
+def own_network() -> tuple[str, ...]:
     """What to put before a command for a network of its own; () where none may be made.
 
     ROS masters end and notify nodes by their address. Commands that run at the same time and share

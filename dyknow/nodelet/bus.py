@@ -33,7 +33,7 @@ from dyknow.periodic import in_background
 
 #: Seconds that the registration of an old topic stays at most while its messages are being sent.
 _LONGEST_DRAIN = 30.0
-#: Seconds for what has come to be received: the machine is all that it takes.
+#: Seconds for receiving what old publishers have sent; it has come to this machine already.
 _LONGEST_DRAIN_IN = 0.1
 
 Endpoint = Union[Publication, Subscription]

@@ -152,11 +152,7 @@ class Master:
         Raises:
             PeerTimeout: it does not answer in time.
         """
-        server = _Server(uri, f"node {name}", timeout)
-        try:
-            return int(server.ask("getPid", self.caller))
-        finally:
-            server.close()
+        return int(self._ask_node(name, uri, timeout, "getPid"))
 
     def connections(self, uri: str, topic: str, timeout: float) -> Set[int]:
         """Ask a node to which ports its connections on a topic send.
@@ -170,11 +166,7 @@ class Master:
             PeerTimeout: it does not answer in time.
             LookupError: it refuses.
         """
-        server = _Server(uri, f"the node at {uri}", timeout)
-        try:
-            infos = server.ask("getBusInfo", self.caller)
-        finally:
-            server.close()
+        infos = self._ask_node(f"at {uri}", uri, timeout, "getBusInfo")
         ports = (_PORT.search(str(info[-1])) for info in infos if info[2:5:2] == ["o", topic])
         return {int(port.group(1)) for port in ports if port}
 
@@ -185,11 +177,7 @@ class Master:
             PeerTimeout: it does not answer in time.
             LookupError: it refuses.
         """
-        server = _Server(uri, f"node {name}", timeout)
-        try:
-            server.ask("shutdown", self.caller, reason)
-        finally:
-            server.close()
+        self._ask_node(name, uri, timeout, "shutdown", reason)
 
     def purge(self, node: str, uri: str) -> None:
         """Unregister, in its name, all that a dead node left, as ``rosnode cleanup`` does.
@@ -221,14 +209,18 @@ class Master:
         uri = self.node(node)
         if not uri:
             return ""
-        server = _Server(uri, f"node {node}", _AT_ONCE)
         try:
-            types: List[Tuple[str, str]] = server.ask("getSubscriptions", self.caller)
+            types: List[Tuple[str, str]] = self._ask_node(node, uri, _AT_ONCE, "getSubscriptions")
         except (PeerTimeout, LookupError):
             return ""
+        return next((datatype for name, datatype in types if name == topic), "")
+
+    def _ask_node(self, name: str, uri: str, timeout: float, question: str, *args: Any) -> Any:
+        server = _Server(uri, f"node {name}", timeout)
+        try:
+            return server.ask(question, self.caller, *args)
         finally:
             server.close()
-        return next((datatype for name, datatype in types if name == topic), "")
 
     def _nodes(self, topic: str, side: int) -> Set[str]:
         state = self.ask("getSystemState")

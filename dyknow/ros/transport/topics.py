@@ -221,13 +221,11 @@ class RospySubscriber(OutsideSubscriber):
                 expected = _publishers(self._topic)
             except PeerTimeout:
                 return
-        while expected and not arrived(_STEP):
-            left = deadline - time.monotonic()
-            if left <= 0 or all(self._is_served(publisher, left) for publisher in expected):
-                return
+        while expected and not arrived(_STEP) and time.monotonic() < deadline:
+            expected = frozenset(each for each in expected if not self._is_served(each, deadline))
 
-    def _is_served(self, publisher: str, seconds: float) -> bool:
-        """Whether a publisher has us among its connections.
+    def _is_served(self, publisher: str, deadline: float) -> bool:
+        """Whether a publisher has us among its connections; False if it does not say so in time.
 
         It greets before that, and what it publishes in between does not reach us.
         """
@@ -236,11 +234,12 @@ class RospySubscriber(OutsideSubscriber):
             for connection in list(self._implementation.connections)
             if connection.endpoint_id == publisher and connection.callerid_pub != "unknown"
         }
-        if not ports:
+        left = deadline - time.monotonic()
+        if not ports or left <= 0:
             return False
         try:
             master = Master(rospy.get_name())
-            return not ports.isdisjoint(master.connections(publisher, self._topic, seconds))
+            return not ports.isdisjoint(master.connections(publisher, self._topic, left))
         except (PeerTimeout, LookupError):
             return False
 
@@ -256,7 +255,7 @@ class RospySubscriber(OutsideSubscriber):
         for connection in connections if alone else ():
             with contextlib.suppress(OSError, AttributeError):  # it has ended by itself
                 connection.socket.shutdown(socket.SHUT_RD)
-        while not all(each.done or not (alone or _unread(each)) for each in connections):
+        while any(not each.done and (alone or _unread(each)) for each in connections):
             if time.monotonic() >= deadline:
                 return
             time.sleep(_STEP / 4)
