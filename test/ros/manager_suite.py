@@ -24,7 +24,7 @@ os.environ["ROS_PACKAGE_PATH"] = os.pathsep.join([os.environ["ROS_PACKAGE_PATH"]
 
 import rosgraph  # noqa: E402
 import rospy  # noqa: E402
-from processes import eventually, forget_ended  # noqa: E402
+from processes import eventually, forget_ended, nodes  # noqa: E402
 from roslib.packages import find_node  # noqa: E402
 from std_msgs.msg import Header  # noqa: E402
 from telling import TellingCase  # noqa: E402
@@ -153,11 +153,11 @@ class ManagerProcess:
         for process in [*started, *self.children().values()]:
             process.signal(signal.SIGKILL)
             process.wait(5.0)
-        for name in (self.node, CHILD, CHILD + "_2"):
+        names = (self.node, CHILD, CHILD + "_2")
+        for name in names:
             if rospy.has_param(name):
                 rospy.delete_param(name)
-        others = {rospy.get_name(), "/rosout"}
-        forget_ended(self.node, CHILD, CHILD + "_2", *(nodes() - others))
+        forget_ended(*names, *nodes())
 
     def nodelet(self, name: str) -> Any:
         return self.client.get_model().nodelet(name)
@@ -225,11 +225,6 @@ def registrations(prefix: str) -> list[str]:
 
 def parameters(prefix: str) -> list[str]:
     return sorted(name for name in rospy.get_param_names() if name.startswith(prefix))
-
-
-def nodes() -> set[str]:
-    state = rosgraph.Master(rospy.get_name()).getSystemState()
-    return {node for part in state for _, names in part for node in names}
 
 
 def gaps(numbers: list[int]) -> list[tuple[int, int]]:

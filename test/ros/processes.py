@@ -118,6 +118,12 @@ class Running:
             self._lines.append(line)
 
 
+def nodes() -> set[str]:
+    """Names of the nodes that are registered at the master."""
+    state = rosgraph.Master("/tests").getSystemState()
+    return {node for kind in state for _, names in kind for node in names}
+
+
 def forget_ended(*nodes: str) -> None:
     """Make the master forget those nodes that have ended.
 

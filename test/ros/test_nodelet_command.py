@@ -12,7 +12,6 @@ import threading
 import time
 import unittest
 
-import rosgraph
 import rospy
 import rostest
 from bond_watch import let_the_bond_form
@@ -23,15 +22,10 @@ from nodelet.srv import (
     NodeletUnload,
     NodeletUnloadResponse,
 )
-from processes import BUSY, NODELET, STOCK_NODELET, Running, eventually, finished
+from processes import BUSY, NODELET, STOCK_NODELET, Running, eventually, finished, nodes
 
 MANAGER = "/command_test/manager"
 BOND = f"{MANAGER}/bond"
-
-
-def registered_nodes():
-    state = rosgraph.Master(rospy.get_name()).getSystemState()
-    return {node for kind in state for _, nodes in kind for node in nodes}
 
 
 def nodelets(manager=MANAGER):
@@ -86,7 +80,7 @@ class WithManager:
                     f"Unloading nodelet /command_test/nodelet from manager {MANAGER}\n",
                     process.output,
                 )
-                self.assertNotIn("/command_test/nodelet", registered_nodes())
+                self.assertNotIn("/command_test/nodelet", nodes())
 
     def test_rosnode_kill_unloads(self):
         process = self.load(MANAGER)
@@ -94,7 +88,7 @@ class WithManager:
         self.assertEqual(code, 0, output)
         self.assert_ends(process)
         self.assertEqual(nodelets(), [])
-        self.assertNotIn("/command_test/nodelet", registered_nodes())
+        self.assertNotIn("/command_test/nodelet", nodes())
 
     def test_the_manager_misses_a_killed_client(self):
         process = self.load(MANAGER)

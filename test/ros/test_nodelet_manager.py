@@ -23,7 +23,7 @@ from bond.msg import Status
 from dyknow_msgs.msg import NodeletChanges
 from graph import Ended, Manager, call, registrations, set_config
 from nodelet.srv import NodeletList, NodeletLoad, NodeletUnload
-from processes import BUSY, NODELET, STOCK_NODELET, eventually, finished
+from processes import BUSY, NODELET, STOCK_NODELET, eventually, finished, nodes
 from std_msgs.msg import Header
 from telling import TellingCase
 
@@ -52,11 +52,6 @@ def connector(node: str, topic: str) -> Callable[[str], None]:
             connection.recv(1)  # the answer: it is refused
 
     return connect
-
-
-def nodes() -> set[str]:
-    state = rosgraph.Master(rospy.get_name()).getSystemState()
-    return {node for kind in state for _, nodes in kind for node in nodes}
 
 
 class Started(TellingCase):
