@@ -10,7 +10,7 @@ import os
 import signal
 import subprocess
 import sys
-import threading
+import tempfile
 import time
 from typing import Callable, Sequence
 
@@ -55,17 +55,15 @@ class Running:
 
     def __init__(self, *command: str) -> None:
         self.command = command
-        self._lines: list[str] = []
+        # Not a pipe: whoever reads one may be behind what the process has written.
+        self._written = tempfile.TemporaryFile()  # noqa: SIM115 - it is read after the end too
         self._process = subprocess.Popen(
             command,
             stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
+            stdout=self._written,
             stderr=subprocess.STDOUT,
-            text=True,
             env={**os.environ, "PYTHONUNBUFFERED": "1"},
         )
-        self._reader = threading.Thread(target=self._read, daemon=True)
-        self._reader.start()
 
     def __enter__(self) -> Running:
         return self
@@ -74,15 +72,15 @@ class Running:
         if self._process.poll() is None:
             self._process.kill()
         self._process.wait()
-        self._reader.join()
-        self._process.stdout.close()
         special = dict(word.split(":=", 1) for word in self.command if word.startswith("__"))
         if "__name" in special:
             forget_ended(rosgraph.names.ns_join(special.get("__ns", "/"), special["__name"]))
 
     @property
     def output(self) -> str:
-        return "".join(self._lines)
+        """What it has written by now."""
+        size = os.fstat(self._written.fileno()).st_size
+        return os.pread(self._written.fileno(), size, 0).decode(errors="replace")
 
     @property
     def has_ended(self) -> bool:
@@ -91,9 +89,7 @@ class Running:
     def wait_for(self, text: str, timeout: float = 20.0) -> None:
         """Wait until the process has printed a text."""
         what = f"{self.command} says '{text}'"
-        eventually(lambda: text in self.output or self.has_ended, timeout, what, self._said)
-        if text not in self.output:
-            self._reader.join()
+        eventually(lambda: self.has_ended or text in self.output, timeout, what, self._said)
         assert text in self.output, f"not true: {what}\n{self._said()}"
 
     def stop(self, number: int = signal.SIGINT) -> None:
@@ -105,17 +101,12 @@ class Running:
             code = self._process.wait(timeout)
         except subprocess.TimeoutExpired:
             raise AssertionError(f"still running: {self.command}\n{self.output}") from None
-        self._reader.join()
         return code
 
     def _said(self) -> str:
         code = self._process.poll()
         end = "It runs on" if code is None else f"It ended with code {code}"
         return f"{end}; it said:\n{self.output}"
-
-    def _read(self) -> None:
-        for line in self._process.stdout:
-            self._lines.append(line)
 
 
 def nodes() -> set[str]:

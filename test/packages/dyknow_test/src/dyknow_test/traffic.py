@@ -93,7 +93,7 @@ class Relay(Puppet):
     """Publishes on the port `out` what comes at the port `in`."""
 
     def set_up(self):
-        self.out = self.nh.Publisher("out", CountedHeader, queue_size=10)
+        self.out = self.nh.Publisher("out", CountedHeader, queue_size=1000)
         self.sub = self.nh.Subscriber("in", CountedHeader, self.relay)
         self.passed = 0
 
