@@ -123,8 +123,10 @@ class NodeletManagerFaultsTest(ManagerCase):
         through.flows(10.0)
         self.assertEqual(gaps(beside.numbers), [])
         self.assertGreater(len(beside.numbers), count)
-        found = manager.nodelet("/fragile")
-        self.assertEqual((found.state, found.isolated), (State.RUNNING, True))
+        # Its messages may be there before the manager knows that it is back.
+        back = "it is back"
+        eventually(lambda: manager.nodelet("/fragile").state is State.RUNNING, 5.0, back)
+        self.assertTrue(manager.nodelet("/fragile").isolated)
         self.assertEqual(manager.topics("/fragile"), config)
 
     def test_a_spawn_that_hangs_fails_in_time_and_leaves_nothing(self):
