@@ -64,7 +64,7 @@ class Account:
         messages: arrivals.
         rate: arrivals a second; 0 for less than two.
         latencies: seconds from the stamp to the arrival, sorted.
-        size: width and height of most arrivals; zeros for none.
+        size: width and height of the last arrival; zeros for none.
         lost: published while the chain was connected, but never arrived.
         doubled: arrivals beyond the first, or of frames that were not for this chain.
         reordered: arrived after one that should have come later.
@@ -223,12 +223,11 @@ class _Rows:
     def close(self, stage: str, lost: int) -> Account:
         arrivals = self._arrivals[stage]
         span = arrivals[-1].arrived - arrivals[0].arrived if arrivals else 0.0
-        sizes = Counter(each.size for each in arrivals).most_common(1)
         return Account(
             messages=len(arrivals),
             rate=(len(arrivals) - 1) / span if span > 0 else 0.0,
             latencies=tuple(sorted(each.arrived - each.sent for each in arrivals)),
-            size=sizes[0][0] if sizes else (0, 0),
+            size=arrivals[-1].size if arrivals else (0, 0),
             lost=lost,
             doubled=self._doubled[stage],
             reordered=self._reordered[stage],
