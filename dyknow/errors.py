@@ -387,6 +387,10 @@ class InvalidTag(StreamError):
         super().__init__(f"'{tag}' is not a tag: {expected}")
 
 
+class InvalidType(InvalidTag):
+    """A tag is not a term, since the type of a variable is malformed."""
+
+
 class NoPlanFound(StreamError):
     """Nothing supplies a requested stream now."""
 

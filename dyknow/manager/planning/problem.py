@@ -14,6 +14,7 @@ from typing import FrozenSet, NamedTuple, Tuple, Union
 
 from dyknow.demand_text import write_missing
 from dyknow.manager.planning.supply import Demand
+from dyknow.manager.specifications.tags import Bindings
 
 
 class Live(NamedTuple):
@@ -35,10 +36,17 @@ class Live(NamedTuple):
 
 
 class New(NamedTuple):
-    """An out-port of a nodelet that is to be made of a transformation."""
+    """An out-port of a nodelet that is to be made of a transformation.
+
+    Attributes:
+        label: the transformation.
+        port: its out-port.
+        bindings: of all variables of the transformation, which tell its nodelets apart.
+    """
 
     label: str
     port: str
+    bindings: Bindings = ()
 
 
 Source = Union[Live, New]
@@ -66,10 +74,17 @@ class Action(NamedTuple):
 
 
 class PlanStep(NamedTuple):
-    """A nodelet to be made of a transformation, and where its inputs come from."""
+    """A nodelet to be made of a transformation, and where its inputs come from.
+
+    Attributes:
+        action: what is made.
+        inputs: in-ports, each with its supplier.
+        bindings: of all variables of the transformation.
+    """
 
     action: Action
     inputs: Tuple[Tuple[str, Source], ...]
+    bindings: Bindings = ()
 
 
 class Plan(NamedTuple):
@@ -80,12 +95,16 @@ class Plan(NamedTuple):
         goal: where it comes from.
         steps: what is to be made, suppliers before consumers.
         cost: sum over the steps.
+        least_cost: no plan costs less; if it is the cost, that is proven least.
+        bindings: of the variables in what was asked for.
     """
 
     demand: Demand
     goal: Source
     steps: Tuple[PlanStep, ...]
     cost: int
+    least_cost: int = 0
+    bindings: Bindings = ()
 
     @property
     def live(self) -> Tuple[Live, ...]:

@@ -13,7 +13,9 @@ from typing import (
     Generic,
     Hashable,
     Iterable,
+    Iterator,
     List,
+    Mapping,
     NamedTuple,
     Optional,
     Set,
@@ -22,7 +24,14 @@ from typing import (
 )
 
 from dyknow.demand_text import write_demand
-from dyknow.manager.specifications.tags import NO_ONTOLOGY, Subsumption, Term, matches
+from dyknow.manager.specifications.tags import (
+    NO_BINDINGS,
+    NO_ONTOLOGY,
+    Subsumption,
+    Term,
+    matches,
+    unify_all,
+)
 
 _Functor = Tuple[str, int]  # with the number of arguments
 Supplier = TypeVar("Supplier", bound=Hashable)
@@ -48,12 +57,27 @@ def meets(
     tags: Iterable[Term], datatype: str, demand: Demand, ontology: Subsumption = NO_ONTOLOGY
 ) -> bool:
     """Return whether a stream of these tags and type is what is demanded."""
-    supplied = [tag for tag in tags if tag.is_ground]
-    if demand.datatype not in ANY and datatype not in (*ANY, demand.datatype):
-        return False
-    return all(
-        any(matches(tag, demanded, ontology) for tag in supplied) for demanded in demand.tags
-    )
+    return next(ways_to_meet(tags, datatype, demand, ontology), None) is not None
+
+
+def ways_to_meet(
+    tags: Iterable[Term],
+    datatype: str,
+    demand: Demand,
+    ontology: Subsumption = NO_ONTOLOGY,
+    bindings: Mapping[str, str] = NO_BINDINGS,
+) -> Iterator[Dict[str, str]]:
+    """Yield the bindings of each way in which a stream is what is demanded.
+
+    Args:
+        tags: of the stream; those with variables supply nothing.
+        datatype: of the stream.
+        demand: what is asked for.
+        ontology: what is a kind of what.
+        bindings: what variables stand for already.
+    """
+    if demand.datatype in ANY or datatype in (*ANY, demand.datatype):
+        yield from unify_all(tags, sorted(demand.tags), ontology, bindings)
 
 
 class Supply(Generic[Supplier]):
@@ -122,11 +146,18 @@ class Supply(Generic[Supplier]):
             found = one if found is None else found & one
             if not found:
                 return []
+        if found and _shares_variables(demand.tags):
+            found = {each for each in found if self._binds(each, demand)}
         wanted = demand.datatype
         if wanted in ANY:
             return list(found or ())
         types = self._datatypes
         return [each for each in found or () if types[each] in (*ANY, wanted)]
+
+    def _binds(self, supplier: Supplier, demand: Demand) -> bool:
+        """Whether the tags are met under the same bindings, if each of them is met alone."""
+        ways = unify_all(self._tags[supplier], sorted(demand.tags), self._ontology)
+        return next(ways, None) is not None
 
     def _of_term(self, demanded: Term) -> AbstractSet[Supplier]:
         if demanded.is_ground:
@@ -173,3 +204,11 @@ class Supply(Generic[Supplier]):
         if count > self._most_keys:
             return None
         return [Term(name, args) for name in functors for args in itertools.product(*choices)]
+
+
+def _shares_variables(terms: AbstractSet[Term]) -> bool:
+    """Whether a variable occurs in several terms."""
+    if len(terms) < 2:
+        return False
+    variables = [variable for term in terms for variable in term.variables]
+    return len(set(variables)) < len(variables)

@@ -134,6 +134,11 @@ class Ontology:
             known = self._above[name] = frozenset(names)
         return known
 
+    def canonical(self, name: str) -> str:
+        """Return the URI of what a name means; the name itself if that is nothing, or several."""
+        meant = self._by_name.get(name, ())
+        return next(iter(meant)) if len(meant) == 1 else name
+
     def _of(self, concept: str) -> List[str]:
         if concept not in self._superclasses:
             raise UnknownConcept(concept)

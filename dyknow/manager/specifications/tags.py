@@ -1,23 +1,26 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Tags: terms such as ``FieldPosition(ball)`` that describe streams.
+"""Tags: terms such as ``FieldPosition(ball)`` that describe streams, and their unification.
 
 A supplied tag matches a demanded one if its functor is the same or a subclass, and each argument
-is equal to the demanded one, an instance or a subclass of it, or bound to a variable ``?x``. A
-variable stands for one name throughout its term, and only demanded terms have variables.
+is equal to the demanded one, an instance or a subclass of it, or bound to a variable ``?x``, or to
+``?x: Concept`` if the concept subsumes it. A variable stands for one individual wherever it
+occurs, and its types add up.
 """
 
 from __future__ import annotations
 
 import re
 from functools import lru_cache
-from typing import Dict, NamedTuple, Protocol, Tuple
+from types import MappingProxyType
+from typing import Dict, Iterable, Iterator, List, Mapping, NamedTuple, Optional, Protocol, Tuple
 
-from dyknow.errors import InvalidTag
+from dyknow.errors import InvalidTag, InvalidType
 
 _TERM = re.compile(r"\s*([^(),?]*[^(),?\s])\s*(?:\(([^()]*)\)\s*)?\Z")
 _ARGUMENT = re.compile(r"\??[^(),?]*[^(),?\s]\Z")
+_PLACEHOLDER = re.compile(r"\$\{(\?[^{}]+)\}")
 
 #: Lists of tags whose terms are remembered.
 _REMEMBERED = 20_000
@@ -26,21 +29,49 @@ _REMEMBERED = 20_000
 MAX_LENGTH = 4096
 MAX_ARGUMENTS = 16
 
+Bindings = Tuple[Tuple[str, str], ...]
+"""Variables, each with the name that it stands for, sorted."""
+NO_BINDINGS: Mapping[str, str] = MappingProxyType({})
+"""No variable stands for anything."""
+
 
 class Term(NamedTuple):
-    """A functor and its arguments; an argument that begins with ``?`` is a variable."""
+    """A functor and its arguments.
+
+    Attributes:
+        functor: what the stream is.
+        args: names; an argument that begins with ``?`` is a variable, without its type.
+        types: for each argument the concept that restricts it, or an empty text; nothing at all
+            if no argument has a type.
+    """
 
     functor: str
     args: Tuple[str, ...] = ()
+    types: Tuple[str, ...] = ()
 
     def __str__(self) -> str:
         """Write the term as ``parse_tag`` reads it."""
-        return f"{self.functor}({', '.join(self.args)})" if self.args else self.functor
+        if not self.args:
+            return self.functor
+        types = self.types or ("",) * len(self.args)
+        args = [f"{arg}: {type_}" if type_ else arg for arg, type_ in zip(self.args, types)]
+        return f"{self.functor}({', '.join(args)})"
 
     @property
     def is_ground(self) -> bool:
         """Whether it has no variable."""
         return not [arg for arg in self.args if arg[:1] == "?"]  # a list is quicker than any()
+
+    @property
+    def variables(self) -> Tuple[str, ...]:
+        """Its variables, in the order written."""
+        return tuple(dict.fromkeys(arg for arg in self.args if arg[:1] == "?"))
+
+    def substitute(self, bindings: Mapping[str, str]) -> Term:
+        """Put names in the places of variables; others stay, with their types."""
+        args = tuple(bindings.get(arg, arg) for arg in self.args)
+        types = tuple("" if arg[:1] != "?" else type_ for arg, type_ in zip(args, self.types))
+        return Term(self.functor, args, types if any(types) else ())
 
 
 class Subsumption(Protocol):
@@ -49,6 +80,9 @@ class Subsumption(Protocol):
     def names_above(self, name: str) -> frozenset[str]:
         """Every name that subsumes ``name``, itself included."""
 
+    def canonical(self, name: str) -> str:
+        """One name for all names of an entity."""
+
 
 class NoOntology:
     """Without an ontology a name subsumes only itself."""
@@ -56,6 +90,10 @@ class NoOntology:
     def names_above(self, name: str) -> frozenset[str]:
         """The name alone."""
         return frozenset((name,))
+
+    def canonical(self, name: str) -> str:
+        """The name."""
+        return name
 
 
 NO_ONTOLOGY = NoOntology()
@@ -67,6 +105,7 @@ def parse_tag(text: str) -> Term:
 
     Raises:
         InvalidTag: it is no term; the error says what was expected.
+        InvalidType: it would be one but for the type of a variable.
     """
     if len(text) > MAX_LENGTH:
         raise InvalidTag(text[:40] + "…", f"expected at most {MAX_LENGTH} characters")
@@ -82,7 +121,19 @@ def parse_tag(text: str) -> Term:
     for arg in args:
         if not _ARGUMENT.match(arg):
             raise InvalidTag(text, f"expected a name or a ?variable as argument, not '{arg}'")
-    return Term(functor.strip(), args)
+    if not [arg for arg in args if arg[:1] == "?" and ":" in arg]:
+        return Term(functor.strip(), args)
+    names, types = zip(*[_variable(text, arg) if arg[:1] == "?" else (arg, "") for arg in args])
+    return Term(functor.strip(), names, types)
+
+
+def _variable(text: str, arg: str) -> Tuple[str, str]:
+    """Split ``?x: Concept``; the type is empty if there is none."""
+    variable, colon, type_ = arg.partition(":")
+    variable, type_ = variable.rstrip(), type_.lstrip()
+    if variable == "?" or (colon and not type_):
+        raise InvalidType(text, f"expected ?variable: Concept, not '{arg}'")
+    return variable, type_
 
 
 @lru_cache(maxsize=_REMEMBERED)
@@ -99,15 +150,84 @@ def read_tags(texts: Tuple[str, ...]) -> Tuple[Term, ...]:
 
 def matches(supplied: Term, demanded: Term, ontology: Subsumption) -> bool:
     """Whether a supplied tag matches a demanded one."""
+    return unify(supplied, demanded, ontology) is not None
+
+
+def unify(
+    supplied: Term,
+    demanded: Term,
+    ontology: Subsumption,
+    bindings: Mapping[str, str] = NO_BINDINGS,
+) -> Optional[Dict[str, str]]:
+    """Match a supplied tag, which is ground, with a demanded one.
+
+    Args:
+        supplied: what there is.
+        demanded: what is asked for.
+        ontology: what is a kind of what.
+        bindings: what variables stand for already.
+
+    Returns:
+        The bindings and those of the variables that the demanded tag binds first, each to the
+        name as it is supplied; None if the tags do not match.
+    """
     if len(supplied.args) != len(demanded.args):
-        return False
+        return None
     if demanded.functor not in ontology.names_above(supplied.functor):
-        return False
-    bound: Dict[str, str] = {}
-    for have, want in zip(supplied.args, demanded.args):
-        if want.startswith("?"):
-            if bound.setdefault(want, have) != have:
-                return False
-        elif want not in ontology.names_above(have):
-            return False
-    return True
+        return None
+    bound = dict(bindings)
+    types = demanded.types or ("",) * len(demanded.args)
+    for have, want, type_ in zip(supplied.args, demanded.args, types):
+        if want[:1] != "?":
+            if want not in ontology.names_above(have):
+                return None
+            continue
+        if type_ and type_ not in ontology.names_above(have):
+            return None
+        known = bound.setdefault(want, have)
+        if known != have and ontology.canonical(known) != ontology.canonical(have):
+            return None
+    return bound
+
+
+def unify_all(
+    supplied: Iterable[Term],
+    demanded: Iterable[Term],
+    ontology: Subsumption,
+    bindings: Mapping[str, str] = NO_BINDINGS,
+) -> Iterator[Dict[str, str]]:
+    """Match every demanded tag with one of the tags of a stream, under the same bindings.
+
+    Yields:
+        The bindings of each way to do so, in the order of the demanded and the supplied tags.
+    """
+    demanded = tuple(demanded)
+    ground = [tag for tag in supplied if tag.is_ground]
+    waiting: List[Tuple[int, Dict[str, str]]] = [(0, dict(bindings))]
+    while waiting:
+        number, bound = waiting.pop()
+        if number == len(demanded):
+            yield bound
+            continue
+        found = [unify(tag, demanded[number], ontology, bound) for tag in ground]
+        waiting += [(number + 1, each) for each in reversed(found) if each is not None]
+
+
+def types_of(terms: Iterable[Term]) -> Dict[str, frozenset[str]]:
+    """Collect the types of variables over all their occurrences."""
+    found: Dict[str, frozenset[str]] = {}
+    for term in terms:
+        for arg, type_ in zip(term.args, term.types):
+            if type_:
+                found[arg] = found.get(arg, frozenset()) | {type_}
+    return found
+
+
+def placeholders(text: str) -> Tuple[str, ...]:
+    """Return the variables that a text names as ``${?x}``, in the order written."""
+    return tuple(dict.fromkeys(_PLACEHOLDER.findall(text)))
+
+
+def fill(text: str, bindings: Mapping[str, str]) -> str:
+    """Put names in the places of ``${?x}``; variables that are not bound stay."""
+    return _PLACEHOLDER.sub(lambda found: bindings.get(found.group(1), found.group()), text)

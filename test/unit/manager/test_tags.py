@@ -5,13 +5,25 @@
 
 from __future__ import annotations
 
+from typing import Dict, Optional
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dyknow.errors import InvalidTag
+from dyknow.errors import InvalidTag, InvalidType
 from dyknow.manager.planning.supply import Demand, Supply
-from dyknow.manager.specifications.tags import NoOntology, Term, matches, parse_tag
+from dyknow.manager.specifications.tags import (
+    NoOntology,
+    Term,
+    fill,
+    matches,
+    parse_tag,
+    placeholders,
+    types_of,
+    unify,
+    unify_all,
+)
 
 
 class Kinds:
@@ -25,6 +37,9 @@ class Kinds:
 
     def names_above(self, name: str) -> frozenset[str]:
         return frozenset({name} | self.ABOVE.get(name, set()))
+
+    def canonical(self, name: str) -> str:
+        return name
 
 
 @pytest.mark.parametrize(
@@ -79,10 +94,10 @@ def test_supplied_satisfies_demanded(supplied: str, demanded: str, fits: bool) -
 
 
 NAMES = st.sampled_from(["A", "BallObject", "WorldObject", "nao1", "NAO", "Robot", "x"])
-GROUND = st.builds(Term, NAMES, st.lists(NAMES, max_size=2).map(tuple))
-WANTED = st.builds(
-    Term, NAMES, st.lists(st.one_of(NAMES, st.sampled_from(["?a", "?b"])), max_size=2).map(tuple)
-)
+NO_TYPES = st.just(())
+GROUND = st.builds(Term, NAMES, st.lists(NAMES, max_size=2).map(tuple), NO_TYPES)
+WANTED_ARGS = st.lists(st.one_of(NAMES, st.sampled_from(["?a", "?b"])), max_size=2).map(tuple)
+WANTED = st.builds(Term, NAMES, WANTED_ARGS, NO_TYPES)
 
 
 @given(
@@ -99,7 +114,7 @@ def test_the_index_finds_exactly_what_matching_says(offers, tags, datatype, most
     expected = [
         number
         for number, (terms, kind) in enumerate(offers)
-        if all(any(matches(term, wanted, ontology) for term in terms) for wanted in tags)
+        if next(unify_all(terms, tags, ontology), None) is not None
         and (not datatype or kind in ("", "*", datatype))
     ]
     demand = Demand(tags, datatype)
@@ -111,3 +126,77 @@ def test_the_index_finds_exactly_what_matching_says(offers, tags, datatype, most
 
 def test_without_an_ontology_a_name_is_itself() -> None:
     assert NoOntology().names_above("a") == {"a"}
+
+
+@pytest.mark.parametrize(
+    ("text", "term"),
+    [
+        ("Image(?c: Camera)", Term("Image", ("?c",), ("Camera",))),
+        ("Image( ?c :Camera , cam1 )", Term("Image", ("?c", "cam1"), ("Camera", ""))),
+        ("Image(?c: http://x.org/o#Camera)", Term("Image", ("?c",), ("http://x.org/o#Camera",))),
+        ("Image(http://x.org/o#cam1, ?c)", Term("Image", ("http://x.org/o#cam1", "?c"))),
+    ],
+)
+def test_types_are_kept_apart_from_variables_and_written_again(text: str, term: Term) -> None:
+    assert parse_tag(text) == term
+    assert parse_tag(str(term)) == term
+
+
+@pytest.mark.parametrize("text", ["A(?x:)", "A(?x: )", "A(?: B)", "A(b, ?:)"])
+def test_a_malformed_type_is_refused_as_one(text: str) -> None:
+    with pytest.raises(InvalidType, match=r"expected \?variable: Concept"):
+        parse_tag(text)
+
+
+def test_variables_are_replaced_by_names_and_lose_their_types() -> None:
+    term = parse_tag("Pose(?x: Robot, a, ?y, ?x)")
+    assert term.variables == ("?x", "?y")
+    assert str(term.substitute({"?y": "b"})) == "Pose(?x: Robot, a, b, ?x)"
+    assert term.substitute({"?x": "nao1", "?y": "b"}) == Term("Pose", ("nao1", "a", "b", "nao1"))
+
+
+@pytest.mark.parametrize(
+    ("supplied", "demanded", "bindings", "expected"),
+    [
+        ("A(b, c)", "A(?x, ?y)", {}, {"?x": "b", "?y": "c"}),
+        ("A(b)", "A(?x)", {"?x": "b", "?z": "d"}, {"?x": "b", "?z": "d"}),
+        ("A(b)", "A(?x)", {"?x": "c"}, None),
+        ("A(nao1)", "A(?x: Robot)", {}, {"?x": "nao1"}),
+        ("A(Robot)", "A(?x: nao1)", {}, None),
+        ("A(nao1, nao1)", "A(?x: Robot, ?x: NAO)", {}, {"?x": "nao1"}),
+        ("A(NAO, NAO)", "A(?x: Robot, ?x: nao1)", {}, None),
+    ],
+)
+def test_a_supplied_term_is_unified_under_bindings(
+    supplied: str, demanded: str, bindings: Dict[str, str], expected: Optional[Dict[str, str]]
+) -> None:
+    assert unify(parse_tag(supplied), parse_tag(demanded), Kinds(), bindings) == expected
+
+
+def test_names_of_one_entity_are_one_individual() -> None:
+    class Synonyms(Kinds):
+        def canonical(self, name: str) -> str:
+            return "nao1" if name == "http://x.org/nao1" else name
+
+    term = parse_tag("A(http://x.org/nao1)")
+    assert unify(term, parse_tag("A(?x)"), Synonyms(), {"?x": "nao1"}) == {"?x": "nao1"}
+    assert unify(term, parse_tag("A(?x)"), Kinds(), {"?x": "nao1"}) is None
+
+
+def test_all_tags_are_matched_under_the_same_bindings() -> None:
+    supplied = [parse_tag(text) for text in ("A(b)", "A(c)", "B(c)", "B(d)", "B(?e)")]
+    demanded = [parse_tag("A(?x)"), parse_tag("B(?x)")]
+    assert list(unify_all(supplied, demanded, Kinds())) == [{"?x": "c"}]
+    apart = [parse_tag("A(?x)"), parse_tag("B(?y)")]
+    assert len(list(unify_all(supplied, apart, Kinds()))) == 4
+
+
+def test_types_add_up_over_the_occurrences() -> None:
+    terms = [parse_tag("A(?x: Robot)"), parse_tag("B(?x: NAO, ?y)")]
+    assert types_of(terms) == {"?x": {"Robot", "NAO"}}
+
+
+def test_texts_name_variables_as_placeholders() -> None:
+    text = "/${?camera}/x ${label} ${?y}"
+    assert placeholders(text) == ("?camera", "?y")
+    assert fill(text, {"?camera": "cam1"}) == "/cam1/x ${label} ${?y}"

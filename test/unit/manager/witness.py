@@ -29,6 +29,9 @@ class Concepts:
     def __init__(self, above: Mapping[str, str]) -> None:
         self._above = above
 
+    def canonical(self, name: str) -> str:
+        return name
+
     def names_above(self, name: str) -> FrozenSet[str]:
         found = {name}
         while name in self._above:
