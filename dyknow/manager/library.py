@@ -5,12 +5,15 @@
 
 from __future__ import annotations
 
+import logging
 from typing import TYPE_CHECKING, Dict, List, Optional, Sequence
 
 from dyknow.errors import LimitExceeded, UnknownTransformation
 from dyknow.locks import state_lock, turn_lock
+from dyknow.manager.specifications.findings import listed
 from dyknow.manager.specifications.limits import DEFAULT_LIMITS, SpecificationLimits
 from dyknow.manager.specifications.specification import Specifications, parse
+from dyknow.manager.specifications.variables import shares_variables
 from dyknow.manager.store import Store
 from dyknow.model.transformation import TOPIC, Transformation
 from dyknow.similar import did_you_mean
@@ -19,6 +22,11 @@ if TYPE_CHECKING:
     from dyknow.manager.specifications.ontology import (
         Ontology,  # it imports rdflib, which takes its time
     )
+
+#: Meaning of the transformations in the store; 2: a variable is one thing throughout each.
+_SCHEMA = 2
+
+_log = logging.getLogger("rosout.dyknow")
 
 
 class Library:
@@ -48,6 +56,7 @@ class Library:
         self.revision = store.number("library_revision")
         self._topics: List[Transformation] = []
         self._topics_at = -1
+        self._follow_schema()
 
     def __len__(self) -> int:
         """Count the transformations."""
@@ -116,3 +125,16 @@ class Library:
                 del self._by_label[label]
                 self.revision += 1
         return found
+
+    def _follow_schema(self) -> None:
+        """Say which transformations of an older store mean something else from now on."""
+        if self._store.number("schema") >= _SCHEMA:
+            return
+        shared = [label for label, each in self._by_label.items() if shares_variables(each)]
+        if shared:
+            _log.warning(
+                "a variable is one thing throughout a transformation now: it no longer stands for "
+                "something else in each tag of %s",
+                listed(shared),
+            )
+        self._store.set_number("schema", _SCHEMA)

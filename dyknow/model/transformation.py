@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import List, NamedTuple, Tuple
 from xml.sax.saxutils import escape, quoteattr
@@ -21,7 +22,7 @@ class Parameter(NamedTuple):
     Attributes:
         name: The name, relative to the nodelet.
         type: `string`, `int`, `double`, `bool` or `yaml`.
-        text: The value as text.
+        text: The value as text; that of a transformation may have `placeholders`.
     """
 
     name: str
@@ -99,7 +100,9 @@ class Added:
 
 def _param_xml(parameter: Parameter) -> str:
     name, type_, text = parameter
-    return f'<param name={_attribute(name)} type="{type_}">{_text(text)}</param>'
+    # Templates leave placeholders, and what is written before `{?`, as they are.
+    written = _escaped(re.sub(r"\$\{(?!\?)", "$${", text))
+    return f'<param name={_attribute(name)} type="{type_}">{written}</param>'
 
 
 def _port_xml(port: Port) -> str:
@@ -120,7 +123,11 @@ def _add_section(lines: List[str], name: str, items: List[str]) -> None:
 
 def _text(text: str) -> str:
     # In a specification `${` opens a variable, and `$${` stands for `${` itself.
-    return escape(text.replace("${", "$${"), {"\r": "&#13;"})
+    return _escaped(text.replace("${", "$${"))
+
+
+def _escaped(text: str) -> str:
+    return escape(text, {"\r": "&#13;"})
 
 
 def _attribute(text: str) -> str:

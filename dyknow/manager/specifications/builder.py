@@ -15,6 +15,8 @@ from dyknow.manager.specifications.findings import EnoughProblems, Findings, lis
 from dyknow.manager.specifications.limits import SpecificationLimits
 from dyknow.manager.specifications.tags import parse_tag
 from dyknow.manager.specifications.values import BadValue, infer_type, parse_value
+from dyknow.manager.specifications.variables import check_variables
+from dyknow.model.placeholders import fill, variables_of
 from dyknow.model.transformation import NODELET, OUT, TOPIC, Parameter, Port, Transformation
 
 MAX_COST = 2**32 - 1
@@ -46,6 +48,7 @@ class Builder:
         cost = self._cost(draft)
         parameters = self._parameters(draft)
         ports = self._ports(draft)
+        check_variables(draft, self._findings)
         if draft.label is None or draft.source is None:
             return None
         return Transformation(
@@ -123,8 +126,11 @@ class Builder:
                 limit = self._limits.yaml_size
                 self._findings.problem(line, f"more than {limit} characters of YAML in this text")
                 raise EnoughProblems
+        names = dict.fromkeys(variables_of(text), "name")
+        if names and type_ not in ("string", "yaml"):
+            return  # it is checked when the name is known
         try:
-            parse_value(type_, text, self._limits)
+            parse_value(type_, fill(text, names), self._limits)
         except BadValue as error:
             self._findings.problem(line, f"the parameter '{shorten(name)}': {error}")
             return
@@ -164,7 +170,6 @@ class Builder:
         )
 
     def _distribute_tags(self, draft: TransformationDraft, tags: Dict[str, List[str]]) -> None:
-        suppliers = {port.name for port in draft.ports if port.direction == OUT}
         for port, text, line in draft.tags:
             if not text:
                 self._findings.problem(line, "<tag> is empty; expected a term such as Image(cam1)")
@@ -176,7 +181,7 @@ class Builder:
                     )
                 else:
                     of_port.append(text)
-                    self._check_tag(text, port in suppliers, line)
+                    self._check_tag(text, line)
             elif draft.ports_known:
                 self._findings.problem(
                     line,
@@ -184,22 +189,15 @@ class Builder:
                     f"ports: {listed(tags)}{meant(port, tags)}",
                 )
 
-    def _check_tag(self, text: str, supplied: bool, line: int) -> None:
+    def _check_tag(self, text: str, line: int) -> None:
         if not text:
             return
         try:
-            term = parse_tag(text)
+            parse_tag(text)
         except InvalidTag as error:
             self._findings.warning(
                 line,
                 f"the tag '{shorten(text)}' is passed over by the planner: {error.expected}",
-            )
-            return
-        if supplied and not term.is_ground:
-            self._findings.warning(
-                line,
-                f"the tag '{shorten(text)}' of an out-port has a variable and supplies nothing; "
-                "variables stand in the tags of in-ports",
             )
 
     def _check_datatype(self, datatype: str, line: int) -> None:

@@ -92,14 +92,18 @@ class TransformationDraft:
         self.ports_known = True
         self.has_variables = False
 
+    def values(self) -> Iterator[Tuple[str, int]]:
+        """The texts of parameters, with their lines: variables are substituted there too."""
+        for parameter in self.parameters:
+            yield parameter.text, parameter.line
+
     def texts(self) -> Iterator[Tuple[str, int]]:
-        """The texts in which variables are substituted, with their lines."""
+        """The other texts in which variables are substituted, with their lines."""
         yield self.cost, self.line
         yield self.label or "", self.label_line
         yield self.source or "", self.source_line
         for parameter in self.parameters:
             yield parameter.name, parameter.line
-            yield parameter.text, parameter.line
         for port in self.ports:
             yield port.name, port.line
             yield port.datatype, port.line
@@ -107,8 +111,10 @@ class TransformationDraft:
             yield tag.port, tag.line
             yield tag.text, tag.line
 
-    def map(self, render: Callable[[str], str]) -> TransformationDraft:
-        """Make a copy in which every one of `texts` is rendered."""
+    def map(
+        self, render: Callable[[str], str], render_value: Callable[[str], str]
+    ) -> TransformationDraft:
+        """Make a copy in which all of `texts` and `values` are rendered."""
         made = TransformationDraft(self.line)
         made.type = self.type
         made.cost = render(self.cost)
@@ -117,7 +123,7 @@ class TransformationDraft:
         made.source = None if self.source is None else render(self.source)
         made.source_line = self.source_line
         made.parameters = [
-            ParameterDraft(render(name), type_, render(text), line)
+            ParameterDraft(render(name), type_, render_value(text), line)
             for name, type_, text, line in self.parameters
         ]
         made.ports = [

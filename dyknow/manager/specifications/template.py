@@ -6,7 +6,8 @@
 Each `<arg>` is a variable with a set of terms, written out as `{cam1; cam2}` or taken from a
 class of the ontology. A transformation results for every combination of terms. Every occurrence
 of `${Cam}` is replaced in one pass: the text of a term is not searched for variables. `$${` stands
-for `${` itself.
+for `${` itself. Placeholders in the texts of parameters, `${?x}`, stay: a nodelet's variables fill
+them when it is made (``model.placeholders``).
 """
 
 from __future__ import annotations
@@ -22,14 +23,22 @@ from dyknow.manager.specifications.draft import ArgDraft, TransformationDraft
 from dyknow.manager.specifications.findings import Findings, listed, meant, shorten
 from dyknow.manager.specifications.limits import SpecificationLimits
 from dyknow.manager.specifications.xml_reader import BLANK
+from dyknow.model import placeholders
+from dyknow.model.placeholders import Placeholder
 
 _VARIABLE = re.compile(r"\$\$\{|\$\{([^{}]*)\}|\$\{")
+_BESIDE_PLACEHOLDERS = re.compile(r"\$\$\{(?!\?)|\$\{(?!\?)([^{}]*)\}|\$\{(?!\?)")
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_.-]*\Z")
 _URI = re.compile(r"[A-Za-z][A-Za-z0-9+.-]*:[^\s<>\"{}|\\^`]+\Z")
 
 _Pieces = Tuple[Union[str, int], ...]
 """A text cut at its variables: literals, and for each variable its position among the args."""
 
+_ValuePieces = Tuple[Union[str, int, Placeholder], ...]
+"""The text of a parameter, which is cut at its placeholders too."""
+
+_Texts = Dict[str, _Pieces]
+_Values = Dict[str, _ValuePieces]
 _Terms = Sequence[Tuple[str, ...]]
 
 
@@ -68,13 +77,14 @@ class Expander:
         """
         terms = self._all_terms(draft.args)
         positions = {arg.label: position for position, arg in enumerate(draft.args)}
-        pieces = {text: _cut(text, positions) for text, _ in draft.texts()}
         known = self._variables_are_known(draft, positions)
         if terms is None or not known or not self._labels_differ(draft, positions, terms):
             return None
-        if not self._fits(draft, pieces, terms):
+        texts = {text: _cut(text, positions) for text, _ in draft.texts()}
+        values = {text: _cut_value(text, positions) for text, _ in draft.values()}
+        if not self._fits(draft, texts, values, terms):
             return None
-        return _substitutions(draft, pieces, terms)
+        return _substitutions(draft, texts, values, terms)
 
     def _all_terms(self, args: List[ArgDraft]) -> Optional[_Terms]:
         lines: Dict[str, int] = {}
@@ -134,20 +144,38 @@ class Expander:
         self._findings.problem(arg.line, f"the arg '{shorten(arg.label)}' {message}")
 
     def _variables_are_known(self, draft: TransformationDraft, positions: Dict[str, int]) -> bool:
-        known = listed(positions)
         good = True
         for text, line in draft.texts():
             for match in _VARIABLE.finditer(text):
-                if match.group() == "$${" or match.group(1) in positions:
-                    continue
+                good = self._is_known(match, positions, line) and good
+        for text, line in draft.values():
+            for match in _BESIDE_PLACEHOLDERS.finditer(text):
+                good = self._is_known(match, positions, line) and good
+            try:
+                placeholders.cut(text)
+            except ValueError as error:
                 good = False
-                found = "'${' without '}'" if match.group() == "${" else shorten(match.group())
-                self._findings.problem(
-                    line,
-                    f"unknown variable {found}; known variables: {known} (write $${{ for ${{ "
-                    f"itself){meant(match.group(1) or '', positions)}",
-                )
+                self._findings.problem(line, f"{error} (write $${{? for ${{? itself)")
         return good
+
+    def _is_known(self, match: re.Match[str], positions: Dict[str, int], line: int) -> bool:
+        found, name = match.group(), match.group(1)
+        if found == "$${" or name in positions:
+            return True
+        if name and name[0] == "?":
+            self._findings.problem(
+                line,
+                f"{shorten(found)} stands outside the text of a <param>, where a variable of tags "
+                "cannot be filled in (write $${ for ${ itself)",
+            )
+            return False
+        shown = "'${' without '}'" if found == "${" else shorten(found)
+        self._findings.problem(
+            line,
+            f"unknown variable {shown}; known variables: {listed(positions)} (write $${{ for ${{ "
+            f"itself){meant(name or '', positions)}",
+        )
+        return False
 
     def _labels_differ(
         self, draft: TransformationDraft, positions: Dict[str, int], terms: _Terms
@@ -164,7 +192,9 @@ class Expander:
                 )
         return good
 
-    def _fits(self, draft: TransformationDraft, pieces: Dict[str, _Pieces], terms: _Terms) -> bool:
+    def _fits(
+        self, draft: TransformationDraft, texts: _Texts, values: _Values, terms: _Terms
+    ) -> bool:
         """Compute the size of the expansion, and check the limits before anything is expanded."""
         count = prod(len(each) for each in terms)
         if self._transformations + count > self._limits.transformations:
@@ -185,8 +215,12 @@ class Expander:
         totals = [sum(map(len, each)) * (count // len(each)) for each in terms]
         longest = [max(map(len, each)) for each in terms]
         characters = 0
-        for text, line in draft.texts():
-            most = sum(len(p) if isinstance(p, str) else longest[p] for p in pieces[text])
+        every: List[Tuple[_ValuePieces, int]] = [
+            (texts[text], line) for text, line in draft.texts()
+        ]
+        every += [(values[text], line) for text, line in draft.values()]
+        for pieces, line in every:
+            most = sum(longest[p] if isinstance(p, int) else _length(p) for p in pieces)
             if most > self._limits.string_length:
                 self._findings.problem(
                     line,
@@ -195,7 +229,7 @@ class Expander:
                 )
                 return False
             characters += sum(
-                len(p) * count if isinstance(p, str) else totals[p] for p in pieces[text]
+                totals[p] if isinstance(p, int) else _length(p) * count for p in pieces
             )
         if self._characters + characters > self._limits.expanded_size:
             self._findings.problem(
@@ -210,11 +244,15 @@ class Expander:
         return True
 
 
-def _cut(text: str, positions: Dict[str, int]) -> _Pieces:
-    """Cut a text at its variables; unknown ones stay as they are written."""
+def _length(piece: Union[str, Placeholder]) -> int:
+    return len(piece) if isinstance(piece, str) else len(piece.variable)
+
+
+def _cut(text: str, positions: Dict[str, int], variables: re.Pattern[str] = _VARIABLE) -> _Pieces:
+    """Cut a text at its variables, which are known."""
     pieces: List[Union[str, int]] = []
     end = 0
-    for match in _VARIABLE.finditer(text):
+    for match in variables.finditer(text):
         pieces.append(text[end : match.start()])
         if match.group() == "$${":
             pieces.append("${")
@@ -225,12 +263,26 @@ def _cut(text: str, positions: Dict[str, int]) -> _Pieces:
     return tuple(piece for piece in pieces if piece != "")
 
 
+def _cut_value(text: str, positions: Dict[str, int]) -> _ValuePieces:
+    """Cut the text of a parameter at its placeholders, and the rest at its variables."""
+    pieces: List[Union[str, int, Placeholder]] = []
+    for piece in placeholders.cut(text):
+        if isinstance(piece, str):
+            pieces += _cut(piece, positions, _BESIDE_PLACEHOLDERS)
+        else:
+            pieces.append(piece)
+    return tuple(pieces)
+
+
 def _substitutions(
-    draft: TransformationDraft, pieces: Dict[str, _Pieces], terms: _Terms
+    draft: TransformationDraft, texts: _Texts, values: _Values, terms: _Terms
 ) -> Iterator[TransformationDraft]:
-    for values in product(*terms):
+    for choice in product(*terms):
 
-        def render(text: str, values: Tuple[str, ...] = values) -> str:
-            return "".join([p if isinstance(p, str) else values[p] for p in pieces[text]])
+        def render(text: str, choice: Tuple[str, ...] = choice) -> str:
+            return "".join([choice[p] if isinstance(p, int) else p for p in texts[text]])
 
-        yield draft.map(render)
+        def render_value(text: str, choice: Tuple[str, ...] = choice) -> str:
+            return placeholders.join(choice[p] if isinstance(p, int) else p for p in values[text])
+
+        yield draft.map(render, render_value)

@@ -14,6 +14,7 @@ import pytest
 from faulty_disk import kept_aside
 
 from dyknow.errors import StoreError
+from dyknow.manager.library import Library
 from dyknow.manager.record import Record
 from dyknow.manager.store import Store, _body, pack
 from dyknow.model.graph import State
@@ -166,3 +167,26 @@ def test_a_nodelet_whose_name_is_none_is_set_aside(tmp_path: Path) -> None:
     store = Store(path)
     assert store.nodelets() == []
     assert "not a valid nodelet name" in store.complaint
+
+
+def test_the_labels_are_named_whose_variables_mean_something_else_than_before(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = str(tmp_path / "state.db")
+    single = TRANSFORMATION._replace(
+        label="single", ports=(Port("in", "in", "", ("T(?x, ?x)", "T(?y)")), Port("out", "out"))
+    )
+    shared = TRANSFORMATION._replace(
+        label="shared", ports=(Port("in", "in", "", ("T(?x)",)), Port("b", "in", "", ("U(?x)",)))
+    )
+    store = Store(path)
+    store.put_transformations([TRANSFORMATION, single, shared], 1)
+    warnings = []
+    for _ in range(2):  # once
+        Library(store)
+        store.close()
+        store = Store(path)
+        warnings += [each.getMessage() for each in caplog.records]
+        caplog.clear()
+    assert len(warnings) == 1
+    assert warnings[0].endswith("each tag of shared")
