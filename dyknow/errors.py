@@ -39,7 +39,8 @@ was expected. ``dyknow.ros`` alone turns exceptions into answers of services.
     │   └── InvalidConfiguration     all that is wrong with one set_config
     ├── TransformationError
     │   ├── UnknownTransformation    the library has no such label
-    │   └── NotSpawnable             the transformation is an existing topic
+    │   ├── NotSpawnable             the transformation is an existing topic
+    │   └── InvalidParameters        all that is wrong with the parameters given to a nodelet
     ├── StreamError
     │   ├── InvalidTag               a tag is not a term
     │   ├── NoPlanFound              no plan supplies the stream; the text names what is missing
@@ -367,6 +368,15 @@ class NotSpawnable(TransformationError):
             f"transformation '{label}' is the existing topic '{topic}': "
             "it is used as it is and cannot be spawned"
         )
+
+
+class InvalidParameters(TransformationError):
+    """All that is wrong with the parameters that are given to one nodelet."""
+
+    def __init__(self, label: str, problems: Sequence[str]) -> None:
+        self.label = label
+        self.problems: Tuple[str, ...] = tuple(problems)
+        super().__init__(f"parameters of transformation '{label}': {'; '.join(problems)}")
 
 
 class StreamError(DyKnowError):

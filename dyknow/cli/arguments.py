@@ -14,6 +14,7 @@ from typing import NoReturn, Tuple, Union
 from dyknow import names
 from dyknow.errors import InvalidName
 from dyknow.model.graph import PortRef
+from dyknow.model.transformation import Parameter
 
 DEFAULT_MANAGER = "/dyknow_manager"
 
@@ -85,6 +86,16 @@ def port_topic(text: str) -> Tuple[str, str]:
         return port, names.check(topic, "topic name")
     except InvalidName as error:
         raise argparse.ArgumentTypeError(str(error)) from error
+
+
+def given_parameter(text: str) -> Parameter:
+    """Read `NAME=VALUE`; the type is left open."""
+    name, equals, value = text.partition("=")
+    if not equals or not name:
+        raise argparse.ArgumentTypeError(
+            f"'{text}': expected NAME=VALUE, such as rate=5 or '?camera=cam1'"
+        )
+    return Parameter(name, "", value)
 
 
 def seconds(text: str) -> float:

@@ -229,6 +229,19 @@ def ports_of_label(cursor: _Cursor) -> Iterable[str]:
 
 
 @_completer
+def parameters_of_label(cursor: _Cursor) -> Iterable[str]:
+    """Parameters and variables of the transformation that is to be spawned, `NAME=`."""
+    from dyknow.manager.specifications.given import variables
+
+    return (
+        f"{name}="
+        for each in cursor.client.get_model().transformations
+        if each.label == cursor.given("label")
+        for name in (*[parameter.name for parameter in each.parameters], *variables(each))
+    )
+
+
+@_completer
 def stream_sources(cursor: _Cursor) -> Iterable[str]:
     """Out-ports, and topics."""
     return [*cursor.ports(OUT), *_topics_beside_ports(cursor)]

@@ -5,11 +5,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Dict
+from typing import TYPE_CHECKING, Any, Dict, List, Sequence
 
 from dyknow.cli.views import state_of
 from dyknow.model.graph import PortState
-from dyknow.model.transformation import Transformation
+from dyknow.model.transformation import Parameter, Transformation
 from dyknow.wiring.ports import by_name
 
 if TYPE_CHECKING:
@@ -43,7 +43,12 @@ def nodelet_json(nodelet: NodeletStatus) -> Json:
         "state": state_of(nodelet),
         "detail": nodelet.detail,
         "ports": [port_json(port) for port in by_name(nodelet.ports)],
+        "parameters": _parameters_json(nodelet.parameters),
     }
+
+
+def _parameters_json(parameters: Sequence[Parameter]) -> List[Json]:
+    return [{"name": each.name, "type": each.type, "value": each.text} for each in parameters]
 
 
 def transformation_json(transformation: Transformation) -> Json:
@@ -53,10 +58,7 @@ def transformation_json(transformation: Transformation) -> Json:
         "type": transformation.type,
         "source": transformation.source,
         "cost": transformation.cost,
-        "parameters": [
-            {"name": each.name, "type": each.type, "value": each.text}
-            for each in transformation.parameters
-        ],
+        "parameters": _parameters_json(transformation.parameters),
         "ports": [
             {
                 "name": port.name,

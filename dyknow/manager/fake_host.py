@@ -36,7 +36,6 @@ from dyknow.manager.host import (
 )
 from dyknow.manager.specifications.values import value_of
 from dyknow.model.graph import PortState
-from dyknow.model.transformation import Parameter
 
 
 @dataclass
@@ -343,10 +342,10 @@ class FakeHost(Host):
             raise HostError(f"no nodelet named '{name}' is loaded")
         self.on_change()
 
-    def forget(self, name: str, parameters: Sequence[Parameter]) -> None:
+    def forget(self, name: str, parameters: Sequence[str]) -> None:
         """Delete parameters."""
         for parameter in parameters:
-            self.parameters.pop(f"{name}/{parameter.name}", None)
+            self.parameters.pop(f"{name}/{parameter}", None)
 
     def list(self, manager: str) -> List[str]:
         """List nodelets."""

@@ -186,8 +186,8 @@ class Host(ABC):
         """
 
     @abstractmethod
-    def forget(self, name: str, parameters: Sequence[Parameter]) -> None:
-        """Delete the parameters that ``load`` set; parameters set by others stay."""
+    def forget(self, name: str, parameters: Sequence[str]) -> None:
+        """Delete the parameters of these names that ``load`` set; others' parameters stay."""
 
     @abstractmethod
     def list(self, manager: str) -> List[str]:

@@ -28,6 +28,7 @@ from dyknow.manager import placement
 from dyknow.manager.graph import Graph
 from dyknow.manager.host import Host, LoadRequest, ManagerState, NodeletKind
 from dyknow.manager.record import Record, declared_ports, seen_ports
+from dyknow.manager.specifications.given import completed, names_of, set_on_load
 from dyknow.manager.suspects import Suspects
 from dyknow.model.graph import PortState, SpawnRequest, State
 from dyknow.model.transformation import TOPIC, Transformation
@@ -84,10 +85,13 @@ class Lifecycle:
         count = len(self._graph.all()) + 1
         if count > self._guards.nodelets:
             raise LimitExceeded("nodelets", count, self._guards.nodelets)
+        parameters = completed(transformation, request.parameters)
         config = self._resolved(transformation, request.name, request.config)
         with self._graph.changing(request.name, new=True, patience=PATIENCE):
             kind = self._host.kind_of(transformation.source)
-            planned = Record(request.name, transformation, "", claimed=claimed)
+            planned = Record(
+                request.name, transformation, "", claimed=claimed, parameters=parameters
+            )
             self._suspects.know(planned)
             suspicion = "" if request.manager else self._suspects.verdict(request.name)
             if suspicion and not request.isolated:
@@ -295,7 +299,7 @@ class Lifecycle:
         request = LoadRequest(
             record.name,
             transformation.source,
-            transformation.parameters,
+            set_on_load(transformation, record.parameters),
             _remappings(record, transformation) if record.rewired_by_reload else {},
         )
         self._host.load(record.manager, request, self._timeout)
@@ -350,7 +354,8 @@ class Lifecycle:
 
     def _dispose(self, record: Record) -> None:
         if record.transformation is not None:
-            self._host.forget(record.name, record.transformation.parameters)
+            declared = [each.name for each in record.transformation.parameters]
+            self._host.forget(record.name, [*declared, *names_of(record.parameters)])
         if record.isolated:
             self._host.retire(record.manager)
 

@@ -10,7 +10,7 @@ from functools import cached_property
 from typing import Dict, List, Mapping, Optional, Tuple
 
 from dyknow.model.graph import NodeletStatus, PortState, State
-from dyknow.model.transformation import Transformation
+from dyknow.model.transformation import Parameter, Transformation
 
 
 @dataclass(frozen=True)
@@ -35,6 +35,7 @@ class Record:
         suspicion: why it was given a process of its own; empty if it is not suspected.
         unwanted: whether it should have been destroyed while its nodelet manager did not answer;
             it is destroyed as soon as that answers.
+        parameters: those that were given to it, which it keeps for life.
     """
 
     name: str
@@ -51,6 +52,7 @@ class Record:
     incarnation: str = ""
     suspicion: str = ""
     unwanted: bool = False
+    parameters: Tuple[Parameter, ...] = ()
 
     @property
     def label(self) -> str:
@@ -70,6 +72,7 @@ class Record:
             self.state,
             self.detail,
             self.ports,
+            self.parameters,
         )
 
 

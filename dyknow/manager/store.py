@@ -18,7 +18,7 @@ from typing import Any, Callable, Dict, Iterable, List, Mapping, Optional, TypeV
 from dyknow import names
 from dyknow.errors import DyKnowError
 from dyknow.manager.record import Record
-from dyknow.manager.specifications.values import parse_value
+from dyknow.manager.specifications.given import set_on_load
 from dyknow.manager.state_file import IN_MEMORY, StateFile
 from dyknow.manager.well_typed import check_types
 from dyknow.model.graph import State
@@ -211,6 +211,7 @@ def _body(record: Record) -> str:
             "incarnation": record.incarnation,
             "suspicion": record.suspicion,
             "unwanted": record.unwanted,
+            "parameters": record.parameters,
         },
         sort_keys=True,
     )
@@ -221,10 +222,13 @@ def _record(name: str, text: str) -> Record:
     made_from = body.pop("transformation")
     state = State(body.pop("state"))
     transformation = unpack(made_from) if made_from else None
-    record = Record(name=name, transformation=transformation, state=state, **body)
+    given = tuple(Parameter(*each) for each in body.pop("parameters", ()))
+    record = Record(
+        name=name, transformation=transformation, state=state, parameters=given, **body
+    )
     check_types(record)
     if names.check(name, "nodelet name") != name or name[:1] != "/":
         raise ValueError("its name is not global")
-    for parameter in transformation.parameters if transformation is not None else ():
-        parse_value(parameter.type, parameter.text)
+    if transformation is not None:
+        set_on_load(transformation, given)
     return record

@@ -15,7 +15,7 @@ from typing import Mapping, Optional, Sequence, Tuple
 from dyknow.model.graph import Model, PortState, SpawnRequest
 from dyknow.model.statistics import NodeletStatistics
 from dyknow.model.streams import Acquisition, Replanned, StreamRequest, StreamStatus
-from dyknow.model.transformation import Added
+from dyknow.model.transformation import Added, Parameter
 
 
 class BaseManagerClient(ABC):
@@ -58,10 +58,13 @@ class BaseManagerClient(ABC):
         is_protected: bool = False,
         isolated: bool = False,
         manager: str = "",
+        parameters: Sequence[Parameter] = (),
     ) -> None:
         """Make a nodelet; the arguments are the fields of a ``SpawnRequest``."""
         self.spawn_nodelet(
-            SpawnRequest(label, name, config or {}, is_protected, isolated, manager)
+            SpawnRequest(
+                label, name, config or {}, is_protected, isolated, manager, tuple(parameters)
+            )
         )
 
     @abstractmethod

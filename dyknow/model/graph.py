@@ -9,7 +9,7 @@ import enum
 from dataclasses import dataclass, field
 from typing import Dict, Mapping, Optional, Tuple
 
-from dyknow.model.transformation import Transformation
+from dyknow.model.transformation import Parameter, Transformation
 
 
 class State(enum.IntEnum):
@@ -67,6 +67,7 @@ class NodeletStatus:
         state: whether it runs.
         detail: why it does not, in words.
         ports: in the order in which the nodelet made them.
+        parameters: those that were given to it when it was spawned, by name.
     """
 
     name: str
@@ -78,6 +79,7 @@ class NodeletStatus:
     state: State
     detail: str
     ports: Tuple[PortState, ...]
+    parameters: Tuple[Parameter, ...] = ()
 
     @property
     def connections(self) -> Dict[str, str]:
@@ -95,6 +97,7 @@ class NodeletStatus:
             self.is_protected,
             self.isolated,
             "" if self.isolated else self.manager,
+            self.parameters,
         )
 
     def port(self, name: str) -> Optional[PortState]:
@@ -134,6 +137,8 @@ class SpawnRequest:
         is_protected: refuse to destroy it.
         isolated: give it a process of its own.
         manager: nodelet manager to use; empty for the manager's choice.
+        parameters: names override the transformation's parameters, variables such as ``?camera``
+            say what fills them; an empty type is the transformation's, or follows from the text.
     """
 
     label: str
@@ -142,3 +147,4 @@ class SpawnRequest:
     is_protected: bool = False
     isolated: bool = False
     manager: str = ""
+    parameters: Tuple[Parameter, ...] = ()

@@ -74,6 +74,15 @@ def config_pairs(config: Sequence[msg.PortConfig]) -> List[Tuple[str, str]]:
 # What can run
 
 
+def _parameter_messages(parameters: Sequence[Parameter]) -> List[msg.Parameter]:
+    return [msg.Parameter(*each) for each in parameters]
+
+
+def parameters_from(messages: Sequence[msg.Parameter]) -> Tuple[Parameter, ...]:
+    """Read parameters."""
+    return tuple(Parameter(each.name, each.type, each.value) for each in messages)
+
+
 def transformation_message(transformation: Transformation) -> msg.Transformation:
     """Convert a transformation."""
     return msg.Transformation(
@@ -81,7 +90,7 @@ def transformation_message(transformation: Transformation) -> msg.Transformation
         type=transformation.type,
         source=transformation.source,
         cost=transformation.cost,
-        parameters=[msg.Parameter(*each) for each in transformation.parameters],
+        parameters=_parameter_messages(transformation.parameters),
         ports=[
             msg.Port(
                 port.name, direction_message(port.direction), port.datatype, "", list(port.tags)
@@ -99,7 +108,7 @@ def transformation_from(message: msg.Transformation) -> Transformation:
         message.source,
         message.type,
         message.cost,
-        tuple(Parameter(each.name, each.type, each.value) for each in message.parameters),
+        parameters_from(message.parameters),
         tuple(
             Port(each.name, _direction_from(each), each.datatype, tuple(each.tags))
             for each in message.ports
@@ -122,6 +131,8 @@ def nodelet_message(nodelet: NodeletStatus) -> msg.Nodelet:
         state=int(nodelet.state),
         detail=nodelet.detail,
         ports=[port_message(port) for port in nodelet.ports],
+        kind="cpp_nodelet" if nodelet.rewired_by_reload else "nodelet",
+        parameters=_parameter_messages(nodelet.parameters),
     )
 
 
@@ -136,6 +147,7 @@ def _nodelet_from(message: msg.Nodelet) -> NodeletStatus:
         State(message.state),
         message.detail,
         tuple(port_from(port) for port in message.ports),
+        parameters_from(message.parameters),
     )
 
 
@@ -161,6 +173,7 @@ def spawn_message(request: SpawnRequest) -> srv.SpawnRequest:
         isolated=request.isolated,
         config=config_message(request.config),
         manager=request.manager,
+        parameters=_parameter_messages(request.parameters),
     )
 
 

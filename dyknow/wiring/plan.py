@@ -18,7 +18,9 @@ from typing import (
     Tuple,
 )
 
+from dyknow.errors import InvalidParameters
 from dyknow.manager.specifications.findings import shorten
+from dyknow.manager.specifications.given import bindings_of, completed, set_on_load
 from dyknow.manager.specifications.values import value_of
 from dyknow.model.graph import Model, NodeletStatus, SpawnRequest
 from dyknow.model.transformation import TOPIC, Transformation
@@ -241,7 +243,7 @@ def _plan_present(
     is_replaced = nodelet.label in (each.label for each in plan.replaced)
     outdated: Tuple[str, ...] = ()
     if not is_replaced:
-        outdated = _otherwise_made(plan.blueprints[nodelet.label], present, stored)
+        outdated = _otherwise_made(plan.blueprints[nodelet.label], nodelet, present, stored)
     if not replace or not (is_replaced or outdated):
         plan.kept.append(Kept(nodelet, present, outdated))
         return False
@@ -256,16 +258,26 @@ def _plan_present(
 
 
 def _otherwise_made(
-    blueprint: Transformation, present: NodeletStatus, stored: Optional[Stored]
+    blueprint: Transformation,
+    nodelet: SpawnRequest,
+    present: NodeletStatus,
+    stored: Optional[Stored],
 ) -> Tuple[str, ...]:
-    """Compare what can be seen of a nodelet with the transformation of its label.
+    """Compare what can be seen of a nodelet with what it would be made of.
 
-    A nodelet keeps the transformation that it was made from when the library gets another.
+    A nodelet keeps the transformation that it was made from when the library gets another, and the
+    parameters that were given to it.
     """
     found: List[str] = []
-    if stored is not None and blueprint.parameters:
-        values = stored(present.name, [each.name for each in blueprint.parameters])
-        for parameter in blueprint.parameters:
+    try:
+        wanted = set_on_load(blueprint, completed(blueprint, nodelet.parameters))
+    except InvalidParameters:
+        return ()  # it is a problem of the plan
+    if bindings_of(nodelet.parameters) != bindings_of(present.parameters):
+        found.append("its variables were bound otherwise")
+    if stored is not None and wanted:
+        values = stored(present.name, [each.name for each in wanted])
+        for parameter in wanted:
             name, expected = parameter.name, f"expected {shorten(parameter.text)}"
             if name not in values:
                 found.append(f"parameter {name} is not set, {expected}")
@@ -284,6 +296,10 @@ def _check_blueprint(plan: LoadPlan, nodelet: SpawnRequest, blueprint: Transform
             f"nodelet '{nodelet.name}': transformation '{nodelet.label}' is an existing topic, "
             "not a nodelet"
         )
+    try:
+        completed(blueprint, nodelet.parameters)
+    except InvalidParameters as error:
+        plan.problems.append(f"nodelet '{nodelet.name}': {error}")
 
 
 def _check_topics(plan: LoadPlan, wiring: Wiring) -> None:

@@ -17,14 +17,20 @@ from dyknow.manager.specifications.reader import SpecificationReader
 from dyknow.manager.specifications.specification import transformations_of
 from dyknow.manager.specifications.xml_reader import ANY, NEEDED, Attribute, Attributes, Element
 from dyknow.model.graph import SpawnRequest
-from dyknow.model.transformation import Transformation
+from dyknow.model.transformation import Parameter, Transformation
 from dyknow.wiring.wiring import VERSION, Wiring
 
 _BOOL = Attribute(("true", "false", "1", "0"))
 _CONNECTION = Element("connection", attributes={"port": NEEDED, "topic": NEEDED}, may_repeat=True)
+_PARAM = Element(
+    "param",
+    attributes={"name": NEEDED, "type": ANY, "value": NEEDED},
+    may_repeat=True,
+)
 _NODELET = Element(
     "nodelet",
     _CONNECTION,
+    _PARAM,
     attributes={
         "name": NEEDED,
         "transformation": NEEDED,
@@ -76,8 +82,11 @@ class _WiringReader(SpecificationReader):
         self.nodelets: List[SpawnRequest] = []
         self._lines: Dict[str, int] = {}
         self._connections: Dict[str, str] = {}
+        self._parameters: List[Parameter] = []
         self.on_start.update(wiring=self._begin_wiring, nodelet=self._begin_nodelet)
-        self.on_end.update(connection=self._end_connection, nodelet=self._end_nodelet)
+        self.on_end.update(
+            connection=self._end_connection, param=self._end_param, nodelet=self._end_nodelet
+        )
 
     def _begin_wiring(self, attributes: Attributes, line: int) -> None:
         if attributes["version"] is None:
@@ -85,6 +94,12 @@ class _WiringReader(SpecificationReader):
 
     def _begin_nodelet(self, attributes: Attributes, line: int) -> None:
         self._connections = {}
+        self._parameters = []
+
+    def _end_param(self, attributes: Attributes, line: int) -> None:
+        name, value = attributes["name"], attributes["value"]
+        if name is not None and value is not None:
+            self._parameters.append(Parameter(name, attributes.get("type") or "", value))
 
     def _end_connection(self, attributes: Attributes, line: int) -> None:
         port, topic = attributes["port"], self._global(attributes, "topic", line)
@@ -110,6 +125,7 @@ class _WiringReader(SpecificationReader):
                 attributes.get("protected") in ("true", "1"),
                 attributes.get("isolated") in ("true", "1"),
                 self._global(attributes, "manager", line) if attributes.get("manager") else "",
+                tuple(self._parameters),
             )
         )
 

@@ -77,10 +77,14 @@ def _nodelet_xml(nodelet: SpawnRequest) -> List[str]:
     attributes.extend([("protected", "true")] if nodelet.is_protected else [])
     attributes.extend([("isolated", "true")] if nodelet.isolated else [])
     opening = "  <nodelet" + "".join(f" {key}={quoteattr(value)}" for key, value in attributes)
-    if not nodelet.config:
+    if not nodelet.config and not nodelet.parameters:
         return [opening + "/>"]
     return [
         opening + ">",
+        *(
+            f"    <param name={quoteattr(name)} type={quoteattr(type_)} value={quoteattr(text)}/>"
+            for name, type_, text in nodelet.parameters
+        ),
         *(
             f"    <connection port={quoteattr(port)} topic={quoteattr(topic)}/>"
             for port, topic in sorted(nodelet.config.items())

@@ -95,6 +95,9 @@ def _describe(nodelet: NodeletStatus, snapshot: Model) -> Iterator[str]:
     yield f"Nodelet manager: {nodelet.manager}{' (its own process)' * nodelet.isolated}"
     yield f"State: {state_of(nodelet)}" + (f" ({nodelet.detail})" if nodelet.detail else "")
     yield f"Protected: {'yes' if nodelet.is_protected else 'no'}"
+    if nodelet.parameters:
+        given = ", ".join(f"{each.name}={each.text}" for each in nodelet.parameters)
+        yield f"Parameters given at the spawn: {given}"
     if nodelet.rewired_by_reload:
         yield "Re-wiring: loads it again (a plain C++ nodelet)"
     ends = _ends(snapshot)

@@ -9,7 +9,7 @@ import argparse
 from typing import TYPE_CHECKING, Any, Callable, Dict, List, Optional, Sequence
 
 from dyknow.cli import completion
-from dyknow.cli.arguments import graph_name, port_topic
+from dyknow.cli.arguments import given_parameter, graph_name, port_topic
 from dyknow.cli.command import Command
 from dyknow.cli.json_output import nodelet_json
 from dyknow.cli.shell import FAILED, Shell
@@ -52,6 +52,19 @@ def _spawn_arguments(parser: argparse.ArgumentParser) -> None:
         ),
         completion.ports_of_label,
     )
+    completion.complete_with(
+        parser.add_argument(
+            "--param",
+            metavar="NAME=VALUE",
+            type=given_parameter,
+            nargs="+",
+            action="extend",
+            default=[],
+            help="override parameters of the transformation; '?camera=cam1' says what ?camera "
+            "in its tags and parameters stands for",
+        ),
+        completion.parameters_of_label,
+    )
 
 
 def _spawn(arguments: argparse.Namespace, shell: Shell) -> None:
@@ -68,6 +81,7 @@ def _spawn(arguments: argparse.Namespace, shell: Shell) -> None:
         arguments.protected,
         arguments.isolated,
         shell.resolve(arguments.manager) if arguments.manager else "",
+        arguments.param,
     )
     shell.client.wait_for_model(lambda model: _runs(model, name))
     nodelet = shell.client.get_graph().nodelet(name)
@@ -141,7 +155,8 @@ COMMANDS = (
         "dyknow spawn relay slow\n"
         "dyknow spawn 'undistort(cam1)' /cam1/undistort --protected\n"
         "dyknow spawn relay slow --connect in:/camera/image out:/slow/image\n"
-        "dyknow spawn detector ball --isolated",
+        "dyknow spawn detector ball --isolated\n"
+        "dyknow spawn tracker tracker --param rate=5 '?camera=cam1'",
         _spawn_arguments,
         _spawn,
     ),

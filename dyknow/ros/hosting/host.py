@@ -220,10 +220,10 @@ class RosHost(Host):
                 self._children.await_end(manager, incarnation, DEATH_TIMEOUT)
             raise
 
-    def forget(self, name: str, parameters: Sequence[Parameter]) -> None:
+    def forget(self, name: str, parameters: Sequence[str]) -> None:
         """Delete the parameters, and the namespace if nothing is left in it."""
         for parameter in parameters:
-            self._delete_parameter(names.join(name, parameter.name))
+            self._delete_parameter(names.join(name, parameter))
         if parameters:
             with contextlib.suppress(LookupError, PeerTimeout):
                 if self._master.ask("getParam", name) == {}:

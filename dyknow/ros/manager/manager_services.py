@@ -26,7 +26,7 @@ from dyknow.errors import DuplicatePort, InvalidConfiguration
 from dyknow.manager.manager import Manager
 from dyknow.model.graph import SpawnRequest
 from dyknow.ros.manager.service_group import ServiceGroup
-from dyknow.ros.messages import config_pairs
+from dyknow.ros.messages import config_pairs, parameters_from
 from dyknow.ros.model_messages import ModelMessages
 
 
@@ -80,9 +80,14 @@ class ManagerServices:
     def _spawn(self, request: Any) -> SpawnResponse:
         def spawn() -> None:
             pairs = config_pairs(request.config)
-            texts = [text for pair in pairs for text in pair]
+            given = parameters_from(request.parameters)
+            texts = [text for entry in (*pairs, *given) for text in entry]
             self._check_sizes(
-                request.label, request.name, request.manager, *texts, entries=len(pairs)
+                request.label,
+                request.name,
+                request.manager,
+                *texts,
+                entries=max(len(pairs), len(given)),
             )
             manager = self._manager.resolve(request.manager) if request.manager else ""
             self._manager.spawn(
@@ -93,6 +98,7 @@ class ManagerServices:
                     request.is_protected,
                     request.isolated,
                     manager,
+                    given,
                 )
             )
 

@@ -15,7 +15,7 @@ from typing import Any, cast
 
 import pytest
 from unit.cli.fake_client import FakeClient
-from unit.manager.world import World
+from unit.manager.world import TRACKER, World
 
 from dyknow.cli import completion
 from dyknow.cli.parser import build_parser
@@ -27,6 +27,7 @@ needs_bash = pytest.mark.skipif(shutil.which("bash") is None, reason="bash is mi
 @pytest.fixture
 def client() -> FakeClient:
     client = FakeClient(World())
+    client.world.manager.add_transformation(TRACKER)
     client.world.spawn("camera", "cam", config={"image": "raw"})
     client.world.spawn("relay", "/robot/relay")
     return client
@@ -78,6 +79,7 @@ def offered(client: FakeClient, text: str) -> list[str]:
         ("spawn relay r --connect ", ["in:", "out:"]),
         ("spawn relay r --connect in:/r", ["/raw", "/rosout"]),
         ("spawn relay r --connect in:/raw o", ["out:"]),
+        ("spawn tracker r --param ", ["?camera=", "frame="]),
         ("spawn relay r --manager ", ["/fake_0"]),
         ("connect ", ["/cam:", "/raw", "/robot/relay:", "/rosout"]),
         ("connect cam:", ["image"]),

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from unit.cli.fake_client import FakeClient, run
-from unit.manager.world import World
+from unit.manager.world import TRACKER, World
 
 from dyknow.errors import ManagerUnreachable
 
@@ -61,6 +61,7 @@ class TestList:
                     "tags": ["Raw(camera)"],
                 }
             ],
+            "parameters": [],
         }
 
     def test_nothing_runs(self, client: FakeClient) -> None:
@@ -92,6 +93,23 @@ class TestSpawn:
 
     def test_json_is_the_nodelet(self, client: FakeClient) -> None:
         assert run(client, "spawn relay r --isolated --json").json["isolated"]
+
+    def test_parameters_may_be_given(self, client: FakeClient) -> None:
+        client.world.manager.add_transformation(TRACKER)
+        refused = run(client, "spawn tracker t")
+        assert refused.code == 1
+        assert "nothing says what ?camera" in refused.err
+        outcome = run(client, "spawn tracker t --param '?camera=cam1' rate=5 --json")
+        assert outcome.json["parameters"] == [
+            {"name": "?camera", "type": "string", "value": "cam1"},
+            {"name": "rate", "type": "int", "value": "5"},
+        ]
+        assert client.world.host.parameters["/t/frame"] == "cam1_link"
+        shown = run(client, "info t").out
+        assert "Parameters given at the spawn: ?camera=cam1, rate=5" in shown
+        with pytest.raises(SystemExit) as ended:
+            run(client, "spawn relay r --param rate")
+        assert ended.value.code == 2
 
     def test_refusals_are_one_line(self, client: FakeClient) -> None:
         outcome = run(client, "spawn rellay r")

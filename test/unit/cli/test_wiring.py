@@ -8,15 +8,19 @@ from __future__ import annotations
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from specification_strategies import labels, transformations
+from specification_strategies import labels, texts, transformations
 
 from dyknow.errors import SpecificationError
 from dyknow.model.graph import SpawnRequest
+from dyknow.model.transformation import Parameter
 from dyknow.wiring.reader import read_wiring
 from dyknow.wiring.wiring import Wiring
 
 names = st.from_regex(r"(/[a-z][a-z0-9_]{0,6}){1,3}", fullmatch=True)
 ports = st.sampled_from(["in", "~image", "/a/b", "x<&'\"y", "é"])
+parameters = st.builds(
+    Parameter, st.sampled_from(["rate", "?camera"]), st.sampled_from(["", "string"]), texts
+)
 nodelets = st.builds(
     SpawnRequest,
     labels,
@@ -25,6 +29,7 @@ nodelets = st.builds(
     st.booleans(),
     st.booleans(),
     st.one_of(st.just(""), names),
+    st.lists(parameters, max_size=2, unique_by=lambda each: each.name).map(tuple),
 )
 
 

@@ -65,6 +65,11 @@ LIBRARY = """
 </transformations>
 """
 
+TRACKER = """<transformation><label>tracker</label><source>pkg/Relay</source>
+  <params><param name="frame" type="string">${?camera}_link</param></params>
+  <ports><port type="in">in</port><port type="out">out</port></ports>
+  <tags><tag port="in">Image(?camera)</tag></tags></transformation>"""
+
 
 class World:
     """Everything that outlives a manager, and the current manager."""

@@ -10,15 +10,16 @@ from typing import Any, TypeVar
 
 import pytest
 from dyknow_msgs import srv
+from dyknow_msgs.msg import Model as Message
 from hypothesis import given
 from hypothesis import strategies as st
 from specification_strategies import transformations
 
 from dyknow.errors import Result, StreamRefused
-from dyknow.model.graph import PortState, SpawnRequest
+from dyknow.model.graph import NodeletStatus, PortState, SpawnRequest, State
 from dyknow.model.statistics import NodeletStatistics, PortStatistics
 from dyknow.model.streams import Acquisition, Replanned, StreamEvent, StreamRequest, StreamStatus
-from dyknow.model.transformation import IN, OUT
+from dyknow.model.transformation import IN, OUT, Parameter
 from dyknow.ros import messages
 
 M = TypeVar("M")
@@ -59,6 +60,20 @@ def test_configurations(config: Any) -> None:
     request = sent(messages.spawn_message(SpawnRequest("label", "name", config)))
     assert dict(messages.config_pairs(request.config)) == config
     assert [each.port for each in request.config] == sorted(config)
+
+
+parameters = st.lists(st.builds(Parameter, words, words, words), max_size=2).map(tuple)
+
+
+@given(parameters, ports)
+def test_what_is_given_at_the_spawn(given: Any, port: PortState) -> None:
+    request = sent(messages.spawn_message(SpawnRequest("label", "name", parameters=given)))
+    assert messages.parameters_from(request.parameters) == given
+    nodelet = NodeletStatus(
+        "/n", "label", "/m", False, True, False, State.RUNNING, "", (port,), given
+    )
+    model = Message(nodelets=[messages.nodelet_message(nodelet)])
+    assert messages.model_from(sent(model)).nodelets == (nodelet,)
 
 
 counted = st.builds(

@@ -1,0 +1,134 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Parameters that are given to a nodelet when it is spawned.
+
+A name such as `rate` overrides the transformation's parameter, or adds one. A variable such as
+`?camera` is bound to a name, which fills the placeholders in the transformation's parameters.
+"""
+
+from __future__ import annotations
+
+from typing import Dict, Iterable, List, Mapping, Optional, Sequence, Set, Tuple
+
+from dyknow.errors import InvalidParameters
+from dyknow.manager.specifications.findings import listed, meant, shorten
+from dyknow.manager.specifications.tags import read_tags
+from dyknow.manager.specifications.values import BadValue, infer_type, parse_value
+from dyknow.model.placeholders import fill, variables_of
+from dyknow.model.transformation import Parameter, Transformation
+
+
+def bindings_of(given: Iterable[Parameter]) -> Dict[str, str]:
+    """Return the variables that are given, each with its name."""
+    return {each.name: each.text for each in given if each.name[:1] == "?"}
+
+
+def names_of(given: Iterable[Parameter]) -> Tuple[str, ...]:
+    """Return the names of the parameters that are given, without the variables."""
+    return tuple(each.name for each in given if each.name[:1] != "?")
+
+
+def completed(transformation: Transformation, given: Sequence[Parameter]) -> Tuple[Parameter, ...]:
+    """Check parameters that are given to a nodelet.
+
+    Args:
+        transformation: what the nodelet is made from.
+        given: where the type is empty, it is the transformation's or follows from the text.
+
+    Returns:
+        The same with their types, by name.
+
+    Raises:
+        InvalidParameters: they cannot be used; all problems are named.
+    """
+    declared = {each.name: each.type for each in transformation.parameters}
+    types = {name: type_ for name, type_, _ in given}
+    problems = [
+        f"{name} is given more than once"
+        for name in types
+        if sum(each.name == name for each in given) > 1
+    ]
+    known = variables(transformation)
+    done = []
+    for name, type_, text in sorted(given):
+        if name[:1] == "?":
+            problems += _problems_of_variable(name, type_, text, known)
+            done.append(Parameter(name, "string", text))
+            continue
+        type_ = type_ or declared.get(name) or infer_type(text)
+        if not name or name[0] in "/~" or name.split() != [name]:
+            problems.append(f"'{shorten(name)}' is no name of a parameter; expected one like rate")
+        problems += _problems_of_value(name, type_, text)
+        done.append(Parameter(name, type_, text))
+    if not problems:
+        set_on_load(transformation, done)
+        return tuple(done)
+    raise InvalidParameters(transformation.label, problems)
+
+
+def set_on_load(
+    transformation: Transformation, given: Sequence[Parameter]
+) -> Tuple[Parameter, ...]:
+    """Return what is set in the namespace of a nodelet before it is loaded.
+
+    Args:
+        transformation: what the nodelet is made from.
+        given: parameters that were given to the nodelet, with their types.
+
+    Raises:
+        InvalidParameters: placeholders stay unfilled, or a value is not of its type.
+    """
+    bindings = bindings_of(given)
+    overridden = {each.name: each for each in given if each.name[:1] != "?"}
+    problems: List[str] = []
+    result: Dict[str, Parameter] = {}
+    for parameter in transformation.parameters:
+        if parameter.name in overridden:
+            continue
+        text = _filled(parameter, bindings, problems)
+        if text is not None:
+            problems += _problems_of_value(parameter.name, parameter.type, text)
+            result[parameter.name] = parameter._replace(text=text)
+    result.update(overridden)
+    if problems:
+        raise InvalidParameters(transformation.label, problems)
+    return tuple(result.values())
+
+
+def _filled(
+    parameter: Parameter, bindings: Mapping[str, str], problems: List[str]
+) -> Optional[str]:
+    try:
+        unbound = [each for each in variables_of(parameter.text) if each not in bindings]
+    except ValueError as error:
+        problems.append(f"the parameter '{parameter.name}' has {error}")
+        return None
+    problems += [
+        f"nothing says what {each} in the parameter '{parameter.name}' stands for; give it, as in "
+        f"--param '{each}=NAME'"
+        for each in unbound
+    ]
+    return None if unbound else fill(parameter.text, bindings)
+
+
+def variables(transformation: Transformation) -> Set[str]:
+    """Return the variables in the tags of a transformation."""
+    tags = [term for port in transformation.ports for term in read_tags(port.tags)]
+    return {arg for term in tags for arg in term.args if arg[0] == "?"}
+
+
+def _problems_of_variable(name: str, type_: str, text: str, known: Set[str]) -> Iterable[str]:
+    if name not in known:
+        yield f"unknown variable {shorten(name)}; known: {listed(known)}{meant(name, known)}"
+    if type_ not in ("", "string"):
+        yield f"{shorten(name)} is given as {type_}; expected a name, of type string"
+    if not text.strip() or text.strip() != text or text[0] == "?" or set(text) & set("(),"):
+        yield f"{shorten(name)} is given '{shorten(text)}'; expected a name such as cam1"
+
+
+def _problems_of_value(name: str, type_: str, text: str) -> Iterable[str]:
+    try:
+        parse_value(type_, text)
+    except BadValue as error:
+        yield f"the parameter '{shorten(name)}': {error}"

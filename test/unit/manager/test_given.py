@@ -1,0 +1,139 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Parameters that are given to a nodelet at the spawn: what they override and what they fill."""
+
+from __future__ import annotations
+
+from typing import Dict, Tuple
+
+import pytest
+from unit.manager.world import TRACKER, World
+
+from dyknow.errors import InvalidParameters, SpawnFailed
+from dyknow.manager.specifications.given import completed, set_on_load
+from dyknow.model.transformation import Parameter, Port, Transformation
+
+TRANSFORMATION = Transformation(
+    "tracker",
+    "pkg/Tracker",
+    parameters=(
+        Parameter("frame", "string", "${?camera}_link"),
+        Parameter("rate", "double", "30"),
+        Parameter("number", "int", "${?number}"),
+        Parameter("home", "string", "$${?camera}"),
+    ),
+    ports=(Port("in", "in", "", ("Image(?camera)", "Part(?camera, ?number)")),),
+)
+
+
+def given(**values: str) -> Tuple[Parameter, ...]:
+    return tuple(Parameter(name.replace("v_", "?"), "", text) for name, text in values.items())
+
+
+def values(*parameters: Parameter) -> Dict[str, str]:
+    set_ = set_on_load(TRANSFORMATION, completed(TRANSFORMATION, parameters))
+    return {each.name: each.text for each in set_}
+
+
+def problems(*parameters: Parameter) -> Tuple[str, ...]:
+    with pytest.raises(InvalidParameters) as raised:
+        completed(TRANSFORMATION, parameters)
+    assert "'tracker'" in str(raised.value)
+    return raised.value.problems
+
+
+def test_variables_fill_and_names_override() -> None:
+    found = values(*given(v_camera="cam1", v_number="7", rate="5"), Parameter("new", "int", "1"))
+    assert found == {
+        "frame": "cam1_link",
+        "rate": "5",
+        "number": "7",
+        "home": "${?camera}",
+        "new": "1",
+    }
+
+
+def test_what_overrides_is_plain_and_needs_no_variable() -> None:
+    found = values(*given(frame="${?camera}", number="3"))
+    assert found == {"frame": "${?camera}", "rate": "30", "number": "3", "home": "${?camera}"}
+
+
+def test_a_type_that_is_left_out_is_the_transformations_or_follows_from_the_text() -> None:
+    done = completed(TRANSFORMATION, given(v_camera="a", v_number="1", rate="5", new="true"))
+    assert {each.name: each.type for each in done} == {
+        "?camera": "string",
+        "?number": "string",
+        "rate": "double",
+        "new": "bool",
+    }
+
+
+def test_all_problems_are_named_at_once() -> None:
+    assert problems(
+        *given(v_camra="a", rate="fast"),
+        Parameter("~x", "string", "1"),
+        Parameter("?camera", "int", "1"),
+        Parameter("?camera", "", "a b)"),
+    ) == (
+        "?camera is given more than once",
+        "?camera is given 'a b)'; expected a name such as cam1",
+        "?camera is given as int; expected a name, of type string",
+        "unknown variable ?camra; known: ?camera, ?number; did you mean ?camera?",
+        "the parameter 'rate': expected a double, such as 0.5 or 1e-3, found 'fast'",
+        "'~x' is no name of a parameter; expected one like rate",
+    )
+
+
+def test_unfilled_and_wrongly_filled_ones_are_refused() -> None:
+    assert problems(*given(v_number="seven")) == (
+        "nothing says what ?camera in the parameter 'frame' stands for; give it, as in "
+        "--param '?camera=NAME'",
+        "the parameter 'number': expected an int, such as 42, found 'seven'",
+    )
+
+
+# In the life of a nodelet
+
+GIVEN = given(v_camera="cam1", rate="5")
+
+
+@pytest.fixture
+def world(tmp_path: object) -> World:
+    world = World(f"{tmp_path}/state.db")
+    world.manager.add_transformation(TRACKER)
+    return world
+
+
+def test_a_nodelet_keeps_what_it_was_given_for_life(world: World) -> None:
+    world.spawn("tracker", "n", parameters=GIVEN)
+    set_ = {"/n/frame": "cam1_link", "/n/rate": 5}
+    assert world.host.parameters == set_
+    status = world.manager.graph.get("/n").status
+    assert status.parameters == (
+        Parameter("?camera", "string", "cam1"),
+        Parameter("rate", "int", "5"),
+    )
+    assert status.request.parameters == status.parameters
+    world.host.parameters.clear()
+    world.host.kill(status.manager)
+    world.kill_manager()
+    for _ in range(3):
+        world.manager.look()
+    assert world.states() == {"/n": "RUNNING"}
+    assert world.host.parameters == set_
+    assert world.manager.graph.get("/n").status.parameters == status.parameters
+    world.manager.destroy("n")
+    assert world.host.parameters == {}
+
+
+def test_nothing_is_left_of_one_that_cannot_be_filled(world: World) -> None:
+    with pytest.raises(InvalidParameters, match="give it, as in"):
+        world.spawn("tracker", "n")
+    assert (world.states(), world.host.parameters) == ({}, {})
+
+
+def test_nothing_is_left_of_one_that_does_not_come_up(world: World) -> None:
+    with pytest.raises(SpawnFailed):
+        world.spawn("wrong ports", "n", parameters=given(rate="5"))
+    assert (world.states(), world.host.parameters) == ({}, {})
