@@ -9,11 +9,11 @@ import re
 from functools import lru_cache
 from typing import Dict, List, Optional, Set, Tuple
 
-from dyknow.errors import InvalidTag
+from dyknow.errors import InvalidTag, InvalidType
 from dyknow.manager.specifications.draft import TransformationDraft
 from dyknow.manager.specifications.findings import EnoughProblems, Findings, listed, meant, shorten
 from dyknow.manager.specifications.limits import SpecificationLimits
-from dyknow.manager.specifications.tags import parse_tag
+from dyknow.manager.specifications.tags import NO_ONTOLOGY, Subsumption, parse_tag
 from dyknow.manager.specifications.values import BadValue, infer_type, parse_value
 from dyknow.manager.specifications.variables import check_variables
 from dyknow.model.placeholders import fill, variables_of
@@ -29,8 +29,14 @@ _COST = re.compile(r"\+?[0-9]+\Z")
 class Builder:
     """Builds the transformations of one text; their labels must differ."""
 
-    def __init__(self, findings: Findings, limits: SpecificationLimits) -> None:
+    def __init__(
+        self,
+        findings: Findings,
+        limits: SpecificationLimits,
+        ontology: Subsumption = NO_ONTOLOGY,
+    ) -> None:
         self._findings = findings
+        self._ontology = ontology
         self._limits = limits
         self._labels: Dict[str, int] = {}
         self._good_yaml: Set[str] = set()
@@ -48,7 +54,7 @@ class Builder:
         cost = self._cost(draft)
         parameters = self._parameters(draft)
         ports = self._ports(draft)
-        check_variables(draft, self._findings)
+        check_variables(draft, self._findings, self._ontology)
         if draft.label is None or draft.source is None:
             return None
         return Transformation(
@@ -194,6 +200,8 @@ class Builder:
             return
         try:
             parse_tag(text)
+        except InvalidType as error:
+            self._findings.problem(line, f"the tag '{shorten(text)}': {error.expected}")
         except InvalidTag as error:
             self._findings.warning(
                 line,

@@ -115,7 +115,7 @@ def _filled(
 def variables(transformation: Transformation) -> Set[str]:
     """Return the variables in the tags of a transformation."""
     tags = [term for port in transformation.ports for term in read_tags(port.tags)]
-    return {arg for term in tags for arg in term.args if arg[0] == "?"}
+    return {variable for term in tags for variable in term.variables}
 
 
 def _problems_of_variable(name: str, type_: str, text: str, known: Set[str]) -> Iterable[str]:

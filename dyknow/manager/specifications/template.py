@@ -22,6 +22,7 @@ from dyknow.errors import OntologyError
 from dyknow.manager.specifications.draft import ArgDraft, TransformationDraft
 from dyknow.manager.specifications.findings import Findings, listed, meant, shorten
 from dyknow.manager.specifications.limits import SpecificationLimits
+from dyknow.manager.specifications.tags import Subsumption
 from dyknow.manager.specifications.xml_reader import BLANK
 from dyknow.model import placeholders
 from dyknow.model.placeholders import Placeholder
@@ -42,8 +43,8 @@ _Values = Dict[str, _ValuePieces]
 _Terms = Sequence[Tuple[str, ...]]
 
 
-class Concepts(Protocol):
-    """What a template needs of an ontology."""
+class Concepts(Subsumption, Protocol):
+    """What specifications need of an ontology."""
 
     def individuals(self, concept: str) -> Tuple[str, ...]:
         """Return the labels of a class's individuals, sorted, or raise an `OntologyError`."""

@@ -9,27 +9,36 @@ parameters may use only variables that stand in the tags of in-ports.
 
 from __future__ import annotations
 
-from typing import AbstractSet, Dict, List, Set, Tuple
+from typing import Dict, List, Optional, Set, Tuple
 
 from dyknow.errors import InvalidTag
 from dyknow.manager.specifications.draft import TransformationDraft
 from dyknow.manager.specifications.findings import Findings, listed, meant, shorten
-from dyknow.manager.specifications.tags import parse_tag
+from dyknow.manager.specifications.tags import NO_ONTOLOGY, Subsumption, Term, parse_tag
 from dyknow.model.placeholders import variables_of
 from dyknow.model.transformation import IN, TOPIC, Transformation
 
 
-def check_variables(draft: TransformationDraft, findings: Findings) -> None:
-    """Note the variables of a transformation that nothing binds."""
+def check_variables(
+    draft: TransformationDraft, findings: Findings, ontology: Subsumption = NO_ONTOLOGY
+) -> None:
+    """Note the variables of a transformation that nothing binds, and types that are unknown."""
     directions = {port.name: port.direction for port in draft.ports}
     used: List[Tuple[str, str, int]] = []  # variable, where, line
     bound: Dict[str, None] = {}
     for tag in draft.tags:
-        variables = sorted(_variables(tag.text))
+        term, where = _with_variables(tag.text), f"the tag '{shorten(tag.text)}'"
+        if term is None:
+            continue
+        if ontology is not NO_ONTOLOGY:
+            for type_ in term.types:
+                if type_ and ontology.names_above(type_) == {type_}:
+                    unknown = f"{where} has the type '{shorten(type_)}', which no ontology knows"
+                    findings.warning(tag.line, unknown)
         if directions.get(tag.port) == IN:
-            bound.update(dict.fromkeys(variables))
+            bound.update(dict.fromkeys(term.variables))
         else:
-            used += [(each, f"the tag '{shorten(tag.text)}'", tag.line) for each in variables]
+            used += [(each, where, tag.line) for each in term.variables]
     for name, _, text, line in draft.parameters:
         used += [(each, f"the parameter '{shorten(name)}'", line) for each in variables_of(text)]
     for variable, where, line in used:
@@ -52,17 +61,19 @@ def shares_variables(transformation: Transformation) -> bool:
     found: Set[str] = set()
     for port in transformation.ports:
         for tag in port.tags:
-            variables = _variables(tag)
-            if found & variables:
+            term = _with_variables(tag)
+            variables = term.variables if term is not None else ()
+            if found.intersection(variables):
                 return True
-            found |= variables
+            found.update(variables)
     return False
 
 
-def _variables(tag: str) -> AbstractSet[str]:
+def _with_variables(tag: str) -> Optional[Term]:
+    """Read a tag; None if it has no variable, or is passed over by the planner."""
     if "?" not in tag:
-        return frozenset()
+        return None
     try:
-        return {arg for arg in parse_tag(tag).args if arg[0] == "?"}
+        return parse_tag(tag)
     except InvalidTag:
-        return frozenset()  # the planner passes it over
+        return None

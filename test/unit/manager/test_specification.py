@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from specification_strategies import transformations
 
 from dyknow.errors import Problem, SpecificationError
+from dyknow.manager.specifications.ontology import load_ontology
 from dyknow.manager.specifications.specification import check, parse, parse_file
 from dyknow.manager.specifications.values import value_of
 from dyknow.model.transformation import Parameter, Port, Transformation
@@ -150,6 +151,20 @@ def test_a_tag_that_the_planner_cannot_use_is_accepted_with_a_warning():
         ),
     ]
     assert found.transformations[0].ports[0].tags == ("Image(?camera)", "Image(camera")
+
+
+def test_a_type_that_no_ontology_knows_is_accepted_with_a_warning():
+    text = """<transformation><label>a</label><source>p/A</source>
+      <ports><port type="in">in</port></ports><tags>
+        <tag port="in">Image(?camera: Camera, ?lens: Lense)</tag></tags></transformation>"""
+
+    ontology = load_ontology([str(EXAMPLES.parent / "ontologies" / "soccer.ttl")])
+
+    assert parse(text).warnings == ()
+    assert [each.message for each in parse(text, ontology=ontology).warnings] == [
+        "the tag 'Image(?camera: Camera, ?lens: Lense)' has the type 'Lense', which no ontology "
+        "knows"
+    ]
 
 
 def test_yaml_may_be_indented_like_the_xml_around_it():
