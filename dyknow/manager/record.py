@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Dict, List, Mapping, Optional, Tuple
 
+from dyknow.manager.specifications.given import bindings_of
 from dyknow.model.graph import NodeletStatus, PortState, State
 from dyknow.model.transformation import Parameter, Transformation
 
@@ -53,6 +54,11 @@ class Record:
     suspicion: str = ""
     unwanted: bool = False
     parameters: Tuple[Parameter, ...] = ()
+
+    @cached_property
+    def given(self) -> Dict[str, str]:
+        """What its variables stand for in any case, since it was given at the spawn."""
+        return bindings_of(self.parameters)
 
     @property
     def label(self) -> str:

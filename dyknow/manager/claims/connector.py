@@ -14,7 +14,7 @@ answers, and for a while after that its ports count on the topics that they were
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Callable, Dict, List, Mapping, Optional, Set, Tuple
+from typing import Callable, Dict, Iterator, List, Mapping, Optional, Set, Tuple
 
 from dyknow.errors import Busy, DyKnowError, HostError, HostTimeout, WrongStream
 from dyknow.manager.claims.claim_table import ClaimTable
@@ -67,13 +67,14 @@ class Connector:
 
     # The topology
 
-    def topology(self, changed: Optional[Record] = None) -> Topology:
+    def topology(self, changed: Optional[Record] = None, is_replaced: bool = False) -> Topology:
         """Return the topology of this moment.
 
         Args:
             changed: a nodelet as it would be; it counts besides what it is.
+            is_replaced: whether it counts instead of what it is.
         """
-        nodelets = self._nodelets()
+        nodelets = self._nodelets(changed.name if changed is not None and is_replaced else "")
         if changed is not None:
             nodelets.append(ends_of(changed))
         return Topology(
@@ -88,8 +89,18 @@ class Connector:
         """Return a nodelet's connections, without those that must not be made at present."""
         topics = dict(record.topics)
         made = {each.name for each in self._graph.all() if each.claimed}
-        mismatches = self.topology(record).mismatches(set(topics.values()) - {""})
-        for topic, producer, consumer in mismatches:
+        topology = self.topology(record)
+        before = set(self.topology().mismatches()) if topology.has_variables else set()
+        for topic, producer, consumer in topology.mismatches(
+            None if topology.has_variables else set(topics.values()) - {""}
+        ):
+            if topology.has_variables and record.name not in (producer.nodelet, consumer.nodelet):
+                # What it sends would change what others send.
+                if (topic, producer, consumer) not in before and (
+                    not consumer.nodelet or {producer.nodelet, consumer.nodelet} & made
+                ):
+                    topics.update(dict.fromkeys(topology.listened_to(record.topics), ""))
+                continue
             for end, other in ((producer, consumer), (consumer, producer)):
                 # What people spawned and connected with each other is their own affair.
                 is_client = other is consumer and not consumer.nodelet
@@ -117,7 +128,36 @@ class Connector:
                 raise WrongStream(topic, producer.nodelet, consumer.nodelet)
             if _is_at(producer, record.name, config, topic):
                 cut.setdefault(consumer.nodelet, {})[consumer.port] = ""
+        for topic, producer, consumer in self._changed(changed):
+            if not consumer.nodelet or _is_at(consumer, record.name, config, topic):
+                raise WrongStream(topic, producer.nodelet, consumer.nodelet)
+            cut.setdefault(consumer.nodelet, {})[consumer.port] = ""
         return cut
+
+    def _changed(self, changed: Record) -> Iterator[Tuple[str, Producer, Consumer]]:
+        """Yield each consumer of what would send something else from now on.
+
+        Those whose nodelet sent nothing before, and clients, need not be cut if they want it.
+
+        Args:
+            changed: a nodelet as it would be.
+        """
+        before = self.topology()
+        after = self.topology(changed, is_replaced=True)
+        if not after.has_variables:
+            return
+        elsewhere = before.supplies()
+        for place, possible in sorted(after.supplies().items()):
+            known = elsewhere.get(place, possible)
+            if possible == known or all(each.is_unbound for each in possible):
+                continue
+            was_silent = all(each.is_unbound for each in known)
+            for topic in sorted({*before.topics_of(place)} & {*after.topics_of(place)}):
+                for consumer in after.consumers(topic):
+                    may_stay = was_silent or consumer.nodelet in ("", changed.name)
+                    for producer in sorted(possible):
+                        if not may_stay or not after.fits(producer, consumer):
+                            yield topic, producer, consumer
 
     # Connecting
 
@@ -173,7 +213,7 @@ class Connector:
 
     # Inside
 
-    def _nodelets(self) -> List[NodeletEnds]:
+    def _nodelets(self, but: str = "") -> List[NodeletEnds]:
         """Read the nodelets that may send or receive; a record is read again when it changed."""
         read: Dict[str, Tuple[Record, NodeletEnds]] = {}
         for record in self._acting():
@@ -182,7 +222,7 @@ class Connector:
                 known = (record, ends_of(record))
             read[record.name] = known
         self._read = read
-        return [ends for _, ends in read.values()]
+        return [ends for name, (_, ends) in read.items() if name != but]
 
     def _acting(self) -> List[Record]:
         """Nodelets that run, and those that may run without having been seen."""

@@ -105,16 +105,16 @@ class Repair:
     def _is_described(self, topic: str, claim: Claim) -> bool:
         """Whether the library still describes a topic as what the claim needs."""
         topology = self._context.connector.topology()
-        demands = [
-            consumer.demand
+        consumers = [
+            consumer
             for consumer in topology.consumers(topic)
             if claim.wiring.get(consumer.nodelet, {}).get(consumer.port) == topic
             or consumer.port == claim.claim_id
         ]
         return topology.is_described(topic) and all(
-            topology.serves(producer, demand)
+            topology.fits(producer, consumer)
             for producer in topology.producers(topic)
-            for demand in demands
+            for consumer in consumers
         )
 
     def _doubts(self, record: Record) -> List[str]:

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 from typing import AbstractSet, Dict, Iterable, List, Sequence, Set, Tuple
 
+from dyknow.manager.claims.bound_tags import Inlet, Way, supplied, ways_to_bind
 from dyknow.manager.claims.topology import Topology
 from dyknow.manager.planning.problem import Live
-from dyknow.manager.planning.supply import Demand, meets
+from dyknow.manager.planning.supply import Demand
 from dyknow.manager.record import Record, ports_on
 from dyknow.manager.specifications.tags import Subsumption, Term, read_tags
 from dyknow.model.graph import State
@@ -30,6 +31,7 @@ def live_streams(
 
     A nodelet's out-ports supply their tags only while the nodelet runs and each of its tagged
     in-ports is connected to a stream that satisfies it: a detector without input supplies nothing.
+    These streams bind the nodelet's variables.
 
     Args:
         records: the nodelets of the graph.
@@ -48,11 +50,13 @@ def live_streams(
             on_topic[stream.topic] = (known + tags, stream.datatype)
         streams.append((stream, tags))
 
-    def is_fed(record: Record) -> bool:
-        return all(
-            meets(*on_topic.get(record.topics.get(port, ""), ((), "")), demand, ontology)
+    def ways(record: Record) -> List[Way]:
+        """Ways to bind a nodelet's variables; none while an in-port is not fed."""
+        inlets = [
+            Inlet(demand, (on_topic.get(record.topics.get(port, ""), ((), "")),))
             for port, demand in _demands(record)
-        )
+        ]
+        return ways_to_bind(record.given, inlets, ontology)
 
     for each in published:
         port = each.ports[0]
@@ -68,11 +72,12 @@ def live_streams(
     while progress:
         progress = False
         for record in list(waiting):
-            if is_fed(record):
+            found = ways(record)
+            if found:
                 waiting.remove(record)
                 progress = True
                 for stream, tags in _outputs(record):
-                    supply(stream, tags)
+                    supply(stream, supplied(tags, found))
     return streams
 
 

@@ -1,0 +1,189 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""What nodelets with variables supply, by what they receive."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Dict, List, Optional, Sequence, Set, Tuple
+
+from hypothesis import given
+from hypothesis import strategies as st
+from unit.manager.witness import Concepts, satisfies
+
+from dyknow.manager.claims.bound_tags import Inlet, supplied, ways_to_bind
+from dyknow.manager.claims.streams import live_streams
+from dyknow.manager.claims.topology import Topology, ends_of
+from dyknow.manager.planning.supply import Demand
+from dyknow.manager.record import Record
+from dyknow.manager.specifications.tags import NO_ONTOLOGY, parse_tag
+from dyknow.model.graph import State
+from dyknow.model.transformation import IN, OUT, Parameter, Port, Transformation
+
+CONCEPTS = Concepts({"left": "camera", "right": "camera"})
+NAMES = ("left", "right", "red")
+VARIABLES = ("?a", "?b")
+GROUND = st.builds("{}({}, {})".format, st.just("A"), *[st.sampled_from(NAMES)] * 2)
+PATTERN = st.builds(
+    "{}({}, {})".format, st.just("A"), *[st.sampled_from([*NAMES, *VARIABLES, "?a: camera"])] * 2
+)
+INLETS = st.lists(
+    st.tuples(
+        st.lists(PATTERN, min_size=1, max_size=2, unique=True),
+        st.lists(st.lists(GROUND, max_size=2, unique=True), min_size=1, max_size=2),
+    ),
+    max_size=2,
+)
+Inlets = List[Tuple[List[str], List[List[str]]]]
+
+
+def written(pattern: str, names: Dict[str, str]) -> Optional[str]:
+    """Put names for variables, and none if a type does not subsume its name."""
+    if "?a: camera" in pattern and "camera" not in CONCEPTS.names_above(names["?a"]):
+        return None
+    text = pattern.replace("?a: camera", "?a")
+    for variable, name in names.items():
+        text = text.replace(variable, name)
+    return text
+
+
+def is_way(names: Dict[str, str], inlets: Inlets) -> bool:
+    """Whether each source sends, for each tag of its port, one of just these names."""
+    for patterns, sources in inlets:
+        for tags in sources:
+            for pattern in patterns:
+                text = written(pattern, names)
+                exact = [
+                    tag
+                    for tag in tags
+                    if text is not None
+                    and satisfies(tag, text, CONCEPTS)
+                    and all(
+                        want.strip()[0] != "?" or names[want.strip()[:2]] == have.strip()
+                        for want, have in zip(pattern[2:-1].split(","), tag[2:-1].split(","))
+                    )
+                ]
+                if not exact:
+                    return False
+    return True
+
+
+@given(INLETS, st.sampled_from([{}, {"?a": "left"}]), st.lists(PATTERN, max_size=2))
+def test_all_ways_are_found_that_trying_all_names_finds(
+    inlets: Inlets, known: Dict[str, str], outputs: Sequence[str]
+) -> None:
+    found = ways_to_bind(
+        known,
+        [
+            Inlet(
+                Demand(frozenset(map(parse_tag, patterns))),
+                tuple((tuple(map(parse_tag, tags)), "") for tags in sources),
+            )
+            for patterns, sources in inlets
+        ],
+        CONCEPTS,
+    )
+    bound = {each for each in VARIABLES if any(each in p for ps, _ in inlets for p in ps)}
+    bound |= set(known)
+    expected: Set[Tuple[Tuple[str, str], ...]] = set()
+    for choice in itertools.product(NAMES, repeat=len(VARIABLES)):
+        names = dict(zip(VARIABLES, choice))
+        if {**names, **known} == names and is_way(names, inlets):
+            expected.add(tuple(sorted((key, names[key]) for key in bound)))
+    assert {tuple(sorted(way.items())) for way in found} == expected
+    for tag in supplied(list(map(parse_tag, outputs)), found):
+        assert tag.is_ground
+    for way in found:
+        for output in map(parse_tag, outputs):
+            if set(output.variables) <= set(way):
+                assert output.substitute(way) in supplied([output], found)
+
+
+# In the graph
+
+IMAGE = "sensor_msgs/Image"
+
+
+def nodelet(name: str, ports: Dict[str, Tuple[str, str]], **given_: str) -> Record:
+    """Make a record: for each port its tag and its topic; in-ports begin with ``in``."""
+    declared = tuple(
+        Port(port, IN if port.startswith("in") else OUT, IMAGE, (tag,))
+        for port, (tag, _) in ports.items()
+    )
+    return Record(
+        name,
+        Transformation(name, "pkg/A", ports=declared),
+        "/m",
+        topics={port: topic for port, (_, topic) in ports.items() if topic},
+        state=State.RUNNING,
+        parameters=tuple(Parameter(f"?{key}", "string", text) for key, text in given_.items()),
+    )
+
+
+LEFT = nodelet("/left", {"out": ("Image(left)", "/left")})
+RIGHT = nodelet("/right", {"out": ("Image(right)", "/right")})
+POSES = nodelet("/poses", {"out": ("Pose(left)", "/poses")})
+
+
+def tracker(image: str, pose: str = "", **given_: str) -> Record:
+    ports = {"in": ("Image(?c)", image), "in2": ("Pose(?c)", pose), "out": ("Ball(?c)", "/ball")}
+    return nodelet("/tracker", ports, **given_)
+
+
+def viewer(tag: str) -> Record:
+    return nodelet("/viewer", {"in": (tag, "/ball")})
+
+
+def topology(*records: Record) -> Topology:
+    return Topology(map(ends_of, records), (), (), {}, NO_ONTOLOGY)
+
+
+def mismatches(*records: Record) -> List[str]:
+    found = topology(*records).mismatches()
+    return sorted(f"{producer.nodelet} {consumer.nodelet}" for _, producer, consumer in found)
+
+
+def live(*records: Record) -> List[str]:
+    streams = live_streams(records, (), topology(*records), NO_ONTOLOGY)
+    return sorted(f"{stream.nodelet} {tag}" for stream, tags in streams for tag in tags)
+
+
+def test_what_is_sent_follows_from_what_is_received() -> None:
+    both = (LEFT, RIGHT, POSES)
+    assert "/tracker Ball(left)" in live(*both, tracker("/left", "/poses"))
+    assert mismatches(*both, tracker("/left", "/poses"), viewer("Ball(left)")) == []
+    assert mismatches(*both, tracker("/left", "/poses"), viewer("Ball(right)")) == [
+        "/tracker /viewer"
+    ]
+
+
+def test_in_ports_that_contradict_each_other_are_both_wrong_and_nothing_is_supplied() -> None:
+    records = (LEFT, RIGHT, POSES, tracker("/right", "/poses"), viewer("Ball(right)"))
+    assert mismatches(*records) == ["/poses /tracker", "/right /tracker", "/tracker /viewer"]
+    assert not any(each.startswith("/tracker") for each in live(*records))
+
+
+def test_one_that_receives_nothing_sends_nothing() -> None:
+    records = (LEFT, POSES, tracker("/nobody"), viewer("Ball(right)"))
+    assert mismatches(*records) == []
+    assert not any(each.startswith("/tracker") for each in live(*records))
+
+
+def test_what_was_given_holds_whatever_is_connected() -> None:
+    assert mismatches(LEFT, RIGHT, tracker("/right", c="left")) == ["/right /tracker"]
+    assert mismatches(LEFT, RIGHT, tracker("/left", c="left")) == []
+
+
+def test_bindings_pass_through_chains() -> None:
+    second = nodelet("/second", {"in": ("Ball(?x)", "/ball"), "out": ("Goal(?x)", "/goal")})
+    end = nodelet("/end", {"in": ("Goal(right)", "/goal")})
+    records = (end, second, tracker("/left", "/poses"), POSES, LEFT)
+    assert mismatches(*records) == ["/second /end"]
+    assert "/second Goal(left)" in live(*records)
+
+
+def test_nodelets_that_feed_each_other_supply_nothing() -> None:
+    one = nodelet("/one", {"in": ("A(?x)", "/a"), "out": ("B(?x)", "/b")})
+    two = nodelet("/two", {"in": ("B(?x)", "/b"), "out": ("A(?x)", "/a")})
+    assert (mismatches(one, two), live(one, two)) == ([], [])
