@@ -50,6 +50,7 @@ was expected. ``dyknow.ros`` alone turns exceptions into answers of services.
     ├── OntologyError
     │   ├── OntologyFileError        a file of the ontology cannot be read
     │   ├── UnknownConcept           the ontology has no class of that URI
+    │   ├── LabelsError              two classes, or two individuals, have the same label
     │   └── IndividualsError         labels do not tell the individuals of a class apart
     ├── HostError                    a nodelet manager refused, or could not be reached
     │   └── HostTimeout              it, or a nodelet of it, did not answer in time
@@ -520,6 +521,18 @@ class UnknownConcept(OntologyError):
     def __init__(self, concept: str) -> None:
         self.concept = concept
         super().__init__(f"the ontology has no class <{concept}>")
+
+
+class LabelsError(OntologyError):
+    """Classes, or individuals, have the same label; an ontology does not tell them apart by it."""
+
+    def __init__(self, reasons: Sequence[str]) -> None:
+        self.reasons: Tuple[str, ...] = tuple(reasons)
+        more = len(reasons) - self._LISTED
+        listed = [*reasons[: self._LISTED], *([f"{more} more such pairs"] if more > 0 else [])]
+        super().__init__("; ".join(listed) + "; expected a label of its own for each")
+
+    _LISTED = 10
 
 
 class IndividualsError(OntologyError):

@@ -24,6 +24,9 @@ Private parameters (default):
   ~nodelet_managers      names of further nodelet managers, Python or C++ (none)
   ~transformations       specification files to add at the start (none)
   ~ontologies            ontology files for templates and tags (none)
+  ~catalogues            XML catalogues of the ontologies that these import, beside the
+                         catalog-v001.xml next to each file (none)
+  ~language              language of the labels that are preferred as names (en)
   ~spawn_timeout         seconds that a nodelet may take to come up (10)
   ~orphan_timeout        seconds that its nodelet managers go on when it was killed;
                          0: for ever (300)

@@ -38,10 +38,26 @@ def _check_arguments(parser: argparse.ArgumentParser) -> None:
         ),
         completion.files,
     )
+    completion.complete_with(
+        parser.add_argument(
+            "--catalogue",
+            metavar="XML",
+            action="append",
+            default=[],
+            help="XML catalogue of the ontologies that these import; may be repeated",
+        ),
+        completion.files,
+    )
+    parser.add_argument(
+        "--language",
+        metavar="CODE",
+        default="en",
+        help="language of the labels that are preferred as names (default: %(default)s)",
+    )
 
 
 def _check(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
-    ontology = _ontology(arguments.ontology)
+    ontology = _ontology(arguments)
     unread = ontology.warnings if ontology is not None else ()
     reports = [(file, _report(file, ontology)) for file in arguments.files]
     bad = False
@@ -70,12 +86,14 @@ def _check(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
     return FAILED if bad else None
 
 
-def _ontology(files: Sequence[str]) -> Optional[Ontology]:
-    if not files:
+def _ontology(arguments: argparse.Namespace) -> Optional[Ontology]:
+    if not arguments.ontology:
         return None
     from dyknow.manager.specifications.ontology import load_ontology
 
-    return load_ontology(files)
+    return load_ontology(
+        arguments.ontology, language=arguments.language, catalogues=arguments.catalogue
+    )
 
 
 def _report(

@@ -27,6 +27,7 @@ class SpecificationLimits:
         yaml_size: Characters in all YAML values of one text together, equal ones counted once.
         problems: Problems that are listed; reading ends when there are more.
         ontology_size: Size of one file of an ontology in bytes.
+        ontology_files: Files of an ontology, those that are imported included.
         expanded_entities: Bytes that the entities of one RDF/XML file may expand to.
     """
 
@@ -41,6 +42,7 @@ class SpecificationLimits:
     yaml_size: int = 16 * 2**20
     problems: int = 1000
     ontology_size: int = 256 * 2**20
+    ontology_files: int = 1000
     expanded_entities: int = 16 * 2**20
 
 

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Warnings about statements of an ontology that are not read, with line and term.
+"""Warnings about an ontology: what is not read, and names that are doubtful, with file and line.
 
 rdflib does not keep lines, so they are searched: the nearest place after a mention of the term
 where the construct is named.
@@ -11,130 +11,150 @@ from __future__ import annotations
 
 import bisect
 import re
-from typing import Dict, Iterator, List, NamedTuple, Sequence, Tuple
+from typing import Dict, List, NamedTuple, Sequence, Set, Tuple
 
 import rdflib
-from rdflib import OWL, RDF, RDFS
 
 from dyknow.errors import Problem
+from dyknow.manager.specifications.ontology_files import OntologyFile
+from dyknow.manager.specifications.ontology_labels import Labels
+from dyknow.manager.specifications.ontology_naming import Naming
+from dyknow.manager.specifications.ontology_statements import UnreadExpression
+from dyknow.manager.specifications.rdf_nodes import is_blank, local_name
 
 #: The most remarks that are listed for one file.
 LISTED = 100
-_EXPRESSIONS = (OWL.oneOf, OWL.unionOf, OWL.intersectionOf)
+#: The URIs that one remark lists.
+_URIS = 5
+_KINDS = {"": "a class expression", "Restriction": "an owl:Restriction"}
 
 
 class _Remark(NamedTuple):
-    """A statement that is not read: its subject, and the word that names the construct."""
+    """A warning: the term that it is about, and the word that names the construct, if any."""
 
     term: str
     word: str
     message: str
 
 
-def remarks_on(graph: rdflib.Graph, file: str, data: bytes) -> Tuple[Problem, ...]:
-    """Find the statements of one file that are not read.
+class Remarks:
+    """The warnings about the files of an ontology."""
 
-    Args:
-        graph: the file alone.
-        file: its name in messages.
-        data: its text.
-    """
-    found = sorted({*_expressions(graph), *_superclasses(graph), *_others(graph)})
-    places = _Places(data.decode("utf-8", "replace").splitlines())
+    def __init__(self, files: Sequence[OntologyFile]) -> None:
+        self._files = {file.path: file for file in files}
+        self._remarks: Dict[str, Set[_Remark]] = {path: set() for path in self._files}
+
+    def not_read(self, path: str, expression: UnreadExpression) -> None:
+        """Note an expression that is not read."""
+        what = _KINDS.get(expression.word, f"owl:{expression.word}")
+        message = f"{what} in the description of <{expression.owner}> is not read"
+        self._note(path, expression.owner, expression.word, message)
+
+    def not_imported(self, path: str, uri: str) -> None:
+        """Note an import that no file satisfies."""
+        message = (
+            f"owl:imports of <{uri}> is not followed: no file that was named is this ontology, "
+            "and no catalogue names a local file for it"
+        )
+        self._note(path, uri, "imports", message)
+
+    def names(self, labels: Labels, classes: Naming, individuals: Naming) -> None:
+        """Note the names that are no labels in the preferred language."""
+        for naming in (classes, individuals):
+            for entity, found in labels.fallbacks(naming):
+                languages = ", ".join(sorted({label.language for label in found}))
+                message = (
+                    f"<{entity}> has labels in several languages ({languages}), none in "
+                    f"'{labels.language}'; its term is '{found[0].text}'"
+                )
+                self._note(found[0].file, entity, "label", message)
+            for name, entities in naming.ambiguous.items():
+                message = f"{_uris(entities)} have no label, and '{name}' names none of them"
+                self._note(self._home(entities[0]), entities[0], "", message)
+        for name in classes.shared_with(individuals):
+            kind = classes.get(name)
+            message = f"'{name}' names the class <{kind}> and the individual "
+            self._note(self._home(str(kind)), str(kind), "", f"{message}<{individuals.get(name)}>")
+        unlabelled: Dict[str, List[str]] = {}
+        for entity in (*classes.unlabelled, *individuals.unlabelled):
+            unlabelled.setdefault(self._home(entity), []).append(entity)
+        for path, entities in unlabelled.items():
+            message = f"no label, so that the last part of the URI is the name: {_uris(entities)}"
+            self._note(path, entities[0], "", message)
+
+    def problems(self) -> List[Problem]:
+        """Return the warnings of each file by line, those without a line last."""
+        return [
+            problem
+            for path, remarks in self._remarks.items()
+            for problem in _placed(self._files[path], sorted(remarks))
+        ]
+
+    def _note(self, path: str, term: str, word: str, message: str) -> None:
+        self._remarks[path].add(_Remark(term, word, message))
+
+    def _home(self, entity: str) -> str:
+        """Return the first file that states something of an entity, else the first one."""
+        if len(self._files) > 1 and not is_blank(entity):
+            node = rdflib.URIRef(entity)
+            for path, file in self._files.items():
+                if (node, None, None) in file.graph:
+                    return path
+        return next(iter(self._files))
+
+
+def _uris(entities: Sequence[str]) -> str:
+    more = f" and {len(entities) - _URIS} more" if len(entities) > _URIS else ""
+    return ", ".join(f"<{each}>" for each in entities[:_URIS]) + more
+
+
+def _placed(file: OntologyFile, remarks: Sequence[_Remark]) -> List[Problem]:
+    if not remarks:
+        return []
+    places = _Places(file.data.decode("utf-8", "replace"))
     problems = [
-        Problem(file, places.line(local_name(each.term), each.word), each.message)
-        for each in found[:LISTED]
+        Problem(file.path, places.line(local_name(each.term), each.word), each.message)
+        for each in remarks[:LISTED]
     ]
-    if len(found) > LISTED:
-        problems.append(Problem(file, 0, f"{len(found) - LISTED} more such remarks"))
-    return tuple(sorted(problems, key=lambda problem: (problem.line == 0, problem.line)))
-
-
-def local_name(uri: str) -> str:
-    """Return the last part of a URI; all of it if there is no such part."""
-    return uri.rsplit("#", 1)[-1].rsplit("/", 1)[-1] or uri
-
-
-def _expressions(graph: rdflib.Graph) -> Iterator[_Remark]:
-    for predicate in _EXPRESSIONS:
-        word = local_name(str(predicate))
-        for subject in graph.subjects(predicate):
-            if isinstance(subject, rdflib.URIRef):
-                message = f"owl:{word} of <{subject}> is not read"
-                yield _Remark(str(subject), word, message)
-    for one, other in graph.subject_objects(OWL.equivalentClass):
-        for named, blank in ((one, other), (other, one)):
-            if isinstance(named, rdflib.URIRef) and isinstance(blank, rdflib.BNode):
-                word, what = _inside(graph, blank)
-                message = f"owl:equivalentClass of <{named}> with {what} is not read"
-                yield _Remark(str(named), word or "equivalentClass", message)
-
-
-def _superclasses(graph: rdflib.Graph) -> Iterator[_Remark]:
-    for lower, upper in graph.subject_objects(RDFS.subClassOf):
-        if isinstance(lower, rdflib.URIRef) and isinstance(upper, rdflib.BNode):
-            word, what = _inside(graph, upper)
-            message = f"a superclass of <{lower}> without a name, {what}, is not read"
-            yield _Remark(str(lower), word or "subClassOf", message)
-
-
-def _inside(graph: rdflib.Graph, blank: rdflib.BNode) -> Tuple[str, str]:
-    """The word that names a class expression in the file, and its name in messages."""
-    for predicate in _EXPRESSIONS:
-        if (blank, predicate, None) in graph:
-            word = local_name(str(predicate))
-            return word, f"owl:{word}"
-    if (blank, RDF.type, OWL.Restriction) in graph:
-        return "Restriction", "an owl:Restriction"
-    return "", "a class expression"
-
-
-def _others(graph: rdflib.Graph) -> Iterator[_Remark]:
-    for _, imported in graph.subject_objects(OWL.imports):
-        message = f"owl:imports of <{imported}> is not followed; name the file too"
-        yield _Remark(str(imported), "imports", message)
-    labels: Dict[str, Dict[str, str]] = {}
-    for subject, label in graph.subject_objects(RDFS.label):
-        if isinstance(subject, rdflib.URIRef) and isinstance(label, rdflib.Literal):
-            labels.setdefault(str(subject), {})[label.language or ""] = str(label).strip()
-    for subject_uri, by_language in labels.items():
-        if len(set(by_language.values())) > 1 and len(by_language) > 1:
-            chosen = by_language[min(by_language, key=language_order)]
-            languages = ", ".join(sorted(language or "none" for language in by_language))
-            message = (
-                f"<{subject_uri}> has labels in several languages ({languages}); its term is "
-                f"'{chosen}'"
-            )
-            yield _Remark(subject_uri, "label", message)
-
-
-def language_order(language: str) -> Tuple[int, str]:
-    """Sort languages of labels: none, English, the others by their codes."""
-    code = language.lower()
-    return (0 if not code else 1 if code.split("-")[0] == "en" else 2), code
+    if len(remarks) > LISTED:
+        message = f"{len(remarks) - LISTED} more such remarks"
+        problems.append(Problem(file.path, 0, message))
+    return sorted(problems, key=lambda problem: (problem.line == 0, problem.line))
 
 
 class _Places:
     """Finds lines of a text."""
 
-    def __init__(self, lines: Sequence[str]) -> None:
-        self._lines = lines
+    def __init__(self, text: str) -> None:
+        self._text = text
+        self._ends = [found.start() for found in re.finditer("\n", text)]
         self._numbers: Dict[str, List[int]] = {}
 
     def line(self, term: str, word: str) -> int:
-        """The line of the word's first occurrence after the term; 0 if there is none."""
-        words = self._of(word)
-        best: Tuple[int, int] = (len(self._lines) + 1, 0)
-        for mention in self._of(term):
+        """The line of the word's first occurrence after the term; that of the term if none is."""
+        mentions = self._of(term)
+        words = self._of(word) if word else []
+        best: Tuple[int, int] = (len(self._ends) + 2, 0)
+        for mention in mentions:
             place = bisect.bisect_left(words, mention)
             if place < len(words):
                 best = min(best, (words[place] - mention, words[place]))
-        return best[1] or next(iter(self._of(term)), 0)
+        return best[1] or next(iter(mentions), 0)
 
     def _of(self, word: str) -> List[int]:
+        """The lines that have the word, not as a part of a longer one."""
         if word not in self._numbers:
-            pattern = re.compile(rf"(?<![\w-]){re.escape(word)}(?![\w-])")
-            self._numbers[word] = [
-                number for number, text in enumerate(self._lines, 1) if pattern.search(text)
-            ]
+            text = self._text
+            lines: Dict[int, None] = {}
+            place = text.find(word)
+            while place >= 0:
+                end = place + len(word)
+                if not (_in_word(text[place - 1 : place]) or _in_word(text[end : end + 1])):
+                    lines[bisect.bisect_left(self._ends, place) + 1] = None
+                place = text.find(word, end)
+            self._numbers[word] = list(lines)
         return self._numbers[word]
+
+
+def _in_word(character: str) -> bool:
+    return character.isalnum() or character in ("_", "-")

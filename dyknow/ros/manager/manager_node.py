@@ -85,7 +85,7 @@ class ManagerNode(Closable):
         self._host = RosHost(
             master, self._children, Registrar(), settings.nodelet_managers, settings.guards
         )
-        self._ontology = _ontology(settings.ontologies)
+        self._ontology = _ontology(settings)
         for warning in self._ontology.warnings if self._ontology is not None else ():
             rospy.logwarn("%s", warning)
         self.manager = Manager(
@@ -220,14 +220,16 @@ def _is_running(argv: Sequence[str]) -> bool:
     return bool(pid)
 
 
-def _ontology(paths: Sequence[str]) -> Ontology | None:
-    if not paths:
+def _ontology(settings: ManagerSettings) -> Ontology | None:
+    if not settings.ontologies:
         return None
     from dyknow.manager.specifications.ontology import (
         load_ontology,  # rdflib takes its time to import
     )
 
-    return load_ontology(paths)
+    return load_ontology(
+        settings.ontologies, language=settings.language, catalogues=settings.catalogues
+    )
 
 
 def run(argv: Sequence[str]) -> int:

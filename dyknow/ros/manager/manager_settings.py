@@ -25,6 +25,8 @@ _PARAMETERS = (
     "num_nodelet_managers",
     "state_dir",
     "ontologies",
+    "catalogues",
+    "language",
     "transformations",
     "spawn_timeout",
     "orphan_timeout",
@@ -42,7 +44,9 @@ class ManagerSettings:
         nodelet_managers: global names of nodelet managers of others to use as well.
         num_nodelet_managers: nodelet managers of its own.
         state_dir: folder of the durable state.
-        ontologies: files with the concepts of templates.
+        ontologies: files with the concepts of templates and tags.
+        catalogues: files that say where imported ontologies are.
+        language: the language of the labels that are preferred as names.
         transformations: files of specifications to add at the start.
         spawn_timeout: seconds that a nodelet may take to come up.
         orphan_timeout: seconds for which its nodelet managers outlive it; 0 for ever.
@@ -54,6 +58,8 @@ class ManagerSettings:
     num_nodelet_managers: int = 1
     state_dir: str = ""
     ontologies: Tuple[str, ...] = ()
+    catalogues: Tuple[str, ...] = ()
+    language: str = "en"
     transformations: Tuple[str, ...] = ()
     spawn_timeout: float = 10.0
     orphan_timeout: float = 300.0
@@ -79,6 +85,8 @@ class ManagerSettings:
                 _string("state_dir") or os.path.join(rospkg.get_ros_home(), "dyknow")
             ),
             ontologies=_strings("ontologies"),
+            catalogues=_strings("catalogues"),
+            language=_string("language", cls.language),
             transformations=_strings("transformations"),
             spawn_timeout=_seconds("spawn_timeout", cls.spawn_timeout, least=0.001),
             orphan_timeout=_seconds("orphan_timeout", cls.orphan_timeout, least=0.0),
@@ -116,8 +124,8 @@ def _refuse(name: str, expected: str, value: Any) -> DyKnowError:
     return DyKnowError(f"~{name}: expected {expected}, not {value!r}")
 
 
-def _string(name: str) -> str:
-    value = rospy.get_param("~" + name, "")
+def _string(name: str, default: str = "") -> str:
+    value = rospy.get_param("~" + name, default)
     if not isinstance(value, str):
         raise _refuse(name, "a text", value)
     return value

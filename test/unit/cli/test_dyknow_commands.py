@@ -193,7 +193,8 @@ class TestCheck:
         owl, xml = tmp_path / "o.ttl", tmp_path / "t.xml"
         owl.write_text(
             "@prefix : <http://x.org/#> .\n@prefix owl: <http://www.w3.org/2002/07/owl#> .\n"
-            ":Camera a owl:Class .\n:Colour owl:oneOf ( :red ) .\n:front a :Camera .\n"
+            ":Camera a owl:Class .\n:Camera owl:equivalentClass [ owl:complementOf :Ball ] .\n"
+            ":front a :Camera .\n"
         )
         xml.write_text(
             "<transformation><label>l(${X})</label><source>p/C</source>\n"
@@ -202,13 +203,38 @@ class TestCheck:
         outcome = run(nobody, f"check {xml} --ontology {owl}")
         assert outcome.code == 0
         assert outcome.lines == [
-            f"{owl}:4: warning: owl:oneOf of <http://x.org/#Colour> is not read",
+            f"{owl}:3: warning: no label, so that the last part of the URI is the name: "
+            "<http://x.org/#Camera>, <http://x.org/#front>",
+            f"{owl}:4: warning: owl:complementOf in the description of <http://x.org/#Camera> "
+            "is not read",
             f"{xml}:2: warning: the individual <http://x.org/#front> has no rdfs:label; its term "
             "is the last part of its URI",
             f"{xml}: 1 transformation: l(front)",
         ]
         shape = run(nobody, f"check {xml} --ontology {owl} --json").json
-        assert [each["line"] for each in shape["ontology_warnings"]] == [4]
+        assert [each["line"] for each in shape["ontology_warnings"]] == [3, 4]
+
+    def test_imports_and_labels_of_an_ontology(self, tmp_path: Path) -> None:
+        nobody: FakeClient = None  # type: ignore[assignment]
+        owl, other, xml = tmp_path / "o.ttl", tmp_path / "other.ttl", tmp_path / "t.xml"
+        catalogue = tmp_path / "c.xml"
+        catalogue.write_text(
+            '<catalog xmlns="urn:oasis:names:tc:entity:xmlns:xml:catalog">'
+            '<uri name="http://y.org/" uri="other.ttl"/></catalog>'
+        )
+        owl.write_text("<u:o> <http://www.w3.org/2002/07/owl#imports> <http://y.org/> .")
+        other.write_text(
+            "@prefix rdfs: <http://www.w3.org/2000/01/rdf-schema#> .\n"
+            '<u:C> rdfs:label "C" . <u:x> a <u:C> ; rdfs:label "front"@en, "vorn"@de .'
+        )
+        xml.write_text(
+            "<transformation><label>l(${X})</label><source>p/C</source>"
+            '<args><arg label="X">u:C</arg></args></transformation>'
+        )
+        check = f"check {xml} --ontology {owl} --catalogue {catalogue}"
+        assert run(nobody, check).lines == [f"{xml}: 1 transformation: l(front)"]
+        german = run(nobody, f"{check} --language de")
+        assert german.lines == [f"{xml}: 1 transformation: l(vorn)"]
 
     def test_needs_nobody(self, tmp_path: Path) -> None:
         good, bad = tmp_path / "good.xml", tmp_path / "bad.xml"

@@ -46,6 +46,7 @@ def test_the_manager_describes_all_its_parameters():
     assert plain == set(manager_settings._PARAMETERS)
     for name in ("num_nodelet_managers", "spawn_timeout", "orphan_timeout"):
         assert float(described[name][0]) == getattr(ManagerSettings, name)
+    assert described["language"] == [ManagerSettings.language]
 
 
 def test_the_nodelet_manager_describes_all_its_parameters():

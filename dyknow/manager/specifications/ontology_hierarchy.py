@@ -1,0 +1,100 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Subsumption among classes, as statements about classes entail it.
+
+A union contains its parts, so it is a superclass of each. An intersection is a subclass of each of
+its parts, and contains what is in all of them. Everything is found by following these rules from
+the classes in question; nothing is computed in advance, so a large ontology loads quickly.
+"""
+
+from __future__ import annotations
+
+from typing import Dict, Iterable, Iterator, List, Mapping, Set, Tuple
+
+_Edges = Dict[str, Set[str]]
+
+
+class Hierarchy:
+    """Classes by their keys, with what was said of them; cycles are allowed."""
+
+    def __init__(self) -> None:
+        self._above: _Edges = {}
+        self._below: _Edges = {}
+        self._intersections: List[Tuple[str, int]] = []
+        self._intersections_of: Dict[str, List[int]] = {}
+        self._parts: Dict[str, List[str]] = {}
+
+    def __contains__(self, name: str) -> bool:
+        """Whether there is such a class."""
+        return name in self._above
+
+    def __iter__(self) -> Iterator[str]:
+        """The classes."""
+        return iter(self._above)
+
+    def add(self, name: str) -> None:
+        """Add a class."""
+        self._above.setdefault(name, set())
+        self._below.setdefault(name, set())
+
+    def add_subclass(self, lower: str, upper: str) -> None:
+        """State that one class is a subclass of another."""
+        self.add(lower)
+        self.add(upper)
+        self._above[lower].add(upper)
+        self._below[upper].add(lower)
+
+    def add_intersection(self, whole: str, parts: Iterable[str]) -> None:
+        """State that a class is the intersection of others."""
+        parts = sorted(set(parts))
+        for part in parts:
+            self.add_subclass(whole, part)
+            self._intersections_of.setdefault(part, []).append(len(self._intersections))
+        self._intersections.append((whole, len(parts)))
+        # What is in the intersection is in each part, so one of them leads to all candidates.
+        self._parts.setdefault(whole, []).extend(parts[:1])
+
+    def above(self, names: Iterable[str]) -> Set[str]:
+        """Return every class that contains all that is in each of the given classes."""
+        reached = set(names)
+        waiting = list(reached)
+        missing: Dict[int, int] = {}
+        while waiting:
+            name = waiting.pop()
+            found = set(self._above.get(name, ()))
+            for number in self._intersections_of.get(name, ()):
+                whole, count = self._intersections[number]
+                missing[number] = missing.get(number, count) - 1
+                if not missing[number]:
+                    found.add(whole)
+            found -= reached
+            reached |= found
+            waiting.extend(found)
+        return reached
+
+    def are_equivalent(self, one: str, other: str) -> bool:
+        """Whether two classes are subclasses of each other."""
+        return other in self.above((one,)) and one in self.above((other,))
+
+    def below(self, name: str) -> Tuple[Set[str], Set[str]]:
+        """Return the classes in which to look for the instances of a class.
+
+        Returns:
+            Those whose instances all are instances of the class, itself included, and those of
+            which some may be: the instances that are in other classes too.
+        """
+        certain = _reachable(name, self._below)
+        return certain, _reachable(name, self._below, self._parts) - certain
+
+
+def _reachable(start: str, *relations: Mapping[str, Iterable[str]]) -> Set[str]:
+    reached = {start}
+    waiting = [start]
+    while waiting:
+        name = waiting.pop()
+        for relation in relations:
+            found = set(relation.get(name, ())) - reached
+            reached |= found
+            waiting.extend(found)
+    return reached
