@@ -39,6 +39,15 @@ from dyknow.errors import DyKnowError, HostError, Refused
 from dyknow.manager.specifications.values import value_of
 from dyknow.model.graph import State
 
+WORKSHOP = Path(__file__).resolve().parents[2] / "examples" / "ontologies" / "workshop.ttl"
+LABEL = "<http://www.w3.org/2000/01/rdf-schema#label>"
+TEMPLATE = """
+<transformation>
+  <label>view(${Observer})</label><source>dyknow/Source</source>
+  <args><arg label="Observer">http://dyknow.example.org/workshop#Observer</arg></args>
+</transformation>
+"""
+
 
 class ServicesTest(ManagerCase):
     """One manager for all of these tests."""
@@ -406,6 +415,28 @@ class StartTest(ManagerCase):
         self.assertIn("set aside", manager.output)
         [aside] = state.parent.glob("*.broken-*")
         self.assertEqual(aside.read_bytes(), b"not a database" * 1000)
+
+    def test_terms_in_the_language_that_was_asked_for(self):
+        manager = self.make(language="de")
+        owl, library = Path(manager.state, "lab.ttl"), Path(manager.state, "library.xml")
+        catalogue = Path(manager.state, "elsewhere.xml")
+        manager.parameters.update(
+            ontologies=str(owl), catalogues=str(catalogue), transformations=str(library)
+        )
+        owl.write_text("<u:lab> <http://www.w3.org/2002/07/owl#imports> <u:workshop> .")
+        catalogue.write_text(
+            '<catalog xmlns="urn:oasis:names:tc:entity:xmlns:xml:catalog">'
+            f'<uri name="u:workshop" uri="{WORKSHOP}"/></catalog>'
+        )
+        library.write_text(TEMPLATE)
+        manager.start()
+        labels = [each.label for each in manager.client.get_model().transformations]
+        self.assertEqual(labels, ["view(Deckenkamera)", "view(Greiferkamera)"])
+        manager.stop()
+        owl.write_text(f'<u:a> a <u:C>; {LABEL} "arm" . <u:b> a <u:C>; {LABEL} "arm" .')
+        manager.start(wait=False)
+        self.assertNotEqual(manager.process.wait(20.0), 0)
+        self.assertIn("the individuals <u:a> and <u:b> share the label 'arm'", manager.output)
 
     def test_transformations_of_files(self):
         manager = self.make()
