@@ -205,6 +205,8 @@ def load_ontology(
             remarks.not_read(file.path, expression)
         labels.read(file.path, file.graph)
     hierarchy = statements.hierarchy
+    if not hierarchy.complete_unions():
+        remarks.too_many_unions()
     classes = Naming("classes", (each for each in hierarchy if not is_blank(each)), labels)
     individuals = Naming("individuals", statements.types, labels)
     refused = [

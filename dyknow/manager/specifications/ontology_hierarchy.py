@@ -3,9 +3,10 @@
 
 """Subsumption among classes, as statements about classes entail it.
 
-A union contains its parts, so it is a superclass of each. An intersection is a subclass of each of
-its parts, and contains what is in all of them. Everything is found by following these rules from
-the classes in question; nothing is computed in advance, so a large ontology loads quickly.
+A union is a superclass of each of its parts, and a subclass of what all of them are subclasses
+of. An intersection is a subclass of each of its parts, and contains what is in all of them. All
+this is found by following the rules from the classes in question; only what the parts of unions
+have in common is found in advance, so a large ontology loads quickly.
 """
 
 from __future__ import annotations
@@ -13,6 +14,8 @@ from __future__ import annotations
 from typing import Dict, Iterable, Iterator, List, Mapping, Set, Tuple
 
 _Edges = Dict[str, Set[str]]
+#: The classes that are visited at most to find what the parts of unions have in common.
+_VISITS = 5_000_000
 
 
 class Hierarchy:
@@ -24,6 +27,7 @@ class Hierarchy:
         self._intersections: List[Tuple[str, int]] = []
         self._intersections_of: Dict[str, List[int]] = {}
         self._parts: Dict[str, List[str]] = {}
+        self._unions: List[Tuple[str, List[str]]] = []
 
     def __contains__(self, name: str) -> bool:
         """Whether there is such a class."""
@@ -54,6 +58,42 @@ class Hierarchy:
         self._intersections.append((whole, len(parts)))
         # What is in the intersection is in each part, so one of them leads to all candidates.
         self._parts.setdefault(whole, []).extend(parts[:1])
+
+    def add_union(self, whole: str, parts: Iterable[str]) -> None:
+        """State that a class is the union of others."""
+        parts = sorted(set(parts))
+        for part in parts:
+            self.add_subclass(part, whole)
+        if parts:
+            self._unions.append((whole, parts))
+
+    def complete_unions(self, visits: int = _VISITS) -> bool:
+        """Make each union a subclass of what all its parts are subclasses of.
+
+        Args:
+            visits: the classes to visit at most.
+
+        Returns:
+            Whether that was enough; else only some of these subclasses were found.
+        """
+        changed = True
+        while changed:
+            changed = False
+            for whole, parts in self._unions:
+                known = self.above((whole,))
+                common: Set[str] = set()
+                for part in parts:
+                    found = self.above((part,))
+                    visits -= len(found)
+                    common = common & found if common else found
+                    if visits < 0:
+                        return False
+                    if len(common) == len(known):  # what is above the union is above each part
+                        break
+                for upper in common - known:
+                    self.add_subclass(whole, upper)
+                    changed = True
+        return True
 
     def above(self, names: Iterable[str]) -> Set[str]:
         """Return every class that contains all that is in each of the given classes."""

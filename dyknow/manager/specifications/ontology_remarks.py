@@ -58,6 +58,11 @@ class Remarks:
         )
         self._note(path, uri, "imports", message)
 
+    def too_many_unions(self) -> None:
+        """Note that not all superclasses of unions were looked for."""
+        message = "too many unions to find all superclasses that the parts of each have in common"
+        self._note(next(iter(self._files)), "unionOf", "", message)
+
     def names(self, labels: Labels, classes: Naming, individuals: Naming) -> None:
         """Note the names that are no labels in the preferred language."""
         for naming in (classes, individuals):
@@ -146,7 +151,7 @@ class _Places:
         if word not in self._numbers:
             text = self._text
             lines: Dict[int, None] = {}
-            place = text.find(word)
+            place = text.find(word) if word else -1  # an empty text is everywhere
             while place >= 0:
                 end = place + len(word)
                 if not (_in_word(text[place - 1 : place]) or _in_word(text[end : end + 1])):

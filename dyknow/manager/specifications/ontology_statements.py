@@ -145,11 +145,10 @@ class _Reading:
         for member in members:
             self._describe(node, member)
         parts = [node_key(member) for member in members]
-        if predicate == OWL.intersectionOf or len(set(parts)) == 1:
+        if predicate == OWL.intersectionOf:
             self._hierarchy.add_intersection(key, parts)
         else:
-            for part in parts:
-                self._hierarchy.add_subclass(part, key)
+            self._hierarchy.add_union(key, parts)
 
     def _describe(self, node: rdflib.term.Node, expression: rdflib.term.Node) -> None:
         if isinstance(expression, rdflib.BNode):

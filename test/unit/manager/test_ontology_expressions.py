@@ -17,6 +17,7 @@ from property_tests import examples
 
 from dyknow.errors import OntologyFileError
 from dyknow.manager.specifications.ontology import Ontology, load_ontology
+from dyknow.manager.specifications.ontology_hierarchy import Hierarchy
 
 BASE = "http://example.org/#"
 PREFIXES = f"""
@@ -51,6 +52,15 @@ def subsumed(found: Ontology, names: str) -> List[str]:
         (":C owl:intersectionOf ( :A :B ) .", "C<A C<B"),
         (":C owl:equivalentClass [ owl:unionOf ( :A :B ) ] .", "A<C B<C"),
         (":C owl:unionOf ( :A :B ) .", "A<C B<C"),
+        (
+            ":C owl:unionOf ( :A :B ) . :A rdfs:subClassOf :D, :E . :B rdfs:subClassOf :D, :F .",
+            "A<C A<D A<E B<C B<D B<F C<D",
+        ),
+        (
+            ":A rdfs:subClassOf [ owl:unionOf ( :B :C ) ] . :B rdfs:subClassOf :D ."
+            " :C owl:unionOf ( :E :F ) . :E rdfs:subClassOf :D . :F rdfs:subClassOf :D .",
+            "A<D B<D C<D E<C E<D F<C F<D",
+        ),
         (":C owl:disjointUnionOf ( :A :B ) .", "A<C B<C"),
         (":C rdfs:subClassOf [ owl:intersectionOf ( :A :B ) ] .", "C<A C<B"),
         (":C rdfs:subClassOf [ owl:unionOf ( :A :B ) ] .", ""),
@@ -201,6 +211,31 @@ def test_deep_and_wide_expressions_take_no_time(tmp_path: Path) -> None:
     assert found.is_subsumed("I", "U")
     assert not found.is_subsumed("U", "P1")
     assert time.process_time() - started < 60.0
+
+
+def test_there_is_an_end_to_what_unions_have_in_common() -> None:
+    def unions() -> Hierarchy:
+        found = Hierarchy()
+        for n in reversed(range(50)):
+            found.add_union(f"u{n + 1}", [f"u{n}", f"a{n}"])
+            found.add_subclass(f"a{n}", "top")
+        found.add_subclass("u0", "top")
+        return found
+
+    complete, partial = unions(), unions()
+    assert complete.complete_unions()
+    assert "top" in complete.above(["u50"])
+    assert not partial.complete_unions(visits=100)
+    assert partial.above(["u50"]) <= complete.above(["u50"])
+
+
+def test_too_many_unions_are_told(ontology, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Hierarchy.complete_unions, "__defaults__", (1,))
+    found = ontology(":C owl:unionOf ( :A :B ) .")
+
+    assert found.is_subsumed("A", "C")
+    assert found.warnings[-1].message.startswith("too many unions to find all superclasses")
+    assert found.warnings[-1].line == 6
 
 
 # The property: a checker of models that shares no code and no idea with the hierarchy
