@@ -21,7 +21,7 @@ from dyknow.manager.claims.topology import demand_of, may_share
 from dyknow.manager.library import Library
 from dyknow.manager.planning.planner import Planner
 from dyknow.manager.planning.problem import NO_LABELS, Answer, Live, NoPlan, Plan
-from dyknow.manager.planning.supply import Demand, Supply
+from dyknow.manager.planning.supply import Demand, meets
 from dyknow.manager.record import Record
 from dyknow.manager.specifications.tags import Subsumption
 from dyknow.model.graph import State
@@ -222,7 +222,8 @@ class ClaimPlanner:
         if present is not None:
             return Plan(demand, present, (), 0)
         streams = self._without_relays(streams)
-        return self._planner.plan(demand, streams, exclude, own, paused=paused - own)
+        free = {label: () for label in own}
+        return self._planner.plan(demand, streams, exclude, free, paused - own)
 
     def _without_relays(self, streams: Iterable[TaggedStream]) -> List[TaggedStream]:
         """Leave out what relays publish: a plan takes it from where they receive it."""
@@ -235,11 +236,13 @@ class ClaimPlanner:
         self, demand: Demand, streams: Iterable[TaggedStream], topic: str
     ) -> Optional[Live]:
         """Find a stream that will do and is where the client listens already."""
-        there: Supply[Live] = Supply(self._ontology)
-        for stream, terms in streams:
-            if topic and stream.topic == topic:
-                there.add(stream, terms, stream.datatype)
-        return min(there.suppliers(demand), default=None)
+        there = [
+            stream
+            for stream, terms in streams
+            if topic and stream.topic == topic
+            if meets(terms, stream.datatype, demand, self._ontology)
+        ]
+        return min(there, default=None)
 
     def _streams(
         self, exclude: AbstractSet[str], without: AbstractSet[str] = frozenset()

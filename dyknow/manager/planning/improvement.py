@@ -1,26 +1,36 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Counts shared parts once: from the cheapest tree to the cheapest plan.
+"""Counts shared parts once: from the cheapest tree to the cheapest plan, and a bound for it.
 
-The problem is that of a Steiner arborescence with AND nodes, which is NP-hard. First every action
-is left out that cannot be part of a cheaper plan, since no plan costs less than the maximum over
-its inputs. On the others a branch-and-bound search is exact if it ends within its budget; if it
-does not, an exchange of single parts improves the plan. The budget counts steps, not seconds, so
-equal problems have equal plans on fast and slow machines.
+The problem is that of a Steiner arborescence with AND nodes, which is NP-hard; set cover is a case
+of it. First every instance is left out that cannot be part of a cheaper plan, since no plan costs
+less than the maximum over its inputs. On the others landmark cuts are a lower bound
+(``landmarks``), a branch-and-bound search is exact if it ends within its share of the budget
+(``branching``), and if it does not, a large neighbourhood search improves the plan: it takes some
+actions out of the plan and completes it again by the cheapest tree, at prices that vary.
 """
 
 from __future__ import annotations
 
-from typing import AbstractSet, Dict, List, NamedTuple, Optional, Set, Tuple
+import random
+from typing import List, NamedTuple, Set
 
-from dyknow.manager.planning.knuth import LIVE, cheapest
-from dyknow.manager.planning.network import Chosen, Network, Reach
+from dyknow.manager.planning.branching import search
+from dyknow.manager.planning.budget import Budget
+from dyknow.manager.planning.graph import Graph
+from dyknow.manager.planning.instances import LIVE, Instances
+from dyknow.manager.planning.knuth import Chosen, Values, cheapest
+from dyknow.manager.planning.landmarks import landmark_bound
 
-#: Actions beyond which the search is not begun.
-_SEARCHABLE = 2_000
 #: Actions beyond which a plan is not improved.
 _MOST_ACTIONS = 10_000
+#: Entries of the search for what is worthwhile that are looked at for each step of the budget.
+_EFFORT = 20
+#: Part of the budget that the exact search may take.
+_EXACT = 0.25
+#: Most actions that are taken out of a plan at once.
+_MOST_OUT = 6
 
 
 class PlanDraft(NamedTuple):
@@ -31,198 +41,131 @@ class PlanDraft(NamedTuple):
     cost: int
 
 
-def drafted(
-    network: Network, reach: Reach, chosen: Chosen, free: AbstractSet[int]
-) -> Optional[PlanDraft]:
-    """Follow choices from the goal; None if they have a cycle."""
-    needs, costs = network.needs, network.costs
+class Improved(NamedTuple):
+    """A draft, and what is known about its cost.
+
+    Attributes:
+        draft: the best one.
+        least_cost: no plan costs less.
+        is_cut_short: whether the clock ended the improvement, not the count of its steps.
+    """
+
+    draft: PlanDraft
+    least_cost: int
+    is_cut_short: bool
+
+
+def drafted(instances: Instances, chosen: Chosen) -> PlanDraft:
+    """Follow choices, which have no cycle, from the goal."""
+    needs, costs, goal = instances.needs, instances.costs, instances.reach.goal
     order: List[int] = []
-    if chosen[reach.goal] == LIVE:
+    if chosen[goal] == LIVE:
         return PlanDraft(chosen, order, 0)
-    done: Dict[int, bool] = {}  # False while its inputs are being followed
-    stack = [chosen[reach.goal]]  # actions to enter; ~action to leave it again
+    entered: Set[int] = set()
+    stack = [chosen[goal]]  # actions to enter; complements of those to leave again
     while stack:
         action = stack.pop()
         if action < 0:
-            done[~action] = True
             order.append(~action)
-        elif action not in done:
-            done[action] = False
+        elif action not in entered:
+            entered.add(action)
             stack.append(~action)
-            for demand in reversed(needs[action]):  # the first is followed first
-                below = chosen[demand]
-                if below == LIVE:
-                    continue
-                known = done.get(below)
-                if known is None:
+            for node in reversed(needs[action]):  # the first is followed first
+                below = chosen[node]
+                if below != LIVE and below not in entered:
                     stack.append(below)
-                elif not known:
-                    return None
-    paid = [action for action in order if action not in free] if free else order
-    return PlanDraft(chosen, order, sum(map(costs.__getitem__, paid)))
+    return PlanDraft(chosen, order, sum([costs[action] for action in order]))
 
 
-def improve(
-    network: Network, reach: Reach, draft: PlanDraft, free: AbstractSet[int], steps: int
-) -> PlanDraft:
+def improve(instances: Instances, draft: PlanDraft, budget: Budget) -> Improved:
     """Return a draft of less cost, or the given one.
 
     Args:
-        network: the library.
-        reach: what the goal can reach.
+        instances: the numbers of the search; grows.
         draft: the cheapest tree.
-        free: actions that cost nothing.
-        steps: the budget.
+        budget: what the improvement may take.
     """
-    if len(draft.actions) > _MOST_ACTIONS:
-        return draft
-    bound = cheapest(network, reach, free, use_sum=False, below=draft.cost)
-    floor = bound.value.get(reach.goal)
-    if floor is None:
-        return draft
-    other = drafted(network, reach, bound.chosen, free)
-    if other is not None and other.cost < draft.cost:
+    if not draft.cost:
+        return Improved(draft, 0, False)
+    if len(draft.actions) > _MOST_ACTIONS or budget.steps <= 0:
+        return Improved(draft, 0, False)
+    most = budget.steps // _EFFORT
+    values = cheapest(instances, use_sum=False, below=draft.cost, most=most)
+    goal = instances.reach.goal
+    budget.spend(_EFFORT * len(values.value))
+    if values.is_complete and goal not in values.value:
+        return Improved(draft, draft.cost, False)
+    floor = values.value.get(goal, values.reached)
+    other = drafted(instances, values.chosen) if goal in values.value else draft
+    if other.cost < draft.cost:
         draft = other
     if draft.cost <= floor:
-        return draft
-    part = _worthwhile(network, reach, bound.value)
-    if len(part.served) <= _SEARCHABLE:
-        draft, complete = _search(network, part, bound.value, draft, free, floor, steps)
-        if complete:
-            return draft
-    return _exchange(network, part, draft, free, floor, steps)
+        return Improved(draft, draft.cost, False)
+    if goal not in values.value:
+        return Improved(draft, floor, budget.is_cut_short)
+    return _Improvement(instances, Graph(instances, values), values, budget).run(draft, floor)
 
 
-def _worthwhile(network: Network, reach: Reach, bound: Dict[int, int]) -> Reach:
-    """Leave out actions with an input that alone costs as much as the present draft."""
-    part = Reach(reach.goal, live=reach.live)
-    for action, demands in reach.served.items():
-        if all(need in bound for need in network.needs[action]):
-            kept = [demand for demand in demands if demand in bound]
-            if kept:
-                part.served[action] = kept
-    for demand, users in reach.consumers.items():
-        if demand in bound:
-            part.consumers[demand] = [action for action in users if action in part.served]
-    return part
+class _Improvement:
+    def __init__(self, instances: Instances, graph: Graph, values: Values, budget: Budget) -> None:
+        self._instances = instances
+        self._graph = graph
+        self._is_complete = values.is_complete
+        self._budget = budget
+        self._chance = random.Random(0)  # equal problems have equal plans
 
+    def run(self, draft: PlanDraft, floor: int) -> Improved:
+        """Improve a draft that costs more than a bound."""
+        graph, budget = self._graph, self._budget
+        cuts, rest = landmark_bound(graph, budget)
+        # What is left out could be cheaper than these cuts.
+        bound = max(cuts, floor) if self._is_complete else floor
+        best = sorted(graph.numbers(draft.actions))
+        if 0 not in graph.derive(set(best)):  # some of it cannot be part of a cheaper plan
+            way = graph.cheapest_tree(graph.costs)
+            assert way is not None
+            best = sorted(graph.followed(way))
+        best = graph.pruned(best, sorted(best, key=lambda each: -graph.costs[each]))
+        if bound < graph.cost(best):
+            part = int(budget.steps * (1 - _EXACT))
+            best, is_proven = search(graph, cuts, rest, best, budget, part)
+            if is_proven and self._is_complete:
+                bound = min(draft.cost, graph.cost(best))
+            else:
+                best = self._varied(best, bound)
+        if graph.cost(best) < draft.cost:
+            draft = drafted(self._instances, graph.chosen(graph.derive(set(best))))
+        return Improved(draft, bound, budget.is_cut_short)
 
-def _search(
-    network: Network,
-    part: Reach,
-    bound: Dict[int, int],
-    best: PlanDraft,
-    free: AbstractSet[int],
-    floor: int,
-    steps: int,
-) -> Tuple[PlanDraft, bool]:
-    """Search all choices that may cost less than the best draft.
-
-    Returns:
-        The best draft, and whether the search ended within its budget.
-    """
-    needs = network.needs
-    cost_of = {action: 0 if action in free else network.costs[action] for action in part.served}
-    offers: Dict[int, List[int]] = {demand: [] for demand in part.consumers}
-    for action, demands in part.served.items():
-        for demand in demands:
-            offers[demand].append(action)
-
-    def price(action: int) -> Tuple[int, str]:
-        inputs = sum(bound[need] for need in needs[action])
-        return cost_of[action] + inputs, network.labels[action]
-
-    for found in offers.values():
-        found.sort(key=price)
-    for demand in part.live:
-        offers[demand] = [LIVE]  # costs nothing and needs nothing, so no offer is better
-
-    chosen: Chosen = {}
-    users: Dict[int, int] = {}  # how many choices use an action
-    open_demands: List[int] = [part.goal]
-    cost = 0
-    # One frame for each decision: the demand, its offers, the position of the next offer, and how
-    # many demands the present one opened (-1 before the first).
-    frames: List[Tuple[int, List[int], int, int]] = []
-
-    def least() -> int:
-        most = 0
-        for demand in open_demands:
-            low = min(
-                0 if action == LIVE or action in users else cost_of[action]
-                for action in offers[demand]
-            )
-            most = max(most, low)
-        return cost + most
-
-    def enter() -> None:
-        demand = open_demands.pop()
-        used = [action for action in offers[demand] if action in users]
-        rest = [action for action in offers[demand] if action not in users]
-        frames.append((demand, used + rest, 0, -1))
-
-    enter()
-    while frames:
-        demand, order, position, opened = frames.pop()
-        if opened >= 0:  # undo the last choice
-            action = chosen.pop(demand)
-            if action != LIVE:
-                users[action] -= 1
-                if not users[action]:
-                    del users[action]
-                    cost -= cost_of[action]
-            del open_demands[len(open_demands) - opened :]
-        if position == len(order):
-            open_demands.append(demand)
-            continue
-        action = chosen[demand] = order[position]
-        fresh: List[int] = []
-        if action != LIVE:
-            if action not in users:
-                cost += cost_of[action]
-                waiting = set(open_demands)
-                fresh = [d for d in needs[action] if d not in chosen and d not in waiting]
-                open_demands.extend(fresh)
-            users[action] = users.get(action, 0) + 1
-        frames.append((demand, order, position + 1, len(fresh)))
-        steps -= 1 + len(open_demands)
-        if steps < 0:
-            return best, False
-        if least() >= best.cost:
-            continue
-        if open_demands:
-            enter()
-            continue
-        steps -= len(chosen)
-        way = drafted(network, part, dict(chosen), free)
-        if way is not None and way.cost < best.cost:
-            best = way
-            if best.cost <= floor:
-                return best, True
-    return best, True
-
-
-def _exchange(
-    network: Network, part: Reach, draft: PlanDraft, free: AbstractSet[int], floor: int, steps: int
-) -> PlanDraft:
-    """Leave out one action after the other, as long as the draft becomes cheaper."""
-    size = len(part.served) + len(part.consumers)
-    improved = True
-    while improved and draft.cost > floor:
-        improved = False
-        present: Set[int] = set(draft.actions)
-        costly = sorted(
-            present - set(free), key=lambda each: (-network.costs[each], network.labels[each])
-        )
-        for action in costly:
-            steps -= size
-            if steps < 0:
-                return draft
-            values = cheapest(network, part, present | free, {action}, until=part.goal)
-            if part.goal not in values.value:
-                continue
-            found = drafted(network, part, values.chosen, free)
-            if found is not None and found.cost < draft.cost:
-                draft, improved = found, True
-                break
-    return draft
+    def _varied(self, best: List[int], bound: int) -> List[int]:
+        """Search the neighbourhoods of plans, as long as the budget lasts."""
+        graph, budget, chance = self._graph, self._budget, self._chance
+        costs = graph.costs
+        least = graph.cost(best)
+        present, price = best, least
+        while least > bound and budget.spend(6 * graph.size):
+            out = set(chance.sample(present, chance.randint(1, min(_MOST_OUT, len(present)))))
+            kept = [action for action in present if action not in out]
+            derived = graph.derive(set(kept))
+            prices = [
+                costs[action]
+                * (1 + chance.random())
+                / max(1, sum([node not in derived for node in graph.makes[action]]))
+                for action in range(len(costs))
+            ]
+            for action in kept:
+                prices[action] = 0
+            way = graph.cheapest_tree(prices)
+            assert way is not None
+            found = {*kept, *graph.followed(way)}
+            order = sorted(found, key=lambda each: (-costs[each] * chance.random(), each))
+            budget.spend(len(found) * graph.size * len(found) // len(costs))
+            plan = graph.pruned(found, order)
+            cost = graph.cost(plan)
+            if cost <= price:
+                present, price = plan, cost
+                if cost < least:
+                    best, least = plan, cost
+            elif chance.random() < 0.02:
+                present, price = plan, cost
+        return best

@@ -10,7 +10,8 @@ supplier, without a cycle; each transformation stands in it at most once and cos
 
 from __future__ import annotations
 
-from typing import FrozenSet, NamedTuple, Tuple, Union
+from types import MappingProxyType
+from typing import FrozenSet, Mapping, NamedTuple, Tuple, Union
 
 from dyknow.demand_text import write_missing
 from dyknow.manager.planning.supply import Demand
@@ -52,25 +53,16 @@ class New(NamedTuple):
 Source = Union[Live, New]
 
 
-class Need(NamedTuple):
-    """One tagged in-port of a transformation."""
-
-    port: str
-    demand: Demand
-
-
 class Action(NamedTuple):
     """A transformation as the planner sees it.
 
     Attributes:
         label: its name.
         cost: of a nodelet of it; 0 if there is one that can be connected elsewhere.
-        needs: tagged in-ports, in the order written.
     """
 
     label: str
     cost: int
-    needs: Tuple[Need, ...]
 
 
 class PlanStep(NamedTuple):
@@ -97,6 +89,8 @@ class Plan(NamedTuple):
         cost: sum over the steps.
         least_cost: no plan costs less; if it is the cost, that is proven least.
         bindings: of the variables in what was asked for.
+        is_cut_short: whether the clock ended the improvement, so that the same problem may have
+            another plan at another time.
     """
 
     demand: Demand
@@ -105,6 +99,7 @@ class Plan(NamedTuple):
     cost: int
     least_cost: int = 0
     bindings: Bindings = ()
+    is_cut_short: bool = False
 
     @property
     def live(self) -> Tuple[Live, ...]:
@@ -137,3 +132,5 @@ class NoPlan(NamedTuple):
 Answer = Union[Plan, NoPlan]
 NO_LABELS: FrozenSet[str] = frozenset()
 """No label."""
+NO_FREE: Mapping[str, Bindings] = MappingProxyType({})
+"""No label, and no bindings."""

@@ -13,7 +13,7 @@ import pytest
 from unit.manager.field import GOAL, Field
 
 from dyknow.manager.planning.explanation import Entry, as_tree, read_tree, tree_as_dot
-from dyknow.manager.planning.problem import Action, Live, Need, New, NoPlan, Plan, PlanStep
+from dyknow.manager.planning.problem import Action, Live, New, NoPlan, Plan, PlanStep
 from dyknow.manager.planning.supply import Demand
 from dyknow.manager.specifications.tags import parse_tag
 from dyknow.model.streams import StreamRequest
@@ -52,12 +52,11 @@ def test_what_runs_is_named() -> None:
 
 def test_shared_parts_are_told_once_and_depth_does_not_matter() -> None:
     depth = 300
-    steps = [PlanStep(Action("level 0", 1, ()), ())]
+    steps = [PlanStep(Action("level 0", 1), ())]
     for level in range(1, depth):
         below = New(f"level {level - 1}", "out")
-        needs = (Need("left", demand("X")), Need("right", demand("X")))
         inputs = (("left", below), ("right", below))
-        steps.append(PlanStep(Action(f"level {level}", 1, needs), inputs))
+        steps.append(PlanStep(Action(f"level {level}", 1), inputs))
     diamonds = Plan(demand("X"), New(f"level {depth - 1}", "out"), tuple(steps), depth)
     text = as_tree(diamonds)
     assert len(text.split("\n")) == 2 * depth
@@ -72,12 +71,10 @@ def prices(text: str) -> int:
 
 def test_prices_add_up_where_a_leaf_is_shared() -> None:
     camera, left, right, both = (
-        PlanStep(Action("camera", 5, ()), ()),
-        PlanStep(Action("left", 1, (Need("in", demand("X")),)), (("in", New("camera", "image")),)),
-        PlanStep(
-            Action("right", 2, (Need("in", demand("X")),)), (("in", New("camera", "image")),)
-        ),
-        PlanStep(Action("both", 1, ()), (("l", New("left", "out")), ("r", New("right", "out")))),
+        PlanStep(Action("camera", 5), ()),
+        PlanStep(Action("left", 1), (("in", New("camera", "image")),)),
+        PlanStep(Action("right", 2), (("in", New("camera", "image")),)),
+        PlanStep(Action("both", 1), (("l", New("left", "out")), ("r", New("right", "out")))),
     )
     answer = Plan(demand("X"), New("both", "out"), (camera, left, right, both), 9)
     text = as_tree(answer)

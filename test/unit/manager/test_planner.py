@@ -164,7 +164,7 @@ def test_what_is_there_costs_nothing() -> None:
     answer = plan(library, "B", live=[(running, (parse_tag("A"),))])
     assert isinstance(answer, Plan)
     assert (answer.cost, answer.live) == (1, (running,))
-    free = plan(library, "B", free={"camera"})
+    free = plan(library, "B", free={"camera": ()})
     assert isinstance(free, Plan)
     assert (free.cost, len(free.steps)) == (1, 2)
 

@@ -1,0 +1,155 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""A small AND/OR graph: what may be part of a plan that is cheaper than the one at hand."""
+
+from __future__ import annotations
+
+import heapq
+from typing import AbstractSet, Dict, Iterable, List, Optional, Sequence, Set, Tuple
+
+from dyknow.manager.planning.instances import LIVE, Instances
+from dyknow.manager.planning.knuth import Chosen, Values
+
+
+class Graph:
+    """Actions and nodes, numbered from 0; the goal is node 0. Live nodes are left out.
+
+    Attributes:
+        costs: of each action.
+        needs: nodes that each action needs.
+        makes: nodes that each action supplies.
+        users: actions that need each node.
+        offers: actions that supply each node.
+        size: its number of edges, the unit in which effort is counted.
+    """
+
+    def __init__(self, instances: Instances, values: Values) -> None:
+        """Take from a search what it found.
+
+        Args:
+            instances: the numbers of the search.
+            values: with everything that is worthwhile.
+        """
+        self._instances = instances
+        self._live = {node for node, action in values.chosen.items() if action == LIVE}
+        # Equal problems have equal numbers here: by label and bindings.
+        order = sorted(
+            {action for node, found in values.offers.items() for action in found},
+            key=lambda each: (instances.labels[each], instances.rule(each)[1], each),
+        )
+        self._actions = order
+        nodes: Dict[int, int] = {instances.reach.goal: 0}
+        self.costs = [instances.costs[each] for each in order]
+        self.needs = [
+            [
+                nodes.setdefault(need, len(nodes))
+                for need in instances.needs[each]
+                if need not in self._live
+            ]
+            for each in order
+        ]
+        self._nodes = list(nodes)
+        self.offers: List[List[int]] = [[] for _ in nodes]
+        self.makes: List[List[int]] = [[] for _ in order]
+        self.users: List[List[int]] = [[] for _ in nodes]
+        number_of = {action: number for number, action in enumerate(order)}
+        for node, number in nodes.items():
+            for action in sorted({number_of[each] for each in values.offers.get(node, ())}):
+                self.offers[number].append(action)
+                self.makes[action].append(number)
+        for action, needed in enumerate(self.needs):
+            for node in needed:
+                self.users[node].append(action)
+        self.size = len(order) + sum(map(len, self.needs)) + sum(map(len, self.makes))
+
+    def numbers(self, actions: Iterable[int]) -> List[int]:
+        """Return the numbers here of actions of the search; what is not worthwhile is left out."""
+        number_of = {action: number for number, action in enumerate(self._actions)}
+        return [number_of[each] for each in actions if each in number_of]
+
+    def cost(self, actions: Iterable[int]) -> int:
+        """Sum up what actions cost."""
+        return sum([self.costs[each] for each in actions])
+
+    def chosen(self, way: Dict[int, int]) -> Chosen:
+        """Write choices in the numbers of the search."""
+        found = dict.fromkeys(self._live, LIVE)
+        found.update((self._nodes[node], self._actions[action]) for node, action in way.items())
+        return found
+
+    def derive(self, actions: AbstractSet[int]) -> Dict[int, int]:
+        """Supply what can be supplied with some actions alone.
+
+        Returns:
+            For each node that is reached its supplier, without a cycle.
+        """
+        needs, makes, users = self.needs, self.makes, self.users
+        missing = {action: len(needs[action]) for action in actions}
+        way: Dict[int, int] = {}
+        waiting = sorted([action for action, left in missing.items() if not left])
+        for action in waiting:  # grows meanwhile
+            for node in makes[action]:
+                if node not in way:
+                    way[node] = action
+                    for user in users[node]:
+                        left = missing.get(user, 0)
+                        if left:
+                            missing[user] = left - 1
+                            if left == 1:
+                                waiting.append(user)
+        return way
+
+    def followed(self, way: Dict[int, int]) -> List[int]:
+        """Return the actions that choices lead to from the goal."""
+        found = {way[0]: None}
+        waiting = [way[0]]
+        for action in waiting:  # grows meanwhile
+            for node in self.needs[action]:
+                below = way[node]
+                if below not in found:
+                    found[below] = None
+                    waiting.append(below)
+        return waiting
+
+    def pruned(self, actions: Iterable[int], order: Sequence[int]) -> List[int]:
+        """Leave out actions that the goal is reached without, tried in an order."""
+        kept = set(self.followed(self.derive(set(actions))))
+        for action in order:
+            if action in kept and not self._is_alone(action, kept):
+                way = self.derive(kept - {action})
+                if 0 in way:
+                    kept = set(self.followed(way))
+        return sorted(kept)
+
+    def _is_alone(self, action: int, kept: Set[int]) -> bool:
+        """Whether an action is the only one to supply a node that others need."""
+        return any(
+            len(kept.intersection(self.offers[node])) == 1
+            and (not node or not kept.isdisjoint(self.users[node]))
+            for node in self.makes[action]
+        )
+
+    def cheapest_tree(self, prices: Sequence[float]) -> Optional[Dict[int, int]]:
+        """Choose the cheapest tree, by Knuth's algorithm, at other prices."""
+        needs, makes, users = self.needs, self.makes, self.users
+        missing = list(map(len, needs))
+        total = list(prices)
+        heap: List[Tuple[float, int]] = [
+            (total[action], action) for action, left in enumerate(missing) if not left
+        ]
+        heapq.heapify(heap)
+        way: Dict[int, int] = {}
+        while heap:
+            price, action = heapq.heappop(heap)
+            for node in makes[action]:
+                if node not in way:
+                    way[node] = action
+                    if not node:
+                        return way
+                    for user in users[node]:
+                        total[user] += price
+                        left = missing[user] = missing[user] - 1
+                        if not left:
+                            heapq.heappush(heap, (total[user], user))
+        return None

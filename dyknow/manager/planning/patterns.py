@@ -1,0 +1,242 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Patterns: demands and supplies with canonical names and numbered variables.
+
+Two demands that differ only in the names of their variables are one pattern. A name in a demand
+says no more than a type: it subsumes what is supplied in its place.
+"""
+
+from __future__ import annotations
+
+from typing import Dict, FrozenSet, Iterable, List, NamedTuple, Optional, Sequence, Tuple, Union
+
+from dyknow.manager.specifications.tags import NO_ONTOLOGY, Subsumption, Term
+
+Argument = Union[str, int]
+"""A canonical name, or the number of a variable."""
+Types = FrozenSet[str]
+Theta = Tuple[str, ...]
+"""Canonical names that the wanted variables of a pattern, or those of a rule, stand for."""
+
+NO_TYPES: Types = frozenset()
+
+
+class Atom(NamedTuple):
+    """A functor and its arguments."""
+
+    functor: str
+    args: Tuple[Argument, ...]
+
+    def ground(self, theta: Theta) -> Atom:
+        """Put names in the places of the variables."""
+        return Atom(
+            self.functor,
+            tuple([arg if type(arg) is str else theta[arg] for arg in self.args]),  # type: ignore[index]
+        )
+
+
+class Pattern(NamedTuple):
+    """What one stream has to be.
+
+    Attributes:
+        atoms: its tags, all of them.
+        datatype: ROS type; empty for any.
+        types: for each variable, what has to subsume its name.
+        wanted: variables whose names matter to whoever demands it; of streams that differ in
+            the others only, the cheapest will do.
+    """
+
+    atoms: Tuple[Atom, ...]
+    datatype: str
+    types: Tuple[Types, ...] = ()
+    wanted: Tuple[int, ...] = ()
+
+
+class Names:
+    """Names as the ontology relates them; what it says is asked once for each name."""
+
+    def __init__(self, ontology: Subsumption) -> None:
+        """Start without a name."""
+        self.ontology = ontology
+        self._is_plain = ontology is NO_ONTOLOGY
+        self._canonical: Dict[str, str] = {}
+        self._written: Dict[str, str] = {}
+        self._above: Dict[str, FrozenSet[str]] = {}
+        self._below: Dict[str, Dict[str, None]] = {}
+        self._entered: Dict[str, None] = {}
+
+    def canonical(self, name: str) -> str:
+        """Return one name for all names of an entity."""
+        if self._is_plain:
+            return name
+        found = self._canonical.get(name)
+        if found is None:
+            found = self._canonical[name] = self.ontology.canonical(name)
+            known = self._written.get(found, name)
+            self._written[found] = min(known, name, key=lambda each: ("://" in each, each))
+        return found
+
+    def written(self, name: str) -> str:
+        """Return a canonical name as people write it: rather a label than a URI."""
+        return self._written.get(name, name)
+
+    def above(self, name: str) -> FrozenSet[str]:
+        """Return the canonical names that subsume a canonical name."""
+        found = self._above.get(name)
+        if found is None:
+            above = self.ontology.names_above(name)
+            found = self._above[name] = frozenset(map(self.canonical, above)) | {name}
+        return found
+
+    def subsumes(self, upper: str, name: str) -> bool:
+        """Whether one canonical name subsumes another."""
+        return upper == name or (not self._is_plain and upper in self.above(name))
+
+    def fits(self, name: str, types: Types) -> bool:
+        """Whether all types subsume a name."""
+        if self._is_plain:
+            return all(each == name for each in types)
+        return types <= self.above(name)
+
+    def narrowed(self, types: Types) -> Types:
+        """Leave out the types that another one of them implies."""
+        if len(types) < 2 or self._is_plain:
+            return types
+        return frozenset(
+            each
+            for each in types
+            if not any(
+                each in self.above(other) and (each < other or other not in self.above(each))
+                for other in types
+                if other != each
+            )
+        )
+
+    def enter(self, name: str) -> None:
+        """Let ``below`` know a canonical name that is supplied."""
+        if not self._is_plain and name not in self._entered:
+            self._entered[name] = None
+            for upper in self.above(name):
+                self._below.setdefault(upper, {})[name] = None
+
+    def below(self, types: Types) -> Iterable[str]:
+        """Return the names that were entered and that all types subsume; one type at least."""
+        if self._is_plain:
+            return types if len(types) == 1 else ()
+        first, *others = (self._below.get(each, {}) for each in types)
+        return [each for each in first if all(each in other for other in others)]
+
+
+def atoms_of(terms: Iterable[Term], variables: Sequence[str], names: Names) -> Tuple[Atom, ...]:
+    """Number the variables of terms by their places in a list."""
+    canonical = names.canonical
+    return tuple(
+        [
+            Atom(
+                canonical(term.functor),
+                tuple(
+                    [
+                        variables.index(arg) if arg[:1] == "?" else canonical(arg)
+                        for arg in term.args
+                    ]
+                ),
+            )
+            for term in terms
+        ]
+    )
+
+
+def solutions(supplied: Iterable[Atom], pattern: Pattern, names: Names) -> List[Theta]:
+    """Match ground atoms with a pattern.
+
+    Returns:
+        The names that the wanted variables can stand for, sorted; empty if the pattern is not
+        met. Without wanted variables that is the empty tuple, or nothing.
+    """
+    found: Dict[Theta, None] = {}
+    waiting: List[Tuple[int, Dict[int, str]]] = [(0, {})]
+    while waiting:
+        number, bound = waiting.pop()
+        if number == len(pattern.atoms):
+            found[tuple([bound[each] for each in pattern.wanted])] = None
+            if not pattern.wanted:
+                break
+            continue
+        for atom in supplied:
+            more = _bound(atom, pattern.atoms[number], pattern.types, bound, names)
+            if more is not None:
+                waiting.append((number + 1, more))
+    return sorted(found)
+
+
+def _bound(
+    supplied: Atom, demanded: Atom, types: Tuple[Types, ...], bound: Dict[int, str], names: Names
+) -> Optional[Dict[int, str]]:
+    if len(supplied.args) != len(demanded.args):
+        return None
+    if not names.subsumes(demanded.functor, supplied.functor):
+        return None
+    more = bound
+    for have, want in zip(supplied.args, demanded.args):
+        assert isinstance(have, str)
+        if isinstance(want, str):
+            if want != have and not names.subsumes(want, have):
+                return None
+            continue
+        known = more.get(want)
+        if known is None:
+            if types[want] and not names.fits(have, types[want]):
+                return None
+            more = {**more, want: have}
+        elif known != have:
+            return None
+    return more
+
+
+def pushed(
+    supplied: Sequence[Atom], pattern: Pattern, own: Sequence[Types], names: Names
+) -> Optional[Tuple[Types, ...]]:
+    """Unify the atoms of an out-port, which have variables, with a pattern.
+
+    Args:
+        supplied: the atoms.
+        pattern: what is demanded.
+        own: the types of the variables of the out-port's rule.
+        names: how names are related.
+
+    Returns:
+        For each variable of the rule, what the pattern demands of it besides; None if the
+        out-port cannot supply the pattern. What can be said of a variable only after others
+        are bound is left out, so instances are matched again.
+    """
+    more = [NO_TYPES] * len(own)
+    for demanded in pattern.atoms:
+        fitting = [atom for atom in supplied if _can_be(atom, demanded, pattern.types, names)]
+        if not fitting:
+            return None
+        if len(fitting) > 1:
+            continue
+        for have, want in zip(fitting[0].args, demanded.args):
+            if isinstance(have, int):
+                bounds = frozenset((want,)) if isinstance(want, str) else pattern.types[want]
+                if bounds:
+                    more[have] |= bounds
+    return tuple(
+        [names.narrowed(types - own[i]) if types else types for i, types in enumerate(more)]
+    )
+
+
+def _can_be(supplied: Atom, demanded: Atom, types: Tuple[Types, ...], names: Names) -> bool:
+    if len(supplied.args) != len(demanded.args):
+        return False
+    if not names.subsumes(demanded.functor, supplied.functor):
+        return False
+    for have, want in zip(supplied.args, demanded.args):
+        if isinstance(have, str):
+            if isinstance(want, str):
+                if not names.subsumes(want, have):
+                    return False
+            elif not names.fits(have, types[want]):
+                return False
+    return True

@@ -1,0 +1,162 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Transformations with variables, as rules: which in-ports demand what under the same bindings.
+
+Variables that occur in one in-port alone are the affair of its pattern. All others are *joined*:
+they are shared by in-ports, or exposed by out-ports and parameters. They are numbered in the
+order in which a join over the in-ports binds them, so the names that they stand for are a tuple.
+"""
+
+from __future__ import annotations
+
+from typing import Dict, List, NamedTuple, Sequence, Tuple
+
+from dyknow.manager.planning.patterns import (
+    NO_TYPES,
+    Names,
+    Pattern,
+    Types,
+    atoms_of,
+)
+from dyknow.manager.specifications.tags import Term, placeholders, types_of
+from dyknow.model.transformation import Transformation
+
+_Terms = Tuple[Term, ...]
+
+
+class InPort(NamedTuple):
+    """A tagged in-port."""
+
+    name: str
+    terms: _Terms
+    datatype: str
+
+
+class JoinStep(NamedTuple):
+    """How an in-port extends the bindings of those before it.
+
+    Attributes:
+        port: its place among the in-ports.
+        variables: of the rule, in the order in which the in-port's pattern wants them.
+        shared: places among these of the variables that are bound already.
+        added: places of the others.
+    """
+
+    port: int
+    variables: Tuple[int, ...]
+    shared: Tuple[int, ...]
+    added: Tuple[int, ...]
+
+
+class Rule(NamedTuple):
+    """A transformation whose in-ports have variables.
+
+    Attributes:
+        in_ports: in the order written.
+        variables: the joined variables, in the order in which they are bound.
+        types: of the joined variables.
+        joins: the order in which in-ports are joined; empty if no variable is.
+        parameters: variables that parameters name.
+    """
+
+    in_ports: Tuple[InPort, ...]
+    variables: Tuple[str, ...]
+    types: Tuple[Types, ...]
+    joins: Tuple[JoinStep, ...]
+    parameters: Tuple[str, ...] = ()
+
+    def pattern(self, port: int, more: Sequence[Types], names: Names) -> Pattern:
+        """Return what an in-port demands, if joined variables have further types."""
+        terms, datatype = self.in_ports[port].terms, self.in_ports[port].datatype
+        return pattern_of(terms, datatype, names, self.variables, self._types(more))
+
+    def shown(self, port: int, more: Sequence[Types], names: Names) -> List[Term]:
+        """Return the tags of an in-port as people write them, if more is said of its variables."""
+        known = {
+            variable: names.written(min(types))
+            for variable, types in zip(self.variables, more)
+            if types
+        }
+        return [term.substitute(known) for term in self.in_ports[port].terms]
+
+    def _types(self, more: Sequence[Types]) -> Tuple[Types, ...]:
+        return tuple([own | further for own, further in zip(self.types, more)])
+
+
+def pattern_of(
+    terms: Sequence[Term],
+    datatype: str,
+    names: Names,
+    wanted: Sequence[str] = (),
+    types: Sequence[Types] = (),
+) -> Pattern:
+    """Return the pattern of a demand.
+
+    Args:
+        terms: its tags.
+        datatype: ROS type; empty for any.
+        names: how names are related.
+        wanted: variables whose names matter.
+        types: their types, besides those of the tags.
+    """
+    terms = sorted(terms)
+    variables = list(dict.fromkeys(each for term in terms for each in term.variables))
+    known = {key: frozenset(map(names.canonical, of)) for key, of in types_of(terms).items()}
+    for variable, further in zip(wanted, types):
+        known[variable] = known.get(variable, NO_TYPES) | further
+    return Pattern(
+        atoms_of(terms, variables, names),
+        datatype,
+        tuple([names.narrowed(known.get(each, NO_TYPES)) for each in variables]),
+        tuple([variables.index(each) for each in wanted if each in variables]),
+    )
+
+
+def rule_of(
+    transformation: Transformation, ports: Sequence[InPort], out: _Terms, names: Names
+) -> Rule:
+    """Read the variables of a transformation.
+
+    Args:
+        transformation: what is read.
+        ports: its tagged in-ports.
+        out: the tags of its out-ports.
+        names: how names are related.
+    """
+    texts = [parameter.text for parameter in transformation.parameters]
+    parameters = tuple(dict.fromkeys(each for text in texts for each in placeholders(text)))
+    exposed = {each for term in out for each in term.variables}.union(parameters)
+    by_port = [
+        list(dict.fromkeys(v for term in port.terms for v in term.variables)) for port in ports
+    ]
+    counts: Dict[str, int] = {}
+    for variables in by_port:
+        for each in variables:
+            counts[each] = counts.get(each, 0) + 1
+    joined = [
+        [each for each in variables if counts[each] > 1 or each in exposed]
+        for variables in by_port
+    ]
+    order: List[str] = []
+    joins = []
+    waiting = list(range(len(ports)))
+    while waiting and any(joined):
+        # First what is bound most: the fewer new variables, the fewer combinations.
+        port = min(waiting, key=lambda at: (len(set(joined[at]) - set(order)), at))
+        waiting.remove(port)
+        known = len(order)
+        order += [each for each in joined[port] if each not in order]
+        # The pattern wants the variables in the order of the rule.
+        places = sorted(order.index(each) for each in joined[port])
+        shared = tuple(at for at, each in enumerate(places) if each < known)
+        added = tuple(at for at, each in enumerate(places) if each >= known)
+        joins.append(JoinStep(port, tuple(places), shared, added))
+    types = types_of([*(term for port in ports for term in port.terms), *out])
+    return Rule(
+        tuple(ports),
+        tuple(order),
+        tuple(frozenset(map(names.canonical, types.get(each, ()))) for each in order),
+        tuple(joins),
+        parameters,
+    )

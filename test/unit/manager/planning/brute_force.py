@@ -1,0 +1,250 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""A planner that is naive: it writes out all instances and tries their sets, cheapest first."""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+from typing import Dict, Iterator, List, Mapping, NamedTuple, Optional, Sequence, Set, Tuple
+
+from dyknow.manager.planning.problem import Live, Plan
+from dyknow.manager.planning.supply import Demand
+from dyknow.manager.specifications.tags import Subsumption, Term, parse_tag
+from dyknow.model.transformation import Port, Transformation
+
+#: Sets of instances beyond which a problem counts as too large.
+_MOST_SETS = 30_000
+
+
+class Problem(NamedTuple):
+    """A library, what runs, and what is asked for."""
+
+    library: Tuple[Transformation, ...]
+    live: Tuple[Tuple[Live, Tuple[Term, ...]], ...]
+    exclude: frozenset[str]
+    goal: Demand
+    ontology: Subsumption
+
+
+class TooLarge(Exception):
+    """A problem has too many sets of instances."""
+
+
+class Instance(NamedTuple):
+    """A transformation under bindings of all its variables."""
+
+    transformation: Transformation
+    bindings: Mapping[str, str]
+
+
+def tags_of(port: Port) -> List[Term]:
+    return [parse_tag(text) for text in port.tags]
+
+
+def variables_of(transformation: Transformation) -> List[str]:
+    terms = [term for port in transformation.ports for term in tags_of(port)]
+    return sorted({arg for term in terms for arg in term.args if arg.startswith("?")})
+
+
+def fits(
+    supplied: Sequence[Term],
+    supplied_type: str,
+    demanded: Sequence[Term],
+    datatype: str,
+    bindings: Mapping[str, str],
+    ontology: Subsumption,
+) -> bool:
+    """Whether a stream is what is demanded, if the variables of the demand are bound."""
+    if datatype not in ("", "*") and supplied_type not in ("", "*", datatype):
+        return False
+
+    def stands(want: str, have: str) -> bool:
+        if want.startswith("?"):
+            return ontology.canonical(bindings[want]) == ontology.canonical(have)
+        return want in ontology.names_above(have)
+
+    return all(
+        any(
+            want.functor in ontology.names_above(have.functor)
+            and len(want.args) == len(have.args)
+            and all(map(stands, want.args, have.args))
+            for have in supplied
+        )
+        for want in demanded
+    )
+
+
+def bound(terms: Sequence[Term], bindings: Mapping[str, str]) -> List[Term]:
+    return [Term(term.functor, tuple(bindings.get(a, a) for a in term.args)) for term in terms]
+
+
+def is_typed(terms: Sequence[Term], bindings: Mapping[str, str], ontology: Subsumption) -> bool:
+    """Whether every type of a variable subsumes its name."""
+    return all(
+        not type_ or type_ in ontology.names_above(bindings[arg])
+        for term in terms
+        for arg, type_ in zip(term.args, term.types)
+    )
+
+
+def individuals(problem: Problem) -> List[str]:
+    """Return the names that are supplied, one of each entity."""
+    terms = [term for _, tags in problem.live for term in tags]
+    for each in problem.library:
+        for port in each.ports:
+            if port.direction == "out":
+                terms += tags_of(port)
+    names: Dict[str, str] = {}
+    for term in terms:
+        for arg in term.args:
+            if not arg.startswith("?"):
+                names.setdefault(problem.ontology.canonical(arg), arg)
+    return list(names.values())
+
+
+def instances(problem: Problem) -> Iterator[Instance]:
+    names = individuals(problem)
+    for each in problem.library:
+        if each.label in problem.exclude:
+            continue
+        terms = [term for port in each.ports for term in tags_of(port)]
+        variables = variables_of(each)
+        for values in itertools.product(names, repeat=len(variables)):
+            bindings = dict(zip(variables, values))
+            if is_typed(terms, bindings, problem.ontology):
+                yield Instance(each, bindings)
+
+
+def least_cost(problem: Problem) -> Optional[int]:
+    """Return the cost of the cheapest plan; None if there is none.
+
+    Raises:
+        TooLarge: it was not found among the sets that were tried.
+    """
+    goals = set(_goal_bindings(problem))
+    return min((cost for cost in goals if cost is not None), default=None)
+
+
+def _goal_bindings(problem: Problem) -> Iterator[Optional[int]]:
+    ontology, goal = problem.ontology, sorted(problem.goal.tags)
+    live = [pair for pair in problem.live if pair[0].label not in problem.exclude]
+    every = list(instances(problem))
+    outs = [
+        [
+            (bound(tags_of(port), each.bindings), port.datatype)
+            for port in each.transformation.ports
+            if port.direction == "out" and port.tags
+        ]
+        for each in every
+    ]
+
+    def suppliers(demanded: Sequence[Term], datatype: str, bindings: Mapping[str, str]) -> int:
+        """Return the suppliers as bits; the first one stands for what is live."""
+        mask = 0
+        for stream, tags in live:
+            if fits(tags, stream.datatype, demanded, datatype, bindings, ontology):
+                mask |= 1
+        for number, ports in enumerate(outs):
+            for tags, kind in ports:
+                if fits(tags, kind, demanded, datatype, bindings, ontology):
+                    mask |= 2 << number
+        return mask
+
+    needs = [
+        [
+            suppliers(tags_of(port), port.datatype, each.bindings)
+            for port in each.transformation.ports
+            if port.direction == "in" and port.tags
+        ]
+        for each in every
+    ]
+    variables = sorted({arg for term in goal for arg in term.args if arg.startswith("?")})
+    goal_mask = 0
+    for values in itertools.product(individuals(problem), repeat=len(variables)):
+        bindings = dict(zip(variables, values))
+        if is_typed(goal, bindings, ontology):
+            goal_mask |= suppliers(goal, problem.goal.datatype, bindings)
+    yield _cheapest_set(goal_mask, needs, [each.transformation.cost for each in every])
+
+
+def _cheapest_set(goal: int, needs: List[List[int]], costs: List[int]) -> Optional[int]:
+    relevant = goal
+    grown = True
+    while grown:
+        grown = False
+        for number, masks in enumerate(needs):
+            if relevant >> number & 2:
+                for mask in masks:
+                    grown |= bool(mask & ~relevant)
+                    relevant |= mask
+    numbers = [number for number in range(len(needs)) if relevant >> number & 2]
+    # Instances that need and supply the same are interchangeable: one of them will do.
+    alike: Dict[Tuple[int, ...], int] = {}
+    users = [mask for masks in [*needs, [goal]] for mask in masks]
+    kept = []
+    for number in numbers:
+        key = (costs[number], *needs[number], -1, *[mask >> number & 2 for mask in users])
+        if key not in alike:
+            alike[key] = number
+            kept.append(number)
+    heap = [(0, 1)]
+    seen: Set[int] = set()
+    while heap:
+        cost, there = heapq.heappop(heap)
+        if there in seen:
+            continue
+        seen.add(there)
+        if len(seen) > _MOST_SETS:
+            raise TooLarge
+        if there & goal:
+            return cost
+        for number in kept:
+            bit = 2 << number
+            if not there & bit and all(there & mask for mask in needs[number]):
+                heapq.heappush(heap, (cost + costs[number], there | bit))
+    return None
+
+
+def assert_valid(plan: Plan, problem: Problem) -> None:
+    """Every step is supplied with what it demands under its bindings, by what was made before."""
+    ontology = problem.ontology
+    library = {each.label: each for each in problem.library}
+    live = dict(problem.live)
+    made = {}
+
+    def check(source, demanded, datatype, bindings) -> None:  # type: ignore[no-untyped-def]
+        assert source.label not in problem.exclude
+        if isinstance(source, Live):
+            tags, kind = live[source], source.datatype
+        else:
+            step = made[source.label, source.bindings]
+            ports = {port.name: port for port in library[step.action.label].ports}
+            tags = bound(tags_of(ports[source.port]), dict(step.bindings))
+            kind = ports[source.port].datatype
+        assert fits(tags, kind, demanded, datatype, bindings, ontology)
+        if bindings:
+            supplied = {arg for term in tags for arg in term.args}
+            wanted = {arg for term in demanded for arg in term.args if arg in bindings}
+            canonical = {ontology.canonical(arg) for arg in supplied}
+            assert {ontology.canonical(bindings[arg]) for arg in wanted} <= canonical
+
+    for step in plan.steps:
+        transformation = library[step.action.label]
+        bindings = dict(step.bindings)
+        assert sorted(bindings) == variables_of(transformation) or not any(
+            port.direction == "in" for port in transformation.ports
+        )
+        terms = [term for port in transformation.ports for term in tags_of(port)]
+        assert is_typed(terms, bindings, ontology)
+        ports = [port for port in transformation.ports if port.direction == "in" and port.tags]
+        assert [name for name, _ in step.inputs] == [port.name for port in ports]
+        for port, (_, source) in zip(ports, step.inputs):
+            check(source, tags_of(port), port.datatype, bindings)
+        assert (step.action.label, step.bindings) not in made
+        made[step.action.label, step.bindings] = step
+    goal = sorted(problem.goal.tags)
+    assert is_typed(goal, dict(plan.bindings), ontology)
+    check(plan.goal, goal, problem.goal.datatype, dict(plan.bindings))
+    assert plan.cost == sum(library[step.action.label].cost for step in plan.steps)

@@ -1,0 +1,131 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Random planning problems with everything that tags can say."""
+
+from __future__ import annotations
+
+import random
+from typing import Dict, FrozenSet, List, Tuple
+
+from unit.manager.planning.brute_force import Problem
+
+from dyknow.manager.planning.problem import Live
+from dyknow.manager.planning.supply import Demand
+from dyknow.manager.specifications.tags import NO_ONTOLOGY, Term, parse_tag
+from dyknow.model.transformation import Port, Transformation
+
+_FUNCTORS = {"A": 1, "B": 1, "C": 2, "D": 1, "E": 0, "F": 2}
+
+
+class Kinds:
+    """Names of a and b, below classes; A is a subclass of D, and a has two names."""
+
+    _ABOVE: Dict[str, List[str]] = {
+        "a": ["K"],
+        "urn:a": ["K"],
+        "b": ["K", "L"],
+        "c": ["L"],
+        "K": ["M"],
+        "A": ["D"],
+    }
+
+    def names_above(self, name: str) -> FrozenSet[str]:
+        found = {name}
+        waiting = [name]
+        while waiting:
+            for each in self._ABOVE.get(waiting.pop(), ()):
+                if each not in found:
+                    found.add(each)
+                    waiting.append(each)
+        if found & {"a", "urn:a"}:
+            found |= {"a", "urn:a"}
+        return frozenset(found)
+
+    def canonical(self, name: str) -> str:
+        return "urn:a" if name == "a" else name
+
+
+class _Writer:
+    def __init__(self, seed: int) -> None:
+        self.chance = random.Random(seed)
+        self.has_ontology = self.chance.random() < 0.5
+        self.names = ["a", "b", "c"][: self.chance.randint(1, 3)]
+        if self.has_ontology and self.chance.random() < 0.3:
+            self.names.append("urn:a")
+        self.functors = self.chance.sample(sorted(_FUNCTORS), self.chance.randint(2, 6))
+
+    def name(self, may_be_class: bool) -> str:
+        if may_be_class and self.has_ontology and self.chance.random() < 0.4:
+            return self.chance.choice(["K", "L", "M"])
+        return self.chance.choice(self.names)
+
+    def tag(self, variables: List[str], share: float, may_have_type: bool) -> str:
+        functor = self.chance.choice(self.functors)
+        args = []
+        for _ in range(_FUNCTORS[functor]):
+            if variables and self.chance.random() < share:
+                arg = self.chance.choice(variables)
+                if may_have_type and self.has_ontology and self.chance.random() < 0.25:
+                    arg += ": " + self.chance.choice(["K", "L", "M", "b"])
+                args.append(arg)
+            else:
+                args.append(self.name(may_have_type))
+        return str(parse_tag(f"{functor}({', '.join(args)})" if args else functor))
+
+    def datatype(self) -> str:
+        return self.chance.choice(["", "", "", "", "t/X", "t/Y", "*"])
+
+    def transformation(self, number: int) -> Transformation:
+        chance = self.chance
+        variables = ["?x", "?y", "?z"][: chance.choice([0, 1, 1, 2, 2, 3])]
+        ports = []
+        for at in range(chance.choice([0, 0, 1, 1, 2, 3])):
+            tags = tuple(
+                dict.fromkeys(
+                    self.tag(variables, 0.7, True) for _ in range(chance.choice([1, 1, 1, 2]))
+                )
+            )
+            ports.append(Port(f"in{at}", "in", self.datatype(), tags))
+        bound = sorted({a for p in ports for t in p.tags for a in parse_tag(t).variables})
+        for at in range(chance.choice([1, 1, 2])):
+            tags = tuple(
+                dict.fromkeys(
+                    self.tag(bound, 0.7, bool(bound) and chance.random() < 0.3)
+                    for _ in range(chance.choice([1, 1, 2]))
+                )
+            )
+            ports.append(Port(f"out{at}", "out", self.datatype(), tags))
+        return Transformation(
+            f"t{number}", "p/X", "nodelet", chance.randint(0, 9), (), tuple(ports)
+        )
+
+    def live(self, number: int) -> Tuple[Live, Tuple[Term, ...]]:
+        stream = Live(f"/s{number}", "out0", "", f"t{self.chance.randrange(9)}", self.datatype())
+        return stream, tuple(
+            parse_tag(self.tag([], 0, False)) for _ in range(self.chance.choice([1, 2]))
+        )
+
+    def problem(self) -> Problem:
+        chance = self.chance
+        library = [self.transformation(number) for number in range(chance.randint(1, 8))]
+        live = [self.live(number) for number in range(chance.choice([0, 0, 1, 2]))]
+        labels = [each.label for each in library]
+        exclude = chance.sample(labels, min(len(labels), chance.choice([0, 0, 0, 1])))
+        goal = frozenset(
+            parse_tag(self.tag(["?p", "?q"], 0.4, True))
+            for _ in range(chance.choice([1, 1, 1, 2]))
+        )
+        ontology = Kinds() if self.has_ontology else NO_ONTOLOGY
+        return Problem(
+            tuple(library),
+            tuple(live),
+            frozenset(exclude),
+            Demand(goal, self.datatype()),
+            ontology,
+        )
+
+
+def random_problem(seed: int) -> Problem:
+    """Write a problem; equal seeds write equal problems."""
+    return _Writer(seed).problem()
