@@ -14,9 +14,9 @@ _Actions = FrozenSet[int]
 
 
 def search(
-    graph: Graph, bound: int, rest: Sequence[int], best: List[int], budget: Budget, least: int
+    graph: Graph, bound: int, rest: Sequence[int], below: int, budget: Budget, left: int
 ) -> Tuple[List[int], bool]:
-    """Search all plans that may cost less than the best one.
+    """Search all plans that may cost less than a known one.
 
     A plan that has some actions and lacks others needs one more of those that supply a node
     which is still open: it has the first, or lacks the first and has the second, and so on.
@@ -25,29 +25,29 @@ def search(
         graph: what may be part of a plan.
         bound: a bound for the cost of every plan.
         rest: what the actions of a plan cost at least besides.
-        best: the best plan so far.
+        below: cost of the known plan.
         budget: what the search may take.
-        least: steps that the search leaves over.
+        left: steps that the search leaves over.
 
     Returns:
-        The best plan, and whether no plan costs less.
+        The best plan that costs less, empty if none was found; and whether everything was tried.
     """
-    cost = graph.cost(best)
+    best: List[int] = []
     stack: List[Tuple[_Actions, _Actions]] = [(frozenset(), frozenset())]
     while stack:
         has, lacks = stack.pop()
-        if budget.steps < least or not budget.spend(4 * len(has) + 20):
+        if budget.steps < left or not budget.spend(4 * len(has) + 20):
             return best, False
         paid = graph.cost(has)
-        if paid >= cost or bound + sum([rest[action] for action in has]) >= cost:
+        if paid >= below or bound + sum([rest[action] for action in has]) >= below:
             continue
         choices = _choices(graph, has, lacks)
         if choices is None:
-            best, cost = sorted(has), paid
+            best, below = sorted(has), paid
             continue
         if choices:
             budget.spend(2 * len(choices))
-            if paid + min(graph.costs[action] for action in choices) >= cost:
+            if paid + min(graph.costs[action] for action in choices) >= below:
                 continue
         branches = []
         for action in sorted(choices, key=lambda each: (rest[each], graph.costs[each], each)):

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Callable
 
 #: Steps that are taken in a second, on a slow machine.
-STEPS = 2_000_000
+STEPS = 10_000_000
 
 
 class Budget:

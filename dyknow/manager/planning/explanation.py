@@ -4,11 +4,12 @@
 """Explains a plan: as a tree for people, and as a drawing in the language of Graphviz.
 
 A part that is used more than once is new where it stands first and shared everywhere else, so the
-prices add up to that of the plan. The tree can be read back, so a tree that was sent by a service
+prices add up to that of the plan. Instances of one transformation differ in their bindings, which
+stand in brackets. The tree can be read back, so a tree that was sent by a service
 can be drawn::
 
-    FieldPosition(ball): cost 2
-    └─ localization.position (new, cost 1)
+    FieldPosition(?what): cost 2 (proven least)
+    └─ localization.position [?what=ball] (new, cost 1)
        └─ ball ← detector.ball (new, cost 1)
           ├─ planes ← subsampler.planes (runs as /subsampler_1)
           └─ joints ← /joint_states (topic)
@@ -21,8 +22,10 @@ from typing import Dict, List, NamedTuple, Set, Tuple
 
 from dyknow.graphviz import quote
 from dyknow.manager.planning.problem import Answer, Live, NoPlan, Plan, PlanStep, Source
+from dyknow.manager.specifications.tags import Bindings
 
 _LINE = re.compile(r"(?P<lead>[ │├└─]*─ )(?:(?P<port>\S+) ← )?(?P<what>.*) \((?P<how>[^()]*)\)\Z")
+_BOUND = re.compile(r"(.*)( \[\?[^\[\]]*=[^\[\]]*\])\Z")
 _INDENT = 3
 _ABOVE = "shared, see above"
 
@@ -33,7 +36,7 @@ class Entry(NamedTuple):
     Attributes:
         depth: 0 for the goal.
         port: in-port that it supplies, empty for the goal.
-        what: transformation and out-port, or topic.
+        what: transformation, out-port and bindings, or topic.
         how: whether it runs, is new or shared, or is a topic.
     """
 
@@ -50,7 +53,7 @@ def as_tree(answer: Answer) -> str:
         *others, last = reasons or ["everything that supplies it needs it first"]
         lines = [f"{answer.demand}: no plan", *(f"├─ {each}" for each in others), f"└─ {last}"]
         return "\n".join(lines)
-    lines = [f"{answer.demand}: cost {answer.cost}"]
+    lines = [f"{answer.demand}: cost {answer.cost} ({_how_good(answer)})"]
     entries = _entries(answer)
     last_ones = _last_ones(entries)
     open_depths: Set[int] = set()
@@ -94,8 +97,7 @@ def tree_as_dot(text: str) -> str:
     path: List[str] = []
     for entry in entries:
         is_topic = entry.how == "topic"
-        name = entry.what if is_topic else entry.what.rpartition(".")[0]
-        out = "" if is_topic else entry.what.rpartition(".")[2]
+        name, out = (entry.what, "") if is_topic else _nodelet_and_port(entry.what)
         if entry.how != _ABOVE:
             shape = "box" if is_topic else "ellipse"
             style = "dashed" if entry.how.startswith("new") else "solid"
@@ -111,10 +113,35 @@ def tree_as_dot(text: str) -> str:
     return "digraph plan {\n  rankdir=LR;\n" + "\n".join(body) + "\n}\n"
 
 
+def _how_good(plan: Plan) -> str:
+    """Tell how far a plan can be from the cheapest one."""
+    if plan.cost <= plan.least_cost:
+        return "proven least"
+    # Upwards and in whole numbers, of which costs may be too large for a float.
+    excess = -(-100 * (plan.cost - plan.least_cost) // plan.least_cost) if plan.least_cost else 0
+    known = f"at most {excess} % above the least possible" if excess else "perhaps not the least"
+    return f"{known}; its time was over" if plan.is_cut_short else known
+
+
+def _what(label: str, port: str, bindings: Bindings) -> str:
+    names = ", ".join(f"{variable}={name}" for variable, name in bindings)
+    return f"{label}.{port} [{names}]" if names else f"{label}.{port}"
+
+
+def _nodelet_and_port(what: str) -> Tuple[str, str]:
+    """Take ``label.port [bindings]`` apart."""
+    found = _BOUND.match(what)
+    what, bindings = found.groups() if found else (what, "")
+    name, _, port = what.rpartition(".")
+    return name + bindings, port
+
+
 def _entries(plan: Plan) -> List[Entry]:
-    steps: Dict[str, PlanStep] = {step.action.label: step for step in plan.steps}
+    steps: Dict[Tuple[str, Bindings], PlanStep] = {
+        (step.action.label, step.bindings): step for step in plan.steps
+    }
     entries: List[Entry] = []
-    seen_labels: Set[str] = set()
+    seen: Set[Tuple[str, Bindings]] = set()
     waiting: List[Tuple[int, str, Source]] = [(0, "", plan.goal)]
     while waiting:
         depth, port, source = waiting.pop()
@@ -125,13 +152,15 @@ def _entries(plan: Plan) -> List[Entry]:
             else:
                 entries.append(Entry(depth, port, source.topic, "topic"))
             continue
-        step = steps[source.label]
+        key = source.label, source.bindings
+        step = steps[key]
         how = f"new, cost {step.action.cost}" if step.action.cost else "at no cost"
-        if source.label in seen_labels:
+        if key in seen:
             how = _ABOVE
-        entries.append(Entry(depth, port, f"{source.label}.{source.port}", how))
-        if source.label not in seen_labels:
-            seen_labels.add(source.label)
+        what = _what(source.label, source.port, source.bindings)
+        entries.append(Entry(depth, port, what, how))
+        if key not in seen:
+            seen.add(key)
             for in_port, supplier in reversed(step.inputs):
                 waiting.append((depth + 1, in_port, supplier))
     return entries

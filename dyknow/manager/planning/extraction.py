@@ -11,8 +11,7 @@ from dyknow.manager.planning.improvement import Improved
 from dyknow.manager.planning.instances import LIVE, Instances
 from dyknow.manager.planning.knuth import Values
 from dyknow.manager.planning.network import LiveStreams
-from dyknow.manager.planning.patterns import Theta
-from dyknow.manager.planning.problem import Live, New, NoPlan, Plan, PlanStep, Source
+from dyknow.manager.planning.problem import Action, Live, NoPlan, Plan, PlanStep, Source
 from dyknow.manager.planning.supply import Demand
 from dyknow.manager.specifications.tags import Bindings, Term, unify_all
 
@@ -29,43 +28,52 @@ class _Writer:
         self._streams = streams
         self._chosen = improved.draft.chosen
         self._bindings: Dict[int, Bindings] = {}
+        # Those of actions without variables at once, for plans of many thousand steps.
+        network, chosen, first = self._network, self._chosen, len(self._network.labels)
+        needed = {node for action in improved.draft.actions for node in instances.needs[action]}
+        self._sources: Dict[int, Source] = {
+            node: network.found[node][chosen[node]][0].head.source
+            for node in needed
+            if node < len(network.patterns)
+            and LIVE < chosen[node] < first
+            and chosen[node] not in network.rules
+        }
 
     def source(self, node: int) -> Source:
         """Return what supplies a node."""
         chosen = self._chosen[node]
         if chosen == LIVE:
             return self._instances.streams[node]
-        label = self._instances.labels[chosen]
         demand, theta = self._instances.demand(node)
         network = self._network
         offers = network.suppliers(demand)
         if chosen in offers and not theta:
-            return New(label, offers[chosen][0].head.port, self._bindings.get(chosen, ()))
-        rule, bound = self._instances.rule(chosen)
-        pattern = network.patterns[demand]
-        port = min(
-            each.head.port
-            for other, found in offers.items()
-            if network.base(other) == rule
-            for each in found
-            if theta in each.of(pattern, bound, network.names)
-        )
-        return New(label, port, self._bindings.get(chosen, ()))
+            source = offers[chosen][0].head.source
+        else:
+            rule, bound = self._instances.rule(chosen)
+            pattern = network.patterns[demand]
+            source = min(
+                each.head.source
+                for other, found in offers.items()
+                if network.base(other) == rule
+                for each in found
+                if theta in each.of(pattern, bound, network.names)
+            )
+        bindings = self._bindings.get(chosen)
+        return source if bindings is None else source._replace(bindings=bindings)
 
-    def step(self, number: int, is_free: bool) -> PlanStep:
+    def step(self, number: int, cost: int) -> PlanStep:
         """Return the step of an action."""
+        network, sources = self._network, self._sources
+        action = Action(self._instances.labels[number], cost)
+        if number >= len(network.labels) or number in network.rules:
+            return self._bound_step(number, PlanStep(action, ()))
+        inputs = [sources.get(node) or self.source(node) for node in network.inputs[number]]
+        return PlanStep(action, tuple(zip(network.ports[number], inputs)))
+
+    def _bound_step(self, number: int, step: PlanStep) -> PlanStep:
         network = self._network
         rule, theta = self._instances.rule(number)
-        action = network.actions[rule]
-        if is_free:
-            action = action._replace(cost=0)
-        if rule not in network.rules:
-            sources = [self.source(node) for node in network.inputs[rule]]
-            return PlanStep(action, tuple(zip(network.ports[rule], sources)))
-        return self._bound_step(number, PlanStep(action, ()), rule, theta)
-
-    def _bound_step(self, number: int, step: PlanStep, rule: int, theta: Theta) -> PlanStep:
-        network = self._network
         known = network.rules[rule]
         joined = dict(zip(known.variables, theta))
         bindings: Dict[str, str] = {}
@@ -101,7 +109,7 @@ class _Writer:
     def _tags(self, source: Source) -> Sequence[Term]:
         if isinstance(source, Live):
             return self._streams.terms[source]
-        terms = self._network.terms(self._network.action(source.label), source.port)
+        terms = self._network.terms(source.label, source.port)
         bindings = dict(source.bindings)
         return [term.substitute(bindings) for term in terms]
 
@@ -114,16 +122,15 @@ def plan_of(
     costs = instances.costs
     steps: List[PlanStep] = []
     freed: Set[str] = set()
-    total = 0
     for number in improved.draft.actions:
+        cost = costs[number]
         label = instances.labels[number]
-        # One nodelet is there: a second one of the label has to be made.
-        is_free = not costs[number] and label not in freed and instances.is_free(label)
-        if is_free:
+        if not cost and instances.is_free(label):
+            if label in freed:  # one nodelet is there: a second one has to be made
+                cost = instances.network.costs[instances.rule(number)[0]]
             freed.add(label)
-        step = writer.step(number, is_free)
-        total += step.action.cost
-        steps.append(step)
+        steps.append(writer.step(number, cost))
+    total = sum([step.action.cost for step in steps])
     goal = writer.source(instances.reach.goal)
     return Plan(
         demand,
@@ -139,11 +146,12 @@ def plan_of(
 def no_plan(instances: Instances, trees: Values) -> NoPlan:
     """Tell why there is none."""
     network, reach = instances.network, instances.reach
-    offers: Dict[int, List[int]] = {demand: [] for demand in reach.consumers}
-    for action, demands in reach.served.items():
-        for demand in demands:
-            offers[demand].append(action)
-    met = {instances.demand(node)[0] for node in trees.value}
+    used = set(reach.actions)
+    offers = {
+        demand: [action for action in network.suppliers(demand) if action in used]
+        for demand in reach.demands
+    }
+    met = {instances.demand(node)[0] for node in range(instances.node_count) if trees.is_met(node)}
     unmet = {reach.goal}  # and what is reached from it through unmet demands only
     waiting = [reach.goal]
     missing: Set[Demand] = set()

@@ -32,7 +32,11 @@ class Graph:
             values: with everything that is worthwhile.
         """
         self._instances = instances
-        self._live = {node for node, action in values.chosen.items() if action == LIVE}
+        self._live = {
+            node
+            for node, action in enumerate(values.chosen)
+            if action == LIVE and values.is_met(node)
+        }
         # Equal problems have equal numbers here: by label and bindings.
         order = sorted(
             {action for node, found in values.offers.items() for action in found},

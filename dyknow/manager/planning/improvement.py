@@ -14,7 +14,7 @@ actions out of the plan and completes it again by the cheapest tree, at prices t
 from __future__ import annotations
 
 import random
-from typing import List, NamedTuple, Set
+from typing import List, NamedTuple
 
 from dyknow.manager.planning.branching import search
 from dyknow.manager.planning.budget import Budget
@@ -31,6 +31,8 @@ _EFFORT = 20
 _EXACT = 0.25
 #: Most actions that are taken out of a plan at once.
 _MOST_OUT = 6
+#: How often a dearer plan is gone on with.
+_WORSE = 0.02
 
 
 class PlanDraft(NamedTuple):
@@ -61,18 +63,18 @@ def drafted(instances: Instances, chosen: Chosen) -> PlanDraft:
     order: List[int] = []
     if chosen[goal] == LIVE:
         return PlanDraft(chosen, order, 0)
-    entered: Set[int] = set()
+    entered = bytearray(len(needs))
     stack = [chosen[goal]]  # actions to enter; complements of those to leave again
     while stack:
         action = stack.pop()
         if action < 0:
             order.append(~action)
-        elif action not in entered:
-            entered.add(action)
+        elif not entered[action]:
+            entered[action] = 1
             stack.append(~action)
             for node in reversed(needs[action]):  # the first is followed first
                 below = chosen[node]
-                if below != LIVE and below not in entered:
+                if below != LIVE and not entered[below]:
                     stack.append(below)
     return PlanDraft(chosen, order, sum([costs[action] for action in order]))
 
@@ -92,16 +94,16 @@ def improve(instances: Instances, draft: PlanDraft, budget: Budget) -> Improved:
     most = budget.steps // _EFFORT
     values = cheapest(instances, use_sum=False, below=draft.cost, most=most)
     goal = instances.reach.goal
-    budget.spend(_EFFORT * len(values.value))
-    if values.is_complete and goal not in values.value:
+    budget.spend(_EFFORT * len(values.offers))
+    if values.is_complete and not values.is_met(goal):
         return Improved(draft, draft.cost, False)
-    floor = values.value.get(goal, values.reached)
-    other = drafted(instances, values.chosen) if goal in values.value else draft
+    floor = values.value[goal] if values.is_met(goal) else values.reached
+    other = drafted(instances, values.chosen) if values.is_met(goal) else draft
     if other.cost < draft.cost:
         draft = other
     if draft.cost <= floor:
         return Improved(draft, draft.cost, False)
-    if goal not in values.value:
+    if not values.is_met(goal):
         return Improved(draft, floor, budget.is_cut_short)
     return _Improvement(instances, Graph(instances, values), values, budget).run(draft, floor)
 
@@ -118,19 +120,21 @@ class _Improvement:
         """Improve a draft that costs more than a bound."""
         graph, budget = self._graph, self._budget
         cuts, rest = landmark_bound(graph, budget)
-        # What is left out could be cheaper than these cuts.
-        bound = max(cuts, floor) if self._is_complete else floor
+        # What was left out because the search was too large could be cheaper than these cuts.
+        bound = min(draft.cost, max(cuts, floor) if self._is_complete else floor)
         best = sorted(graph.numbers(draft.actions))
         if 0 not in graph.derive(set(best)):  # some of it cannot be part of a cheaper plan
             way = graph.cheapest_tree(graph.costs)
             assert way is not None
             best = sorted(graph.followed(way))
         best = graph.pruned(best, sorted(best, key=lambda each: -graph.costs[each]))
-        if bound < graph.cost(best):
-            part = int(budget.steps * (1 - _EXACT))
-            best, is_proven = search(graph, cuts, rest, best, budget, part)
-            if is_proven and self._is_complete:
-                bound = min(draft.cost, graph.cost(best))
+        least = min(draft.cost, graph.cost(best))
+        if bound < least:
+            left = int(budget.steps * (1 - _EXACT))
+            found, is_exact = search(graph, cuts, rest, least, budget, left)
+            best = found or best
+            if is_exact and self._is_complete:
+                bound = min(least, graph.cost(best))
             else:
                 best = self._varied(best, bound)
         if graph.cost(best) < draft.cost:
@@ -166,6 +170,6 @@ class _Improvement:
                 present, price = plan, cost
                 if cost < least:
                     best, least = plan, cost
-            elif chance.random() < 0.02:
+            elif chance.random() < _WORSE:
                 present, price = plan, cost
         return best

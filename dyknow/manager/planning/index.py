@@ -64,9 +64,15 @@ def _name(atom: Atom, position: int) -> Optional[str]:
 class AtomIndex(Generic[Supplier]):
     """Grows and shrinks."""
 
-    def __init__(self, names: Names) -> None:
-        """Start empty."""
+    def __init__(self, names: Names, most_lookups: int = _MOST_LOOKUPS) -> None:
+        """Start empty.
+
+        Args:
+            names: how names are related.
+            most_lookups: look-ups for one atom before the index by places is used.
+        """
         self._names = names
+        self._most_lookups = most_lookups
         self._exact: Dict[Atom, Dict[Supplier, None]] = {}
         self._ground: Dict[Tuple[str, int], Set[Atom]] = {}
         self._by_functor: Dict[Tuple[str, int], _Functor[Supplier]] = {}
@@ -122,7 +128,7 @@ class AtomIndex(Generic[Supplier]):
             allowed.append(names)
             lookups = 0 if names is None else lookups * len(list(names))
         found: Set[Supplier] = set()
-        is_exact = all(each is not None for each in allowed) and lookups <= _MOST_LOOKUPS
+        is_exact = all(each is not None for each in allowed) and lookups <= self._most_lookups
         for functor in functors:
             key = functor, len(allowed)
             if is_exact:

@@ -41,7 +41,7 @@ class Instances:
             label: {variable: network.names.canonical(name) for variable, name in bindings}
             for label, bindings in free.items()
         }
-        for action in network.numbers(free):
+        for action in network.numbers(free) - network.rules.keys():
             self.costs[action] = 0
         self._first_node = len(network.patterns)
         self._first_action = len(network.labels)
@@ -58,6 +58,11 @@ class Instances:
         node = self.node(match.demand, match.theta)
         self.streams[node] = match.stream
         return node
+
+    @property
+    def node_count(self) -> int:
+        """Nodes that have a number."""
+        return self._first_node + len(self._of_nodes)
 
     def node(self, demand: int, theta: Theta) -> int:
         """Return the number of a demand under bindings."""
@@ -104,7 +109,7 @@ class Instances:
 
     def cost(self, rule: int, theta: Theta) -> int:
         """Return what an action costs under bindings."""
-        kept = self._free.get(self.labels[rule])
+        kept = self._free.get(self.labels[rule]) if self._free else None
         if kept is not None:
             bound = dict(zip(self.network.rules[rule].variables, theta))
             if all(bound.get(variable, name) == name for variable, name in kept.items()):

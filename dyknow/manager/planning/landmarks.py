@@ -5,7 +5,7 @@
 
 M. Helmert and C. Domshlak, "Landmarks, critical paths and abstractions: what's the difference
 anyway?", ICAPS 2009. Every plan has an action of each cut that separates the goal from what is
-there. The cheapest action of a cut is paid, and all actions of the cut become cheaper by as much,
+there. A part of its cheapest action is paid, and all actions of the cut become cheaper by as much,
 until the goal costs nothing. In the terms of linear programming, that is dual ascent.
 """
 
@@ -16,6 +16,9 @@ from typing import List, Optional, Tuple
 
 from dyknow.manager.planning.budget import Budget
 from dyknow.manager.planning.graph import Graph
+
+#: Parts in which the price of a cut is paid: several cuts share an action more evenly.
+_PARTS = 4
 
 
 def landmark_bound(graph: Graph, budget: Budget) -> Tuple[int, List[int]]:
@@ -32,7 +35,7 @@ def landmark_bound(graph: Graph, budget: Budget) -> Tuple[int, List[int]]:
         if dearest is None:
             break
         cut = _cut(graph, rest, dearest)
-        least = min(rest[action] for action in cut)
+        least = -(-min([rest[action] for action in cut]) // _PARTS)
         bound += least
         for action in cut:
             rest[action] -= least

@@ -12,9 +12,8 @@ in-ports, as magic sets do. A specialised rule is an action with a number of its
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from operator import attrgetter
-from typing import AbstractSet, Dict, Iterable, List, NamedTuple, Optional, Set, Tuple
+from dataclasses import dataclass
+from typing import AbstractSet, Dict, Iterable, List, NamedTuple, Optional, Sequence, Set, Tuple
 
 from dyknow.manager.planning.index import AtomIndex
 from dyknow.manager.planning.patterns import (
@@ -28,14 +27,13 @@ from dyknow.manager.planning.patterns import (
     pushed,
     solutions,
 )
-from dyknow.manager.planning.problem import Action, Live
+from dyknow.manager.planning.problem import Live, New
 from dyknow.manager.planning.rules import InPort, Rule, pattern_of, rule_of
 from dyknow.manager.planning.supply import ANY, Demand
 from dyknow.manager.specifications.tags import NO_ONTOLOGY, Subsumption, Term, read_tags
 from dyknow.model.transformation import IN, OUT, TOPIC, Transformation
 
 _Terms = Tuple[Term, ...]
-_is_ground = attrgetter("is_ground")
 _CLOSED: Tuple[Theta, ...] = ((),)
 
 
@@ -43,13 +41,15 @@ class Head(NamedTuple):
     """A tagged out-port of an action.
 
     Attributes:
-        port: its name.
-        atoms: its tags; the variables are numbered as those of the rule.
+        source: what it is in a plan, unless the action has variables.
+        texts: its tags as they are written.
+        atoms: those that can supply something, with the variables numbered as the rule's.
         datatype: its ROS type.
-        is_ground: whether the tags have no variables.
+        is_ground: whether the atoms have no variables.
     """
 
-    port: str
+    source: New
+    texts: Tuple[str, ...]
     atoms: Tuple[Atom, ...]
     datatype: str
     is_ground: bool
@@ -88,18 +88,17 @@ class Reach:
 
     Attributes:
         goal: number of the demand that is asked for.
-        consumers: for each demand the actions that need it; demands in the order of discovery.
-            A rule that joins its in-ports is there as its complement, a negative number.
-        served: for each action, the demands that it supplies, in that order.
-        wanting: the demands among these that have wanted variables.
+        demands: those reached, in the order of discovery.
+        actions: those reached.
+        missing: for each action of the network, how many demands it needs; 0 if not reached.
         live: the best live streams.
     """
 
     goal: int
-    consumers: Dict[int, List[int]] = field(default_factory=dict)
-    served: Dict[int, List[int]] = field(default_factory=dict)
-    wanting: Set[int] = field(default_factory=set)
-    live: List[LiveMatch] = field(default_factory=list)
+    demands: List[int]
+    actions: List[int]
+    missing: List[int]
+    live: List[LiveMatch]
 
 
 class LiveStreams:
@@ -149,9 +148,9 @@ class Network:
         self.labels: List[str] = []
         self.costs: List[int] = []
         self.needs: List[Tuple[int, ...]] = []
-        self.inputs: List[Tuple[int, ...]] = []
+        self.inputs: List[Tuple[int, ...]] = []  # what in-ports demand, in the order written
         self.ports: List[Tuple[str, ...]] = []
-        self.actions: List[Action] = []
+        self.serves: List[List[int]] = []  # what an action supplies, as far as it was asked for
         #: Rules of the actions whose in-ports have variables.
         self.rules: Dict[int, Rule] = {}
         #: Actions among these that join in-ports.
@@ -160,20 +159,26 @@ class Network:
         self.general: Dict[int, int] = {}
         # By the number of a demand:
         self.patterns: List[Pattern] = []
+        #: Actions that need it; one that joins in-ports is there as its complement.
+        self.users: List[List[int]] = []
+        #: Demands that want names of variables.
+        self.wanting: Set[int] = set()
         self._shown: List[Demand] = []
-        self._suppliers: List[Optional[Dict[int, Tuple[Offer, ...]]]] = []
+        #: Their suppliers, as far as they were looked up.
+        self.found: List[Dict[int, Tuple[Offer, ...]]] = []
+        self._outdated: Set[int] = set()  # demands whose suppliers are to be looked up
         self._by_label: Dict[str, int] = {}
         self._by_pattern: Dict[Pattern, int] = {}
         self._by_text: Dict[Tuple[Tuple[str, ...], str], int] = {}
         self._by_functor: Dict[str, List[int]] = {}
         self._by_types: Dict[Tuple[int, Tuple[Types, ...]], int] = {}
-        self._special: Dict[int, List[int]] = {}
         self._touched: Set[str] = set()
         self._heads: AtomIndex[Tuple[int, int]] = AtomIndex(self.names)
         self._given: Dict[int, Tuple[Head, ...]] = {}
-        self._terms: Dict[Tuple[int, str], _Terms] = {}
         self._asked = 0  # demands that only goals had
         self._shared: Dict[Tuple[str, ...], Tuple[str, ...]] = {}
+        self._ranks: List[int] = []
+        self._by_rank: List[int] = []
 
     def __len__(self) -> int:
         """Count the transformations."""
@@ -185,16 +190,9 @@ class Network:
         return len(self.labels) - len(self._by_label) + self._asked
 
     def numbers(self, labels: Iterable[str]) -> Set[int]:
-        """Return the actions of labels, specialised ones too; unknown labels are left out."""
+        """Return the actions of labels; unknown ones are left out."""
         by_label = self._by_label
-        found = {by_label[label] for label in labels if label in by_label}
-        for each in list(found):
-            found.update(self._special.get(each, ()))
-        return found
-
-    def action(self, label: str) -> int:
-        """Return the action of a label."""
-        return self._by_label[label]
+        return {by_label[label] for label in labels if label in by_label}
 
     def base(self, action: int) -> int:
         """Return the action that another one specialises, or that one itself."""
@@ -223,10 +221,17 @@ class Network:
         if found is None:
             found = self._by_pattern[pattern] = len(self.patterns)
             self.patterns.append(pattern)
+            self.users.append([])
             self._shown.append(shown)
-            self._suppliers.append(None)
-            for functor in {atom.functor for atom in pattern.atoms}:
-                self._by_functor.setdefault(functor, []).append(found)
+            self.found.append({})
+            self._outdated.add(found)
+            if pattern.wanted:
+                self.wanting.add(found)
+            for functor in dict.fromkeys([atom.functor for atom in pattern.atoms]):
+                if functor in self._by_functor:
+                    self._by_functor[functor].append(found)
+                else:
+                    self._by_functor[functor] = [found]
         elif pattern.types and str(shown) < str(self._shown[found]):
             self._shown[found] = shown  # of equal demands the first in the alphabet is told
         return found
@@ -235,137 +240,173 @@ class Network:
         """Return a demand as people write it."""
         return self._shown[number]
 
-    def terms(self, action: int, port: str) -> _Terms:
+    def terms(self, label: str, port: str) -> _Terms:
         """Return the tags of an out-port."""
-        return self._terms[self.base(action), port]
+        heads = self._given[self._by_label[label]]
+        return read_tags(next(each.texts for each in heads if each.source.port == port))
 
     def suppliers(self, number: int) -> Dict[int, Tuple[Offer, ...]]:
         """Return the actions that supply a demand, by label, each with its out-ports."""
-        found = self._suppliers[number]
-        if found is None:
-            found = self._suppliers[number] = self._find(self.patterns[number])
-        return found
+        if number in self._outdated:
+            before = self.found[number]
+            found = self.found[number] = self._find(self.patterns[number])
+            for action in found:
+                if action not in before:
+                    self.serves[action].append(number)
+            self._outdated.discard(number)
+        return self.found[number]
+
+    def ranks(self) -> Tuple[List[int], List[int]]:
+        """Return the rank of each action by its label, and the actions by their ranks."""
+        if len(self._ranks) < len(self.labels):
+            labels = self.labels
+            self._by_rank += range(len(self._ranks), len(labels))
+            self._by_rank.sort(key=labels.__getitem__)
+            self._ranks = [0] * len(labels)
+            for rank, action in enumerate(self._by_rank):
+                self._ranks[action] = rank
+        return self._ranks, self._by_rank
 
     def reach(self, goal: Demand, streams: LiveStreams, exclude: AbstractSet[str]) -> Reach:
         """Collect what the goal can reach; a demand with a live stream needs nothing else."""
         self._forget_suppliers()
         pattern = pattern_of(tuple(goal.tags), goal.datatype, self.names)
         self._asked += pattern not in self._by_pattern
-        reach = Reach(self.number(pattern, goal))
-        consumers, served, needs, wanting = (
-            reach.consumers,
-            reach.served,
+        first = self.number(pattern, goal)
+        live: List[LiveMatch] = []
+        actions: List[int] = []
+        needs, patterns, known, outdated = (
             self.needs,
-            reach.wanting,
+            self.patterns,
+            self.found,
+            self._outdated,
         )
-        known, joined, patterns = self._suppliers, self.joined, self.patterns
         excluded = self.numbers(exclude)
         any_live = len(streams) > 0
-        consumers[reach.goal] = []
-        waiting = [reach.goal]
-        for number in waiting:  # grows meanwhile
-            pattern = patterns[number]
-            if pattern.wanted:
-                wanting.add(number)
+        is_reached = bytearray(len(patterns))
+        is_used = bytearray(len(needs))
+        is_reached[first] = 1
+        demands = [first]
+        for number in demands:  # grows meanwhile
             if any_live:
-                alive = streams.matches(number, pattern)
-                reach.live += alive
-                if alive and not pattern.wanted:
+                alive = streams.matches(number, patterns[number])
+                live += alive
+                if alive and not patterns[number].wanted:
                     continue
-            for action in known[number] or self.suppliers(number):
-                if action in served:
-                    served[action].append(number)
-                elif self.general.get(action, action) not in excluded:
-                    served[action] = [number]
-                    user = ~action if action in joined else action
+            if number in outdated:
+                self.suppliers(number)  # may specialise rules
+                is_reached += bytes(len(patterns) - len(is_reached))
+                is_used += bytes(len(needs) - len(is_used))
+            for action in known[number]:
+                if not is_used[action]:
+                    is_used[action] = 1
+                    if excluded and self.base(action) in excluded:
+                        continue
+                    actions.append(action)
                     for need in needs[action]:
-                        if need in consumers:
-                            consumers[need].append(user)
-                        else:
-                            consumers[need] = [user]
-                            waiting.append(need)
-        return reach
+                        if not is_reached[need]:
+                            is_reached[need] = 1
+                            demands.append(need)
+        missing = [0] * len(needs)
+        for action in actions:
+            missing[action] = len(needs[action])
+        return Reach(first, demands, actions, missing, live)
 
     # Inside
 
     def _insert(self, transformation: Transformation) -> None:
-        label, _, _, cost, parameters, ports = transformation
-        in_ports: List[InPort] = []
-        outs: List[Tuple[str, _Terms, str]] = []
-        texts: List[Tuple[str, ...]] = []
-        has_variables = False
-        for name, direction, datatype, tags in ports:
-            if not tags:
-                continue
-            terms = read_tags(tags)
-            if not terms:
-                continue
-            if direction == IN:
-                in_ports.append(InPort(name, terms, datatype))
-                texts.append(tags)
-                has_variables = has_variables or not all(map(_is_ground, terms))
-            elif direction == OUT:
-                outs.append((name, terms, datatype))
-        rule = None
-        variables: Tuple[str, ...] = ()
-        if has_variables:
-            out_terms = tuple(term for _, terms, _ in outs for term in terms)
-            rule = rule_of(transformation, in_ports, out_terms, self.names)
-            variables = rule.variables
+        label, _, _, cost, _, ports = transformation
         action = self._append(label, cost)
         self._by_label[label] = action
-        if rule is not None:
-            self.rules[action] = rule
-            self._bind(action, rule, [NO_TYPES] * len(variables))
+        tagged = [port for port in ports if port.tags]
+        variables: Tuple[str, ...] = ()
+        if [port for port in tagged if port.direction == IN and "?" in "".join(port.tags)]:
+            variables = self._bind_rule(action, transformation)
         else:
-            self.inputs.append(
-                tuple([self._demanded(text, port) for text, port in zip(texts, in_ports)])
-            )
-            self.needs.append(tuple(dict.fromkeys(self.inputs[-1])))
-        names = tuple([port.name for port in in_ports])
-        self.ports.append(self._shared.setdefault(names, names))
+            names = []
+            inputs = []
+            for name, direction, datatype, tags in tagged:
+                if direction == IN:
+                    demand = self._demanded(tags, datatype)
+                    if demand is not None:
+                        names.append(name)
+                        inputs.append(demand)
+            self._need(action, tuple(inputs))
+            in_ports = tuple(names)
+            self.ports.append(self._shared.setdefault(in_ports, in_ports))
         heads: List[Head] = []
-        for name, terms, datatype in outs:
-            self._terms[action, name] = terms
-            kept = [
-                term for term in terms if term.is_ground or set(term.variables) <= set(variables)
-            ]
-            if kept:
-                is_ground = all(map(_is_ground, kept))
-                head = Head(name, atoms_of(kept, variables, self.names), datatype, is_ground)
+        for name, direction, datatype, tags in tagged:
+            if direction == OUT:
+                head = self._head(New(label, name), tags, datatype, variables)
                 for atom in head.atoms:
                     self._heads.add((action, len(heads)), atom)
                     self._touched.add(atom.functor)
                 heads.append(head)
         self._given[action] = tuple(heads)
 
+    def _head(
+        self, source: New, texts: Tuple[str, ...], datatype: str, variables: Tuple[str, ...]
+    ) -> Head:
+        terms = read_tags(texts)
+        if "?" not in "".join(texts):
+            return Head(source, texts, atoms_of(terms, (), self.names), datatype, True)
+        kept = [term for term in terms if set(term.variables) <= set(variables)]
+        is_ground = all(term.is_ground for term in kept)
+        return Head(source, texts, atoms_of(kept, variables, self.names), datatype, is_ground)
+
     def _append(self, label: str, cost: int) -> int:
         self.labels.append(label)
         self.costs.append(cost)
-        self.actions.append(Action(label, cost))
+        self.serves.append([])
         return len(self.labels) - 1
 
-    def _bind(self, action: int, rule: Rule, more: Iterable[Types]) -> None:
-        """Set the demands of an action whose variables have further types."""
+    def _need(self, action: int, inputs: Tuple[int, ...]) -> None:
+        """Set the demands of an action."""
+        self.inputs.append(inputs)
+        needs = inputs if len(inputs) < 2 else tuple(dict.fromkeys(inputs))
+        self.needs.append(needs)
+        user = ~action if action in self.joined else action
+        for need in needs:
+            self.users[need].append(user)
+
+    def _bind_rule(self, action: int, transformation: Transformation) -> Tuple[str, ...]:
+        """Read the variables of a transformation; return those that its in-ports join."""
+        tagged = [port for port in transformation.ports if port.tags]
+        in_ports = [
+            InPort(port.name, terms, port.datatype)
+            for port in tagged
+            for terms in [read_tags(port.tags)]
+            if port.direction == IN and terms
+        ]
+        out = [term for port in tagged if port.direction == OUT for term in read_tags(port.tags)]
+        rule = rule_of(transformation, in_ports, out, self.names)
+        self.ports.append(tuple(port.name for port in in_ports))
+        self._bind(action, rule, [NO_TYPES] * len(rule.variables))
+        return rule.variables
+
+    def _bind(self, action: int, rule: Rule, more: Sequence[Types]) -> None:
+        """Let an action be a rule whose variables have further types."""
+        self.rules[action] = rule
+        if rule.joins:
+            self.joined.add(action)
         inputs = []
-        more = tuple(more)
         for at, port in enumerate(rule.in_ports):
             shown = Demand(frozenset(rule.shown(at, more, self.names)), port.datatype)
             inputs.append(self.number(rule.pattern(at, more, self.names), shown))
-        self.inputs.append(tuple(inputs))
-        self.needs.append(tuple(dict.fromkeys(inputs)))
-        if rule.joins:
-            self.joined.add(action)
+        self._need(action, tuple(inputs))
 
-    def _demanded(self, texts: Tuple[str, ...], port: InPort) -> int:
-        """Return the number of what an in-port without variables demands."""
-        key = texts, port.datatype
+    def _demanded(self, texts: Tuple[str, ...], datatype: str) -> Optional[int]:
+        """Return the number of what an in-port without variables demands; None without tags."""
+        key = texts, datatype
         found = self._by_text.get(key)
         if found is None:
-            terms = tuple(sorted(port.terms)) if len(port.terms) > 1 else port.terms
-            pattern = Pattern(atoms_of(terms, (), self.names), port.datatype)
-            shown = Demand(frozenset(terms), port.datatype)
-            found = self._by_text[key] = self.number(pattern, shown)
+            terms = read_tags(texts)
+            if not terms:
+                return None
+            if len(terms) > 1:
+                terms = tuple(sorted(terms))
+            pattern = Pattern(atoms_of(terms, (), self.names), datatype)
+            found = self._by_text[key] = self.number(pattern, Demand(frozenset(terms), datatype))
         return found
 
     def _find(self, pattern: Pattern) -> Dict[int, Tuple[Offer, ...]]:
@@ -397,12 +438,9 @@ class Network:
             return action
         found = self._by_types.get((action, more))
         if found is None:
-            found = self._by_types[action, more] = self._append(
-                self.labels[action], self.costs[action]
-            )
+            found = self._append(self.labels[action], self.costs[action])
+            self._by_types[action, more] = found
             self.general[found] = action
-            self.rules[found] = rule
-            self._special.setdefault(action, []).append(found)
             self.ports.append(self.ports[action])
             self._bind(found, rule, more)
         return found
@@ -411,8 +449,7 @@ class Network:
         """Forget the suppliers of the demands that a change may concern."""
         for functor in self._touched:
             for name in self.names.above(functor):
-                for number in self._by_functor.get(name, ()):
-                    self._suppliers[number] = None
+                self._outdated.update(self._by_functor.get(name, ()))
         self._touched.clear()
 
 

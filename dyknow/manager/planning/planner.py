@@ -92,7 +92,7 @@ class Planner:
             reach = network.reach(demand, streams, exclude | paused)
             instances = Instances(network, reach, free)
             trees = cheapest(instances)
-            if reach.goal not in trees.value:
+            if not trees.is_met(reach.goal):
                 return no_plan(instances, trees)
             draft = drafted(instances, trees.chosen)
             improved = improve(instances, draft, Budget(budget, self._clock))

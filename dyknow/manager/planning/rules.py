@@ -114,7 +114,7 @@ def pattern_of(
 
 
 def rule_of(
-    transformation: Transformation, ports: Sequence[InPort], out: _Terms, names: Names
+    transformation: Transformation, ports: Sequence[InPort], out: Sequence[Term], names: Names
 ) -> Rule:
     """Read the variables of a transformation.
 

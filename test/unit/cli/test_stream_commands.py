@@ -66,7 +66,7 @@ class TestTags:
 class TestPlan:
     def test_as_a_tree(self, client: FakeClient) -> None:
         assert run(client, "plan 'Raw(camera)'").lines == [
-            "Raw(camera): cost 1",
+            "Raw(camera): cost 1 (proven least)",
             "└─ camera.image (new, cost 1)",
         ]
         assert client.get_graph().nodelets == ()
@@ -83,7 +83,7 @@ class TestPlan:
             "cost": 1,
             "spawned": ["camera"],
             "reused": [],
-            "plan": "Raw(camera): cost 1\n└─ camera.image (new, cost 1)",
+            "plan": "Raw(camera): cost 1 (proven least)\n└─ camera.image (new, cost 1)",
         }
 
     def test_what_was_left_out_is_told(self, client: FakeClient) -> None:

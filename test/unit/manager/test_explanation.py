@@ -34,10 +34,10 @@ def plan() -> Plan:
 
 def test_a_plan_is_a_tree_that_a_person_can_read(plan: Plan) -> None:
     assert as_tree(plan) == (
-        "FieldPosition(ball): cost 4\n"
+        "FieldPosition(ball): cost 4 (proven least)\n"
         "└─ localization.position (new, cost 1)\n"
-        "   └─ ball ← detector.ball (new, cost 1)\n"
-        "      ├─ planes ← subsampler.planes (new, cost 1)\n"
+        "   └─ ball ← detector.ball [?robot=nao] (new, cost 1)\n"
+        "      ├─ planes ← subsampler.planes [?where=field] (new, cost 1)\n"
         "      │  └─ yuv ← bottom camera.image (new, cost 1)\n"
         "      └─ joints ← /joint_states (topic)"
     )
@@ -93,7 +93,7 @@ def test_without_a_plan_the_missing_tags_are_named() -> None:
 
 def test_a_tree_can_be_read_back(plan: Plan) -> None:
     title, entries = read_tree(as_tree(plan))
-    assert title == "FieldPosition(ball): cost 4"
+    assert title == "FieldPosition(ball): cost 4 (proven least)"
     assert entries[3:] == [
         Entry(3, "yuv", "bottom camera.image", "new, cost 1"),
         Entry(2, "joints", "/joint_states", "topic"),
@@ -104,11 +104,53 @@ def test_a_tree_can_be_read_back(plan: Plan) -> None:
 
 def test_a_drawing_is_one_that_graphviz_understands(plan: Plan) -> None:
     drawing = tree_as_dot(as_tree(plan))
-    assert '"bottom camera" -> "subsampler" [taillabel="image", headlabel="yuv"];' in drawing
+    assert (
+        '"bottom camera" -> "subsampler [?where=field]" [taillabel="image", headlabel="yuv"];'
+        in drawing
+    )
     assert '"/joint_states" [shape=box, style=solid' in drawing
-    assert '"localization" -> "FieldPosition(ball): cost 4"' in drawing
+    assert '"localization" -> "FieldPosition(ball): cost 4 (proven least)"' in drawing
     if shutil.which("dot"):
         done = subprocess.run(
             ["dot", "-Tplain"], input=drawing.encode(), capture_output=True, timeout=60
         )
         assert (done.returncode, done.stderr) == (0, b"")
+
+
+def test_instances_of_one_transformation_are_told_apart() -> None:
+    def camera(name: str) -> PlanStep:
+        return PlanStep(Action("camera", 5), (), (("?c", name),))
+
+    inputs = tuple(
+        (port, New("camera", "image", (("?c", name),)))
+        for port, name in (("l", "cam1"), ("r", "cam2"))
+    )
+    stereo = PlanStep(Action("stereo", 1), inputs, (("?a", "cam1"), ("?b", "cam2")))
+    goal = New("stereo", "depth", stereo.bindings)
+    answer = Plan(demand("X"), goal, (camera("cam1"), camera("cam2"), stereo), 11, 10)
+    text = as_tree(answer)
+    assert text == (
+        "X: cost 11 (at most 10 % above the least possible)\n"
+        "└─ stereo.depth [?a=cam1, ?b=cam2] (new, cost 1)\n"
+        "   ├─ l ← camera.image [?c=cam1] (new, cost 5)\n"
+        "   └─ r ← camera.image [?c=cam2] (new, cost 5)"
+    )
+    assert read_tree(text)[1][1] == Entry(1, "l", "camera.image [?c=cam1]", "new, cost 5")
+    drawing = tree_as_dot(text)
+    assert drawing.count('"camera [?c=cam1]" -> "stereo [?a=cam1, ?b=cam2]"') == 1
+    assert 'taillabel="depth", headlabel=""' in drawing
+
+
+@pytest.mark.parametrize(
+    ("least", "is_cut_short", "title"),
+    [
+        (100, False, "proven least"),
+        (99, False, "at most 2 % above the least possible"),
+        (50, True, "at most 100 % above the least possible; its time was over"),
+        (0, False, "perhaps not the least"),
+    ],
+)
+def test_the_title_tells_how_good_a_plan_is(least: int, is_cut_short: bool, title: str) -> None:
+    running = Live("/b", "planes", "/mine", "subsampler", "")
+    answer = Plan(demand("X"), running, (), 100, least, (), is_cut_short)
+    assert as_tree(answer).split("\n")[0] == f"X: cost 100 ({title})"

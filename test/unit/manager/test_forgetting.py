@@ -23,7 +23,7 @@ def field(monkeypatch: pytest.MonkeyPatch) -> Iterator[Field]:
 
 def numbers(field: Field) -> int:
     network = field.reconciler._planner._planner._network
-    return len(network.labels) + len(network.demands)
+    return len(network.labels) + len(network.patterns)
 
 
 def test_tags_that_were_asked_for_once(field: Field) -> None:

@@ -5,14 +5,17 @@
 
 from __future__ import annotations
 
-from typing import Dict, Optional
+from typing import Dict, Optional, Set
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from dyknow.errors import InvalidTag, InvalidType
-from dyknow.manager.planning.supply import Demand, Supply
+from dyknow.manager.planning.index import AtomIndex
+from dyknow.manager.planning.patterns import Names, atoms_of, solutions
+from dyknow.manager.planning.rules import pattern_of
+from dyknow.manager.planning.supply import Demand, meets
 from dyknow.manager.specifications.tags import (
     NoOntology,
     Term,
@@ -104,24 +107,37 @@ WANTED = st.builds(Term, NAMES, WANTED_ARGS, NO_TYPES)
     st.lists(st.tuples(st.lists(GROUND, max_size=3), st.sampled_from(["", "t/A", "t/B", "*"]))),
     st.frozensets(WANTED, min_size=1, max_size=2),
     st.sampled_from(["", "t/A"]),
-    st.integers(0, 64),
+    st.booleans(),
 )
-def test_the_index_finds_exactly_what_matching_says(offers, tags, datatype, most_keys) -> None:  # type: ignore[no-untyped-def]
+def test_the_index_finds_what_matching_says(offers, tags, datatype, is_wide) -> None:  # type: ignore[no-untyped-def]
     ontology = Kinds()
-    supply: Supply[int] = Supply(ontology, most_keys=most_keys)
-    for number, (terms, kind) in enumerate(offers):
-        supply.add(number, terms, kind)
-    expected = [
+    names = Names(ontology)
+    index: AtomIndex[int] = AtomIndex(names, 0 if is_wide else 64)
+    atoms = [atoms_of(terms, (), names) for terms, _ in offers]
+    for number, each in enumerate(atoms):
+        for atom in each:
+            index.add(number, atom)
+    pattern = pattern_of(tuple(tags), datatype, names)
+    demand = Demand(tags, datatype)
+    expected = {
         number
         for number, (terms, kind) in enumerate(offers)
-        if next(unify_all(terms, tags, ontology), None) is not None
-        and (not datatype or kind in ("", "*", datatype))
-    ]
-    demand = Demand(tags, datatype)
-    assert sorted(supply.suppliers(demand)) == expected
-    for number, (terms, _) in list(enumerate(offers))[::2]:
-        supply.remove(number, terms)
-    assert sorted(supply.suppliers(demand)) == [each for each in expected if each % 2]
+        if meets(terms, kind, demand, ontology)
+    }
+
+    def found() -> Set[int]:
+        return {
+            number
+            for number in index.find(pattern)
+            if solutions(atoms[number], pattern, names)
+            if datatype == "" or offers[number][1] in ("", "*", datatype)
+        }
+
+    assert found() == expected
+    for number, each in list(enumerate(atoms))[::2]:
+        for atom in each:
+            index.remove(number, atom)
+    assert found() == {number for number in expected if number % 2}
 
 
 def test_without_an_ontology_a_name_is_itself() -> None:

@@ -53,7 +53,9 @@ class _Writer:
         self.names = ["a", "b", "c"][: self.chance.randint(1, 3)]
         if self.has_ontology and self.chance.random() < 0.3:
             self.names.append("urn:a")
-        self.functors = self.chance.sample(sorted(_FUNCTORS), self.chance.randint(2, 6))
+        self.functors = self.chance.sample(
+            sorted(_FUNCTORS), self.chance.choice([2, 2, 3, 3, 4, 6])
+        )
 
     def name(self, may_be_class: bool) -> str:
         if may_be_class and self.has_ontology and self.chance.random() < 0.4:
@@ -78,12 +80,12 @@ class _Writer:
 
     def transformation(self, number: int) -> Transformation:
         chance = self.chance
-        variables = ["?x", "?y", "?z"][: chance.choice([0, 1, 1, 2, 2, 3])]
+        variables = ["?x", "?y", "?z"][: chance.choice([0, 1, 1, 2, 2, 2, 3])]
         ports = []
-        for at in range(chance.choice([0, 0, 1, 1, 2, 3])):
+        for at in range(chance.choice([0, 1, 1, 1, 2, 2, 3])):
             tags = tuple(
                 dict.fromkeys(
-                    self.tag(variables, 0.7, True) for _ in range(chance.choice([1, 1, 1, 2]))
+                    self.tag(variables, 0.85, True) for _ in range(chance.choice([1, 1, 1, 2]))
                 )
             )
             ports.append(Port(f"in{at}", "in", self.datatype(), tags))
@@ -91,13 +93,22 @@ class _Writer:
         for at in range(chance.choice([1, 1, 2])):
             tags = tuple(
                 dict.fromkeys(
-                    self.tag(bound, 0.7, bool(bound) and chance.random() < 0.3)
+                    self.tag(bound, 0.9, bool(bound) and chance.random() < 0.3)
                     for _ in range(chance.choice([1, 1, 2]))
                 )
             )
             ports.append(Port(f"out{at}", "out", self.datatype(), tags))
         return Transformation(
             f"t{number}", "p/X", "nodelet", chance.randint(0, 9), (), tuple(ports)
+        )
+
+    def source(self, number: int) -> Transformation:
+        tags = tuple(
+            dict.fromkeys(self.tag([], 0, False) for _ in range(self.chance.choice([1, 2])))
+        )
+        port = Port("out0", "out", self.datatype(), tags)
+        return Transformation(
+            f"t{number}", "p/X", "nodelet", self.chance.randint(0, 9), (), (port,)
         )
 
     def live(self, number: int) -> Tuple[Live, Tuple[Term, ...]]:
@@ -108,7 +119,9 @@ class _Writer:
 
     def problem(self) -> Problem:
         chance = self.chance
-        library = [self.transformation(number) for number in range(chance.randint(1, 8))]
+        count = chance.randint(1, 8)
+        library = [self.transformation(number) for number in range(count)]
+        library += [self.source(count + number) for number in range(chance.randint(0, 3))]
         live = [self.live(number) for number in range(chance.choice([0, 0, 1, 2]))]
         labels = [each.label for each in library]
         exclude = chance.sample(labels, min(len(labels), chance.choice([0, 0, 0, 1])))
