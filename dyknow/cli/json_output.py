@@ -107,6 +107,7 @@ def stream_json(stream: StreamStatus) -> Json:
         "detail": stream.detail,
         "nodelets": list(stream.nodelets),
         "expires": stream.expires or None,
+        "bindings": list(stream.bindings),
     }
 
 

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, Dict, Mapping, Optional, Tuple
 
 from dyknow.manager.moment import Moment
-from dyknow.manager.specifications.tags import parse_tag
+from dyknow.manager.specifications.tags import Bindings, parse_tag
 from dyknow.manager.well_typed import check_types
 from dyknow.model.streams import ClaimState, StreamRequest
 
@@ -29,6 +29,7 @@ class Claim:
         wiring: for each nodelet of the stream the topics that its ports need; while there is no
             stream, the nodelets that are kept for it, connected to nothing.
         sources: topics of ordinary nodes that the stream needs.
+        bindings: what the variables of the tag stand for.
         deadline: when the lease ends, on the reconciler's clock; None for never.
     """
 
@@ -42,6 +43,7 @@ class Claim:
     wiring: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     sources: Tuple[str, ...] = ()
     deadline: Optional[float] = None
+    bindings: Bindings = ()
 
     @property
     def is_made(self) -> bool:
@@ -82,6 +84,7 @@ class Claim:
                 "state": ClaimState(fields["state"]),
                 "goal": tuple(fields["goal"]),
                 "sources": tuple(fields["sources"]),
+                "bindings": tuple(map(tuple, fields.get("bindings", ()))),
                 "deadline": None if left is None else now.steady + left - now.since(written),
             }
         )

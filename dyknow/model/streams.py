@@ -60,7 +60,8 @@ class StreamRequest:
 class StreamStatus:
     """A claim as the manager shows it; the fields are those of ``dyknow_msgs/StreamStatus``.
 
-    ``expires`` is in seconds of ROS time, 0 for until released.
+    ``expires`` is in seconds of ROS time, 0 for until released; ``bindings`` says what the
+    variables of the tag stand for, each as ``?camera=left``.
     """
 
     claim_id: str
@@ -72,6 +73,7 @@ class StreamStatus:
     detail: str
     nodelets: Tuple[str, ...]
     expires: float
+    bindings: Tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -98,6 +100,8 @@ class Acquisition:
     Attributes:
         message: the detail of the claim.
         warnings: what is probably not meant; in the service they are lines of the message.
+        bindings: what the variables of the tag stand for, each as ``?camera=left``.
+        least_cost: no plan costs less; if it is the cost, the plan is proven to cost least.
     """
 
     claim_id: str
@@ -110,6 +114,8 @@ class Acquisition:
     plan: str
     message: str
     warnings: Tuple[str, ...] = ()
+    bindings: Tuple[str, ...] = ()
+    least_cost: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -260,6 +260,7 @@ def stream_message(stream: StreamStatus) -> msg.StreamStatus:
         detail=stream.detail,
         nodelets=list(stream.nodelets),
         expires=Time.from_sec(stream.expires),
+        bindings=list(stream.bindings),
     )
 
 
@@ -275,6 +276,7 @@ def stream_from(message: msg.StreamStatus) -> StreamStatus:
         message.detail,
         tuple(message.nodelets),
         message.expires.to_sec(),
+        tuple(message.bindings),
     )
 
 
@@ -341,6 +343,8 @@ def acquisition_message(got: Acquisition) -> srv.AcquireStreamResponse:
         cost=got.cost,
         expires=Time.from_sec(got.expires),
         plan=got.plan,
+        bindings=list(got.bindings),
+        least_cost=got.least_cost,
     )
 
 
@@ -364,6 +368,8 @@ def acquisition_from(answer: srv.AcquireStreamResponse) -> Acquisition:
         answer.plan,
         "\n".join(line for line in lines if not line.startswith(_WARNING)),
         tuple(line[len(_WARNING) :] for line in lines if line.startswith(_WARNING)),
+        tuple(answer.bindings),
+        answer.least_cost,
     )
 
 

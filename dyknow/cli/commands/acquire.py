@@ -164,6 +164,8 @@ def _describe(claim: StreamStatus) -> Iterable[str]:
     place = f"on {claim.topic} [{claim.datatype or 'unknown type'}]" if claim.topic else ""
     yield f"{claim.tag} {place or f'is {claim.state.name.lower()}: {claim.detail}'}"
     yield f"  claim {claim.claim_id}"
+    if claim.bindings:
+        yield f"  with {', '.join(claim.bindings)}"
     if place and claim.detail:
         yield f"  {claim.detail}"
     if claim.nodelets:

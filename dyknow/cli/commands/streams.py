@@ -39,10 +39,20 @@ def _plan(arguments: argparse.Namespace, shell: Shell) -> None:
         "spawned": list(answer.spawned),
         "reused": list(answer.reused),
         "plan": answer.plan,
+        "bindings": list(answer.bindings),
+        "least_cost": answer.least_cost,
     }
     if arguments.dot:
         result["dot"] = dot
-    shell.show(result, (dot or answer.plan).rstrip("\n").split("\n"))
+    lines = (dot or answer.plan).rstrip("\n").split("\n")
+    if not arguments.dot:
+        if answer.bindings:
+            lines.append(f"with {', '.join(answer.bindings)}")
+        if answer.least_cost < answer.cost:
+            lines.append(
+                f"perhaps there is a plan of cost {answer.least_cost:g} to {answer.cost:g}"
+            )
+    shell.show(result, lines)
 
 
 def _streams_arguments(parser: argparse.ArgumentParser) -> None:
@@ -68,7 +78,7 @@ def _list(streams: Sequence[StreamStatus]) -> List[str]:
         (
             each.claim_id,
             each.state.name.lower(),
-            each.tag,
+            " ".join([each.tag, *each.bindings]),
             each.topic or "-",
             each.datatype or "-",
             each.detail or "-",
@@ -86,6 +96,7 @@ def _long_list(streams: Sequence[StreamStatus]) -> List[str]:
         lines += [
             f"Stream [{each.claim_id}]",
             f"Tag: {each.tag}",
+            *([f"Bindings: {', '.join(each.bindings)}"] if each.bindings else []),
             f"State: {each.state.name.lower()}{detail}",
             f"Topic: {each.topic or '-'} [{each.datatype or 'unknown type'}]",
             f"Client: {each.client_id or '(not given)'}",

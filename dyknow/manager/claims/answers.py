@@ -61,6 +61,7 @@ class StreamAnswers:
             claim.detail,
             claim.nodelets,
             self.expires(claim),
+            _written(claim),
         )
 
     def expires(self, claim: Claim) -> float:
@@ -88,6 +89,8 @@ class StreamAnswers:
             plan.plan,
             plan.message,
             tuple(warnings),
+            _written(claim),
+            0.0 if acquired.plan is None else float(acquired.plan.least_cost),
         )
 
     def replanned(self, acquired: Acquired) -> Replanned:
@@ -99,6 +102,10 @@ class StreamAnswers:
             "" if acquired.plan is None else as_tree(acquired.plan),
             acquired.claim.detail,
         )
+
+
+def _written(claim: Claim) -> Tuple[str, ...]:
+    return tuple(f"{variable}={name}" for variable, name in claim.bindings)
 
 
 def refusal_of(error: BaseException) -> StreamRefused:

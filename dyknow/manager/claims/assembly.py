@@ -12,10 +12,11 @@ publishes on a topic of its own until it has sent its first message, then it tak
 from __future__ import annotations
 
 import contextlib
-from typing import Callable, Dict, Iterable, List, Mapping, Optional
+from typing import Callable, Dict, Iterable, List, Mapping, Optional, Tuple
 
 from dyknow.errors import DyKnowError, NameTaken, SpawnFailed, StreamTypeMismatch
 from dyknow.manager.claims.context import ClaimContext
+from dyknow.manager.claims.own_nodelets import instance_of
 from dyknow.manager.claims.plan_context import (
     AssemblyRequest,
     AssemblyResult,
@@ -29,9 +30,9 @@ from dyknow.manager.host import Count, Host, NodeletKind
 from dyknow.manager.planning.problem import Live, New, PlanStep, Source
 from dyknow.manager.planning.supply import ANY
 from dyknow.manager.record import Record, ports_on
-from dyknow.manager.specifications.tags import read_tags
+from dyknow.manager.specifications.given import filling
 from dyknow.model.graph import SpawnRequest, State
-from dyknow.model.transformation import OUT, Transformation
+from dyknow.model.transformation import OUT, Parameter, Transformation
 
 #: Seconds between two looks for the first message of a replacement.
 _STEP = 0.02
@@ -145,6 +146,7 @@ class Assembly:
         result.spawned = list(self._transaction.spawned)
         result.reused -= set(result.spawned)
         result.remarks = self._handover.remarks
+        result.bindings = request.plan.bindings
         return result
 
     def _reserve(self) -> None:
@@ -152,24 +154,25 @@ class Assembly:
         used = {live.nodelet for live in self._request.plan.live if live.nodelet}
         fed: Dict[str, Dict[str, str]] = {name: {} for name in used}
         with_feeders(self._graph.all(), self._request.ordinary, fed, set(), used)
-        self._lock.reserve([*self._request.own.values(), *fed])
+        self._lock.reserve([*self._request.movable, *fed])
 
     # Steps
 
     def _take(self, step: PlanStep) -> None:
-        label = step.action.label
+        instance = instance_of(step)
         inputs = self._inputs(step)
-        name = self._request.own.get(label, "")
+        name = self._request.own.get(instance, "")
         if name:
             self._result.reused.add(name)
             self._plan.check_types(self._graph.get(name), step)
             for port, source in step.inputs:
                 self._await(source, self._graph.get(name).topics.get(port, ""), inputs[port])
         else:
-            transformation = self._manager.library.get(label)
-            name = self._spawn(transformation, inputs, self._plan.outputs(label))
+            transformation = self._manager.library.get(step.action.label)
+            given = filling(transformation, dict(step.bindings))
+            name = self._spawn(transformation, inputs, self._plan.outputs(instance), given)
             self._plan.check_types(self._graph.get(name), step)
-        self._plan.made[label] = name
+        self._plan.made[instance] = name
         self._connect(name, self._inputs(step))
 
     def _inputs(self, step: PlanStep) -> Dict[str, str]:
@@ -206,12 +209,9 @@ class Assembly:
             Name of the relay.
         """
         topology = self._connector.topology()
-        tags = tuple(
-            tag
-            for tag in self._plan.tags_of(goal)
-            if topology.common_tags(present, read_tags((tag,)))  # true of all that is sent there
-        )
-        made = relay(present, self._plan.type_of(goal), tags)
+        # What is true of all that is sent there.
+        tags = topology.common_tags(present, self._plan.tags_of(goal, topology))
+        made = relay(present, self._plan.type_of(goal), tuple(map(str, tags)))
         name = self._spawn(made, {"in": present}, () if topic else ("out",))
         out = {"out": topic} if topic else {}
         self._connect(name, {"in": self._topic_of(goal), **out})
@@ -255,22 +255,29 @@ class Assembly:
 
     def _is_mixed(self, source: New, topic: str) -> bool:
         """Whether something else may be sent on a supplier's topic as well."""
-        tags = tuple(tag for tag in read_tags(self._plan.tags_of(source)) if tag.is_ground)
-        return self._connector.topology().common_tags(topic, tags) != tags
+        topology = self._connector.topology()
+        tags = self._plan.tags_of(source, topology)
+        return topology.common_tags(topic, tags) != tags
 
     def _connect(self, name: str, config: Mapping[str, str]) -> None:
         self._transaction.connect(name, config)
         self._result.wiring.setdefault(name, {}).update(config)
 
     def _spawn(
-        self, transformation: Transformation, inputs: Mapping[str, str], outputs: Iterable[str]
+        self,
+        transformation: Transformation,
+        inputs: Mapping[str, str],
+        outputs: Iterable[str],
+        given: Tuple[Parameter, ...] = (),
     ) -> str:
         for name in self._plan.free_names(transformation.label):
             wiring = {**inputs, **{port: default_topic(name, port) for port in outputs}}
             self._lock.reserve([name])
             try:
                 is_plain = self._manager.host.kind_of(transformation.source) is NodeletKind.CPP
-                request = SpawnRequest(transformation.label, name, wiring if is_plain else {})
+                request = SpawnRequest(
+                    transformation.label, name, wiring if is_plain else {}, parameters=given
+                )
                 with self._lock.pause():
                     self._transaction.spawn(transformation, request, inputs.values())
             except NameTaken:

@@ -9,21 +9,33 @@ satisfy them all.
 
 from __future__ import annotations
 
-from typing import AbstractSet, Dict, FrozenSet, Hashable, Iterable, List, Optional
+from typing import (
+    AbstractSet,
+    Dict,
+    FrozenSet,
+    Hashable,
+    Iterable,
+    List,
+    Mapping,
+    Optional,
+    Sequence,
+)
 
 from dyknow.backoff import Backoff
 from dyknow.errors import HostError, UnknownTransformation
 from dyknow.manager.claim import Claim
 from dyknow.manager.claims.context import ClaimContext
+from dyknow.manager.claims.own_nodelets import Instance, OwnNodelet, assigned, instance_of
 from dyknow.manager.claims.relay import is_relay
 from dyknow.manager.claims.streams import TaggedStream, live_streams
 from dyknow.manager.claims.topology import demand_of, may_share
 from dyknow.manager.library import Library
 from dyknow.manager.planning.planner import Planner
-from dyknow.manager.planning.problem import NO_LABELS, Answer, Live, NoPlan, Plan
-from dyknow.manager.planning.supply import Demand, meets
+from dyknow.manager.planning.problem import NO_LABELS, Answer, NoPlan, Plan
+from dyknow.manager.planning.supply import Demand, ways_to_meet
 from dyknow.manager.record import Record
-from dyknow.manager.specifications.tags import Subsumption
+from dyknow.manager.specifications.given import exposed_variables
+from dyknow.manager.specifications.tags import Bindings, Subsumption
 from dyknow.model.graph import State
 from dyknow.model.transformation import Transformation
 
@@ -104,37 +116,47 @@ class ClaimPlanner:
         )
         return self._manager.library.revision, self.published, others
 
-    def own(self, claim: Claim) -> Dict[str, str]:
-        """Healthy nodelets that can be connected elsewhere for a claim, by label.
+    def own(self, claim: Claim) -> List[OwnNodelet]:
+        """Healthy nodelets that can be connected elsewhere for a claim, the preferred ones first.
 
         These are the claim's own nodelets and those that no claim needs. Parts that other claims
-        share are among them, unless these claims exclude what this one does not: whatever suits
-        the in-ports of a part, its out-ports supply the same.
+        share are among them, unless these claims exclude what this one does not; they have to go
+        on supplying the same.
         """
         sharing = [each for each in self._table.living() if each.claim_id != claim.claim_id]
         needed = self._table.needed() | self._lock.reserved
         idle = [record.name for record in self._manager.graph.all() if record.name not in needed]
-        found: Dict[str, str] = {}
-        for name in (*idle, *claim.nodelets):
+        found: List[OwnNodelet] = []
+        topology = self._connector.topology()
+        for name in reversed((*idle, *claim.nodelets)):
             record = self._manager.graph.find(name)
+            users = [each for each in sharing if name in each.wiring]
             if (
                 record is not None
                 and record.claimed
                 and record.state is State.RUNNING
                 and name not in self._monitor.unhealthy
                 and record.transformation == self._current(record.label)
-                and all(
-                    set(each.request.exclude) <= set(claim.request.exclude)
-                    for each in sharing
-                    if name in each.wiring
-                )
+                and record.transformation is not None
+                and all(set(each.request.exclude) <= set(claim.request.exclude) for each in users)
             ):
-                found[record.label] = name
+                exposed = exposed_variables(record.transformation)
+                ways = topology.ways(name) if exposed else None
+                present = {_restricted(way, exposed) for way in ways or ()}
+                bound = min(present) if len(present) == 1 else ()
+                is_certain = {variable for variable, _ in bound} == exposed
+                if is_certain or not users:
+                    kept = bound if users else _restricted(record.given, set(record.given))
+                    found.append(OwnNodelet(name, record.label, kept, bound))
         return found
+
+    def assigned(self, plan: Plan, own: Sequence[OwnNodelet]) -> Dict[Instance, str]:
+        """Choose nodelets for the steps of a plan; the other steps need new ones."""
+        return assigned(plan, own, self._ontology)
 
     def price(self, claim: Claim) -> int:
         """Return what would be saved if a claim's stream did not exist."""
-        return sum(self._known[label].cost for label in self._saved(claim))
+        return sum(self._known[label].cost for label in self._saved(claim).values())
 
     # Plans
 
@@ -172,20 +194,24 @@ class ClaimPlanner:
         self._update()
         own = self._saved(claim)
         exclude = frozenset(claim.request.exclude)
-        streams = self._without_relays(self._streams(exclude, frozenset(own.values())))
-        paused = self.failures.paused - frozenset(own)
+        streams = self._without_relays(self._streams(exclude, frozenset(own)))
+        paused = self.failures.paused - frozenset(own.values())
         demand = demand_of(self._together(claim))
         return self._planner.plan(demand, streams, exclude, paused=paused)
 
-    def with_own(self, plan: Plan, own: Dict[str, str]) -> Plan:
-        """Return a plan in which nodelets that exist cost nothing."""
+    def with_own(self, plan: Plan, own: Sequence[OwnNodelet]) -> Plan:
+        """Return a plan in which nodelets that exist cost nothing, and the others their price."""
+        used = self.assigned(plan, own)
         steps = tuple(
-            step._replace(action=step.action._replace(cost=0))
-            if step.action.label in own
-            else step
+            step._replace(
+                action=step.action._replace(
+                    cost=0 if instance_of(step) in used else self._known[step.action.label].cost
+                )
+            )
             for step in plan.steps
         )
-        return plan._replace(steps=steps, cost=sum(step.action.cost for step in steps))
+        cost = sum(step.action.cost for step in steps)
+        return plan._replace(steps=steps, cost=cost, least_cost=min(cost, plan.least_cost))
 
     # Inside
 
@@ -195,7 +221,7 @@ class ClaimPlanner:
         return [claim, *(each for each in others if each.topic and each.topic == claim.topic)]
 
     def _saved(self, claim: Claim) -> Dict[str, str]:
-        """Nodelets, by label, that nothing would need if these clients needed no stream."""
+        """Nodelets that nothing would need if these clients needed no stream, with labels."""
         together = {each.claim_id for each in self._together(claim)}
         kept = {
             name
@@ -204,8 +230,11 @@ class ClaimPlanner:
             for name in each.nodelets
         }
         kept.update(each.name for each in self._manager.graph.all() if each.is_protected)
-        own = self.own(claim).items()
-        return {label: name for label, name in own if name in claim.wiring and name not in kept}
+        return {
+            each.name: each.label
+            for each in self.own(claim)
+            if each.name in claim.wiring and each.name not in kept
+        }
 
     def _plan(
         self,
@@ -216,14 +245,15 @@ class ClaimPlanner:
     ) -> Answer:
         demand = demand_of(claims)
         exclude = avoid | {label for claim in claims for label in claim.request.exclude}
-        own = self.own(claims[0]).keys() - exclude
+        own = [each for each in self.own(claims[0]) if each.label not in exclude]
         streams = self._streams(exclude)
         present = self._present(demand, streams, topic)
         if present is not None:
-            return Plan(demand, present, (), 0)
+            return present
         streams = self._without_relays(streams)
-        free = {label: () for label in own}
-        return self._planner.plan(demand, streams, exclude, free, paused - own)
+        free = {each.label: each.kept for each in reversed(own)}
+        answer = self._planner.plan(demand, streams, exclude, free, paused - free.keys())
+        return answer if isinstance(answer, NoPlan) else self.with_own(answer, own)
 
     def _without_relays(self, streams: Iterable[TaggedStream]) -> List[TaggedStream]:
         """Leave out what relays publish: a plan takes it from where they receive it."""
@@ -234,15 +264,14 @@ class ClaimPlanner:
 
     def _present(
         self, demand: Demand, streams: Iterable[TaggedStream], topic: str
-    ) -> Optional[Live]:
+    ) -> Optional[Plan]:
         """Find a stream that will do and is where the client listens already."""
-        there = [
-            stream
-            for stream, terms in streams
-            if topic and stream.topic == topic
-            if meets(terms, stream.datatype, demand, self._ontology)
-        ]
-        return min(there, default=None)
+        for stream, terms in sorted(streams):
+            if topic and stream.topic == topic:
+                ways = ways_to_meet(terms, stream.datatype, demand, self._ontology)
+                for way in ways:
+                    return Plan(demand, stream, (), 0, 0, tuple(sorted(way.items())))
+        return None
 
     def _streams(
         self, exclude: AbstractSet[str], without: AbstractSet[str] = frozenset()
@@ -291,6 +320,10 @@ class ClaimPlanner:
         known = self._known
         self._planner.add(each for each in present.values() if known.get(each.label) != each)
         self._known = present
+
+
+def _restricted(way: Mapping[str, str], variables: AbstractSet[str]) -> Bindings:
+    return tuple(sorted((each, way[each]) for each in variables if each in way))
 
 
 def is_current(library: Library, record: Record) -> bool:

@@ -12,10 +12,13 @@ from typing import AbstractSet, Dict, Iterator, List, Mapping, Sequence, Set, Tu
 from dyknow import names
 from dyknow.errors import StreamTypeMismatch
 from dyknow.manager.claims.claim_table import ClaimTable
+from dyknow.manager.claims.own_nodelets import Instance, instance_of
+from dyknow.manager.claims.topology import Topology
 from dyknow.manager.manager import Manager
 from dyknow.manager.planning.problem import Live, New, Plan, PlanStep, Source
 from dyknow.manager.planning.supply import ANY
 from dyknow.manager.record import Record, ports_on
+from dyknow.manager.specifications.tags import Bindings, Term, read_tags
 from dyknow.model.graph import State
 from dyknow.model.transformation import IN, OUT
 
@@ -32,7 +35,8 @@ class AssemblyRequest:
         tag: what was asked for, for error messages.
         topic: where the client listens; empty for wherever the stream is.
         datatype: ROS type that was asked for; empty for any.
-        own: healthy nodelets of the claim that can be connected elsewhere, by label.
+        own: nodelets that are used for steps of the plan.
+        movable: names of all healthy nodelets that can be connected elsewhere for the claim.
         unhealthy: nodelets that are not to be relied on.
         unresponsive: nodelets that do not answer.
         claim_id: whose stream it is.
@@ -43,7 +47,8 @@ class AssemblyRequest:
     tag: str = ""
     topic: str = ""
     datatype: str = ""
-    own: Mapping[str, str] = field(default_factory=dict)
+    own: Mapping[Instance, str] = field(default_factory=dict)
+    movable: AbstractSet[str] = frozenset()
     unhealthy: AbstractSet[str] = frozenset()
     unresponsive: AbstractSet[str] = frozenset()
     claim_id: str = ""
@@ -64,6 +69,7 @@ class AssemblyResult:
         reused: names of nodelets that existed before.
         remarks: what did not go as it should, in words.
         detail: what there is to say about the stream as it is now.
+        bindings: what the variables of the request stand for.
     """
 
     topic: str = ""
@@ -75,6 +81,7 @@ class AssemblyResult:
     reused: Set[str] = field(default_factory=set)
     remarks: List[str] = field(default_factory=list)
     detail: str = ""
+    bindings: Bindings = ()
 
 
 class PlanContext:
@@ -100,20 +107,19 @@ class PlanContext:
         self._table = table
         self._request = request
         self.spawned = spawned
-        #: Nodelets of the plan's transformations, by label; grows.
-        self.made: Dict[str, str] = {}
+        #: Nodelets for the steps of the plan; grows.
+        self.made: Dict[Instance, str] = {}
 
-    def outputs(self, label: str) -> List[str]:
-        """Out-ports of a transformation that the plan uses."""
+    def outputs(self, instance: Instance) -> List[str]:
+        """Out-ports of a nodelet that the plan uses."""
         plan = self._request.plan
         used = {source for step in plan.steps for _, source in step.inputs} | {plan.goal}
-        return sorted(
-            {each.port for each in used if isinstance(each, New) and each.label == label}
-        )
+        new = [each for each in used if isinstance(each, New)]
+        return sorted({each.port for each in new if instance_of(each) == instance})
 
     def name_of(self, source: Source) -> str:
         """Name of a supplier's nodelet; empty for a topic of ordinary nodes."""
-        return source.nodelet if isinstance(source, Live) else self.made[source.label]
+        return source.nodelet if isinstance(source, Live) else self.made[instance_of(source)]
 
     def type_of(self, source: Source) -> str:
         """ROS type of a supplier's messages; empty while it is not known."""
@@ -127,15 +133,19 @@ class PlanContext:
         known += [(port.name, port.datatype) for port in declared]
         return next((each for name, each in known if name == source.port and each not in ANY), "")
 
-    def tags_of(self, source: Source) -> Tuple[str, ...]:
-        """Tags of a supplier's stream."""
+    def tags_of(self, source: Source, topology: Topology) -> Tuple[Term, ...]:
+        """Tags of a supplier's stream, without those whose variables are not bound."""
         name = self.name_of(source)
         if name:
             transformation = self._graph.get(name).transformation
         else:
             transformation = self._manager.library.get(source.label)
         ports = transformation.ports if transformation is not None else ()
-        return next((port.tags for port in ports if port.name == source.port or not name), ())
+        tags = next((port.tags for port in ports if port.name == source.port or not name), ())
+        possible = topology.supplies().get((name, source.port))
+        if possible is None:
+            return tuple(term for term in read_tags(tags) if term.is_ground)
+        return next(iter(possible)).tags if len(possible) == 1 else ()
 
     def check_types(self, record: Record, step: PlanStep) -> None:
         """Compare the types of a nodelet's in-ports with those of their suppliers.
@@ -184,7 +194,7 @@ class PlanContext:
             return True
         if not self._graph.get(name).claimed or topic in self.taken_topics():
             return False
-        own = {*self._request.own.values(), *self.spawned}
+        own = {*self._request.movable, *self.spawned}
         return not any(
             ports_on(record, IN, topic)
             for record in self._graph.all()

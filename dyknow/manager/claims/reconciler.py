@@ -16,7 +16,7 @@ import logging
 import time
 import uuid
 from dataclasses import dataclass, replace
-from typing import Callable, List, Mapping, Optional, Tuple
+from typing import Callable, List, Optional, Tuple
 
 from dyknow.errors import DyKnowError, NoPlanFound
 from dyknow.manager.claim import Claim, ClaimEvent
@@ -28,6 +28,7 @@ from dyknow.manager.claims.connector import Connector
 from dyknow.manager.claims.context import ClaimContext, ClaimLock
 from dyknow.manager.claims.garbage_collector import GarbageCollector
 from dyknow.manager.claims.monitors import StreamMonitor
+from dyknow.manager.claims.own_nodelets import instance_of
 from dyknow.manager.claims.plan_context import AssemblyResult
 from dyknow.manager.claims.repair import Repair, outcome, with_remarks
 from dyknow.manager.claims.topology import demand_of
@@ -166,7 +167,7 @@ class StreamReconciler:
                 reason = refusal(self._manager, answer, request.exclude)
                 raise NoPlanFound(reason, claim.claim_id)
             if dry_run:
-                return _intended(claim, answer, self._planner.own(claim))
+                return self._intended(claim, answer)
             plan, done = self._repair.make(claim, answer, lenient=True)
             claim = self._table.add(replace(claim, **outcome(done)), "requested")
         return _made(claim, plan, done)
@@ -189,14 +190,13 @@ class StreamReconciler:
             claim = self._table.get(claim_id)
             self._planner.look(at_once=True)
             fault = self._repair.diagnose(claim)
-            own = self._planner.own(claim)
             cheaper = self._cheaper_plans.find(claim) if fault is None else None
             answer = cheaper or self._planner.plan(claim, lenient=True)
             if isinstance(answer, NoPlan):
                 reason = refusal(self._manager, answer, claim.request.exclude)
                 raise NoPlanFound(reason, claim_id)
             if dry_run:
-                return _intended(claim, answer, own)
+                return self._intended(claim, answer)
             plan, done = self._repair.make(claim, answer, lenient=True)
             changed = self._table.change(
                 claim_id, with_remarks("replanned on request", done), **outcome(done)
@@ -223,6 +223,14 @@ class StreamReconciler:
     def claims(self) -> List[Claim]:
         """Return every claim, those that ended lately included, by id."""
         return self._table.all()
+
+    def _intended(self, claim: Claim, plan: Plan) -> Acquired:
+        """Answer a dry run: labels of what would be made, and names of what would be used."""
+        own = self._planner.assigned(plan, self._planner.own(claim))
+        used = {stream.nodelet or stream.topic for stream in plan.live}
+        new = [step.action.label for step in plan.steps if instance_of(step) not in own]
+        claim = replace(claim, bindings=plan.bindings)
+        return Acquired(claim, plan, tuple(new), tuple(sorted({*used, *own.values()})))
 
     # Reconciling
 
@@ -272,12 +280,3 @@ def _consumers_last(claim: Claim) -> int:
 
 def _made(claim: Claim, plan: Plan, done: AssemblyResult) -> Acquired:
     return Acquired(claim, plan, tuple(done.spawned), tuple(sorted(done.reused)))
-
-
-def _intended(claim: Claim, plan: Plan, own: Mapping[str, str]) -> Acquired:
-    """Answer a dry run: labels of what would be made, and names of what would be used."""
-    labels = [step.action.label for step in plan.steps]
-    used = {stream.nodelet or stream.topic for stream in plan.live}
-    used.update(own[label] for label in labels if label in own)
-    spawned = tuple(label for label in labels if label not in own)
-    return Acquired(claim, plan, spawned, tuple(sorted(used)))

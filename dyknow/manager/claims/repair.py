@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Callable, Dict, Hashable, List, Mapping, Optional, Tuple
+from typing import Any, Callable, Dict, Hashable, List, Optional, Sequence, Tuple
 
 from dyknow.backoff import Backoff
 from dyknow.errors import DyKnowError, StreamTypeMismatch
@@ -15,10 +15,12 @@ from dyknow.manager.claims.assembly import Assembly, Handover
 from dyknow.manager.claims.claim_planner import ClaimPlanner, is_current
 from dyknow.manager.claims.context import ClaimContext
 from dyknow.manager.claims.garbage_collector import GarbageCollector
+from dyknow.manager.claims.own_nodelets import OwnNodelet
 from dyknow.manager.claims.plan_context import AssemblyRequest, AssemblyResult
 from dyknow.manager.claims.topology import wanted_type
 from dyknow.manager.planning.problem import NoPlan, Plan
 from dyknow.manager.record import Record
+from dyknow.manager.specifications.tags import Bindings, written_bindings
 from dyknow.model.graph import State
 from dyknow.model.streams import ClaimState
 
@@ -164,20 +166,21 @@ class Repair:
                 raise failure
             plan = answer
 
-    def _are_running(self, plan: Plan, own: Mapping[str, str]) -> bool:
+    def _are_running(self, plan: Plan, own: Sequence[OwnNodelet]) -> bool:
         """Whether the nodelets that a plan counted on still run."""
         names = {live.nodelet for live in plan.live if live.nodelet}
-        names.update(own[step.action.label] for step in plan.steps if step.action.label in own)
+        names.update(self._planner.assigned(plan, own).values())
         found = map(self._graph.find, names)
         return all(record is not None and record.state is State.RUNNING for record in found)
 
-    def _assemble(self, claim: Claim, plan: Plan, own: Mapping[str, str]) -> AssemblyResult:
+    def _assemble(self, claim: Claim, plan: Plan, own: Sequence[OwnNodelet]) -> AssemblyResult:
         request = AssemblyRequest(
             plan,
             tag=claim.request.tag,
             topic=claim.topic,
             datatype=wanted_type(claim),
-            own=own,
+            own=self._planner.assigned(plan, own),
+            movable={each.name for each in own},
             unhealthy=self._monitor.unhealthy,
             unresponsive=self._monitor.unresponsive,
             claim_id=claim.claim_id,
@@ -208,6 +211,7 @@ class Repair:
             return
         fault = self.diagnose(claim)
         if fault is None:
+            self._follow_bindings(claim)
             if claim.state is not ClaimState.ACTIVE:
                 detail = self._monitor.restart(claim, claim.goal, claim.topic, ())
                 whole = {"state": ClaimState.ACTIVE, "detail": detail}
@@ -237,7 +241,21 @@ class Repair:
             return
         self._failures.forgive(claim_id)
         reason = f"mended: {fault.what}" if claim.is_made else "it can be made now"
+        if claim.bindings not in ((), done.bindings):
+            done.remarks.insert(0, _changed_bindings(done.bindings))
         self._table.change(claim_id, with_remarks(reason, done), **outcome(done))
+
+    def _follow_bindings(self, claim: Claim) -> None:
+        """Tell what the variables of a claim stand for now, if that was changed from elsewhere."""
+        if not claim.bindings:
+            return
+        topology = self._context.connector.topology()
+        for producer in topology.producers(claim.topic):
+            ways = [tuple(sorted(way.items())) for way in topology.ways_to_serve(producer, claim)]
+            if ways and claim.bindings not in ways:
+                reason = _changed_bindings(ways[0])
+                self._table.change(claim.claim_id, reason, bindings=ways[0])
+                return
 
     def _give_up(self, claim: Claim, fault: Fault, answer: NoPlan) -> None:
         """Say that there is no way now, and whether one is to be expected without a change."""
@@ -256,9 +274,9 @@ class Repair:
         changes: Dict[str, Any] = {"state": state, "detail": detail}
         if state is ClaimState.PENDING and claim.is_made:
             if self._collector.take_apart(claim):
-                kept = set(self._planner.own(claim).values()) & set(claim.wiring)
-                wiring: Dict[str, Dict[str, str]] = {name: {} for name in kept}
-                changes.update(wiring=wiring, goal=("", ""), sources=())
+                own = {each.name for each in self._planner.own(claim)}
+                wiring: Dict[str, Dict[str, str]] = {name: {} for name in own & set(claim.wiring)}
+                changes.update(wiring=wiring, goal=("", ""), sources=(), bindings=())
             else:
                 still = "but a part of it cannot be disconnected yet"
                 changes.update(state=ClaimState.FAILED, detail=f"{detail}; {still}")
@@ -287,9 +305,14 @@ def outcome(done: AssemblyResult) -> Dict[str, Any]:
         "goal": done.goal,
         "wiring": done.wiring,
         "sources": tuple(sorted(done.sources)),
+        "bindings": done.bindings,
         "state": ClaimState.ACTIVE,
         "detail": done.detail,
     }
+
+
+def _changed_bindings(bindings: Bindings) -> str:
+    return f"{written_bindings(bindings)} from now on"
 
 
 def with_remarks(reason: str, done: AssemblyResult) -> str:

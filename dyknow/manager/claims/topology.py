@@ -391,6 +391,11 @@ class Topology:
             producer.tags, producer.datatype, demand, self._ontology
         )
 
+    def ways_to_serve(self, producer: Producer, claim: Claim) -> List[Way]:
+        """List what the variables of a claim's tag may stand for in what a producer sends."""
+        demand = demand_of([claim])
+        return list(ways_to_meet(producer.tags, producer.datatype, demand, self._ontology))
+
     def fits(self, producer: Producer, consumer: Consumer) -> bool:
         """Whether a producer sends what a consumer demands, beside what its nodelet receives."""
         if consumer.ends < 0 or producer.is_unbound:

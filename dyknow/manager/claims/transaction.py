@@ -54,7 +54,13 @@ class Transaction:
         Raises:
             DyKnowError: it did not work.
         """
-        planned = Record(request.name, transformation, "", topics=request.config)
+        planned = Record(
+            request.name,
+            transformation,
+            "",
+            topics=request.config,
+            parameters=request.parameters,
+        )
         self._make_way(planned, request.config)
         record = self._manager.lifecycle.spawn(transformation, request, True, near)
         self.spawned.append(record.name)

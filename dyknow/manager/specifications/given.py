@@ -16,7 +16,7 @@ from dyknow.manager.specifications.findings import listed, meant, shorten
 from dyknow.manager.specifications.tags import read_tags
 from dyknow.manager.specifications.values import BadValue, infer_type, parse_value
 from dyknow.model.placeholders import fill, variables_of
-from dyknow.model.transformation import Parameter, Transformation
+from dyknow.model.transformation import OUT, Parameter, Transformation
 
 
 def bindings_of(given: Iterable[Parameter]) -> Dict[str, str]:
@@ -27,6 +27,23 @@ def bindings_of(given: Iterable[Parameter]) -> Dict[str, str]:
 def names_of(given: Iterable[Parameter]) -> Tuple[str, ...]:
     """Return the names of the parameters that are given, without the variables."""
     return tuple(each.name for each in given if each.name[:1] != "?")
+
+
+def filling(transformation: Transformation, bindings: Mapping[str, str]) -> Tuple[Parameter, ...]:
+    """Return what has to be given to a nodelet so that its parameters are filled."""
+    texts = [parameter.text for parameter in transformation.parameters]
+    used = sorted({variable for text in texts for variable in variables_of(text)})
+    return tuple(Parameter(variable, "string", bindings[variable]) for variable in used)
+
+
+def exposed_variables(transformation: Transformation) -> Set[str]:
+    """Return the variables that tell nodelets apart: those of out-ports and parameters."""
+    texts = [parameter.text for parameter in transformation.parameters]
+    found = {variable for text in texts for variable in variables_of(text)}
+    for port in transformation.ports:
+        if port.direction == OUT:
+            found.update(each for term in read_tags(port.tags) for each in term.variables)
+    return found
 
 
 def completed(transformation: Transformation, given: Sequence[Parameter]) -> Tuple[Parameter, ...]:

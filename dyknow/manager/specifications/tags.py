@@ -35,6 +35,11 @@ NO_BINDINGS: Mapping[str, str] = MappingProxyType({})
 """No variable stands for anything."""
 
 
+def written_bindings(bindings: Bindings) -> str:
+    """Write bindings for people: ``?camera=left, ?robot=nao``."""
+    return ", ".join(f"{variable}={name}" for variable, name in bindings)
+
+
 class Term(NamedTuple):
     """A functor and its arguments.
 

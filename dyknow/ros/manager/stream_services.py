@@ -130,6 +130,10 @@ class StreamServices:
             raise BadParameter(
                 "max_silence", f"{request.max_silence:g}", "seconds from 0 (which means: never)"
             )
+        for name in ("min_rate", "max_age", "prefer", "avoid", "budget"):
+            if getattr(request, name):
+                what = "nothing yet: this manager does not serve it"
+                raise BadParameter(name, getattr(request, name), what)
         _lease(request)
         return acquire_from(request)
 

@@ -84,6 +84,8 @@ class TestPlan:
             "spawned": ["camera"],
             "reused": [],
             "plan": "Raw(camera): cost 1 (proven least)\n└─ camera.image (new, cost 1)",
+            "bindings": [],
+            "least_cost": 1.0,
         }
 
     def test_what_was_left_out_is_told(self, client: FakeClient) -> None:

@@ -30,7 +30,9 @@ numbers = st.integers(0, 2**32 - 1)
 seconds = st.integers(0, 2**31 - 1).map(lambda number: number / 8)
 directions = st.sampled_from([IN, OUT])
 ports = st.builds(PortState, words, directions, words, words, st.tuples(words))
-streams = st.builds(StreamStatus, expires=seconds, nodelets=st.tuples(words, words))
+streams = st.builds(
+    StreamStatus, expires=seconds, nodelets=st.tuples(words, words), bindings=st.tuples(words)
+)
 lines = st.text(st.characters(min_codepoint=32, max_codepoint=126), min_size=1, max_size=10)
 
 
@@ -137,6 +139,8 @@ def test_requests_for_streams(request: StreamRequest, dry_run: bool) -> None:
         expires=seconds,
         message=st.just("") | lines.filter(lambda line: not line.startswith("warning: ")),
         warnings=st.lists(lines, max_size=2).map(tuple),
+        bindings=st.tuples(words),
+        least_cost=seconds,
     )
 )
 def test_answers_that_are_yes(got: Acquisition) -> None:
