@@ -76,7 +76,11 @@ class Connector:
         """
         nodelets = self._nodelets(changed.name if changed is not None and is_replaced else "")
         if changed is not None:
-            nodelets.append(ends_of(changed))
+            ports = (
+                replace(port, topic=changed.topics.get(port.name, port.topic))
+                for port in changed.ports
+            )
+            nodelets.append(ends_of(replace(changed, ports=tuple(ports))))
         return Topology(
             nodelets,
             self._manager.existing_topics(),

@@ -15,10 +15,7 @@ RIGHT: Bindings = (("?c", "right"),)
 
 
 def plan(*instances: Instance) -> Plan:
-    steps = [
-        PlanStep(Action(label, 1, *[()] * (len(Action._fields) - 2)), (), bindings)
-        for label, bindings in instances
-    ]
+    steps = [PlanStep(Action(label, 1), (), bindings) for label, bindings in instances]
     label, bindings = instances[-1]
     demand = Demand(frozenset((parse_tag("Ball(?c)"),)))
     return Plan(demand, New(label, "out", bindings), tuple(steps), len(steps))

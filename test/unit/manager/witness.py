@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import itertools
 import re
-from typing import Callable, Dict, FrozenSet, List, Mapping, Set, Tuple
+from typing import Callable, Dict, FrozenSet, Iterable, Iterator, List, Mapping, Set, Tuple
 
 from dyknow.manager.claim import Claim
 from dyknow.manager.fake_host import FakeHost
@@ -20,6 +20,10 @@ from dyknow.model.streams import ClaimState
 Wrong = Tuple[str, str, str, str]
 """Who receives, at which port, on which topic, from whom."""
 Tags = Tuple[str, ...]
+Sources = Dict[str, List[Tuple[str, Tags]]]
+"""For each topic who sends there, and what it signs that with."""
+SILENT = ("sends nothing",)
+"""Instead of tags: what it sends depends on what it receives, and it receives nothing."""
 ORDINARY = "ordinary nodes"
 
 
@@ -40,19 +44,28 @@ class Concepts:
         return frozenset(found)
 
 
-def satisfies(supplied: str, demanded: str, concepts: Concepts) -> bool:
-    """Whether a stream of one tag is one of another tag."""
-    have, want = (re.findall(r"\??\w+", text) for text in (supplied, demanded))
+def satisfies(
+    supplied: str, demanded: str, concepts: Concepts, names: Mapping[str, str] = {}
+) -> bool:
+    """Whether a stream of one tag is one of another tag, where variables stand for names."""
+    have, want = re.split(r"[(),]\s*", supplied), re.split(r"[(),]\s*", demanded)
     if "?" in supplied or len(have) != len(want):
         return False
-    stands_for: Dict[str, str] = {}
+    stands_for = dict(names)
     for one, other in zip(have, want):
-        if other[0] == "?":
-            if stands_for.setdefault(other, one) != one:
+        variable, _, kind = other.partition(": ")
+        if variable[:1] == "?":
+            if stands_for.setdefault(variable, one) != one:
+                return False
+            if kind and kind not in concepts.names_above(one):
                 return False
         elif other not in concepts.names_above(one):
             return False
     return True
+
+
+def variables_in(tags: Iterable[str]) -> Set[str]:
+    return {variable for tag in tags for variable in re.findall(r"\?\w+", tag)}
 
 
 class Witness:
@@ -62,6 +75,7 @@ class Witness:
         signed: for each nodelet type its ports' tags: what its messages are signed with.
         described: tags of topics of ordinary nodes, by the label that says so.
         by_hand: nodelets made by hand.
+        given: returns what the variables of a nodelet were said to stand for.
         wrong: what is wrong now.
         guilt: what went wrong by a change that the manager made, with its last call.
     """
@@ -72,6 +86,7 @@ class Witness:
         self.signed: Dict[str, Dict[str, Tags]] = {}
         self.described: Dict[str, Tuple[str, Tags]] = {}
         self.by_hand: Set[str] = set()
+        self.given: Callable[[str], Mapping[str, str]] = lambda name: {}
         self.claims: Callable[[], List[Claim]] = list
         self.wrong: Set[Wrong] = set()
         self._willed: Set[Tuple[str, str, str]] = set()  # where people want what does not fit
@@ -111,7 +126,7 @@ class Witness:
             asked = self._signature(name).get(port, ())
             if direction == "in" and asked:
                 for source, tags in sources.get(topic, ()):
-                    if not self._serves(tags, asked):
+                    if not self._fits(name, port, tags, sources):
                         wrong.add((name, port, topic, source))
         for claim in self.claims():
             if claim.topic and not claim.state.ended:
@@ -155,10 +170,77 @@ class Witness:
             if source != ORDINARY and _publisher(source) not in {*self.by_hand, *self.host.slow}
         ]
 
-    def _serves(self, tags: Tags, asked: Tags) -> bool:
-        return all(any(satisfies(each, tag, self.concepts) for each in tags) for tag in asked)
+    def _serves(self, tags: Tags, asked: Tags, names: Mapping[str, str] = {}) -> bool:
+        return tags == SILENT or all(
+            any(satisfies(each, tag, self.concepts, names) for each in tags) for tag in asked
+        )
 
-    def _sources(self, hidden: bool = False) -> Dict[str, List[Tuple[str, Tags]]]:
+    def _fits(self, name: str, port: str, tags: Tags, sources: Sources) -> bool:
+        """Whether a nodelet may receive this at a port, with all that it receives at others."""
+        asked = self._signature(name)[port]
+        others = self._readings(name, sources, but=port) or [dict(self.given(name))]
+        return any(
+            self._serves(tags, asked, {**names, **more})
+            for names in others
+            for more in self._guesses(variables_in(asked) - names.keys(), [tags])
+        )
+
+    def _readings(self, name: str, sources: Sources, but: str = "") -> List[Dict[str, str]]:
+        """Try all names for the variables of what a nodelet receives."""
+        receives = [
+            (self._signature(name)[port], tags)
+            for other, port, direction, topic in self._ports()
+            if (other, direction) == (name, "in") and port != but and self._signature(name)[port]
+            for _, tags in sources.get(topic, ())
+            if tags != SILENT
+        ]
+        given = dict(self.given(name))
+        unknown = variables_in(tag for asked, _ in receives for tag in asked) - given.keys()
+        return [
+            {**given, **names}
+            for names in self._guesses(unknown, [tags for _, tags in receives])
+            if all(self._serves(tags, asked, {**given, **names}) for asked, tags in receives)
+        ]
+
+    def _guesses(self, variables: Set[str], supplied: Iterable[Tags]) -> Iterator[Dict[str, str]]:
+        names = {
+            name
+            for tags in supplied
+            for tag in tags
+            for name in re.split(r"[(),]\s*", tag)[1:]
+            if name
+        }
+        for choice in itertools.product(sorted(names), repeat=len(variables)):
+            yield dict(zip(sorted(variables), choice))
+
+    def _sources(self, hidden: bool = False) -> Sources:
+        """Who signs what arrives on each topic, under the names that variables stand for."""
+        signed: Dict[Tuple[str, str], Tags] = {}
+        for _ in range(len(self._ports()) + 1):
+            sources = self._sources_if(hidden, signed)
+            now: Dict[Tuple[str, str], Tags] = {}
+            for name, port, direction, topic in self._ports():
+                tags = self._signature(name).get(port, ())
+                if direction == "out" and topic and variables_in(tags):
+                    now[name, port] = self._signed(tags, self._readings(name, sources))
+            if now == signed:
+                break
+            signed = now
+        return sources
+
+    @staticmethod
+    def _signed(tags: Tags, readings: List[Dict[str, str]]) -> Tags:
+        if any(variables_in(tags) - names.keys() for names in readings):
+            return SILENT
+        written = []
+        for names in readings:
+            for tag in tags:
+                for variable, name in names.items():
+                    tag = re.sub(re.escape(variable) + r"\b(: \w+)?", name, tag)
+                written.append(tag)
+        return tuple(dict.fromkeys(written))
+
+    def _sources_if(self, hidden: bool, signed: Mapping[Tuple[str, str], Tags]) -> Sources:
         """Who signs what arrives on each topic; relays pass on what others signed."""
         found: Dict[str, List[Tuple[str, Tags]]] = {}
         relays: Dict[str, Dict[str, str]] = {}
@@ -167,6 +249,8 @@ class Witness:
                 relays.setdefault(name, {})[direction] = topic
             elif direction == "out" and topic:
                 tags = self._signature(name).get(port, ())
+                if variables_in(tags):
+                    tags = signed.get((name, port), SILENT)
                 found.setdefault(topic, []).append((f"{name}.{port}", tags))
         for topic in self.host.topics:
             texts = [tags for where, tags in self.described.values() if where == topic]
