@@ -94,24 +94,27 @@ class Connector:
         topics = dict(record.topics)
         made = {each.name for each in self._graph.all() if each.claimed}
         topology = self.topology(record)
-        before = set(self.topology().mismatches()) if topology.has_variables else set()
-        for topic, producer, consumer in topology.mismatches(
-            None if topology.has_variables else set(topics.values()) - {""}
-        ):
-            if topology.has_variables and record.name not in (producer.nodelet, consumer.nodelet):
-                # What it sends would change what others send.
-                if (topic, producer, consumer) not in before and (
-                    not consumer.nodelet or {producer.nodelet, consumer.nodelet} & made
-                ):
-                    topics.update(dict.fromkeys(topology.listened_to(record.topics), ""))
-                continue
+        for topic, producer, consumer in topology.mismatches(set(topics.values()) - {""}):
             for end, other in ((producer, consumer), (consumer, producer)):
                 # What people spawned and connected with each other is their own affair.
                 is_client = other is consumer and not consumer.nodelet
                 concerns_claims = record.claimed or is_client or other.nodelet in made
                 if concerns_claims and _is_at(end, record.name, record.topics, topic):
                     topics[end.port] = ""
+        if topology.has_variables and self._misleads(replace(record, topics=topics), made):
+            topics.update(dict.fromkeys(topology.listened_to(topics), ""))
         return topics
+
+    def _misleads(self, record: Record, made: Set[str]) -> bool:
+        """Whether others, of claims, would send what is not demanded because of a nodelet."""
+        absent = replace(record, topics={}, ports=())
+        before = set(self.topology(absent, is_replaced=True).mismatches())
+        return any(
+            record.name not in (producer.nodelet, consumer.nodelet)
+            and (not consumer.nodelet or {producer.nodelet, consumer.nodelet} & made)
+            for topic, producer, consumer in self.topology(record, is_replaced=True).mismatches()
+            if (topic, producer, consumer) not in before
+        )
 
     def in_the_way(self, record: Record, config: Config) -> Dict[str, Dict[str, str]]:
         """List what has to be disconnected before a nodelet's ports may be connected so.

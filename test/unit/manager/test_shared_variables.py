@@ -12,7 +12,7 @@ import pytest
 from unit.manager.field import IMAGE, Field, specification
 from unit.manager.witness import Concepts, Witness
 
-from dyknow.errors import NoPlanFound
+from dyknow.errors import HostError, NoPlanFound
 from dyknow.manager.claims.answers import StreamAnswers
 from dyknow.model.streams import ClaimState
 from dyknow.model.transformation import Parameter
@@ -198,3 +198,41 @@ def test_a_claim_follows_when_people_connect_its_source_elsewhere(lab: Lab) -> N
     now = field.claim(claim.claim_id)
     assert (now.state, now.bindings) == (ClaimState.ACTIVE, (("?c", "right"),))
     assert any("?c=right from now on" in each for each in field.reasons())
+
+
+def test_others_are_cut_off_before_a_nodelet_supplies_something_else(lab: Lab) -> None:
+    lab.add_detector()
+    lab.add("keeper", {"in": ("in", ["Ball(left)"])})
+    field = lab.field
+    claim = field.acquire("Ball(?c)").claim
+    lab.settle()
+    field.spawn("keeper", "/keeper", config={"in": claim.topic})
+    lab.witness.excuse()
+    assert lab.reads("/keeper") == ["detector"]
+    field.manager.remove_transformation("camera left")
+    lab.settle()
+    assert field.claim(claim.claim_id).bindings == (("?c", "right"),)
+    assert lab.reads("/keeper") == []
+
+
+def test_what_comes_back_does_not_change_what_others_receive(lab: Lab) -> None:
+    lab.add("detector", {"image": ("in", ["Image(?c)"]), "ball": ("out", ["Ball(?c)"])})
+    field = lab.field
+    field.spawn("camera right", "/right", config={"out": "/shared"}, isolated=True)
+
+    def fail(operation: str, argument: str) -> None:
+        if operation == "load" and argument == "/right":
+            raise HostError("not yet")
+
+    field.host.fail = fail
+    field.host.kill(field.manager.graph.get("/right").manager)
+    field.settle()
+    field.spawn("camera left", "/left", config={"out": "/shared"})
+    claim = field.acquire("Ball(left)").claim
+    assert field.host.publishers("/shared") == ["/left"]
+    assert field.host.nodelet(claim.goal[0]).topics("in") == ["/shared"]
+    field.host.fail = lambda operation, argument: None
+    lab.settle(60.0)
+    assert field.host.nodelet("/right").topics("out") == []
+    now = field.claim(claim.claim_id)
+    assert (now.state, now.goal, now.bindings) == (ClaimState.ACTIVE, claim.goal, ())

@@ -10,7 +10,7 @@ the fake host, and again after each round of the manager.
 from __future__ import annotations
 
 import itertools
-from typing import Dict, List, Sequence, Tuple
+from typing import Dict, List, Mapping, Sequence, Tuple
 
 import pytest
 from hypothesis import HealthCheck
@@ -24,25 +24,29 @@ from hypothesis.stateful import (
 from property_tests import examples
 from unit.manager.faulty_lives import NUMBERS, FaultyLife
 from unit.manager.field import Field, specification
-from unit.manager.witness import Concepts, Witness
+from unit.manager.witness import Concepts, Witness, variables_in
 
 from dyknow.errors import DyKnowError, HostError
 from dyknow.model.graph import SpawnRequest
 from dyknow.model.streams import ClaimState
+from dyknow.model.transformation import Parameter
 
 CONCEPTS = Concepts({"Frame": "Image", "left": "camera", "right": "camera"})
 TYPE = "test/Signed"
 GROUND = ["Image(left)", "Image(right)", "Frame(left)", "Ball(red)", "Ball(blue)", "Goal(red)"]
-OPEN = ["Image(?c)", "Image(camera)", "Frame(?c)", "Ball(?b)"]
+OPEN = ["Image(?c)", "Image(camera)", "Frame(?c)", "Ball(?b)", "Image(?b: camera)", "Goal(?c)"]
+BOUND = ["Frame(?c)", "Ball(?c)", "Ball(?b)", "Goal(?b)"]
 SUPPLIED = st.lists(st.sampled_from(GROUND), min_size=1, max_size=2, unique=True)
+SENT = st.lists(st.sampled_from(GROUND + BOUND), min_size=1, max_size=2, unique=True)
 DEMANDED = st.sampled_from(GROUND + OPEN)
 LABELS = st.sampled_from([f"part {letter}" for letter in "abcdef"])
 ORDINARY = st.sampled_from(["/sensor", "/other_sensor"])
 PLAN = st.tuples(
     st.lists(DEMANDED, max_size=2),
-    st.lists(SUPPLIED, min_size=1, max_size=2),
+    st.lists(SENT, min_size=1, max_size=2),
     st.integers(0, 3),
     st.sampled_from([False, False, False, True]),
+    st.booleans(),
 )
 
 
@@ -53,13 +57,15 @@ class Truth(FaultyLife):
         super().__init__()
         self.witness = Witness(self.field.host, CONCEPTS)
         self.witness.claims = lambda: self.field.reconciler.claims()
+        self.witness.given = self.given
         self.types = itertools.count(1)
         self.hands = itertools.count(1)
         self.add("part a", [], [["Image(left)"]])
         self.add("part b", [], [["Image(right)"]], cost=2)
         self.add("part c", ["Image(left)"], [["Frame(left)"]])
         self.add("part d", ["Image(?c)"], [["Ball(red)"], ["Ball(blue)"]])
-        self.add("part e", ["Ball(?b)", "Image(right)"], [["Goal(red)"]])
+        self.add("part e", ["Ball(?b)", "Image(?c)"], [["Goal(?b)"]], is_filled=True)
+        self.add("part f", ["Image(?c)", "Frame(?c)"], [["Ball(?c)"]])
 
     def make_field(self, path: str) -> Field:
         relay = {"dyknow/Relay": [("in", "in", "*"), ("out", "out", "*")]}
@@ -108,8 +114,11 @@ class Truth(FaultyLife):
         supplied: Sequence[Sequence[str]],
         cost: int = 1,
         is_plain: bool = False,
+        is_filled: bool = False,
     ) -> None:
         source = f"test/T{next(self.types)}"
+        variables = variables_in(demanded)
+        supplied = [[tag for tag in tags if variables_in([tag]) <= variables] for tags in supplied]
         named: Dict[str, Tuple[str, Sequence[str]]] = {
             f"in{number}": ("in", (tag,)) for number, tag in enumerate(demanded)
         }
@@ -119,7 +128,14 @@ class Truth(FaultyLife):
         if is_plain:
             self.field.host.cpp.add(source)
         self.witness.signed[source] = {name: tags for name, (_, tags) in named.items()}
-        self.field.manager.add_transformation(specification(label, source, named, cost, TYPE))
+        text = specification(label, source, named, cost, TYPE)
+        if is_filled:
+            texts = [f"${{{each}}}" for each in sorted(variables)]
+            lines = [
+                f'<param name="p{n}" type="string">{each}</param>' for n, each in enumerate(texts)
+            ]
+            text = text.replace("<ports>", f"<params>{''.join(lines)}</params><ports>")
+        self.field.manager.add_transformation(text)
         self.witness.described.pop(label, None)
         self.witness.excuse()
 
@@ -151,8 +167,17 @@ class Truth(FaultyLife):
         except DyKnowError:
             return
         config = {port.name: topics[number % len(topics)] for port, number in zip(ports, numbers)}
+        tags = [tag for port in ports for tag in port.tags]
+        names = ("left", "right", "red", "blue")
+        given = tuple(
+            Parameter(variable, "string", names[numbers[-1] % len(names)])
+            for variable in sorted(variables_in(tags))
+        )
+        given = given if numbers[0] % 2 else ()
         self.witness.by_hand.add(name)
-        self.asked(lambda: self.field.manager.spawn(SpawnRequest(label, name, config=config)))
+        self.asked(
+            lambda: self.field.manager.spawn(SpawnRequest(label, name, config, parameters=given))
+        )
         self.witness.excuse()
         self.witness.guilt.clear()
 
@@ -252,6 +277,10 @@ class Truth(FaultyLife):
         assert self.witness.fed_while_pending() == []
 
     # How it is done
+
+    def given(self, name: str) -> Mapping[str, str]:
+        record = self.field.manager.graph.find(name)
+        return record.given if record is not None else {}
 
     def topics(self) -> List[str]:
         """Every topic to which a port is connected."""
