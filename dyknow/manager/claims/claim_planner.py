@@ -141,7 +141,7 @@ class ClaimPlanner:
                 and all(set(each.request.exclude) <= set(claim.request.exclude) for each in users)
             ):
                 exposed = exposed_variables(record.transformation)
-                ways = topology.ways(name) if exposed else None
+                ways = topology.dependent.ways(name) if exposed else None
                 present = {_restricted(way, exposed) for way in ways or ()}
                 bound = min(present) if len(present) == 1 else ()
                 is_certain = {variable for variable, _ in bound} == exposed

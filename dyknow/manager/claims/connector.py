@@ -18,7 +18,8 @@ from typing import Callable, Dict, Iterator, List, Mapping, Optional, Set, Tuple
 
 from dyknow.errors import Busy, DyKnowError, HostError, HostTimeout, WrongStream
 from dyknow.manager.claims.claim_table import ClaimTable
-from dyknow.manager.claims.topology import Consumer, NodeletEnds, Producer, Topology, ends_of
+from dyknow.manager.claims.ends import Consumer, NodeletEnds, Producer, ends_of
+from dyknow.manager.claims.topology import Topology
 from dyknow.manager.manager import Manager
 from dyknow.manager.record import Record, seen_ports, topics_of
 from dyknow.manager.specifications.tags import Subsumption
@@ -101,7 +102,7 @@ class Connector:
                 concerns_claims = record.claimed or is_client or other.nodelet in made
                 if concerns_claims and _is_at(end, record.name, record.topics, topic):
                     topics[end.port] = ""
-        if topology.has_variables and self._misleads(replace(record, topics=topics), made):
+        if topology.dependent and self._misleads(replace(record, topics=topics), made):
             topics.update(dict.fromkeys(topology.listened_to(topics), ""))
         return topics
 
@@ -128,14 +129,15 @@ class Connector:
         changed = replace(record, topics={**record.topics, **config})
         cut: Dict[str, Dict[str, str]] = {}
         topics = set(config.values()) - {""}
-        for topic, producer, consumer in self.topology(changed).mismatches(topics):
+        topology = self.topology(changed)
+        for topic, producer, consumer in topology.mismatches(topics):
             if _is_at(consumer, record.name, config, topic) or (
                 not consumer.nodelet and _is_at(producer, record.name, config, topic)
             ):
                 raise WrongStream(topic, producer.nodelet, consumer.nodelet)
             if _is_at(producer, record.name, config, topic):
                 cut.setdefault(consumer.nodelet, {})[consumer.port] = ""
-        for topic, producer, consumer in self._changed(changed):
+        for topic, producer, consumer in self._changed(changed) if topology.dependent else ():
             if not consumer.nodelet or _is_at(consumer, record.name, config, topic):
                 raise WrongStream(topic, producer.nodelet, consumer.nodelet)
             cut.setdefault(consumer.nodelet, {})[consumer.port] = ""
@@ -149,17 +151,15 @@ class Connector:
         Args:
             changed: a nodelet as it would be.
         """
-        before = self.topology()
-        after = self.topology(changed, is_replaced=True)
-        if not after.has_variables:
-            return
-        elsewhere = before.supplies()
-        for place, possible in sorted(after.supplies().items()):
+        before, after = self.topology(), self.topology(changed, is_replaced=True)
+        elsewhere = before.dependent.supplies()
+        for place, possible in sorted(after.dependent.supplies().items()):
             known = elsewhere.get(place, possible)
             if possible == known or all(each.is_unbound for each in possible):
                 continue
             was_silent = all(each.is_unbound for each in known)
-            for topic in sorted({*before.topics_of(place)} & {*after.topics_of(place)}):
+            stays = {*before.dependent.topics_of(place)} & {*after.dependent.topics_of(place)}
+            for topic in sorted(stays):
                 for consumer in after.consumers(topic):
                     may_stay = was_silent or consumer.nodelet in ("", changed.name)
                     for producer in sorted(possible):

@@ -13,7 +13,7 @@ from dyknow.backoff import Backoff
 from dyknow.errors import DyKnowError
 from dyknow.manager.claim import Claim
 from dyknow.manager.claims.context import ClaimContext
-from dyknow.manager.claims.topology import Consumer, Producer
+from dyknow.manager.claims.ends import Consumer, Producer
 from dyknow.manager.record import Record
 from dyknow.model.graph import State
 from dyknow.model.streams import ClaimState

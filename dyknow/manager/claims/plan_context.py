@@ -142,7 +142,7 @@ class PlanContext:
             transformation = self._manager.library.get(source.label)
         ports = transformation.ports if transformation is not None else ()
         tags = next((port.tags for port in ports if port.name == source.port or not name), ())
-        possible = topology.supplies().get((name, source.port))
+        possible = topology.dependent.supplies().get((name, source.port))
         if possible is None:
             return tuple(term for term in read_tags(tags) if term.is_ground)
         return next(iter(possible)).tags if len(possible) == 1 else ()
