@@ -43,6 +43,7 @@ was expected. ``dyknow.ros`` alone turns exceptions into answers of services.
     │   └── InvalidParameters        all that is wrong with the parameters given to a nodelet
     ├── StreamError
     │   ├── InvalidTag               a tag is not a term
+    │   │   └── InvalidType          the type of a variable is malformed
     │   ├── NoPlanFound              no plan supplies the stream; the text names what is missing
     │   ├── StreamTypeMismatch       the stream has another type than was asked for
     │   ├── WrongStream              a listener would receive what it does not demand

@@ -45,13 +45,8 @@ def _plan(arguments: argparse.Namespace, shell: Shell) -> None:
     if arguments.dot:
         result["dot"] = dot
     lines = (dot or answer.plan).rstrip("\n").split("\n")
-    if not arguments.dot:
-        if answer.bindings:
-            lines.append(f"with {', '.join(answer.bindings)}")
-        if answer.least_cost < answer.cost:
-            lines.append(
-                f"perhaps there is a plan of cost {answer.least_cost:g} to {answer.cost:g}"
-            )
+    if answer.bindings and not arguments.dot:
+        lines.append(f"with {', '.join(answer.bindings)}")
     shell.show(result, lines)
 
 

@@ -19,7 +19,8 @@ from dyknow.manager.planning.patterns import (
     Types,
     atoms_of,
 )
-from dyknow.manager.specifications.tags import Term, placeholders, types_of
+from dyknow.manager.specifications.tags import Term, types_of
+from dyknow.model.placeholders import variables_of
 from dyknow.model.transformation import Transformation
 
 _Terms = Tuple[Term, ...]
@@ -125,7 +126,7 @@ def rule_of(
         names: how names are related.
     """
     texts = [parameter.text for parameter in transformation.parameters]
-    parameters = tuple(dict.fromkeys(each for text in texts for each in placeholders(text)))
+    parameters = tuple(dict.fromkeys(each for text in texts for each in variables_of(text)))
     exposed = {each for term in out for each in term.variables}.union(parameters)
     by_port = [
         list(dict.fromkeys(v for term in port.terms for v in term.variables)) for port in ports

@@ -20,7 +20,6 @@ from dyknow.errors import InvalidTag, InvalidType
 
 _TERM = re.compile(r"\s*([^(),?]*[^(),?\s])\s*(?:\(([^()]*)\)\s*)?\Z")
 _ARGUMENT = re.compile(r"\??[^(),?]*[^(),?\s]\Z")
-_PLACEHOLDER = re.compile(r"\$\{(\?[^{}]+)\}")
 
 #: Lists of tags whose terms are remembered.
 _REMEMBERED = 20_000
@@ -226,13 +225,3 @@ def types_of(terms: Iterable[Term]) -> Dict[str, frozenset[str]]:
             if type_:
                 found[arg] = found.get(arg, frozenset()) | {type_}
     return found
-
-
-def placeholders(text: str) -> Tuple[str, ...]:
-    """Return the variables that a text names as ``${?x}``, in the order written."""
-    return tuple(dict.fromkeys(_PLACEHOLDER.findall(text)))
-
-
-def fill(text: str, bindings: Mapping[str, str]) -> str:
-    """Put names in the places of ``${?x}``; variables that are not bound stay."""
-    return _PLACEHOLDER.sub(lambda found: bindings.get(found.group(1), found.group()), text)

@@ -19,10 +19,8 @@ from dyknow.manager.planning.supply import Demand, meets
 from dyknow.manager.specifications.tags import (
     NoOntology,
     Term,
-    fill,
     matches,
     parse_tag,
-    placeholders,
     types_of,
     unify,
     unify_all,
@@ -210,9 +208,3 @@ def test_all_tags_are_matched_under_the_same_bindings() -> None:
 def test_types_add_up_over_the_occurrences() -> None:
     terms = [parse_tag("A(?x: Robot)"), parse_tag("B(?x: NAO, ?y)")]
     assert types_of(terms) == {"?x": {"Robot", "NAO"}}
-
-
-def test_texts_name_variables_as_placeholders() -> None:
-    text = "/${?camera}/x ${label} ${?y}"
-    assert placeholders(text) == ("?camera", "?y")
-    assert fill(text, {"?camera": "cam1"}) == "/cam1/x ${label} ${?y}"
