@@ -145,7 +145,9 @@ class ServicesTest(ManagerCase):
         self.assertIn("/nobody", self.refused("relay", "/fail", manager="/nobody"))
         self.assertIn("?", self.refused("relay", "what?"))
         doubled = rospy.ServiceProxy(f"{MANAGER}/spawn", Spawn)(
-            "relay", "/fail", False, False, [PortConfig("in", "/a"), PortConfig("in", "/b")], ""
+            label="relay",
+            name="/fail",
+            config=[PortConfig("in", "/a"), PortConfig("in", "/b")],
         )
         self.assertFalse(doubled.success)
         self.assertIn("twice", doubled.message)

@@ -183,7 +183,7 @@ class CommandTest(StreamCase):
 
     def test_a_stream_held_by_a_shell(self):
         manager = self.tracking()
-        self.assertIn("filter.out (new, cost 1)", self.run_it("plan", GOAL))
+        self.assertIn("filter.out [?camera=own] (new, cost 1)", self.run_it("plan", GOAL))
         self.assertIn("digraph", self.run_it("plan", GOAL, "--dot"))
         with Running(*DYKNOW, "acquire", GOAL) as shell:
             shell.wait_for("held until Ctrl-C")
