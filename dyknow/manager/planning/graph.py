@@ -8,6 +8,7 @@ from __future__ import annotations
 import heapq
 from typing import AbstractSet, Dict, Iterable, List, Optional, Sequence, Set, Tuple
 
+from dyknow.manager.planning.budget import Budget
 from dyknow.manager.planning.instances import LIVE, Instances
 from dyknow.manager.planning.knuth import Chosen, Values
 
@@ -116,11 +117,13 @@ class Graph:
                     waiting.append(below)
         return waiting
 
-    def pruned(self, actions: Iterable[int], order: Sequence[int]) -> List[int]:
-        """Leave out actions that the goal is reached without, tried in an order."""
+    def pruned(self, actions: Iterable[int], order: Sequence[int], budget: Budget) -> List[int]:
+        """Leave out actions that the goal is reached without, as far as the budget lasts."""
         kept = set(self.followed(self.derive(set(actions))))
         for action in order:
-            if action in kept and not self._is_alone(action, kept):
+            if action not in kept or self._is_alone(action, kept):
+                continue
+            if budget.spend(4 * len(kept)):
                 way = self.derive(kept - {action})
                 if 0 in way:
                     kept = set(self.followed(way))

@@ -25,8 +25,8 @@ from dyknow.manager.planning.landmarks import landmark_bound
 
 #: Actions beyond which a plan is not improved.
 _MOST_ACTIONS = 10_000
-#: Entries of the search for what is worthwhile that are looked at for each step of the budget.
-_EFFORT = 20
+#: Steps that it takes to copy a part of the search into a graph of its own.
+_COPIED = 50
 #: Part of the budget that the exact search may take.
 _EXACT = 0.25
 #: Most actions that are taken out of a plan at once.
@@ -91,10 +91,8 @@ def improve(instances: Instances, draft: PlanDraft, budget: Budget) -> Improved:
         return Improved(draft, 0, False)
     if len(draft.actions) > _MOST_ACTIONS or budget.steps <= 0:
         return Improved(draft, 0, False)
-    most = budget.steps // _EFFORT
-    values = cheapest(instances, use_sum=False, below=draft.cost, most=most)
+    values = cheapest(instances, use_sum=False, below=draft.cost, budget=budget)
     goal = instances.reach.goal
-    budget.spend(_EFFORT * len(values.offers))
     if values.is_complete and not values.is_met(goal):
         return Improved(draft, draft.cost, False)
     floor = values.value[goal] if values.is_met(goal) else values.reached
@@ -103,7 +101,8 @@ def improve(instances: Instances, draft: PlanDraft, budget: Budget) -> Improved:
         draft = other
     if draft.cost <= floor:
         return Improved(draft, draft.cost, False)
-    if not values.is_met(goal):
+    edges = sum(map(len, values.offers.values()))
+    if not values.is_met(goal) or not budget.spend(_COPIED * edges):
         return Improved(draft, floor, budget.is_cut_short)
     return _Improvement(instances, Graph(instances, values), values, budget).run(draft, floor)
 
@@ -127,7 +126,7 @@ class _Improvement:
             way = graph.cheapest_tree(graph.costs)
             assert way is not None
             best = sorted(graph.followed(way))
-        best = graph.pruned(best, sorted(best, key=lambda each: -graph.costs[each]))
+        best = graph.pruned(best, sorted(best, key=lambda each: -graph.costs[each]), budget)
         least = min(draft.cost, graph.cost(best))
         if bound < least:
             left = int(budget.steps * (1 - _EXACT))
@@ -163,8 +162,7 @@ class _Improvement:
             assert way is not None
             found = {*kept, *graph.followed(way)}
             order = sorted(found, key=lambda each: (-costs[each] * chance.random(), each))
-            budget.spend(len(found) * graph.size * len(found) // len(costs))
-            plan = graph.pruned(found, order)
+            plan = graph.pruned(found, order, budget)
             cost = graph.cost(plan)
             if cost <= price:
                 present, price = plan, cost

@@ -16,6 +16,7 @@ import heapq
 from dataclasses import dataclass, field
 from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple, Union
 
+from dyknow.manager.planning.budget import Budget
 from dyknow.manager.planning.instances import LIVE, Instances
 from dyknow.manager.planning.joins import Join, Pairs, Partial
 from dyknow.manager.planning.patterns import Theta
@@ -27,6 +28,8 @@ Chosen = Union[Mapping[int, int], Sequence[int]]
 _CLOSED, _OPEN = -2, -1
 #: Bits for the rank of a label below a cost, in the keys by which the search goes on.
 _BITS = 32
+#: Steps of a budget that a final action, and an arrival at an in-port that is joined, take.
+_EFFORT = 20
 _RANK = (1 << _BITS) - 1
 
 
@@ -59,7 +62,7 @@ def cheapest(
     instances: Instances,
     use_sum: bool = True,
     below: Optional[int] = None,
-    most: Optional[int] = None,
+    budget: Optional[Budget] = None,
 ) -> Values:
     """Value the nodes that can be met, up to the goal.
 
@@ -68,20 +71,25 @@ def cheapest(
         use_sum: use the sum over the inputs, the cost of a tree, in which shared parts are paid
             again; else the maximum over the inputs, which is a lower bound for every plan.
         below: go on beyond the goal, and value everything that costs less than this.
-        most: actions after which the search ends, if it goes on beyond the goal.
+        budget: what the search may take, if it goes on beyond the goal: half of what is left.
     """
-    return _Search(instances, use_sum, below, most).run()
+    return _Search(instances, use_sum, below, budget).run()
 
 
 class _Search:
     def __init__(
-        self, instances: Instances, use_sum: bool, below: Optional[int], most: Optional[int]
+        self,
+        instances: Instances,
+        use_sum: bool,
+        below: Optional[int],
+        budget: Optional[Budget],
     ) -> None:
         network, reach = instances.network, instances.reach
         self._instances = instances
         self._combine: Callable[[Any], int] = sum if use_sum else max
         self._below = below
-        self._most = most
+        self._budget = budget
+        self._spent = 0  # steps since the budget was asked last
         self._missing = reach.missing.copy()
         self._ranks, self._by_rank = network.ranks()
         count = instances.node_count
@@ -115,7 +123,8 @@ class _Search:
         )
         needs, missing, combine = instances.needs, self._missing, self._combine
         ranks, by_rank = self._ranks, self._by_rank
-        below, most, goal = self._below, self._most, reach.goal
+        below, budget, goal = self._below, self._budget, reach.goal
+        left = budget.steps // 2 if budget is not None else 0
         pop, push = heapq.heappop, heapq.heappush
         value_of = value.__getitem__
         for action in reach.actions:
@@ -134,11 +143,11 @@ class _Search:
             if below is not None:
                 if price >= below:
                     break
-                if most is not None:
-                    most -= 1
-                    if most < 0:
+                if budget is not None:
+                    if not budget.spend(_EFFORT + self._spent) or budget.steps < left:
                         values.is_complete = False
                         break
+                    self._spent = 0
             if is_partial:
                 self._advance(price)
                 continue
@@ -159,8 +168,8 @@ class _Search:
                     if user < 0:
                         self._arrive(~user, demand, Partial(price, (), (demand,)))
                         continue
-                    left = missing[user] = missing[user] - 1
-                    if not left:
+                    lacking = missing[user] = missing[user] - 1
+                    if not lacking:
                         own = costs[user] + combine(map(value_of, needs[user]))
                         push(heap, own << _BITS | ranks[user])
         return values
@@ -206,6 +215,7 @@ class _Search:
 
     def _arrive(self, rule: int, demand: int, one: Partial) -> None:
         """Let a node supply the in-ports of an action that joins them."""
+        self._spent += _EFFORT
         join = self._values.joins.get(rule)
         if join is None:
             return  # the goal does not reach it

@@ -259,3 +259,57 @@ def test_shared_parts_are_counted_once() -> None:
     answer = plan(library, "G")
     assert isinstance(answer, Plan)
     assert answer.cost == 5
+
+
+def test_instances_of_one_transformation_stand_in_one_plan() -> None:
+    library = [
+        make("cam1", [], ["Raw(cam1)"], 3),
+        make("cam2", [], ["Raw(cam2)"], 4),
+        make("rectifier", ["Raw(?c)"], ["Rect(?c)"], 2),
+        make("stereo", ["Rect(cam1)", "Rect(cam2)"], ["Depth"], 1),
+    ]
+    answer = plan(library, "Depth")
+    assert isinstance(answer, Plan)
+    bound = [(step.action.label, step.bindings) for step in answer.steps]
+    assert ("rectifier", (("?c", "cam1"),)) in bound
+    assert ("rectifier", (("?c", "cam2"),)) in bound
+    assert answer.cost == answer.least_cost == 12
+
+
+def test_in_ports_that_share_a_variable_have_one_individual() -> None:
+    library = [
+        make("cheap image", [], ["Image(cam1)"], 1),
+        make("dear image", [], ["Image(cam2)"], 9),
+        make("pose", [], ["Pose(cam2)"], 1),
+        make("map", ["Image(?c)", "Pose(?c)"], ["Map(?c)"], 1),
+    ]
+    answer = plan(library, "Map(?which)")
+    assert isinstance(answer, Plan)
+    assert (answer.cost, answer.bindings) == (11, (("?which", "cam2"),))
+
+
+def test_what_is_missing_under_bindings_is_named() -> None:
+    library = [
+        make("image", [], ["Image(cam1)"]),
+        make("pose", [], ["Pose(cam2)"]),
+        make("map", ["Image(?c)", "Pose(?c)"], ["Map(?c)"]),
+    ]
+    answer = plan(library, "Map(?which)")
+    assert isinstance(answer, NoPlan)
+    assert [str(each) for each in answer.missing] == ["Pose(cam1)"]
+    answer = plan(library, "Map(cam2)")
+    assert isinstance(answer, NoPlan)
+    assert [str(each) for each in answer.missing] == ["Image(cam2)"]
+
+
+def test_one_nodelet_is_free_for_one_instance() -> None:
+    library = [
+        make("cam1", [], ["Raw(cam1)"], 0),
+        make("cam2", [], ["Raw(cam2)"], 0),
+        make("rectifier", ["Raw(?c)"], ["Rect(?c)"], 2),
+        make("stereo", ["Rect(cam1)", "Rect(cam2)"], ["Depth"], 0),
+    ]
+    assert plan(library, "Rect(cam1)", free={"rectifier": (("?c", "cam1"),)}).cost == 0
+    assert plan(library, "Rect(cam2)", free={"rectifier": (("?c", "cam1"),)}).cost == 2
+    assert plan(library, "Rect(cam2)", free={"rectifier": ()}).cost == 0
+    assert plan(library, "Depth", free={"rectifier": ()}).cost == 2
