@@ -13,6 +13,7 @@ from dyknow.locks import state_lock, turn_lock
 from dyknow.manager.specifications.findings import listed
 from dyknow.manager.specifications.limits import DEFAULT_LIMITS, SpecificationLimits
 from dyknow.manager.specifications.specification import Specifications, parse
+from dyknow.manager.specifications.tags import NO_ONTOLOGY, Subsumption
 from dyknow.manager.specifications.variables import shares_variables
 from dyknow.manager.store import Store
 from dyknow.model.transformation import TOPIC, Transformation
@@ -30,7 +31,12 @@ _log = logging.getLogger("rosout.dyknow")
 
 
 class Library:
-    """Transformations by label, in memory and in the store; safe from any thread."""
+    """Transformations by label, in memory and in the store; safe from any thread.
+
+    Attributes:
+        ontology: what is a kind of what.
+        revision: grows with every change.
+    """
 
     def __init__(
         self,
@@ -42,11 +48,12 @@ class Library:
 
         Args:
             store: where the transformations are kept.
-            ontology: has the individuals of concepts, for templates.
+            ontology: has the individuals of concepts, for templates; None if there is none.
             limits: caps for texts and for the library.
         """
         self._store = store
-        self._ontology = ontology
+        self._concepts = ontology
+        self.ontology: Subsumption = NO_ONTOLOGY if ontology is None else ontology
         self._limits = limits
         self._turn = turn_lock("library")
         self._state_lock = state_lock("transformations")
@@ -100,7 +107,7 @@ class Library:
             SpecificationError: the text is wrong; nothing was added.
             LimitExceeded: the library would grow beyond its limit; nothing was added.
         """
-        specifications = parse(text, file_name, self._ontology, self._limits)
+        specifications = parse(text, file_name, self._concepts, self._limits)
         new = {each.label: each for each in specifications.transformations}
         with self._turn:
             count = len(self._by_label.keys() | new.keys())

@@ -29,6 +29,7 @@ from dyknow.manager.graph import Graph
 from dyknow.manager.host import Host, LoadRequest, ManagerState, NodeletKind
 from dyknow.manager.record import Record, declared_ports, seen_ports
 from dyknow.manager.specifications.given import completed, names_of, set_on_load
+from dyknow.manager.specifications.tags import Subsumption
 from dyknow.manager.suspects import Suspects
 from dyknow.model.graph import PortState, SpawnRequest, State
 from dyknow.model.transformation import TOPIC, Transformation
@@ -43,7 +44,13 @@ class Lifecycle:
     """Makes, restores, reloads and destroys the nodelets of the graph."""
 
     def __init__(
-        self, host: Host, graph: Graph, guards: Guards, spawn_timeout: float, suspects: Suspects
+        self,
+        host: Host,
+        graph: Graph,
+        guards: Guards,
+        spawn_timeout: float,
+        suspects: Suspects,
+        ontology: Subsumption,
     ) -> None:
         """Prepare.
 
@@ -53,12 +60,14 @@ class Lifecycle:
             guards: what is forbidden.
             spawn_timeout: seconds that a nodelet may take to come up.
             suspects: nodelets that get processes of their own.
+            ontology: what is a kind of what.
         """
         self._host = host
         self._graph = graph
         self._guards = guards
         self._timeout = spawn_timeout
         self._suspects = suspects
+        self._ontology = ontology
         #: Returns the connections of a nodelet that can be made when it is brought back.
         self.fitting: Callable[[Record], Mapping[str, str]] = lambda record: record.topics
 
@@ -85,7 +94,7 @@ class Lifecycle:
         count = len(self._graph.all()) + 1
         if count > self._guards.nodelets:
             raise LimitExceeded("nodelets", count, self._guards.nodelets)
-        parameters = completed(transformation, request.parameters)
+        parameters = completed(transformation, request.parameters, self._ontology)
         config = self._resolved(transformation, request.name, request.config)
         with self._graph.changing(request.name, new=True, patience=PATIENCE):
             kind = self._host.kind_of(transformation.source)

@@ -78,7 +78,9 @@ class Manager:
         self._options = options
         self.graph = Graph(store, clock)
         self._suspects = Suspects(clock.now)
-        self.lifecycle = Lifecycle(host, self.graph, guards, options.spawn_timeout, self._suspects)
+        self.lifecycle = Lifecycle(
+            host, self.graph, guards, options.spawn_timeout, self._suspects, library.ontology
+        )
         self.observer = Observer(host, self.graph, self.lifecycle, self._suspects, clock.now, run)
 
     @property

@@ -34,7 +34,6 @@ from dyknow.manager.claims.repair import Repair, outcome, with_remarks
 from dyknow.manager.claims.topology import demand_of
 from dyknow.manager.manager import Manager
 from dyknow.manager.planning.problem import NoPlan, Plan
-from dyknow.manager.specifications.tags import NO_ONTOLOGY, Subsumption
 from dyknow.model.streams import ClaimState, StreamRequest
 
 _log = logging.getLogger("rosout.dyknow")
@@ -87,7 +86,6 @@ class StreamReconciler:
     def __init__(
         self,
         manager: Manager,
-        ontology: Subsumption = NO_ONTOLOGY,
         settings: ReconcilerSettings = DEFAULT_RECONCILER_SETTINGS,
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
@@ -96,12 +94,12 @@ class StreamReconciler:
 
         Args:
             manager: makes and destroys nodelets.
-            ontology: what is a kind of what.
             settings: how to behave.
             clock: steady time, in seconds.
             sleep: waits that many seconds, while a replacement comes up.
         """
         self._manager = manager
+        ontology = manager.library.ontology
         self._ended = False
         table = self._table = ClaimTable(manager.store, clock, settings.ended_kept)
         self._lock = ClaimLock()

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 from typing import FrozenSet, List, Optional, Sequence, Tuple
 
+from dyknow.manager.planning.and_or_graph import AndOrGraph
 from dyknow.manager.planning.budget import Budget
-from dyknow.manager.planning.graph import Graph
 
 _Actions = FrozenSet[int]
 
 
 def search(
-    graph: Graph, bound: int, rest: Sequence[int], below: int, budget: Budget, left: int
+    graph: AndOrGraph, bound: int, rest: Sequence[int], below: int, budget: Budget, left: int
 ) -> Tuple[List[int], bool]:
     """Search all plans that may cost less than a known one.
 
@@ -57,7 +57,7 @@ def search(
     return best, True
 
 
-def _choices(graph: Graph, has: _Actions, lacks: _Actions) -> Optional[List[int]]:
+def _choices(graph: AndOrGraph, has: _Actions, lacks: _Actions) -> Optional[List[int]]:
     """Return actions of which every plan has one that has some and lacks others.
 
     None if the former are a plan.

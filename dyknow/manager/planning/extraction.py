@@ -79,10 +79,10 @@ class _Writer:
         bindings: Dict[str, str] = {}
         inputs = []
         nodes = self._instances.inputs.get(number, network.inputs[rule])
-        for port, node in zip(known.in_ports, nodes):
+        for premise, node in zip(known.premises, nodes):
             source = self.source(node)
-            inputs.append((port.name, source))
-            for variable, name in self._way(source, port.terms, joined).items():
+            inputs.append((premise.port, source))
+            for variable, name in self._way(source, premise.terms, joined).items():
                 bindings.setdefault(variable, name)
         self._bindings[number] = tuple(sorted(bindings.items()))
         return step._replace(inputs=tuple(inputs), bindings=self._bindings[number])
@@ -176,8 +176,8 @@ def _unmatched(instances: Instances, trees: Values, action: int) -> List[Demand]
     rule = instances.network.rules[action]
     found: Dict[Demand, None] = {}
     for step, theta in join.unmatched():
-        port = rule.in_ports[join.steps[step].port]
+        premise = rule.premises[join.steps[step].port]
         known = dict(zip(rule.variables, map(instances.network.names.written, theta)))
-        terms = frozenset(term.substitute(known) for term in port.terms)
-        found[Demand(terms, port.datatype)] = None
+        terms = frozenset(term.substitute(known) for term in premise.terms)
+        found[Demand(terms, premise.datatype)] = None
     return list(found)[:_MOST_TOLD]

@@ -16,9 +16,9 @@ from __future__ import annotations
 import random
 from typing import List, NamedTuple
 
+from dyknow.manager.planning.and_or_graph import AndOrGraph
 from dyknow.manager.planning.branching import search
 from dyknow.manager.planning.budget import Budget
-from dyknow.manager.planning.graph import Graph
 from dyknow.manager.planning.instances import LIVE, Instances
 from dyknow.manager.planning.knuth import Chosen, Values, cheapest
 from dyknow.manager.planning.landmarks import landmark_bound
@@ -104,11 +104,13 @@ def improve(instances: Instances, draft: PlanDraft, budget: Budget) -> Improved:
     edges = sum(map(len, values.offers.values()))
     if not values.is_met(goal) or not budget.spend(_COPIED * edges):
         return Improved(draft, floor, budget.is_cut_short)
-    return _Improvement(instances, Graph(instances, values), values, budget).run(draft, floor)
+    return _Improvement(instances, AndOrGraph(instances, values), values, budget).run(draft, floor)
 
 
 class _Improvement:
-    def __init__(self, instances: Instances, graph: Graph, values: Values, budget: Budget) -> None:
+    def __init__(
+        self, instances: Instances, graph: AndOrGraph, values: Values, budget: Budget
+    ) -> None:
         self._instances = instances
         self._graph = graph
         self._is_complete = values.is_complete

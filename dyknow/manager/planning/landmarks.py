@@ -14,14 +14,14 @@ from __future__ import annotations
 import heapq
 from typing import List, Optional, Tuple
 
+from dyknow.manager.planning.and_or_graph import AndOrGraph
 from dyknow.manager.planning.budget import Budget
-from dyknow.manager.planning.graph import Graph
 
 #: Parts in which the price of a cut is paid: several cuts share an action more evenly.
 _PARTS = 4
 
 
-def landmark_bound(graph: Graph, budget: Budget) -> Tuple[int, List[int]]:
+def landmark_bound(graph: AndOrGraph, budget: Budget) -> Tuple[int, List[int]]:
     """Return a bound that no plan is below.
 
     Returns:
@@ -42,7 +42,7 @@ def landmark_bound(graph: Graph, budget: Budget) -> Tuple[int, List[int]]:
     return bound, rest
 
 
-def _dearest(graph: Graph, rest: List[int]) -> Optional[List[int]]:
+def _dearest(graph: AndOrGraph, rest: List[int]) -> Optional[List[int]]:
     """Return for each action the node that it needs and that costs most, -1 without needs.
 
     A node costs what the cheapest action costs that supplies it, an action its own cost and that
@@ -69,7 +69,7 @@ def _dearest(graph: Graph, rest: List[int]) -> Optional[List[int]]:
     return dearest
 
 
-def _cut(graph: Graph, rest: List[int], dearest: List[int]) -> List[int]:
+def _cut(graph: AndOrGraph, rest: List[int], dearest: List[int]) -> List[int]:
     """Return the actions that lead from what is there to where the goal costs no more."""
     zone = {0}  # nodes from which the goal costs nothing
     waiting = [0]

@@ -28,7 +28,7 @@ from dyknow.manager.planning.patterns import (
     solutions,
 )
 from dyknow.manager.planning.problem import Live, New
-from dyknow.manager.planning.rules import InPort, Rule, pattern_of, rule_of
+from dyknow.manager.planning.rules import Premise, Rule, pattern_of, rule_of
 from dyknow.manager.planning.supply import ANY, Demand
 from dyknow.manager.specifications.tags import NO_ONTOLOGY, Subsumption, Term, read_tags
 from dyknow.model.transformation import IN, OUT, TOPIC, Transformation
@@ -372,15 +372,15 @@ class Network:
     def _bind_rule(self, action: int, transformation: Transformation) -> Tuple[str, ...]:
         """Read the variables of a transformation; return those that its in-ports join."""
         tagged = [port for port in transformation.ports if port.tags]
-        in_ports = [
-            InPort(port.name, terms, port.datatype)
+        premises = [
+            Premise(port.name, terms, port.datatype)
             for port in tagged
             for terms in [read_tags(port.tags)]
             if port.direction == IN and terms
         ]
         out = [term for port in tagged if port.direction == OUT for term in read_tags(port.tags)]
-        rule = rule_of(transformation, in_ports, out, self.names)
-        self.ports.append(tuple(port.name for port in in_ports))
+        rule = rule_of(transformation, premises, out, self.names)
+        self.ports.append(tuple(each.port for each in premises))
         self._bind(action, rule, [NO_TYPES] * len(rule.variables))
         return rule.variables
 
@@ -390,8 +390,8 @@ class Network:
         if rule.joins:
             self.joined.add(action)
         inputs = []
-        for at, port in enumerate(rule.in_ports):
-            shown = Demand(frozenset(rule.shown(at, more, self.names)), port.datatype)
+        for at, premise in enumerate(rule.premises):
+            shown = Demand(frozenset(rule.shown(at, more, self.names)), premise.datatype)
             inputs.append(self.number(rule.pattern(at, more, self.names), shown))
         self._need(action, tuple(inputs))
 

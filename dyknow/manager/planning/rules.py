@@ -26,10 +26,16 @@ from dyknow.model.transformation import Transformation
 _Terms = Tuple[Term, ...]
 
 
-class InPort(NamedTuple):
-    """A tagged in-port."""
+class Premise(NamedTuple):
+    """What a tagged in-port demands.
 
-    name: str
+    Attributes:
+        port: the in-port.
+        terms: its tags.
+        datatype: its ROS type; empty for any.
+    """
+
+    port: str
     terms: _Terms
     datatype: str
 
@@ -54,14 +60,14 @@ class Rule(NamedTuple):
     """A transformation whose in-ports have variables.
 
     Attributes:
-        in_ports: in the order written.
+        premises: of the in-ports, in the order written.
         variables: the joined variables, in the order in which they are bound.
         types: of the joined variables.
         joins: the order in which in-ports are joined; empty if no variable is.
         parameters: variables that parameters name.
     """
 
-    in_ports: Tuple[InPort, ...]
+    premises: Tuple[Premise, ...]
     variables: Tuple[str, ...]
     types: Tuple[Types, ...]
     joins: Tuple[JoinStep, ...]
@@ -69,7 +75,7 @@ class Rule(NamedTuple):
 
     def pattern(self, port: int, more: Sequence[Types], names: Names) -> Pattern:
         """Return what an in-port demands, if joined variables have further types."""
-        terms, datatype = self.in_ports[port].terms, self.in_ports[port].datatype
+        _, terms, datatype = self.premises[port]
         return pattern_of(terms, datatype, names, self.variables, self._types(more))
 
     def shown(self, port: int, more: Sequence[Types], names: Names) -> List[Term]:
@@ -79,7 +85,7 @@ class Rule(NamedTuple):
             for variable, types in zip(self.variables, more)
             if types
         }
-        return [term.substitute(known) for term in self.in_ports[port].terms]
+        return [term.substitute(known) for term in self.premises[port].terms]
 
     def _types(self, more: Sequence[Types]) -> Tuple[Types, ...]:
         return tuple([own | further for own, further in zip(self.types, more)])
@@ -115,13 +121,13 @@ def pattern_of(
 
 
 def rule_of(
-    transformation: Transformation, ports: Sequence[InPort], out: Sequence[Term], names: Names
+    transformation: Transformation, premises: Sequence[Premise], out: Sequence[Term], names: Names
 ) -> Rule:
     """Read the variables of a transformation.
 
     Args:
         transformation: what is read.
-        ports: its tagged in-ports.
+        premises: what its tagged in-ports demand.
         out: the tags of its out-ports.
         names: how names are related.
     """
@@ -129,7 +135,7 @@ def rule_of(
     parameters = tuple(dict.fromkeys(each for text in texts for each in variables_of(text)))
     exposed = {each for term in out for each in term.variables}.union(parameters)
     by_port = [
-        list(dict.fromkeys(v for term in port.terms for v in term.variables)) for port in ports
+        list(dict.fromkeys(v for term in each.terms for v in term.variables)) for each in premises
     ]
     counts: Dict[str, int] = {}
     for variables in by_port:
@@ -141,7 +147,7 @@ def rule_of(
     ]
     order: List[str] = []
     joins = []
-    waiting = list(range(len(ports)))
+    waiting = list(range(len(premises)))
     while waiting and any(joined):
         # First what is bound most: the fewer new variables, the fewer combinations.
         port = min(waiting, key=lambda at: (len(set(joined[at]) - set(order)), at))
@@ -153,9 +159,9 @@ def rule_of(
         shared = tuple(at for at, each in enumerate(places) if each < known)
         added = tuple(at for at, each in enumerate(places) if each >= known)
         joins.append(JoinStep(port, tuple(places), shared, added))
-    types = types_of([*(term for port in ports for term in port.terms), *out])
+    types = types_of([*(term for each in premises for term in each.terms), *out])
     return Rule(
-        tuple(ports),
+        tuple(premises),
         tuple(order),
         tuple(frozenset(map(names.canonical, types.get(each, ()))) for each in order),
         tuple(joins),

@@ -13,7 +13,8 @@ from dyknow.errors import InvalidTag, InvalidType
 from dyknow.manager.specifications.draft import TransformationDraft
 from dyknow.manager.specifications.findings import EnoughProblems, Findings, listed, meant, shorten
 from dyknow.manager.specifications.limits import SpecificationLimits
-from dyknow.manager.specifications.tags import NO_ONTOLOGY, Subsumption, parse_tag
+from dyknow.manager.specifications.tags import parse_tag
+from dyknow.manager.specifications.template import Concepts
 from dyknow.manager.specifications.values import BadValue, infer_type, parse_value
 from dyknow.manager.specifications.variables import check_variables
 from dyknow.model.placeholders import fill, variables_of
@@ -33,7 +34,7 @@ class Builder:
         self,
         findings: Findings,
         limits: SpecificationLimits,
-        ontology: Subsumption = NO_ONTOLOGY,
+        ontology: Optional[Concepts] = None,
     ) -> None:
         self._findings = findings
         self._ontology = ontology

@@ -13,7 +13,7 @@ from typing import Dict, Iterable, List, Mapping, Optional, Sequence, Set, Tuple
 
 from dyknow.errors import InvalidParameters
 from dyknow.manager.specifications.findings import listed, meant, shorten
-from dyknow.manager.specifications.tags import read_tags
+from dyknow.manager.specifications.tags import Subsumption, Term, read_tags, types_of
 from dyknow.manager.specifications.values import BadValue, infer_type, parse_value
 from dyknow.model.placeholders import fill, variables_of
 from dyknow.model.transformation import OUT, Parameter, Transformation
@@ -46,12 +46,17 @@ def exposed_variables(transformation: Transformation) -> Set[str]:
     return found
 
 
-def completed(transformation: Transformation, given: Sequence[Parameter]) -> Tuple[Parameter, ...]:
+def completed(
+    transformation: Transformation,
+    given: Sequence[Parameter],
+    ontology: Optional[Subsumption] = None,
+) -> Tuple[Parameter, ...]:
     """Check parameters that are given to a nodelet.
 
     Args:
         transformation: what the nodelet is made from.
         given: where the type is empty, it is the transformation's or follows from the text.
+        ontology: what is a kind of what; None: the types of variables are not checked.
 
     Returns:
         The same with their types, by name.
@@ -66,11 +71,17 @@ def completed(transformation: Transformation, given: Sequence[Parameter]) -> Tup
         for name in types
         if sum(each.name == name for each in given) > 1
     ]
-    known = variables(transformation)
+    known, concepts = variables(transformation), types_of(_terms(transformation))
     done = []
     for name, type_, text in sorted(given):
         if name[:1] == "?":
             problems += _problems_of_variable(name, type_, text, known)
+            if ontology is not None:
+                above = ontology.names_above(text)
+                problems += [
+                    f"{shorten(name)} is given '{shorten(text)}', which is no {concept}"
+                    for concept in sorted(concepts.get(name, frozenset()) - above)
+                ]
             done.append(Parameter(name, "string", text))
             continue
         type_ = type_ or declared.get(name) or infer_type(text)
@@ -131,8 +142,11 @@ def _filled(
 
 def variables(transformation: Transformation) -> Set[str]:
     """Return the variables in the tags of a transformation."""
-    tags = [term for port in transformation.ports for term in read_tags(port.tags)]
-    return {variable for term in tags for variable in term.variables}
+    return {variable for term in _terms(transformation) for variable in term.variables}
+
+
+def _terms(transformation: Transformation) -> List[Term]:
+    return [term for port in transformation.ports for term in read_tags(port.tags)]
 
 
 def _problems_of_variable(name: str, type_: str, text: str, known: Set[str]) -> Iterable[str]:

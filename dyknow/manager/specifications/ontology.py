@@ -101,6 +101,10 @@ class Ontology:
         """
         return tuple(each for each in self._of(concept) if not self._labels.terms(each))
 
+    def is_class(self, name: str) -> bool:
+        """Whether a label or URI stands for a class."""
+        return self._classes.get(name) is not None
+
     def canonical(self, name: str) -> str:
         """Return the one name that all names of a class or individual have in common.
 

@@ -15,7 +15,6 @@ from dyknow.manager.specifications.draft import TransformationDraft
 from dyknow.manager.specifications.findings import EnoughProblems, Findings
 from dyknow.manager.specifications.limits import DEFAULT_LIMITS, SpecificationLimits
 from dyknow.manager.specifications.reader import SpecificationReader
-from dyknow.manager.specifications.tags import NO_ONTOLOGY
 from dyknow.manager.specifications.template import Concepts, Expander
 from dyknow.model.transformation import Transformation
 
@@ -125,7 +124,7 @@ def transformations_of(
 
     Problems are noted in `findings`; if there are any, the transformations are not to be used.
     """
-    builder = Builder(findings, limits, ontology or NO_ONTOLOGY)
+    builder = Builder(findings, limits, ontology)
     for draft in _expanded(drafts, Expander(findings, limits, ontology), builder):
         transformation = builder.build(draft)
         if transformation is not None:

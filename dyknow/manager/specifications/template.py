@@ -52,6 +52,9 @@ class Concepts(Subsumption, Protocol):
     def unlabelled(self, concept: str) -> Tuple[str, ...]:
         """Return the URIs of the individuals without a label."""
 
+    def is_class(self, name: str) -> bool:
+        """Whether a name stands for a class."""
+
 
 class Expander:
     """Expands the templates of one text; the limits hold for all of them together."""
@@ -123,8 +126,8 @@ class Expander:
         for uri in self._ontology.unlabelled(text):
             self._findings.warning(
                 arg.line,
-                f"the individual <{shorten(uri)}> has no rdfs:label; its term is the last part of "
-                "its URI",
+                f"the individual <{shorten(uri)}> has no label; it goes by the last part of its "
+                "URI",
             )
         if not terms:
             self._problem(arg, f"has no terms: the class <{shorten(text)}> has no individuals")

@@ -14,15 +14,16 @@ from typing import Dict, List, Optional, Set, Tuple
 from dyknow.errors import InvalidTag
 from dyknow.manager.specifications.draft import TransformationDraft
 from dyknow.manager.specifications.findings import Findings, listed, meant, shorten
-from dyknow.manager.specifications.tags import NO_ONTOLOGY, Subsumption, Term, parse_tag
+from dyknow.manager.specifications.tags import Term, parse_tag
+from dyknow.manager.specifications.template import Concepts
 from dyknow.model.placeholders import variables_of
 from dyknow.model.transformation import IN, TOPIC, Transformation
 
 
 def check_variables(
-    draft: TransformationDraft, findings: Findings, ontology: Subsumption = NO_ONTOLOGY
+    draft: TransformationDraft, findings: Findings, ontology: Optional[Concepts] = None
 ) -> None:
-    """Note the variables of a transformation that nothing binds, and types that are unknown."""
+    """Note the variables of a transformation that nothing binds, and types that are no classes."""
     directions = {port.name: port.direction for port in draft.ports}
     used: List[Tuple[str, str, int]] = []  # variable, where, line
     bound: Dict[str, None] = {}
@@ -30,11 +31,10 @@ def check_variables(
         term, where = _with_variables(tag.text), f"the tag '{shorten(tag.text)}'"
         if term is None:
             continue
-        if ontology is not NO_ONTOLOGY:
-            for type_ in term.types:
-                if type_ and ontology.names_above(type_) == {type_}:
-                    unknown = f"{where} has the type '{shorten(type_)}', which no ontology knows"
-                    findings.warning(tag.line, unknown)
+        for type_ in term.types:
+            if type_ and ontology is not None and not ontology.is_class(type_):
+                unknown = f"{where} has the type '{shorten(type_)}', which is no class"
+                findings.warning(tag.line, f"{unknown} of the ontology")
         if directions.get(tag.port) == IN:
             bound.update(dict.fromkeys(term.variables))
         else:

@@ -23,7 +23,6 @@ from dyknow.manager.claims.reconciler import StreamReconciler
 from dyknow.manager.host import NodeletKind
 from dyknow.manager.library import Library
 from dyknow.manager.manager import Manager, ManagerOptions
-from dyknow.manager.specifications.tags import NO_ONTOLOGY
 from dyknow.manager.store import Store
 from dyknow.nodelet.middleware import Closable
 from dyknow.ros.exit_codes import FAILED
@@ -85,13 +84,13 @@ class ManagerNode(Closable):
         self._host = RosHost(
             master, self._children, Registrar(), settings.nodelet_managers, settings.guards
         )
-        self._ontology = _ontology(settings)
-        for warning in self._ontology.warnings if self._ontology is not None else ():
+        ontology = _ontology(settings)
+        for warning in ontology.warnings if ontology is not None else ():
             rospy.logwarn("%s", warning)
         self.manager = Manager(
             self._host,
             self._store,
-            Library(self._store, self._ontology, settings.limits),
+            Library(self._store, ontology, settings.limits),
             settings.guards,
             ManagerOptions(names.parent(node), settings.spawn_timeout),
             self._workers.run,
@@ -110,9 +109,8 @@ class ManagerNode(Closable):
             "~model", self.manager.graph_model, self._messages, self._cpp.follow
         )
         self.manager.on_change = self._publisher.note_change
-        ontology = NO_ONTOLOGY if self._ontology is None else self._ontology
         # Made before the start, since it decides how nodelets that come back are connected.
-        reconciler = StreamReconciler(self.manager, ontology)
+        reconciler = StreamReconciler(self.manager)
         self.manager.start()
         self._retire_empty()
         self._after_change()

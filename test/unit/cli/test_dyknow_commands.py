@@ -207,8 +207,8 @@ class TestCheck:
             "<http://x.org/#Camera>, <http://x.org/#front>",
             f"{owl}:4: warning: owl:complementOf in the description of <http://x.org/#Camera> "
             "is not read",
-            f"{xml}:2: warning: the individual <http://x.org/#front> has no rdfs:label; its term "
-            "is the last part of its URI",
+            f"{xml}:2: warning: the individual <http://x.org/#front> has no label; it goes by the "
+            "last part of its URI",
             f"{xml}: 1 transformation: l(front)",
         ]
         shape = run(nobody, f"check {xml} --ontology {owl} --json").json

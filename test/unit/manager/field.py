@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import itertools
-from typing import Any, Dict, List, Mapping, Sequence, Tuple
+from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple
 from unittest import mock
 
 from unit.manager.hand_clock import HandClock
@@ -17,7 +17,7 @@ from dyknow.manager.claims.reconciler import Acquired, StreamReconciler
 from dyknow.manager.fake_host import FakeHost
 from dyknow.manager.library import Library
 from dyknow.manager.manager import Manager
-from dyknow.manager.specifications.tags import NO_ONTOLOGY, Subsumption
+from dyknow.manager.specifications.template import Concepts
 from dyknow.manager.store import Store
 from dyknow.model.graph import SpawnRequest, State
 from dyknow.model.streams import ClaimState, StreamRequest
@@ -122,7 +122,7 @@ class Field:
         path: str = ":memory:",
         sources: Mapping[str, Sequence[Tuple[str, str, str]]] = SOURCES,
         library: str = LIBRARY,
-        ontology: Subsumption = NO_ONTOLOGY,
+        ontology: Optional[Concepts] = None,
     ) -> None:
         self.clock = HandClock()
         self.host = FakeHost(sources, clock=self.clock.now)
@@ -138,11 +138,9 @@ class Field:
     def open(self) -> None:
         """Start a manager on what the store has."""
         self.store = Store(self.path)
-        library = Library(self.store)
+        library = Library(self.store, self.ontology)
         self.manager = Manager(self.host, self.store, library, clock=self.clock)
-        self.reconciler = StreamReconciler(
-            self.manager, self.ontology, clock=self.clock.now, sleep=self.sleep
-        )
+        self.reconciler = StreamReconciler(self.manager, clock=self.clock.now, sleep=self.sleep)
         self.manager.start()
         self.events: List[ClaimEvent] = []
         self.reconciler.on_event = self.events.append

@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import Dict, Tuple
 
 import pytest
+from unit.manager.witness import Concepts
 from unit.manager.world import TRACKER, World
 
 from dyknow.errors import InvalidParameters, SpawnFailed
@@ -83,6 +84,18 @@ def test_all_problems_are_named_at_once() -> None:
         "the parameter 'rate': expected a double, such as 0.5 or 1e-3, found 'fast'",
         "'~x' is no name of a parameter; expected one like rate",
     )
+
+
+def test_a_name_is_of_all_types_of_its_variable() -> None:
+    ports = (Port("in", "in", "", ("Image(?c: camera)",)), Port("x", "in", "", ("At(?c: seen)",)))
+    typed = Transformation("t", "pkg/T", ports=ports)
+    concepts = Concepts({"left": "camera", "camera": "seen", "ball": "seen"})
+    left, ball = given(v_c="left"), given(v_c="ball")
+    assert [each.text for each in completed(typed, left, concepts)] == ["left"]
+    with pytest.raises(InvalidParameters) as raised:
+        completed(typed, ball, concepts)
+    assert raised.value.problems == ("?c is given 'ball', which is no camera",)
+    assert [each.text for each in completed(typed, ball)] == ["ball"], "it is not known"
 
 
 def test_unfilled_and_wrongly_filled_ones_are_refused() -> None:

@@ -153,17 +153,17 @@ def test_a_tag_that_the_planner_cannot_use_is_accepted_with_a_warning():
     assert found.transformations[0].ports[0].tags == ("Image(?camera)", "Image(camera")
 
 
-def test_a_type_that_no_ontology_knows_is_accepted_with_a_warning():
+def test_a_type_that_is_no_class_is_accepted_with_a_warning():
     text = """<transformation><label>a</label><source>p/A</source>
       <ports><port type="in">in</port></ports><tags>
-        <tag port="in">Image(?camera: Camera, ?lens: Lense)</tag></tags></transformation>"""
+        <tag port="in">Image(?camera: Camera, ?lens: ball)</tag></tags></transformation>"""
 
     ontology = load_ontology([str(EXAMPLES.parent / "ontologies" / "soccer.ttl")])
 
     assert parse(text).warnings == ()
     assert [each.message for each in parse(text, ontology=ontology).warnings] == [
-        "the tag 'Image(?camera: Camera, ?lens: Lense)' has the type 'Lense', which no ontology "
-        "knows"
+        "the tag 'Image(?camera: Camera, ?lens: ball)' has the type 'ball', which is no class of "
+        "the ontology"
     ]
 
 

@@ -159,8 +159,8 @@ def test_the_terms_may_be_the_individuals_of_a_class():
     assert [(each.line > 0, each.message) for each in warned] == [
         (
             True,
-            "the individual <http://example.org/#back> has no rdfs:label; its term is the last "
-            "part of its URI",
+            "the individual <http://example.org/#back> has no label; it goes by the last part "
+            "of its URI",
         )
     ]
 

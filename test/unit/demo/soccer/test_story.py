@@ -45,9 +45,7 @@ class Field:
         library = Library(store, self.ontology)
         self.manager = Manager(self.host, store, library, clock=self.clock)
         self.manager.start()
-        self.reconciler = StreamReconciler(
-            self.manager, self.ontology, clock=self.clock.now, sleep=self.sleep
-        )
+        self.reconciler = StreamReconciler(self.manager, clock=self.clock.now, sleep=self.sleep)
         self.reasons: list[str] = []
         self.reconciler.on_event = lambda event: self.reasons.append(event.reason)
         self.manager.add_transformation(SOCCER.read_text())

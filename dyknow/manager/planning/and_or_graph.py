@@ -13,7 +13,7 @@ from dyknow.manager.planning.instances import LIVE, Instances
 from dyknow.manager.planning.knuth import Chosen, Values
 
 
-class Graph:
+class AndOrGraph:
     """Actions and nodes, numbered from 0; the goal is node 0. Live nodes are left out.
 
     Attributes:
