@@ -120,6 +120,8 @@ class Connector:
     def in_the_way(self, record: Record, config: Config) -> Dict[str, Dict[str, str]]:
         """List what has to be disconnected before a nodelet's ports may be connected so.
 
+        What they feed in turn is listed once that is done: it depends on what is left then.
+
         Returns:
             For each nodelet its ports, each with an empty topic.
 
@@ -137,11 +139,17 @@ class Connector:
                 raise WrongStream(topic, producer.nodelet, consumer.nodelet)
             if _is_at(producer, record.name, config, topic):
                 cut.setdefault(consumer.nodelet, {})[consumer.port] = ""
-        for topic, producer, consumer in self._changed(changed) if topology.dependent else ():
+        for topic, producer, consumer in self._first(changed) if topology.dependent else ():
             if not consumer.nodelet or _is_at(consumer, record.name, config, topic):
                 raise WrongStream(topic, producer.nodelet, consumer.nodelet)
             cut.setdefault(consumer.nodelet, {})[consumer.port] = ""
         return cut
+
+    def _first(self, changed: Record) -> List[Tuple[str, Producer, Consumer]]:
+        """Return what ``_changed`` yields, without what the others of it feed; a circle entire."""
+        found = list(self._changed(changed))
+        fed = {consumer.nodelet for _, one, consumer in found if one.nodelet != consumer.nodelet}
+        return [each for each in found if each[1].nodelet not in fed] or found
 
     def _changed(self, changed: Record) -> Iterator[Tuple[str, Producer, Consumer]]:
         """Yield each consumer of what would send something else from now on.

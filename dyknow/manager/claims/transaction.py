@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 from dataclasses import replace
 from functools import partial
-from typing import AbstractSet, Callable, Dict, Iterable, List, Mapping, Optional, Tuple
+from typing import AbstractSet, Callable, Dict, Iterable, List, Mapping, Optional, Set, Tuple
 
 from dyknow.errors import DyKnowError, HostError
 from dyknow.manager.claims.connector import Connector
@@ -92,11 +92,20 @@ class Transaction:
                 _attempt(partial(self._reconnect, name, before))
 
     def _make_way(self, record: Record, config: Mapping[str, str]) -> None:
-        for name, ports in sorted(self._connector.in_the_way(record, config).items()):
-            other = self._manager.graph.get(name)
-            if other.state is not State.RUNNING or name in self._unresponsive:
-                raise HostError(f"{name} has to be disconnected first, and does not answer")
-            self.connect(name, ports)
+        cut: Set[Tuple[str, str]] = set()
+        while True:
+            found = {
+                name: {port: topic for port, topic in ports.items() if (name, port) not in cut}
+                for name, ports in self._connector.in_the_way(record, config).items()
+            }
+            if not any(found.values()):
+                return
+            for name, ports in sorted(found.items()):
+                other = self._manager.graph.get(name)
+                if other.state is not State.RUNNING or name in self._unresponsive:
+                    raise HostError(f"{name} has to be disconnected first, and does not answer")
+                self.connect(name, ports)
+                cut.update((name, port) for port in ports)
 
     def _reconnect(self, name: str, before: Dict[str, str]) -> None:
         record = self._manager.graph.find(name)

@@ -83,11 +83,15 @@ class AtomIndex(Generic[Supplier]):
         names = self._names
         names.enter(atom.functor)
         key = atom.functor, len(atom.args)
+        is_open = False
         for arg in atom.args:
-            if type(arg) is not str:
-                self._open.setdefault(key, _Functor()).add(supplier, atom)
-                return
-            names.enter(arg)
+            if type(arg) is str:
+                names.enter(arg)
+            else:
+                is_open = True
+        if is_open:
+            self._open.setdefault(key, _Functor()).add(supplier, atom)
+            return
         if atom in self._exact:
             self._exact[atom][supplier] = None
         else:

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import random
-from typing import Dict, Iterable, List, Optional, Sequence
+from typing import Dict, FrozenSet, Iterable, List, Optional, Sequence
 
 import pytest
 from hypothesis import given
@@ -300,6 +300,22 @@ def test_what_is_missing_under_bindings_is_named() -> None:
     answer = plan(library, "Map(cam2)")
     assert isinstance(answer, NoPlan)
     assert [str(each) for each in answer.missing] == ["Image(cam2)"]
+
+
+def test_names_beside_a_variable_in_what_is_supplied_are_looked_up() -> None:
+    class Sizes:
+        def names_above(self, name: str) -> FrozenSet[str]:
+            return frozenset((name, "size")) if name == "half" else frozenset((name,))
+
+        def canonical(self, name: str) -> str:
+            return name
+
+    planner = Planner(Sizes())
+    planner.add([make("cam", [], ["Raw(cam)"]), make("part", ["Raw(?c)"], ["Part(?c, half)"])])
+    for wanted in ("Part(?c, half)", "Part(cam, size)"):
+        answer = planner.plan(demand(wanted))
+        assert isinstance(answer, Plan) and answer.cost == 2, answer
+    assert isinstance(planner.plan(demand("Part(cam, quarter)")), NoPlan)
 
 
 def test_one_nodelet_is_free_for_one_instance() -> None:

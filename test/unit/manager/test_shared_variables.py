@@ -130,6 +130,30 @@ def test_one_without_filled_parameters_is_connected_elsewhere(lab: Lab) -> None:
     assert claim.topic in lab.field.moving
 
 
+def test_what_is_behind_those_that_are_cut_off_stays_where_it_is(lab: Lab) -> None:
+    """While the detector is connected elsewhere, its in-ports do not contradict each other."""
+    lab.add("planes", {"in": ("in", ["Image(?c)"]), "out": ("out", ["Planes(?c)"])})
+    detector: Ports = {
+        "planes": ("in", ["Planes(?c)"]),
+        "pose": ("in", ["Pose(?c)"]),
+        "wish": ("in", ["Wish(?thing)"]),
+        "ball": ("out", ["Found(?thing)"]),
+    }
+    lab.add("wish", {"out": ("out", ["Wish(ball)"])})
+    lab.add("detector", detector)
+    lab.add("view", {"in": ("in", ["Found(?thing)"]), "out": ("out", ["View(?thing)"])})
+    lab.field.manager.remove_transformation("camera left")
+    claim = lab.field.acquire("View(?thing)").claim
+    lab.settle()
+    lab.add("camera left", {"out": ("out", ["Image(left)"])})
+    lab.settle()
+    answer = lab.field.reconciler.replan(claim.claim_id)
+    assert answer.spawned == ("/camera_left_1", "/pose_left_1")
+    lab.settle()
+    now = lab.field.claim(claim.claim_id)
+    assert (now.state, now.goal, now.topic) == (ClaimState.ACTIVE, claim.goal, claim.topic)
+
+
 def test_one_that_others_share_is_not_made_to_supply_something_else(lab: Lab) -> None:
     lab.add_detector()
     any_ball = lab.field.acquire("Ball(?c)").claim
