@@ -22,7 +22,7 @@ from dyknow_demo.soccer.track import Track
 from dyknow_demo.soccer.world import World
 
 #: Labels of the robot's own tracking nodelets, which are kept and re-wired.
-TRACKING = ("image_subsampler(nao)", "ball_detector(nao)", "localization(nao, ball)")
+TRACKING = ("image_subsampler", "ball_detector", "localization")
 
 
 class Observation:

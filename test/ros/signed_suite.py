@@ -127,8 +127,10 @@ def random_library(seed: int) -> SignedLibrary:
             functor = FUNCTORS[choice.randrange(layer)] if choice.random() < 0.8 else "Stream"
             argument = choice.choice((*INDIVIDUALS, "?x", "?x", "Place"))
             inputs.append(SignedPort(f"in{index}", "in", (f"{functor}({argument})",)))
+        bound = ["?x"] if any("?x" in tag for port in inputs for tag in port.tags) else []
+        arguments = (*INDIVIDUALS, *bound, *bound, *bound)
         outputs = [
-            SignedPort(f"out{index}", "out", (f"{FUNCTORS[layer]}({choice.choice(INDIVIDUALS)})",))
+            SignedPort(f"out{index}", "out", (f"{FUNCTORS[layer]}({choice.choice(arguments)})",))
             for index in range(choice.choice((1, 1, 2)))
         ]
         ports = (*inputs, *outputs)
@@ -160,8 +162,7 @@ def soccer_library(examples: Path) -> SignedLibrary:
     """The shipped case study, with signing nodelets in place of its own."""
     ontology = examples / "ontologies" / "soccer.ttl"
     kinds = _kinds(ontology)
-    names = {"Robot": ["nao"], "Camera": ["ceiling_camera"]}
-    names.update({"Observer": ["nao", "ceiling_camera"], "Thing": ["ball"]})
+    names = {"Robot": ["nao"]}
     found = []
     for element in etree.parse(str(examples / "transformations" / "soccer.xml")).getroot():
         if not isinstance(element.tag, str):
@@ -170,7 +171,13 @@ def soccer_library(examples: Path) -> SignedLibrary:
         for values in _product([names[each] for each in arguments]):
             found.append(_signed(element, dict(zip(arguments, values))))
     goals = ["FieldPosition(ball)", "BallObject(?robot)", "RawYUV(?camera)", "RawYUV(Camera)"]
-    goals += ["BGR(ceiling_camera)", "BGR(nao)", "HSV(?any)", "WorldObject(nao)", "Pose(Robot)"]
+    goals += [
+        "BGR(ceiling_camera)",
+        "BGR(bottom_camera)",
+        "HSV(?any)",
+        "WorldObject(nao)",
+        "Pose(Robot)",
+    ]
     return SignedLibrary(found, kinds, ontology.read_text(), goals)
 
 

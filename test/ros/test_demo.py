@@ -31,12 +31,12 @@ class DemoTest(DemoCase):
 
     def assert_told(self, output):
         for line in (
-            r"└─ localization\(nao, ball\)\.field_position \(new, cost 1\)",
+            r"└─ localization\.field_position \[\?observer=nao, \?thing=ball\] \(new, cost 1\)",
             r"\+ bottom_camera_1",
             r"ACTIVE +\d+\.\d Hz  error 0\.\d+ m \(at most 0\.\d+\)  pause \d\.\d+ s  bottom_",
             r"RECOVERING: .*bottom_camera.* (was removed|is gone)",
             r"- bottom_camera_1",
-            r"image_subsampler_nao_1.yuv <- ceiling_camera_1/image \(was bottom_camera_1/image\)",
+            r"image_subsampler_1.yuv <- ceiling_camera_1/image \(was bottom_camera_1/image\)",
             r"ACTIVE .* ceiling_camera",
             r"a cheaper way has appeared",
             r"replanned: new /\S*bottom_camera_1, the rest re-wired",

@@ -24,26 +24,45 @@ def parse(tag: str) -> tuple[str, list[str]]:
     return functor, [each.strip() for each in arguments.split(",")] if arguments else []
 
 
-def meets(supplied: str, demanded: str, kinds: Kinds) -> bool:
-    """Whether a stream of one tag is one of another."""
-    functor, arguments = parse(supplied)
-    wanted, terms = parse(demanded)
-    return (
-        _is(functor, wanted, kinds)
-        and len(arguments) == len(terms)
-        and all(t.startswith("?") or _is(a, t, kinds) for a, t in zip(arguments, terms))
-        and all(
-            len({a for a, other in zip(arguments, terms) if other == t}) == 1
-            for t in terms
-            if t.startswith("?")
-        )
-    )
+def ways(supplied: Iterable[str], demanded: Iterable[str], kinds: Kinds) -> list[dict[str, str]]:
+    """All ways in which a stream meets demands: names for their variables."""
+    tags = list(supplied)
+    found: list[dict[str, str]] = [{}]
+    for demand in demanded:
+        tried = [_bind(tag, demand, kinds, names) for names in found for tag in tags]
+        found = [names for names in tried if names is not None]
+    return found
 
 
 def all_met(supplied: Iterable[str], demanded: Iterable[str], kinds: Kinds) -> bool:
     """Whether one stream with these tags meets each of those demands."""
-    tags = list(supplied)
-    return all(any(meets(each, demand, kinds) for each in tags) for demand in demanded)
+    return bool(ways(supplied, demanded, kinds))
+
+
+def filled(tag: str, names: Mapping[str, str]) -> str:
+    """Put names for the variables of a tag; one that has no name stays."""
+    functor, terms = parse(tag)
+    return f"{functor}({', '.join(names.get(each, each) for each in terms)})" if terms else functor
+
+
+def _bind(
+    supplied: str, demanded: str, kinds: Kinds, names: Mapping[str, str]
+) -> dict[str, str] | None:
+    """Match one tag with one demand."""
+    functor, arguments = parse(supplied)
+    wanted, terms = parse(demanded)
+    if not _is(functor, wanted, kinds) or len(arguments) != len(terms):
+        return None
+    bound = dict(names)
+    for argument, term in zip(arguments, terms):
+        variable, _, kind = term.partition(": ")
+        if not term.startswith("?"):
+            variable, kind = "", term
+        if variable and bound.setdefault(variable, argument) != argument:
+            return None
+        if kind and not _is(argument, kind, kinds):
+            return None
+    return bound
 
 
 def _is(term: str, wanted: str, kinds: Kinds) -> bool:

@@ -19,6 +19,9 @@ import dyknow
 class Signed(dyknow.Nodelet):
     """Publishes signed messages: what it receives, or at 20 Hz where it has no demands.
 
+    What it received last at its in-ports says what the variables in the signatures stand for.
+    While these have no names, or several, nothing is published.
+
     Parameters: ~ports (JSON, a list of name, direction, datatype and tags), ~kinds (JSON, what is
     a kind of what) and ~report, a file that gets a line for each message that meets no demand.
     """
@@ -30,6 +33,7 @@ class Signed(dyknow.Nodelet):
         self.number = 0
         self.is_mute = False
         self.outputs = []
+        self.names = {}
         demands = []
         for name, direction, datatype, tags in json.loads(self.nh.get_param("~ports")):
             message_class = get_message_class(datatype)
@@ -47,9 +51,11 @@ class Signed(dyknow.Nodelet):
 
     def receive(self, port, tags, leads, message):
         found = signatures.signature(message)
-        if not tags or not signatures.all_met(found["tags"], tags, self.kinds):
+        ways = signatures.ways(found["tags"], tags, self.kinds) if tags else []
+        if not ways:
             with open(self.report, "a") as file:
                 file.write(f"{self.name}.{port} demands {tags}, got {found}\n")
+        self.names[port] = ways[0] if ways else {}
         if leads:
             self.publish()
 
@@ -57,7 +63,12 @@ class Signed(dyknow.Nodelet):
         if self.is_mute:
             return
         self.number += 1
-        for publisher, message_class, tags in self.outputs:
+        said = {pair for names in self.names.values() for pair in names.items()}
+        names = dict(said)
+        for publisher, message_class, tags in self.outputs if len(names) == len(said) else ():
+            tags = [signatures.filled(tag, names) for tag in tags]
+            if "?" in "".join(tags):
+                continue
             publisher.publish(signatures.sign(message_class(), self.name, self.number, tags))
 
     def on_order(self, message):

@@ -21,8 +21,8 @@ from dyknow.model.streams import ClaimState, StreamRequest
 
 EXAMPLES = Path(__file__).parents[4] / "examples"
 SOCCER = EXAMPLES / "transformations" / "soccer.xml"
-TRACKING = {"/nao_body_1", "/image_subsampler_nao_1", "/ball_detector_nao_1"}
-LOCALIZATION = "/localization_nao_ball_1"
+TRACKING = {"/nao_body_1", "/image_subsampler_1", "/ball_detector_1"}
+LOCALIZATION = "/localization_1"
 CAMERA, CEILING = "/bottom_camera_1", "/ceiling_camera_1"
 
 
@@ -63,8 +63,8 @@ class Field:
     def feeds(self, camera: str, number: int = 1) -> None:
         """Both what the robot's vision takes from a camera comes from this one."""
         for nodelet, port, source in (
-            (f"/image_subsampler_nao_{number}", "yuv", "image"),
-            (f"/ball_detector_nao_{number}", "camera_info", "camera_info"),
+            (f"/image_subsampler_{number}", "yuv", "image"),
+            (f"/ball_detector_{number}", "camera_info", "camera_info"),
         ):
             wired = self.host.nodelet(nodelet).ports[port].topic
             assert wired == self.host.nodelet(camera).ports[source].topic
@@ -91,7 +91,7 @@ def test_the_robots_tracking_is_kept_and_re_wired(field: Field) -> None:
     assert set(field.host.running) == {CEILING, *own}
     field.feeds(CEILING)
     joints = field.host.nodelet("/nao_body_1").ports["joint_states"].topic
-    assert field.host.nodelet("/ball_detector_nao_1").ports["joint_states"].topic == joints
+    assert field.host.nodelet("/ball_detector_1").ports["joint_states"].topic == joints
     field.settle(10.0)
     assert not any("cheaper" in reason for reason in field.reasons)
 
@@ -114,9 +114,9 @@ def test_without_any_robot_the_ceiling_camera_has_its_own(field: Field) -> None:
     claim = field.reconciler.acquire(StreamRequest("FieldPosition(ball)")).claim
     assert set(field.host.running) == {
         CEILING,
-        "/image_subsampler_ceiling_camera_1",
-        "/ball_detector_ceiling_camera_1",
-        "/localization_ceiling_camera_ball_1",
+        "/image_subsampler_1",
+        "/field_ball_detector_1",
+        "/localization_1",
     }
     assert claim.state is ClaimState.ACTIVE
 
@@ -130,7 +130,7 @@ def test_two_cameras_at_a_time_are_not_mixed_up(field: Field) -> None:
     field.settle()
     field.feeds(CAMERA)
     field.feeds(CEILING, 2)
-    balls = field.reconciler.acquire(StreamRequest("SubsampledYUV(nao, eighth)"))
+    balls = field.reconciler.acquire(StreamRequest("SubsampledYUV(bottom_camera, eighth)"))
     field.settle()
     assert balls.spawned == ()
     field.feeds(CAMERA)
