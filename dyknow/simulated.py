@@ -23,6 +23,7 @@ from dyknow.manager.claims.reconciler import StreamReconciler
 from dyknow.manager.fake_host import FakeHost
 from dyknow.manager.library import Library
 from dyknow.manager.manager import Manager
+from dyknow.manager.specifications.tags import written_bindings
 from dyknow.manager.store import Store
 from dyknow.model.client import BaseManagerClient
 from dyknow.model.graph import Model, PortState, SpawnRequest
@@ -216,6 +217,13 @@ class SimulatedManagerClient(BaseManagerClient):
         return self._do(
             "list_streams", "", lambda: tuple(map(self._answers.status, self.reconciler.claims()))
         )
+
+    def find_bindings(self, tag: str, datatype: str = "") -> Tuple[str, ...]:
+        def find() -> Tuple[str, ...]:
+            found, _ = self.reconciler.find_bindings(tag, datatype)
+            return tuple(map(written_bindings, found))
+
+        return self._do("find_bindings", tag, find)
 
     # Inside
 

@@ -133,12 +133,13 @@ def _pose_nodelets_only(widget: DyKnowWidget) -> None:
 
 def _pose_library(widget: DyKnowWidget) -> None:
     widget.tabs.setCurrentWidget(widget.library)
-    widget.library.table.choose(["ball_detector(nao1)"])
+    widget.library.table.choose(["ball_detector"])
 
 
 def _pose_create(widget: DyKnowWidget) -> None:
     widget.tabs.setCurrentWidget(widget.create_)
-    widget.create_.begin("tracker")
+    widget.create_.begin("ball_detector")
+    widget.create_.given.fields["?robot"].setText("nao1")
 
 
 def _pose_connect(widget: DyKnowWidget) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import Dict, Tuple
 
 from dyknow.model.graph import State
+from dyknow.model.transformation import Parameter
 from dyknow_rqt.simulated import SimulatedRemote
 
 _IMAGE, _POINT, _JOINTS = (
@@ -25,38 +26,38 @@ _LIBRARY = (
         (("field_position>", _POINT, "FieldPosition(ball)"),),
     ),
     (
-        "subsampler(nao1, bottom)",
+        "subsampler",
         "soccer/Subsampler",
         (
-            (">yuv", _IMAGE, "RawYUV(nao1, bottom)"),
-            ("bgr>", _IMAGE, "BGR(nao1, bottom)"),
-            ("hsv>", _IMAGE, "HSV(nao1, bottom)"),
-            ("channels>", _IMAGE, "SubsampledYUV(nao1, bottom)"),
+            (">yuv", _IMAGE, "RawYUV(?robot, ?camera)"),
+            ("bgr>", _IMAGE, "BGR(?robot, ?camera)"),
+            ("hsv>", _IMAGE, "HSV(?robot, ?camera)"),
+            ("channels>", _IMAGE, "SubsampledYUV(?robot, ?camera)"),
         ),
     ),
     (
-        "ball_detector(nao1)",
+        "ball_detector",
         "soccer/BallDetector",
         (
-            (">channels", _IMAGE, "SubsampledYUV(nao1, bottom)"),
+            (">channels", _IMAGE, "SubsampledYUV(?robot, ?camera)"),
             (">joint_states", _JOINTS, ""),
-            ("ball>", _POINT, "BallObject(nao1)"),
+            ("ball>", _POINT, "BallObject(?robot)"),
         ),
     ),
     (
-        "line_detector(nao1)",
+        "line_detector",
         "soccer/LineDetector",
         (
-            (">hsv", _IMAGE, "HSV(nao1, bottom)"),
-            ("lines>", "sensor_msgs/PointCloud2", "Lines(nao1)"),
+            (">hsv", _IMAGE, "HSV(?robot, ?camera)"),
+            ("lines>", "sensor_msgs/PointCloud2", "Lines(?robot)"),
         ),
     ),
     (
-        "localization(nao1)",
+        "localization",
         "soccer/Localization",
         (
-            (">objects", _POINT, "BallObject(nao1)"),
-            (">lines", "sensor_msgs/PointCloud2", "Lines(nao1)"),
+            (">objects", _POINT, "BallObject(?robot)"),
+            (">lines", "sensor_msgs/PointCloud2", "Lines(?robot)"),
             ("field_position>", _POINT, "FieldPosition(ball)"),
         ),
     ),
@@ -68,13 +69,18 @@ _LIBRARY = (
     ("resize", "image_proc/resize", ((">image", _IMAGE, ""), ("resized>", _IMAGE, ""))),
     ("recorder", "dyknow/Sink", ((">in", _IMAGE, ""),)),
 )
+_PARAMETERS = {
+    "ball_detector": '<param name="mount" type="string">${?robot}_bottom_camera</param>'
+    '<param name="colour" type="string">orange</param>'
+}
+_GIVEN = {"/nao1/ball_detector": (Parameter("?robot", "", "nao1"),)}
 #: Name, label, topics of ports.
 _NODELETS: Tuple[Tuple[str, str, Dict[str, str]], ...] = (
     ("/nao1/bottom_camera", "camera(nao1, bottom)", {"yuv": "/nao1/bottom_camera/yuv"}),
     ("/nao1/top_camera", "camera(nao1, top)", {"yuv": "/nao1/top_camera/yuv"}),
     (
         "/nao1/subsampler",
-        "subsampler(nao1, bottom)",
+        "subsampler",
         {
             "yuv": "/nao1/bottom_camera/yuv",
             "hsv": "/nao1/subsampler/hsv",
@@ -83,7 +89,7 @@ _NODELETS: Tuple[Tuple[str, str, Dict[str, str]], ...] = (
     ),
     (
         "/nao1/ball_detector",
-        "ball_detector(nao1)",
+        "ball_detector",
         {
             "channels": "/nao1/subsampler/channels",
             "joint_states": "/nao1/joint_states",
@@ -92,12 +98,12 @@ _NODELETS: Tuple[Tuple[str, str, Dict[str, str]], ...] = (
     ),
     (
         "/nao1/line_detector",
-        "line_detector(nao1)",
+        "line_detector",
         {"hsv": "/nao1/subsampler/hsv", "lines": "/nao1/line_detector/lines"},
     ),
     (
         "/nao1/localization",
-        "localization(nao1)",
+        "localization",
         {
             "objects": "/nao1/ball_detector/ball",
             "lines": "/nao1/line_detector/lines",
@@ -117,7 +123,7 @@ def soccer() -> SimulatedRemote:
     client = remote.client
     client.add_transformation(_specification())
     for name, label, topics in _NODELETS:
-        client.spawn(label, name, topics)
+        client.spawn(label, name, topics, parameters=_GIVEN.get(name, ()))
     client.set_protection("/nao1/bottom_camera", True)
     client.alter("/nao1/resize", rewired_by_reload=True, manager="/dyknow_nodelet_manager_cpp")
     client.alter("/nao1/recorder", state=State.LOST, detail="its process is gone")
@@ -144,7 +150,10 @@ def soccer() -> SimulatedRemote:
 def _specification() -> str:
     parts = []
     for label, source, ports in _LIBRARY:
-        lines = [f"<transformation><label>{label}</label><source>{source}</source><ports>"]
+        lines = [
+            f"<transformation><label>{label}</label><source>{source}</source>"
+            f"<params>{_PARAMETERS.get(label, '')}</params><ports>"
+        ]
         tags = []
         for name, datatype, tag in ports:
             side, plain = ("in" if name[0] == ">" else "out"), name.strip(">")

@@ -44,7 +44,7 @@ Services:
   ~spawn, ~destroy, ~set_protection                nodelets
   ~get_model                                       what runs, and the library
   ~acquire_stream, ~renew_stream, ~release_stream  streams on request
-  ~replan_stream, ~list_streams
+  ~replan_stream, ~list_streams, ~find_bindings
 Topics:
   ~model          what runs, latched, on every change
   ~stream_events  every change of a claim, and why

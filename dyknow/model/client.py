@@ -130,3 +130,12 @@ class BaseManagerClient(ABC):
     @abstractmethod
     def list_streams(self) -> Tuple[StreamStatus, ...]:
         """Ask for all claims, those that ended lately too."""
+
+    @abstractmethod
+    def find_bindings(self, tag: str, datatype: str = "") -> Tuple[str, ...]:
+        """Ask for which names a stream of a tag is there or can be made.
+
+        Returns:
+            For each way what the variables stand for, such as ``?camera=left, ?robot=nao``. A tag
+            without variables has one way, the empty text, or none.
+        """

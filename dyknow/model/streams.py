@@ -75,6 +75,11 @@ class StreamStatus:
     expires: float
     bindings: Tuple[str, ...] = ()
 
+    @property
+    def bound_tag(self) -> str:
+        """The tag and what its variables stand for: ``Image(?camera) ?camera=left``."""
+        return " ".join([self.tag, *self.bindings])
+
 
 @dataclass(frozen=True)
 class StreamEvent:

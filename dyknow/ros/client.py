@@ -143,6 +143,14 @@ class ManagerClient(BaseManagerClient):
         answer = self._ask("list_streams", srv.ListStreams, timeout, kept=True)
         return tuple(stream_from(each) for each in answer.streams)
 
+    def find_bindings(self, tag: str, datatype: str = "") -> Tuple[str, ...]:
+        answer = self._ask(
+            "find_bindings", srv.FindBindings, ASK_TIMEOUT, kept=True, tag=tag, datatype=datatype
+        )
+        if not answer.success:
+            raise Refused(answer.message)
+        return tuple(answer.bindings)
+
     # Inside
 
     def _ask(

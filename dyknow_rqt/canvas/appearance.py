@@ -134,6 +134,7 @@ def _nodelet_tip(nodelet: NodeletStatus) -> str:
     return _tip(
         nodelet.name,
         nodelet.transformation or "loaded by others",
+        " ".join(f"{each.name}={each.text}" for each in nodelet.parameters),
         f"in {nodelet.manager}",
         f"in-ports: {inputs}, out-ports: {len(nodelet.ports) - inputs}",
         *facts,

@@ -27,6 +27,7 @@ from dyknow.model.transformation import NODELET, Transformation
 from dyknow_rqt.graph.changes import SpawnNodelet
 from dyknow_rqt.graph.snapshot import Snapshot
 from dyknow_rqt.monitor import Monitor
+from dyknow_rqt.panels.given import GivenFields
 from dyknow_rqt.panels.panel import Panel
 from dyknow_rqt.qt_slot import qt_slot
 from dyknow_rqt.status_line import StatusLine
@@ -35,7 +36,7 @@ _ANY = "(the manager's choice)"
 
 
 class CreatePanel(Panel):
-    """Edits transformation, name, protection and process."""
+    """Edits transformation, name, protection, process, variables and parameters."""
 
     def __init__(
         self, monitor: Monitor, line: StatusLine, parent: Optional[QWidget] = None
@@ -61,6 +62,7 @@ class CreatePanel(Panel):
         self.ports = QLabel()
         self.ports.setTextFormat(Qt.PlainText)
         self.ports.setWordWrap(True)
+        self.given = GivenFields()
         self.create = QPushButton("Create")
         form = QFormLayout()
         form.setFieldGrowthPolicy(QFormLayout.AllNonFixedFieldsGrow)
@@ -70,6 +72,7 @@ class CreatePanel(Panel):
         form.addRow("", self.isolated)
         form.addRow("Nodelet manager:", self.manager)
         form.addRow("Ports:", self.ports)
+        form.addRow("Given:", self.given)
         form.addRow("", self.create)
         column = QVBoxLayout(self)
         column.addLayout(form)
@@ -105,6 +108,7 @@ class CreatePanel(Panel):
             is_protected=self.is_protected.isChecked(),
             isolated=self.isolated.isChecked(),
             manager="" if manager == _ANY or self.isolated.isChecked() else manager,
+            parameters=self.given.given(),
         )
         self.create.setEnabled(False)
         self.create.setText("Creating …")
@@ -117,8 +121,9 @@ class CreatePanel(Panel):
         self.create.setText("Create")
         self.create.setEnabled(transformation is not None and bool(self.name.text().strip()))
         self.manager.setEnabled(not self.isolated.isChecked())
+        self.given.show_transformation(transformation)
         lines = [
-            f"{port.direction}  {port.name}  {port.datatype}".rstrip()
+            f"{port.direction}  {port.name}  {port.datatype}  {' '.join(port.tags)}".rstrip()
             for port in (transformation.ports if transformation is not None else ())
         ]
         self.ports.setText("\n".join(lines) or "–")

@@ -163,7 +163,7 @@ class StreamsPanel(Panel):
             if not each.state.ended or self.ended.isChecked():
                 state, topic = _state(each), each.topic or "–"
                 cells = (
-                    *(each.claim_id, each.tag, state, topic),
+                    *(each.claim_id, each.bound_tag, state, topic),
                     *(each.datatype or "–", each.client_id),
                 )
                 more = [f"claim {each.claim_id}", each.detail, *each.nodelets]
@@ -176,7 +176,7 @@ class StreamsPanel(Panel):
         before = event.before.state.name.lower() + " → " if event.before is not None else ""
         moment = time.strftime("%H:%M:%S", time.localtime(event.stamp))
         self.events.appendPlainText(
-            f"{moment}  {event.after.tag}: {before}{event.after.state.name.lower()}"
+            f"{moment}  {event.after.bound_tag}: {before}{event.after.state.name.lower()}"
             + (f" ({event.reason})" if event.reason else "")
         )
 

@@ -9,7 +9,7 @@ import argparse
 import json
 import signal
 import time
-from typing import TYPE_CHECKING, Any, Iterable, Optional
+from typing import TYPE_CHECKING, Any, Dict, Iterable, Optional, Tuple
 
 from dyknow.cli.arguments import seconds, seconds_or_none
 from dyknow.cli.command import Command
@@ -19,7 +19,7 @@ from dyknow.cli.streams import demand_arguments, request_of
 from dyknow.errors import DyKnowError, ManagerUnreachable, Refused, StreamRefused
 
 if TYPE_CHECKING:
-    from dyknow.model.streams import StreamEvent, StreamStatus
+    from dyknow.model.streams import Acquisition, StreamEvent, StreamStatus
     from dyknow.ros.shell_client import EventReader
 
 #: Seconds that a claim outlives a command that was killed.
@@ -55,19 +55,20 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 def _acquire(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
     if arguments.lease is not None:
-        claim = _ask(arguments, shell, arguments.lease)
-        shell.show(stream_json(claim), _describe(claim))
+        claim, answer = _ask(arguments, shell, arguments.lease)
+        shell.show(_acquired_json(claim, answer), _describe(claim, answer))
         return None
     signal.signal(signal.SIGTERM, _interrupt)
     events = shell.client.stream_events()  # before the claim is made: no event is missed
     try:
-        claim = _ask(arguments, shell, _LEASE)
+        claim, answer = _ask(arguments, shell, _LEASE)
     except BaseException:
         events.close()  # if the claim was made nevertheless, it ends with its lease
         raise
     holding = _Holding(shell, claim.claim_id, events)
     try:
-        _say(shell, stream_json(claim), [*_describe(claim), "held until Ctrl-C"])
+        lines = [*_describe(claim, answer), "held until Ctrl-C"]
+        _say(shell, _acquired_json(claim, answer), lines)
         return holding.run()
     except KeyboardInterrupt:
         shell.client.release_stream(claim.claim_id)
@@ -77,7 +78,11 @@ def _acquire(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
         holding.close()
 
 
-def _ask(arguments: argparse.Namespace, shell: Shell, lease: float) -> StreamStatus:
+def _ask(
+    arguments: argparse.Namespace, shell: Shell, lease: float
+) -> Tuple[StreamStatus, Optional[Acquisition]]:
+    """Ask for the stream; returns its claim, and the answer unless it waits."""
+    answer: Optional[Acquisition] = None
     try:
         request = request_of(arguments, lease, arguments.max_silence)
         answer = shell.client.acquire_stream(request)
@@ -93,7 +98,7 @@ def _ask(arguments: argparse.Namespace, shell: Shell, lease: float) -> StreamSta
         claim_id = error.claim_id
     for each in shell.client.list_streams():
         if each.claim_id == claim_id:
-            return each
+            return each, answer
     raise DyKnowError(f"claim {claim_id} has ended already")
 
 
@@ -160,12 +165,23 @@ class _Holding:
         return True
 
 
-def _describe(claim: StreamStatus) -> Iterable[str]:
+def _acquired_json(claim: StreamStatus, answer: Optional[Acquisition]) -> Dict[str, Any]:
+    """Write the claim, and what its plan costs; null if it waits."""
+    cost = answer.cost if answer is not None else None
+    least_cost = answer.least_cost if answer is not None else None
+    return {**stream_json(claim), "cost": cost, "least_cost": least_cost}
+
+
+def _describe(claim: StreamStatus, answer: Optional[Acquisition] = None) -> Iterable[str]:
     place = f"on {claim.topic} [{claim.datatype or 'unknown type'}]" if claim.topic else ""
     yield f"{claim.tag} {place or f'is {claim.state.name.lower()}: {claim.detail}'}"
     yield f"  claim {claim.claim_id}"
     if claim.bindings:
         yield f"  with {', '.join(claim.bindings)}"
+    if answer is not None:
+        is_proven = answer.cost <= answer.least_cost
+        how_good = "proven least" if is_proven else f"least possible: {answer.least_cost:g}"
+        yield f"  cost {answer.cost:g} ({how_good})"
     if place and claim.detail:
         yield f"  {claim.detail}"
     if claim.nodelets:

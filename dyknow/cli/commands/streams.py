@@ -73,7 +73,7 @@ def _list(streams: Sequence[StreamStatus]) -> List[str]:
         (
             each.claim_id,
             each.state.name.lower(),
-            " ".join([each.tag, *each.bindings]),
+            each.bound_tag,
             each.topic or "-",
             each.datatype or "-",
             each.detail or "-",

@@ -15,6 +15,7 @@ from dyknow.manager.claims.relay import RELAY_COST
 from dyknow.manager.manager import Manager
 from dyknow.manager.planning.problem import Live, NoPlan, Plan
 from dyknow.manager.specifications.findings import listed
+from dyknow.manager.specifications.tags import Term, read_tags
 from dyknow.model.streams import ClaimState
 from dyknow.model.transformation import OUT
 from dyknow.similar import did_you_mean
@@ -48,19 +49,28 @@ def _similar_tags(manager: Manager, answer: NoPlan) -> str:
     transformations = manager.library.all()
     if len(transformations) > _SEARCHED:
         return ""
-    supplied: Set[str] = {
-        tag
+    supplied: Set[Term] = {
+        term
         for each in transformations
         for port in each.ports
         if port.direction == OUT
-        for tag in port.tags
+        for term in read_tags(port.tags)
     }
-    missing = sorted({str(term) for demand in answer.missing for term in demand.tags})
-    return "".join(
-        did_you_mean(tag, supplied, at_most=2)
-        for tag in missing[:_EXPLAINED]
-        if tag not in supplied
-    )
+    missing = {str(term): term for demand in answer.missing for term in demand.tags}
+    advice = ""
+    for tag in sorted(missing)[:_EXPLAINED]:
+        known = {str(_as_asked(each, missing[tag])) for each in supplied}
+        if tag not in known:
+            advice += did_you_mean(tag, known, at_most=2)
+    return advice
+
+
+def _as_asked(supplied: Term, asked: Term) -> Term:
+    """Put what was asked for in the places of the variables of a supplied tag."""
+    if supplied.is_ground or len(supplied.args) != len(asked.args):
+        return supplied
+    pairs = zip(supplied.args, asked.args)
+    return supplied.substitute({have: want for have, want in pairs if have[:1] == "?"})
 
 
 class CheaperPlans:

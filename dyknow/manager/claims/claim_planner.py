@@ -19,6 +19,7 @@ from typing import (
     Mapping,
     Optional,
     Sequence,
+    Tuple,
 )
 
 from dyknow.backoff import Backoff
@@ -198,6 +199,11 @@ class ClaimPlanner:
         paused = self.failures.paused - frozenset(own.values())
         demand = demand_of(self._together(claim))
         return self._planner.plan(demand, streams, exclude, paused=paused)
+
+    def bindings(self, demand: Demand) -> Tuple[List[Bindings], bool]:
+        """Find what the variables of a demand can stand for now, and whether that is all."""
+        self._update()
+        return self._planner.bindings(demand, self._without_relays(self._streams(NO_LABELS)))
 
     def with_own(self, plan: Plan, own: Sequence[OwnNodelet]) -> Plan:
         """Return a plan in which nodelets that exist cost nothing, and the others their price."""

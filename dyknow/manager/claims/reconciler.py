@@ -34,6 +34,8 @@ from dyknow.manager.claims.repair import Repair, outcome, with_remarks
 from dyknow.manager.claims.topology import demand_of
 from dyknow.manager.manager import Manager
 from dyknow.manager.planning.problem import NoPlan, Plan
+from dyknow.manager.planning.supply import Demand
+from dyknow.manager.specifications.tags import Bindings, parse_tag
 from dyknow.model.streams import ClaimState, StreamRequest
 
 _log = logging.getLogger("rosout.dyknow")
@@ -221,6 +223,20 @@ class StreamReconciler:
     def claims(self) -> List[Claim]:
         """Return every claim, those that ended lately included, by id."""
         return self._table.all()
+
+    def find_bindings(self, tag: str, datatype: str = "") -> Tuple[List[Bindings], bool]:
+        """Find the names for which a stream of a tag is there or can be made.
+
+        Returns:
+            What the variables of the tag stand for in each way, sorted, and whether these are all.
+
+        Raises:
+            InvalidTag: the tag is no term.
+        """
+        demand = Demand(frozenset([parse_tag(tag)]), datatype)
+        with self._lock.round():
+            self._planner.look()
+            return self._planner.bindings(demand)
 
     def _intended(self, claim: Claim, plan: Plan) -> Acquired:
         """Answer a dry run: labels of what would be made, and names of what would be used."""

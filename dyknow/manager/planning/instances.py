@@ -75,6 +75,11 @@ class Instances:
             self._of_nodes.append(key)
         return found
 
+    def nodes_of(self, demand: int) -> List[Tuple[int, Theta]]:
+        """Return the nodes of a demand, each with what its wanted variables stand for."""
+        found = [(node, theta) for (of, theta), node in self._nodes.items() if of == demand]
+        return found or [(demand, ())]
+
     def demand(self, node: int) -> Tuple[int, Theta]:
         """Return the demand of a node, and what its wanted variables stand for."""
         return (node, ()) if node < self._first_node else self._of_nodes[node - self._first_node]

@@ -267,10 +267,23 @@ class Network:
                 self._ranks[action] = rank
         return self._ranks, self._by_rank
 
-    def reach(self, goal: Demand, streams: LiveStreams, exclude: AbstractSet[str]) -> Reach:
-        """Collect what the goal can reach; a demand with a live stream needs nothing else."""
+    def reach(
+        self,
+        goal: Demand,
+        streams: LiveStreams,
+        exclude: AbstractSet[str],
+        wanted: Sequence[str] = (),
+    ) -> Reach:
+        """Collect what the goal can reach; a demand with a live stream needs nothing else.
+
+        Args:
+            goal: what is asked for.
+            streams: what is there.
+            exclude: labels that must not be used.
+            wanted: variables of the goal of which every name matters.
+        """
         self._forget_suppliers()
-        pattern = pattern_of(tuple(goal.tags), goal.datatype, self.names)
+        pattern = pattern_of(tuple(goal.tags), goal.datatype, self.names, wanted)
         self._asked += pattern not in self._by_pattern
         first = self.number(pattern, goal)
         live: List[LiveMatch] = []

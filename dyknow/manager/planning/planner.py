@@ -15,7 +15,7 @@ from __future__ import annotations
 import contextlib
 import gc
 import time
-from typing import AbstractSet, Callable, Iterable, Iterator, Mapping, Tuple
+from typing import AbstractSet, Callable, Iterable, Iterator, List, Mapping, Tuple
 
 from dyknow.manager.planning.budget import Budget
 from dyknow.manager.planning.extraction import no_plan, plan_of
@@ -30,6 +30,8 @@ from dyknow.model.transformation import Transformation
 
 #: Seconds that the improvement of a plan may take.
 BUDGET = 0.1
+#: No way costs as much.
+_ANY_COST = 1 << 4096
 
 
 class Planner:
@@ -97,6 +99,40 @@ class Planner:
             draft = drafted(instances, trees.chosen)
             improved = improve(instances, draft, Budget(budget, self._clock))
             return plan_of(instances, streams, demand, improved)
+
+    def bindings(
+        self,
+        demand: Demand,
+        live: Iterable[Tuple[Live, Tuple[Term, ...]]] = (),
+        budget: float = BUDGET,
+    ) -> Tuple[List[Bindings], bool]:
+        """Find all that the variables of a demand can stand for.
+
+        Args:
+            demand: tags and type of the stream.
+            live: streams that exist, with their tags.
+            budget: seconds that this may take, counted in steps.
+
+        Returns:
+            The bindings, sorted, and whether these are all. Without a variable there is an empty
+            one if the stream can be made.
+        """
+        network = self._network
+        streams = LiveStreams(network.names)
+        for stream, terms in live:
+            streams.add(stream, terms)
+        with _no_collection():
+            variables = sorted({each for term in demand.tags for each in term.variables})
+            reach = network.reach(demand, streams, NO_LABELS, variables)
+            instances = Instances(network, reach, NO_FREE)
+            values = cheapest(instances, below=_ANY_COST, budget=Budget(budget, self._clock))
+        written = network.names.written
+        found = [
+            tuple(zip(variables, map(written, theta)))
+            for node, theta in instances.nodes_of(reach.goal)
+            if values.is_met(node)
+        ]
+        return sorted(found), values.is_complete
 
 
 @contextlib.contextmanager

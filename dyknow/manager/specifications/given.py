@@ -31,15 +31,19 @@ def names_of(given: Iterable[Parameter]) -> Tuple[str, ...]:
 
 def filling(transformation: Transformation, bindings: Mapping[str, str]) -> Tuple[Parameter, ...]:
     """Return what has to be given to a nodelet so that its parameters are filled."""
-    texts = [parameter.text for parameter in transformation.parameters]
-    used = sorted({variable for text in texts for variable in variables_of(text)})
+    used = sorted(filling_variables(transformation))
     return tuple(Parameter(variable, "string", bindings[variable]) for variable in used)
+
+
+def filling_variables(transformation: Transformation) -> Set[str]:
+    """Return the variables that fill parameters."""
+    texts = [parameter.text for parameter in transformation.parameters]
+    return {variable for text in texts for variable in variables_of(text)}
 
 
 def exposed_variables(transformation: Transformation) -> Set[str]:
     """Return the variables that tell nodelets apart: those of out-ports and parameters."""
-    texts = [parameter.text for parameter in transformation.parameters]
-    found = {variable for text in texts for variable in variables_of(text)}
+    found = filling_variables(transformation)
     for port in transformation.ports:
         if port.direction == OUT:
             found.update(each for term in read_tags(port.tags) for each in term.variables)

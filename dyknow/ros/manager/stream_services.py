@@ -11,6 +11,8 @@ import rospy
 from dyknow_msgs.srv import (
     AcquireStream,
     AcquireStreamResponse,
+    FindBindings,
+    FindBindingsResponse,
     ListStreams,
     ListStreamsResponse,
     ReleaseStream,
@@ -26,6 +28,7 @@ from dyknow.guards import Guards
 from dyknow.manager.claim import Claim
 from dyknow.manager.claims.answers import StreamAnswers, refusal_of
 from dyknow.manager.claims.reconciler import StreamReconciler
+from dyknow.manager.specifications.tags import written_bindings
 from dyknow.model.streams import StreamRequest
 from dyknow.ros.manager.service_group import ServiceGroup
 from dyknow.ros.messages import (
@@ -71,6 +74,7 @@ class StreamServices:
         self._group.offer("renew_stream", RenewStream, self._renew)
         self._group.offer("replan_stream", ReplanStream, self._replan)
         self._group.offer("list_streams", ListStreams, self._list)
+        self._group.offer("find_bindings", FindBindings, self._find_bindings)
 
     def _acquire(self, request: Any) -> AcquireStreamResponse:
         answers: List[AcquireStreamResponse] = []
@@ -120,6 +124,15 @@ class StreamServices:
         return ListStreamsResponse(
             [stream_message(self._answers.status(each)) for each in self._reconciler.claims()]
         )
+
+    def _find_bindings(self, request: Any) -> FindBindingsResponse:
+        try:
+            self._guards.check_sizes([request.tag, request.datatype])
+            found, are_all = self._reconciler.find_bindings(request.tag, request.datatype)
+        except DyKnowError as error:
+            return FindBindingsResponse(False, str(error), [])
+        message = "" if are_all else "there may be more: the search took too long"
+        return FindBindingsResponse(True, message, [written_bindings(each) for each in found])
 
     def _checked(self, request: Any) -> StreamRequest:
         texts = (request.tag, request.datatype, request.client_id, request.request_id)

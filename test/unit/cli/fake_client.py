@@ -30,6 +30,7 @@ _QUESTIONS = (
     "get_statistics",
     "nodelet_managers",
     "list_streams",
+    "find_bindings",
 )
 
 

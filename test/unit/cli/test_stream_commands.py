@@ -11,7 +11,7 @@ from typing import Iterator
 import pytest
 from unit.cli.fake_client import FakeClient, run
 from unit.cli.test_completion import offered
-from unit.manager.world import World
+from unit.manager.world import LIBRARY, World
 
 from dyknow.errors import ManagerUnreachable
 
@@ -40,9 +40,33 @@ class TestTags:
         client.world.spawn("camera", "cam")
         outcome = run(client, "tags")
         assert outcome.lines == [
-            "TAG          TYPE               SUPPLIED BY",
-            "Raw(camera)  sensor_msgs/Image  camera, /cam (runs)",
+            "TAG          FOR  TYPE               SUPPLIED BY",
+            "Raw(camera)  -    sensor_msgs/Image  camera, /cam (runs)",
         ]
+
+    def test_what_variables_can_stand_for(self, client: FakeClient) -> None:
+        client.world.manager.add_transformation(
+            "<transformation><label>pair</label><source>pkg/Relay</source><ports>"
+            '<port type="in">in</port><port type="in">other</port><port type="out">out</port>'
+            '</ports><tags><tag port="in">Raw(?c)</tag><tag port="other">Raw(?d)</tag>'
+            '<tag port="out">Half(?c)</tag><tag port="out">Pair(?c, ?d)</tag>'
+            '<tag port="out">Nothing(?c)(</tag></tags></transformation>'
+        )
+        other = LIBRARY[LIBRARY.index("<transformation>") :].partition("</transformation>")[0]
+        other = other.replace("camera</label>", "second</label>").replace("(camera)", "(second)")
+        client.world.manager.add_transformation(other + "</transformation>")
+        assert [line.split("  ")[:2] for line in run(client, "tags half").lines[1:]] == [
+            ["Half(?c)", "?c=camera|second"]
+        ]
+        found = run(client, "tags pair --json").json["tags"][0]["bindings"]
+        names = ("camera", "second")
+        assert found == [{"?c": c, "?d": d} for c in names for d in names]
+        assert "?c=camera ?d=camera, ?c=camera ?d=second, " in run(client, "tags pair").out
+        client.world.manager.remove_transformation("camera")
+        assert "  ?c=second  " in run(client, "tags half").out
+        client.world.manager.remove_transformation("second")
+        assert "  nothing now  " in run(client, "tags half").out
+        assert run(client, "tags nothing --json").json["tags"][0]["bindings"] is None
 
     def test_json(self, client: FakeClient) -> None:
         client.world.manager.add_transformation(
@@ -58,6 +82,7 @@ class TestTags:
                     "datatypes": [],
                     "transformations": ["t"],
                     "nodelets": [],
+                    "bindings": None,
                 }
             ]
         }
@@ -122,6 +147,7 @@ class TestAcquire:
         assert outcome.lines == [
             "Raw(camera) on /camera_1/image [sensor_msgs/Image]",
             f"  claim {claim.claim_id}",
+            "  cost 1 (proven least)",
             "  no message yet",
             "  nodelets /camera_1",
             "held until Ctrl-C",
@@ -174,7 +200,7 @@ class TestAcquire:
         ]
         outcome = run(client, f"{ACQUIRE} --wait --json")
         first, *_, active, released = outcome.lines
-        assert '"state": "pending"' in first
+        assert '"state": "pending"' in first and '"cost": null' in first
         assert '"state": "active"' in active
         assert '"released"' in released
 

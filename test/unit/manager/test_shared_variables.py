@@ -12,7 +12,7 @@ import pytest
 from unit.manager.field import IMAGE, Field, specification
 from unit.manager.witness import Concepts, Witness
 
-from dyknow.errors import HostError, NoPlanFound
+from dyknow.errors import HostError, InvalidTag, NoPlanFound
 from dyknow.manager.claims.answers import StreamAnswers
 from dyknow.model.streams import ClaimState
 from dyknow.model.transformation import Parameter
@@ -180,6 +180,33 @@ def test_a_plan_may_need_a_transformation_several_times(lab: Lab) -> None:
     lab.settle()
     assert len(lab.made_from("detector")) == 2
     assert sorted(lab.field.host.parameters.values(), key=str) == ["left_link", "right_link"]
+
+
+def test_what_was_meant_is_suggested_with_the_names_that_were_asked_for(lab: Lab) -> None:
+    lab.add("planes", {"in": ("in", ["Image(?c)"]), "out": ("out", ["Planes(?c, half)"])})
+    with pytest.raises(NoPlanFound, match=r"did you mean Planes\(left, half\)"):
+        lab.field.acquire("Plnes(left, haf)")
+    with pytest.raises(NoPlanFound, match=r"did you mean Planes\(\?camera, half\)"):
+        lab.field.acquire("Planse(?camera, half)")
+
+
+def test_what_variables_can_stand_for_is_found_in_what_runs_and_what_could(lab: Lab) -> None:
+    lab.add_detector()
+    found = lab.field.reconciler.find_bindings
+    assert found("Ball(?x: Camera)") == ([(("?x", "left"),), (("?x", "right"),)], True)
+    claim = lab.field.acquire("Ball(left)").claim
+    lab.field.manager.remove_transformation("camera right")
+    assert found("Ball(?x)") == ([(("?x", "left"),)], True)
+    lab.field.manager.remove_transformation("detector")
+    assert found("Ball(?x)") == ([], True)
+    lab.field.spawn("camera left", "/mine", config={"out": "/mine/out"})
+    lab.field.manager.remove_transformation("camera left")
+    assert found("Image(?x)") == ([(("?x", "left"),)], True)
+    assert found("Image(left)") == ([()], True)
+    assert found("Image(right)") == ([], True)
+    with pytest.raises(InvalidTag):
+        found("Image(")
+    assert lab.field.claim(claim.claim_id).state is ClaimState.ACTIVE
 
 
 def test_types_restrict_what_a_variable_takes(lab: Lab) -> None:

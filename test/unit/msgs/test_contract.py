@@ -179,6 +179,7 @@ SERVICES = {
     "RenewStream": (("string claim_id", "duration lease"), (*ANSWER, "time expires")),
     "ReleaseStream": (("string claim_id",), ANSWER),
     "ReplanStream": (("string claim_id", "bool dry_run"), (*ANSWER, *PLAN, "string plan")),
+    "FindBindings": (("string tag", "string datatype"), (*ANSWER, "string[] bindings")),
     "ListStreams": (EMPTY, ("StreamStatus[] streams",)),
 }
 

@@ -23,7 +23,7 @@ def test_active_lists_and_destroys(qtbot, window, remote):
     assert table.names() == sorted(each.name for each in remote.graph().nodelets)
     row = table.names().index("/nao1/subsampler")
     cells = [table.model().index(row, column).data() for column in range(6)]
-    assert cells[1:5] == ["subsampler(nao1, bottom)", "1", "3", "running"]
+    assert cells[1:5] == ["subsampler", "1", "3", "running"]
     table.choose(["/nao1/bottom_camera"])
     assert not window.active.destroy.isEnabled()
     click(qtbot, window.active.protect)
@@ -101,6 +101,45 @@ def test_create_makes_a_nodelet(qtbot, window, remote):
     panel.name.setText("no name")
     click(qtbot, panel.create)
     assert "'no name' is not a valid" in window.line.text
+
+
+def test_create_gives_names_for_variables_and_parameters(qtbot, window, remote):
+    remote.client.add_transformation(
+        "<transformation><label>eye</label><source>soccer/Eye</source><params>"
+        '<param name="frame" type="string">${?camera}_link</param>'
+        '<param name="rate" type="double">30</param></params>'
+        '<ports><port type="in">in</port><port type="in">other</port></ports><tags>'
+        '<tag port="in">Image(?camera)</tag><tag port="other">Lens(?lens)</tag></tags>'
+        "</transformation>"
+    )
+    panel = window.create_
+    window.tabs.setCurrentWidget(panel)
+    until(qtbot, lambda: "eye" in window.monitor.library)
+    panel.begin("eye")
+    fields = panel.given.fields
+    placeholders = {name: field.placeholderText() for name, field in fields.items()}
+    assert placeholders == {
+        "?camera": "a name",
+        "?lens": "as connected",
+        "frame": "${?camera}_link",
+        "rate": "30",
+    }
+    click(qtbot, panel.create)
+    until(qtbot, lambda: "nothing says what ?camera in the parameter 'frame'" in window.line.text)
+    qtbot.keyClicks(fields["?camera"], "left")
+    qtbot.keyClicks(fields["rate"], "5")
+    click(qtbot, panel.create)
+    until(qtbot, lambda: "n_/eye" in vertex_keys(window))
+    given = {each.name: each.text for each in remote.graph().nodelet("/eye").parameters}
+    assert given == {"?camera": "left", "rate": "5"}
+    panel.begin("tracker")
+    assert panel.given.fields == {}
+    item = next(i for i in window.graph.view.scene().items() if "n_/eye" in str(_key(i)))
+    assert "?camera=left rate=5" in item.toolTip()
+
+
+def _key(item):
+    return getattr(getattr(item, "vertex", None), "key", "")
 
 
 def test_connect_offers_only_what_fits(qtbot, window, remote):

@@ -28,7 +28,7 @@ def test_a_stream_is_previewed_acquired_and_released(qtbot, window, remote):
     before = remote.graph().nodelets
     qtbot.keyClick(panel.tag, Qt.Key_Return)
     until(qtbot, lambda: "cost 0" in panel.plan.toPlainText())
-    panel.exclude.setText("tracker ; localization(nao1)")
+    panel.exclude.setText("tracker ; localization")
     click(qtbot, panel.preview)
     until(qtbot, lambda: "nothing supplies Track(ball)" in panel.plan.toPlainText())
     panel.exclude.clear()
@@ -60,6 +60,14 @@ def test_a_stream_that_needs_new_nodelets_brings_them(qtbot, window, remote):
     until(qtbot, window.graph.bar.undo.isEnabled)
     click(qtbot, window.graph.bar.undo)
     until(qtbot, lambda: remote.client.list_streams()[0].state.name == "RELEASED")
+
+
+def test_what_variables_stand_for_is_shown(qtbot, window, remote):
+    panel = _ask_for(qtbot, window, "FieldPosition(?what)")
+    click(qtbot, panel.acquire)
+    until(qtbot, lambda: len(panel.table.names()) == 1)
+    assert cells_of(panel.table, 0)[1] == "FieldPosition(?what) ?what=ball"
+    until(qtbot, lambda: "FieldPosition(?what) ?what=ball: active" in panel.events.toPlainText())
 
 
 def test_a_stream_that_is_not_possible_waits_and_says_for_what(qtbot, window, remote):

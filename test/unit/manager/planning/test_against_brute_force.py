@@ -5,14 +5,22 @@
 
 from __future__ import annotations
 
+import itertools
 import random
 
 import pytest
-from unit.manager.planning.brute_force import Problem, TooLarge, assert_valid, least_cost
+from unit.manager.planning.brute_force import (
+    Problem,
+    TooLarge,
+    assert_valid,
+    individuals,
+    is_typed,
+    least_cost,
+)
 from unit.manager.planning.random_problems import random_problem
 
 from dyknow.manager.planning.planner import Planner
-from dyknow.manager.planning.problem import Answer, NoPlan
+from dyknow.manager.planning.problem import Answer, NoPlan, Plan
 
 _SHARE = 1_000
 
@@ -51,6 +59,34 @@ def compare(seeds: range) -> None:
 
 def test_a_share_of_random_libraries() -> None:
     compare(range(_SHARE))
+
+
+def test_what_the_variables_of_a_demand_can_stand_for() -> None:
+    """Those names that can be put in their places; a class would stand for its individuals too."""
+    several = 0
+    for seed in range(_SHARE // 2):
+        problem = random_problem(seed)
+        tags, canonical = list(problem.goal.tags), problem.ontology.canonical
+        variables = sorted({each for term in tags for each in term.variables})
+        planner = Planner(problem.ontology)
+        planner.add(each for each in problem.library if each.label not in problem.exclude)
+        live = [each for each in problem.live if each[0].label not in problem.exclude]
+        names = [name for name in individuals(problem) if name.islower()]
+        expected = set()
+        for each in itertools.product(names, repeat=len(variables)):
+            ground = frozenset(term.substitute(dict(zip(variables, each))) for term in tags)
+            answer = planner.plan(problem.goal._replace(tags=ground), live)
+            is_right = is_typed(tags, dict(zip(variables, each)), problem.ontology)
+            if is_right and isinstance(answer, Plan):
+                expected.add(tuple(zip(variables, map(canonical, each))))
+        found, are_all = planner.bindings(problem.goal, live)
+        known = [tuple((x, canonical(name)) for x, name in each) for each in found]
+        known = [each for each in known if all(name.islower() for _, name in each)]
+        assert are_all
+        assert set(known) == expected, seed
+        assert len(known) == len(expected)
+        several += len(expected) > 1
+    assert several > 10
 
 
 @pytest.mark.long
