@@ -72,7 +72,7 @@ class CreatePanel(Panel):
         form.addRow("", self.isolated)
         form.addRow("Nodelet manager:", self.manager)
         form.addRow("Ports:", self.ports)
-        form.addRow("Given:", self.given)
+        form.addRow("Parameters:", self.given)
         form.addRow("", self.create)
         column = QVBoxLayout(self)
         column.addLayout(form)

@@ -372,7 +372,7 @@ class CommandTest(unittest.TestCase):
         tags = '<tags><tag port="out">Number(robot)</tag></tags>'
         file.write_text(text.replace("</transformation>", tags + "</transformation>"))
         self.done("import", str(file))
-        self.assertEqual(self.done("tags").lines[1].split(), ["Number(robot)", "-", "tagged"])
+        self.assertEqual(self.done("tags").lines[1].split(), ["Number(robot)", "-", "-", "tagged"])
         said = self.failed(1, "plan", "Numbers(robot)", "--exclude", "tagget")
         self.assertIn("(excluded: tagget); did you mean Number(robot)?", said)
         self.assertIn("no transformation is labelled 'tagget'; did you mean tagged?", said)

@@ -13,6 +13,7 @@ from dyknow_msgs.srv import (
     AcquireStream,
     AddTransformation,
     Destroy,
+    FindBindings,
     ReleaseStream,
     RemoveTransformation,
     RenewStream,
@@ -35,6 +36,7 @@ SERVICES = {
     "release_stream": ReleaseStream,
     "renew_stream": RenewStream,
     "replan_stream": ReplanStream,
+    "find_bindings": FindBindings,
 }
 #: Specifications may be long: they have their own limits.
 UNLIMITED = ("specification",)

@@ -185,6 +185,10 @@ class CommandTest(StreamCase):
         manager = self.tracking()
         self.assertIn("filter.out [?camera=own] (new, cost 1)", self.run_it("plan", GOAL))
         self.assertIn("digraph", self.run_it("plan", GOAL, "--dot"))
+        found = manager.client.find_bindings("Raw(?camera)", "std_msgs/Header")
+        self.assertEqual(found, ("?camera=ceiling", "?camera=own"))
+        with self.assertRaisesRegex(Refused, "expected Functor"):
+            manager.client.find_bindings("Raw(")
         with Running(*DYKNOW, "acquire", GOAL) as shell:
             shell.wait_for("held until Ctrl-C")
             (claim,) = manager.client.list_streams()
