@@ -21,13 +21,14 @@ _DEMAND = (
 )
 _NOTHING_SUPPLIES = "nothing supplies "
 _MISSING = re.compile(rf": {_NOTHING_SUPPLIES}({_DEMAND}(?:; {_DEMAND})*)")
-_TYPE = re.compile(r" \[[^\[\]]*\]\Z")
+_OTHERS = re.compile(r" \[[^\[\]]*\]\Z")
 
 
-def write_demand(tags: Iterable[str], datatype: str = "") -> str:
-    """Write what one stream has to be: all its tags, and its ROS type unless that is empty."""
+def write_demand(tags: Iterable[str], *others: str) -> str:
+    """Write what one stream has to be: all its tags, and what else is asked unless it is empty."""
     text = " & ".join(sorted(map(_quoted, tags)))
-    return f"{text} [{datatype}]" if datatype else text
+    asked = ", ".join(filter(None, others))
+    return f"{text} [{asked}]" if asked else text
 
 
 def write_missing(demand: str, missing: Iterable[str]) -> str:
@@ -46,7 +47,7 @@ def read_missing(text: str) -> Tuple[str, ...]:
         return ()
     tags = set()
     for demand in re.findall(_DEMAND, found.group(1)):
-        tags.update(_TAG.findall(_TYPE.sub("", demand)))
+        tags.update(_TAG.findall(_OTHERS.sub("", demand)))
     return tuple(sorted(json.loads(tag) if tag[0] == '"' else tag for tag in tags))
 
 

@@ -100,12 +100,21 @@ def given_parameter(text: str) -> Parameter:
 
 def seconds(text: str) -> float:
     """Read a duration above zero, in seconds."""
+    return _above_zero(text, "seconds, such as 0.5")
+
+
+def hertz(text: str) -> float:
+    """Read a rate above zero, in Hz."""
+    return _above_zero(text, "Hz above 0, such as 10")
+
+
+def _above_zero(text: str, expected: str) -> float:
     try:
         value = float(text)
     except ValueError:
         value = math.nan
     if not 0 < value < math.inf:
-        raise argparse.ArgumentTypeError(f"'{text}': expected seconds, such as 0.5")
+        raise argparse.ArgumentTypeError(f"'{text}': expected {expected}")
     return value
 
 

@@ -10,6 +10,7 @@ import os
 import socket
 
 from dyknow.cli import completion
+from dyknow.cli.arguments import hertz, seconds
 from dyknow.model.streams import StreamRequest
 
 
@@ -39,6 +40,36 @@ def demand_arguments(parser: argparse.ArgumentParser) -> None:
         completion.labels,
     )
 
+    parser.add_argument(
+        "--min-rate",
+        metavar="HZ",
+        type=hertz,
+        default=0.0,
+        help="how many messages a second there have to be (default: any number)",
+    )
+    for option, what in (
+        ("--prefer", "use these where there is a choice"),
+        ("--avoid", "use these only where there is no choice"),
+    ):
+        completion.complete_with(
+            parser.add_argument(
+                option,
+                metavar="NAME",
+                nargs="+",
+                action="extend",
+                default=[],
+                help=f"{what}: transformations by label, or concepts of their tags",
+            ),
+            completion.labels,
+        )
+    parser.add_argument(
+        "--budget",
+        metavar="SECONDS",
+        type=seconds,
+        default=0.0,
+        help="how long the plan may be improved (default: 0.1 s)",
+    )
+
 
 def request_of(
     arguments: argparse.Namespace, lease: float = 0.0, max_silence: float = 0.0
@@ -51,4 +82,8 @@ def request_of(
         lease=lease,
         max_silence=max_silence,
         exclude=tuple(arguments.exclude),
+        min_rate=arguments.min_rate,
+        prefer=tuple(arguments.prefer),
+        avoid=tuple(arguments.avoid),
+        budget=arguments.budget,
     )

@@ -8,10 +8,42 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from typing import Any, Dict, Mapping, Optional, Tuple
 
+from dyknow.errors import BadParameter
 from dyknow.manager.moment import Moment
 from dyknow.manager.specifications.tags import Bindings, parse_tag
 from dyknow.manager.well_typed import check_types
 from dyknow.model.streams import ClaimState, StreamRequest
+
+#: Seconds that the improvement of one plan may take: meanwhile no other request is served.
+MOST_BUDGET = 60.0
+
+
+def check_request(request: StreamRequest) -> None:
+    """Check what a client asks for besides the tag.
+
+    Raises:
+        BadParameter: a value is of no use.
+    """
+    infinity = float("inf")
+    for name, value, most, expected in (
+        ("lease", request.lease, infinity, "seconds from 0 (which means: until released)"),
+        ("max_silence", request.max_silence, infinity, "seconds from 0 (which means: never)"),
+        ("min_rate", request.min_rate, infinity, "Hz from 0 (which means: any rate)"),
+        ("max_age", request.max_age, infinity, "seconds from 0 (which means: any age)"),
+        (
+            "budget",
+            request.budget,
+            MOST_BUDGET,
+            f"seconds from 0 (which means: the default) to {MOST_BUDGET:g}",
+        ),
+    ):
+        if not 0 <= value <= most or value == infinity:
+            raise BadParameter(name, value, expected)
+    both = sorted(set(request.prefer) & set(request.avoid))
+    if both:
+        raise BadParameter("avoid", both[0], "a name that is not in prefer as well")
+    if request.max_age:
+        raise BadParameter("max_age", request.max_age, "0: this manager does not serve it yet")
 
 
 @dataclass(frozen=True)
@@ -76,7 +108,8 @@ class Claim:
         written = Moment(**fields.pop("written", asdict(now)))
         check_types(written)
         request = dict(fields.pop("request"))
-        request["exclude"] = tuple(request["exclude"])
+        for name in ("exclude", "prefer", "avoid"):  # the latter are not in older files
+            request[name] = tuple(request.get(name, ()))
         claim = cls(
             **{
                 **fields,

@@ -95,6 +95,8 @@ class FakeHost(Host):
         cpp: types that are plain C++ nodelets.
         topics: ordinary topics that are published.
         silent: nodelets, by name or type, and ordinary topics that send nothing.
+        dividers: how many messages, by nodelet, type or ordinary topic, make one that is sent;
+            1 where nothing is said. The nodelet's own entry comes before that of its type.
         slow: nodelets to which a connection takes longer than the manager waits: it fails, and is
             made later all the same (``arrive``).
         fail: called before each operation with its name and argument; may raise.
@@ -121,6 +123,7 @@ class FakeHost(Host):
         self.cpp: set[str] = set()
         self.topics: set[str] = set()
         self.silent: set[str] = set()
+        self.dividers: Dict[str, int] = {}
         self.slow: set[str] = set()
         self.fail: Callable[[str, str], object] = lambda operation, argument: None
         self.on_change: Callable[[], None] = lambda: None
@@ -131,6 +134,7 @@ class FakeHost(Host):
         self._hung: set[str] = set()
         self._crashes: List[Crash] = []
         self._cut: Dict[str, ManagerState] = {}
+        self._passed: Dict[str, int] = {}
         self._on_the_way: List[Tuple[FakeNodelet, Dict[str, str]]] = []
 
     # Faults and other events
@@ -221,7 +225,7 @@ class FakeHost(Host):
         Returns:
             The topics on which a message was sent.
         """
-        moving = self.topics - self.silent
+        moving = {each for each in self.topics - self.silent if self._sends(each)}
         waiting = [
             nodelet
             for name, process in self.processes.items()
@@ -237,6 +241,8 @@ class FakeHost(Host):
                 takes = any(port.direction == "in" for port in nodelet.ports.values())
                 if (inputs or not takes) and moving.issuperset(inputs):
                     waiting.remove(nodelet)
+                    if not self._sends(nodelet.request.name, nodelet.request.source):
+                        continue
                     moving.update(nodelet.topics("out"))
                     for port in nodelet.ports.values():
                         if port.direction == "out" and port.topic:
@@ -244,6 +250,12 @@ class FakeHost(Host):
         for listener in self.listeners:
             listener.messages += listener.topic in moving
         return moving
+
+    def _sends(self, name: str, kind: str = "") -> bool:
+        """Whether one more message makes something send."""
+        divider = self.dividers.get(name, self.dividers.get(kind, 1))
+        passed = self._passed[name] = self._passed.get(name, 0) + 1
+        return passed % divider == 0
 
     def vanish(self, name: str) -> None:
         """Unload a nodelet behind the manager's back."""

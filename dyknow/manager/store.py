@@ -45,18 +45,25 @@ def unpack(body: str) -> Transformation:
     texts = [label, source, kind]  # checked by hand: there may be hundreds of thousands
     for parameter in parameters:
         texts += parameter
-    for name, side, datatype, tags in ports:
+    rates: List[float] = []
+    for name, side, datatype, tags, *rate in ports:  # files of earlier versions have no rate
         texts += (name, side, datatype, *tags)
+        rates += rate
     "".join(texts)
     if type(cost) is not int:
         raise TypeError(f"its cost is {cost!r}")
+    if not all(type(rate) is float for rate in rates):
+        raise TypeError("the rate of a port is no number")
     return Transformation(
         label,
         source,
         kind,
         cost,
         tuple(Parameter(*each) for each in parameters),
-        tuple(Port(name, side, datatype, tuple(tags)) for name, side, datatype, tags in ports),
+        tuple(
+            Port(name, side, datatype, tuple(tags), *rate)
+            for name, side, datatype, tags, *rate in ports
+        ),
     )
 
 

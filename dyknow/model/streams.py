@@ -44,6 +44,12 @@ class StreamRequest:
         lease: seconds until the claim ends unless it is renewed; 0 for until it is released.
         max_silence: seconds without a message after which a part counts as broken; 0: never.
         exclude: labels of transformations that must not be used.
+        min_rate: Hz below which the stream is too slow; 0: any rate will do.
+        max_age: seconds beyond which messages are too old, by the stamps in their headers; 0: any
+            age will do. Managers refuse others for now.
+        prefer: concepts or labels; what belongs to them is used where there is a choice.
+        avoid: concepts or labels; what belongs to them is used only where there is no choice.
+        budget: seconds for the improvement of the plan; 0 for the default.
     """
 
     tag: str
@@ -54,6 +60,11 @@ class StreamRequest:
     lease: float = 0.0
     max_silence: float = 0.0
     exclude: Tuple[str, ...] = ()
+    min_rate: float = 0.0
+    max_age: float = 0.0
+    prefer: Tuple[str, ...] = ()
+    avoid: Tuple[str, ...] = ()
+    budget: float = 0.0
 
 
 @dataclass(frozen=True)

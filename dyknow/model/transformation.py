@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from decimal import Decimal
 from typing import List, NamedTuple, Tuple
 from xml.sax.saxutils import escape, quoteattr
 
@@ -38,12 +39,14 @@ class Port(NamedTuple):
         direction: `in` or `out`.
         datatype: The ROS type, such as `sensor_msgs/Image`; empty when it is not stated.
         tags: Semantic descriptions of the stream, in the order written.
+        rate: Messages a second that an out-port sends, in Hz; 0 when it is not stated.
     """
 
     name: str
     direction: str
     datatype: str = ""
     tags: Tuple[str, ...] = ()
+    rate: float = 0.0
 
 
 class Transformation(NamedTuple):
@@ -107,7 +110,14 @@ def _param_xml(parameter: Parameter) -> str:
 
 def _port_xml(port: Port) -> str:
     datatype = f" datatype={_attribute(port.datatype)}" if port.datatype else ""
-    return f'<port type="{port.direction}"{datatype}>{_text(port.name)}</port>'
+    rate = f' rate="{_number(port.rate)}"' if port.rate else ""
+    return f'<port type="{port.direction}"{datatype}{rate}>{_text(port.name)}</port>'
+
+
+def _number(value: float) -> str:
+    """Write the shortest decimal that is read as the same number, without an exponent."""
+    text = format(Decimal(repr(value)), "f")
+    return text.rstrip("0").rstrip(".") if "." in text else text
 
 
 def _tag_xml(port: str, tag: str) -> str:

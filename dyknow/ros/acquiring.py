@@ -187,7 +187,11 @@ def acquire(
     datatype: Union[str, Any] = "",
     *,
     max_silence: float = 0.0,
+    min_rate: float = 0.0,
     exclude: Union[str, Iterable[str]] = (),
+    prefer: Union[str, Iterable[str]] = (),
+    avoid: Union[str, Iterable[str]] = (),
+    budget: float = 0.0,
     pending: bool = False,
     lease: float = LEASE,
     on_event: Optional[OnEvent] = None,
@@ -202,7 +206,11 @@ def acquire(
         datatype: the type that it must have, as a message class or by name; any by default.
         max_silence: seconds without a message after which a part counts as broken; 0: only dead
             parts count as broken.
+        min_rate: Hz; a part that keeps the stream slower is replaced. 0: any rate will do.
         exclude: labels of transformations that must not be used, or a single one.
+        prefer: concepts or labels, or a single one, to use where there is a choice.
+        avoid: concepts or labels, or a single one, to use only where there is no choice.
+        budget: seconds for the improvement of the plan; 0: the manager's default.
         pending: also accept a stream that cannot be made yet; see ``wait_until_active``.
         lease: the most seconds that the claim outlives this process.
         on_event: called with each change of the claim (``before``, ``after``, ``reason``), on a
@@ -233,7 +241,11 @@ def acquire(
             bond_id=session.bond_id,
             lease=lease,
             max_silence=max_silence,
-            exclude=(exclude,) if isinstance(exclude, str) else tuple(exclude),
+            min_rate=min_rate,
+            exclude=_names(exclude),
+            prefer=_names(prefer),
+            avoid=_names(avoid),
+            budget=budget,
         )
         view, answer = _ask(client, request, pending, timeout)
         stream = AcquiredStream(client, session, view, lease, on_event)
@@ -244,6 +256,10 @@ def acquire(
         session.close()
         raise
     return stream
+
+
+def _names(given: Union[str, Iterable[str]]) -> Tuple[str, ...]:
+    return (given,) if isinstance(given, str) else tuple(given)
 
 
 def _ask(

@@ -46,7 +46,11 @@ def _direction_from(message: Any) -> str:
 def port_message(port: PortState) -> msg.Port:
     """Convert a port of a running nodelet."""
     return msg.Port(
-        port.name, direction_message(port.direction), port.datatype, port.topic, list(port.tags)
+        name=port.name,
+        direction=direction_message(port.direction),
+        datatype=port.datatype,
+        topic=port.topic,
+        tags=list(port.tags),
     )
 
 
@@ -93,7 +97,12 @@ def transformation_message(transformation: Transformation) -> msg.Transformation
         parameters=_parameter_messages(transformation.parameters),
         ports=[
             msg.Port(
-                port.name, direction_message(port.direction), port.datatype, "", list(port.tags)
+                port.name,
+                direction_message(port.direction),
+                port.datatype,
+                "",
+                list(port.tags),
+                port.rate,
             )
             for port in transformation.ports
         ],
@@ -110,7 +119,13 @@ def transformation_from(message: msg.Transformation) -> Transformation:
         message.cost,
         parameters_from(message.parameters),
         tuple(
-            Port(each.name, _direction_from(each), each.datatype, tuple(each.tags))
+            Port(
+                each.name,
+                _direction_from(each),
+                each.datatype,
+                tuple(each.tags),
+                each.rate,
+            )
             for each in message.ports
         ),
     )
@@ -312,11 +327,16 @@ def acquire_message(request: StreamRequest, dry_run: bool) -> srv.AcquireStreamR
         max_silence=request.max_silence,
         exclude=list(request.exclude),
         dry_run=dry_run,
+        min_rate=request.min_rate,
+        max_age=request.max_age,
+        prefer=list(request.prefer),
+        avoid=list(request.avoid),
+        budget=request.budget,
     )
 
 
 def acquire_from(message: srv.AcquireStreamRequest) -> StreamRequest:
-    """Read the request for a stream; what it excludes is sorted."""
+    """Read the request for a stream; its lists are sorted."""
     return StreamRequest(
         tag=message.tag,
         datatype=message.datatype,
@@ -326,6 +346,11 @@ def acquire_from(message: srv.AcquireStreamRequest) -> StreamRequest:
         lease=message.lease.to_sec(),
         max_silence=message.max_silence,
         exclude=tuple(sorted(set(message.exclude))),
+        min_rate=message.min_rate,
+        max_age=message.max_age,
+        prefer=tuple(sorted(set(message.prefer))),
+        avoid=tuple(sorted(set(message.avoid))),
+        budget=message.budget,
     )
 
 

@@ -19,6 +19,7 @@ from typing import (
     Mapping,
     Optional,
     Sequence,
+    Set,
     Tuple,
 )
 
@@ -28,12 +29,13 @@ from dyknow.manager.claim import Claim
 from dyknow.manager.claims.context import ClaimContext
 from dyknow.manager.claims.own_nodelets import Instance, OwnNodelet, assigned, instance_of
 from dyknow.manager.claims.relay import is_relay
-from dyknow.manager.claims.streams import TaggedStream, live_streams
+from dyknow.manager.claims.streams import live_streams, with_feeders
 from dyknow.manager.claims.topology import demand_of, may_share
 from dyknow.manager.library import Library
-from dyknow.manager.planning.planner import Planner
+from dyknow.manager.planning.planner import BUDGET, Planner
 from dyknow.manager.planning.problem import NO_LABELS, Answer, NoPlan, Plan
 from dyknow.manager.planning.supply import Demand, ways_to_meet
+from dyknow.manager.planning.wishes import NO_WISHES, TaggedStream, Wishes
 from dyknow.manager.record import Record
 from dyknow.manager.specifications.given import exposed_variables
 from dyknow.manager.specifications.tags import Bindings, Subsumption
@@ -106,6 +108,7 @@ class ClaimPlanner:
             self.published,
             self.failures.paused,
             self._monitor.unhealthy,
+            self._monitor.quality.signature,
         )
 
     def offers(self) -> Hashable:
@@ -121,12 +124,13 @@ class ClaimPlanner:
         """Healthy nodelets that can be connected elsewhere for a claim, the preferred ones first.
 
         These are the claim's own nodelets and those that no claim needs. Parts that other claims
-        share are among them, unless these claims exclude what this one does not; they have to go
-        on supplying the same.
+        share are among them, unless these claims exclude what this one does not, or have other
+        wishes; they have to go on supplying the same.
         """
         sharing = [each for each in self._table.living() if each.claim_id != claim.claim_id]
         needed = self._table.needed() | self._lock.reserved
         idle = [record.name for record in self._manager.graph.all() if record.name not in needed]
+        unfit = self._monitor.unhealthy | self._monitor.quality.unfit(self._together(claim))
         found: List[OwnNodelet] = []
         topology = self._connector.topology()
         for name in reversed((*idle, *claim.nodelets)):
@@ -136,10 +140,14 @@ class ClaimPlanner:
                 record is not None
                 and record.claimed
                 and record.state is State.RUNNING
-                and name not in self._monitor.unhealthy
+                and name not in unfit
                 and record.transformation == self._current(record.label)
                 and record.transformation is not None
-                and all(set(each.request.exclude) <= set(claim.request.exclude) for each in users)
+                and all(
+                    set(each.request.exclude) <= set(claim.request.exclude)
+                    and wishes_of(each) == wishes_of(claim)
+                    for each in users
+                )
             ):
                 exposed = exposed_variables(record.transformation)
                 ways = topology.dependent.ways(name) if exposed else None
@@ -157,7 +165,16 @@ class ClaimPlanner:
 
     def price(self, claim: Claim) -> int:
         """Return what would be saved if a claim's stream did not exist."""
-        return sum(self._known[label].cost for label in self._saved(claim).values())
+        saved = sum(self._known[label].cost for label in self._saved(claim).values())
+        if wishes_of(claim) == NO_WISHES:
+            return saved
+        exclude = frozenset(claim.request.exclude)
+        streams = self._streams(exclude)
+        demand = demand_of(self._together(claim))
+        charges = self._planner.charges(demand, streams, exclude, wishes_of(claim))
+        return saved + sum(
+            charges.get(label, 0) for label in self._labels(claim.nodelets, claim.sources)
+        )
 
     # Plans
 
@@ -178,7 +195,7 @@ class ClaimPlanner:
         """
         self._update()
         together = self._together(claim)
-        paused = self.failures.paused
+        paused = self._paused(together)
         answer = self._plan(together, claim.topic, paused, avoid)
         if isinstance(answer, NoPlan) and lenient and paused:
             answer = self._plan(together, claim.topic, NO_LABELS, avoid)
@@ -186,19 +203,27 @@ class ClaimPlanner:
 
     def is_waiting(self, claim: Claim) -> bool:
         """Whether there would be a plan if nothing had failed lately."""
-        return bool(self.failures.paused) and isinstance(
+        return bool(self._paused([claim])) and isinstance(
             self._plan([claim], claim.topic, NO_LABELS), Plan
         )
 
     def plan_from_scratch(self, claim: Claim) -> Answer:
         """Plan a claim's stream as if the nodelets that it alone needs did not exist."""
         self._update()
-        own = self._saved(claim)
+        own, together = self._saved(claim), self._together(claim)
         exclude = frozenset(claim.request.exclude)
-        streams = self._without_relays(self._streams(exclude, frozenset(own)))
-        paused = self.failures.paused - frozenset(own.values())
-        demand = demand_of(self._together(claim))
-        return self._planner.plan(demand, streams, exclude, paused=paused)
+        without = frozenset(own) | self._monitor.quality.unfit(together)
+        streams = self._without_relays(self._streams(exclude, without))
+        paused = self._paused(together) - frozenset(own.values())
+        demand = demand_of(together)
+        return self._planner.plan(
+            demand,
+            streams,
+            exclude,
+            paused=paused,
+            wishes=wishes_of(claim),
+            feeders=self._feeders(claim, streams),
+        )
 
     def bindings(self, demand: Demand) -> Tuple[List[Bindings], bool]:
         """Find what the variables of a demand can stand for now, and whether that is all."""
@@ -216,10 +241,14 @@ class ClaimPlanner:
             )
             for step in plan.steps
         )
-        cost = sum(step.action.cost for step in steps)
-        return plan._replace(steps=steps, cost=cost, least_cost=min(cost, plan.least_cost))
+        plan = plan._replace(steps=steps)
+        return plan._replace(cost=plan.total, least_cost=min(plan.total, plan.least_cost))
 
     # Inside
+
+    def _paused(self, claims: Iterable[Claim]) -> FrozenSet[str]:
+        """Labels of which no nodelet is to be made for these claims now."""
+        return self.failures.paused | self._monitor.quality.paused(claims)
 
     def _together(self, claim: Claim) -> List[Claim]:
         """List the claims whose clients listen where this one's does; this one first."""
@@ -252,14 +281,46 @@ class ClaimPlanner:
         demand = demand_of(claims)
         exclude = avoid | {label for claim in claims for label in claim.request.exclude}
         own = [each for each in self.own(claims[0]) if each.label not in exclude]
-        streams = self._streams(exclude)
+        streams = self._streams(exclude, self._monitor.quality.unfit(claims))
         present = self._present(demand, streams, topic)
         if present is not None:
             return present
         streams = self._without_relays(streams)
         free = {each.label: each.kept for each in reversed(own)}
-        answer = self._planner.plan(demand, streams, exclude, free, paused - free.keys())
+        budget = max(claim.request.budget for claim in claims) or BUDGET
+        answer = self._planner.plan(
+            demand,
+            streams,
+            exclude,
+            free,
+            paused - free.keys(),
+            budget,
+            wishes_of(claims[0]),
+            self._feeders(claims[0], streams),
+        )
         return answer if isinstance(answer, NoPlan) else self.with_own(answer, own)
+
+    def _feeders(self, claim: Claim, streams: Iterable[TaggedStream]) -> Dict[str, FrozenSet[str]]:
+        """Labels of what feeds each nodelet of streams, where the claim has wishes about it."""
+        if wishes_of(claim) == NO_WISHES:
+            return {}
+        records, ordinary = self._manager.graph.all(), self.ordinary()
+        found = {}
+        for name in {stream.nodelet for stream, _ in streams if stream.nodelet}:
+            fed: Dict[str, Dict[str, str]] = {name: {}}
+            topics: Set[str] = set()
+            with_feeders(records, ordinary, fed, topics, {name})
+            found[name] = frozenset(self._labels(fed.keys() - {name}, topics))
+        return found
+
+    def _labels(self, nodelets: Iterable[str], topics: Iterable[str]) -> List[str]:
+        """Labels of nodelets that run, and of ordinary topics."""
+        found = [self._manager.graph.find(name) for name in nodelets]
+        wanted = set(topics)
+        described = [
+            each.label for each in self._manager.existing_topics() if each.source in wanted
+        ]
+        return [record.label for record in found if record is not None] + described
 
     def _without_relays(self, streams: Iterable[TaggedStream]) -> List[TaggedStream]:
         """Leave out what relays publish: a plan takes it from where they receive it."""
@@ -273,7 +334,7 @@ class ClaimPlanner:
     ) -> Optional[Plan]:
         """Find a stream that will do and is where the client listens already."""
         for stream, terms in sorted(streams):
-            if topic and stream.topic == topic:
+            if topic and stream.topic == topic and demand.is_fast(stream.rate):
                 ways = ways_to_meet(terms, stream.datatype, demand, self._ontology)
                 for way in ways:
                     return Plan(demand, stream, (), 0, 0, tuple(sorted(way.items())))
@@ -286,7 +347,7 @@ class ClaimPlanner:
 
         Args:
             exclude: labels that must have no part in them, directly or further up.
-            without: nodelets that must have no part in them.
+            without: nodelets and topics that must have no part in them.
         """
         manager = self._manager
         published = [
@@ -295,6 +356,7 @@ class ClaimPlanner:
             if each.label not in exclude
             and each.source in self.published
             and each.source not in self._monitor.silent
+            and each.source not in without
         ]
         records = manager.graph.all()
         excluded = {
@@ -326,6 +388,12 @@ class ClaimPlanner:
         known = self._known
         self._planner.add(each for each in present.values() if known.get(each.label) != each)
         self._known = present
+
+
+def wishes_of(claim: Claim) -> Wishes:
+    """Return what a claim's client would rather have."""
+    request = claim.request
+    return Wishes(tuple(sorted(set(request.prefer))), tuple(sorted(set(request.avoid))))
 
 
 def _restricted(way: Mapping[str, str], variables: AbstractSet[str]) -> Bindings:

@@ -70,6 +70,8 @@ class FlowMeter:
         self._graph = graph
         self._clock = clock
         self._flows: Dict[Place, Flow] = {}
+        #: What the latest reading counted, by place.
+        self.counted: Dict[Place, Count] = {}
         self._listening: Dict[str, Listening] = {}
         self._asked: Dict[str, float] = {}
         self._unanswered_since: Dict[str, float] = {}
@@ -106,6 +108,7 @@ class FlowMeter:
         Returns:
             The places where messages have come.
         """
+        self.counted = {}
         records = {record.name: record for record in self._graph.all()}
         running = {name for name, each in records.items() if each.state is State.RUNNING}
         self._unresponsive = {
@@ -181,6 +184,7 @@ class FlowMeter:
 
     def _note(self, place: Place, count: Count) -> bool:
         """Take a count in; returns whether messages have come since the last one."""
+        self.counted[place] = count
         flow = self._flows.get(place)
         if flow is None or count.messages < flow.messages:  # the nodelet was loaded again
             flow = Flow(count.messages, count.answered, count.asked, begun=count.messages > 0)

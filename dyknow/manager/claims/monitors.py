@@ -11,11 +11,11 @@ from typing import Callable, Dict, FrozenSet, Iterable, List, Mapping, Set
 from dyknow.manager.claim import Claim
 from dyknow.manager.claims.claim_table import ClaimTable
 from dyknow.manager.claims.flows import FlowMeter, Place
+from dyknow.manager.claims.quality import QualityMonitor
+from dyknow.manager.claims.stream_parts import StreamParts, described, goal_of, name_of
 from dyknow.manager.graph import Graph
 from dyknow.manager.manager import Manager
-from dyknow.model.graph import State
 from dyknow.model.streams import NO_MESSAGE, ClaimState
-from dyknow.model.transformation import OUT
 
 #: Seconds that a part may take to send its first message, if the claim does not allow more.
 FIRST_MESSAGE = 2.0
@@ -43,6 +43,8 @@ class StreamMonitor:
         self._meter = FlowMeter(manager.host, manager.graph, clock)
         self._silence = SilenceMonitor(self._meter, manager.graph)
         self._first_messages = FirstMessageMonitor(table, self._meter, manager.graph, clock)
+        #: Which claims get less than they demand, and what is to blame.
+        self.quality = QualityMonitor(self._meter, manager.graph, clock)
 
     @property
     def silent(self) -> Mapping[str, str]:
@@ -63,8 +65,11 @@ class StreamMonitor:
         """Count messages; returns the nodelets and topics that have just fallen silent."""
         claims = self._table.living()
         came = self._meter.read(
-            self._first_messages.periods(claims), self._silence.periods(claims)
+            self._first_messages.periods(claims),
+            self._silence.periods(claims),
+            self.quality.periods(claims),
         )
+        self.quality.judge(claims)
         fallen = self._silence.judge(claims, came)
         for name in fallen:
             _log.warning("%s", self.silent[name])
@@ -80,6 +85,7 @@ class StreamMonitor:
             rewired: its nodelets that were connected elsewhere.
         """
         self._meter.restart_silence(rewired)
+        self.quality.restart(claim.claim_id, rewired)
         return self._first_messages.expect(claim, goal, topic)
 
     def report_first_messages(self) -> None:
@@ -112,7 +118,7 @@ class SilenceMonitor:
         found: Dict[Place, float] = {}
         for claim in _watched(claims):
             period = max(claim.request.max_silence / _COUNTS, _LEAST_PERIOD)
-            for place in self._places(claim):
+            for place in StreamParts(claim, self._graph).topics:
                 found[place] = min(found.get(place, period), period)
         for place in self._meter.flows:
             if place[0] in self.silent and self._graph.find(place[0]) is not None:
@@ -130,58 +136,35 @@ class SilenceMonitor:
             The nodelets and topics that have just fallen silent.
         """
         for place in came:
-            self.silent.pop(_name(place), None)
-        counted = set(map(_name, self._meter.flows))
+            self.silent.pop(name_of(place), None)
+        counted = set(map(name_of, self._meter.flows))
         for name in [name for name in self.silent if name not in counted]:
             del self.silent[name]
         fallen: Set[str] = set()
         for claim in _watched(claims):
-            fallen.update(self._judge(claim, self._places(claim)))
+            fallen.update(self._judge(StreamParts(claim, self._graph)))
         return sorted(fallen)
 
-    def _places(self, claim: Claim) -> Dict[Place, str]:
-        """Out-ports and ordinary topics of a claim, with their topics."""
-        places: Dict[Place, str] = {("", topic): topic for topic in claim.sources}
-        for name in claim.nodelets:
-            record = self._graph.find(name)
-            if (
-                record is None
-                or record.transformation is None
-                or record.state is not State.RUNNING
-            ):
-                continue
-            outs = {port.name for port in record.transformation.ports if port.direction == OUT}
-            for port, topic in claim.wiring[name].items():
-                if port in outs:
-                    places[(name, port)] = topic
-        return places
-
-    def _judge(self, claim: Claim, places: Mapping[Place, str]) -> Set[str]:
-        limit = claim.request.max_silence
+    def _judge(self, parts: StreamParts) -> Set[str]:
+        limit = parts.claim.request.max_silence
         fallen = set()
-        for place in sorted(places):
-            flow, name = self._meter.flows.get(place), _name(place)
+        for place in sorted(parts.topics):
+            flow, name = self._meter.flows.get(place), name_of(place)
             if flow is None or name in self.silent:
                 continue
             allowed = limit if flow.begun else max(limit, FIRST_MESSAGE)
-            if flow.silence > allowed and self._is_fed(place, claim, places):
-                what = f"nodelet {name}" if name in claim.wiring else f"topic {name}"
-                self.silent[name] = f"{what} was silent for longer than {limit:g} s"
+            if flow.silence > allowed and self._is_fed(place, parts):
+                self.silent[name] = f"{described(place)} was silent for longer than {limit:g} s"
                 fallen.add(name)
         return fallen
 
-    def _is_fed(self, place: Place, claim: Claim, places: Mapping[Place, str]) -> bool:
+    def _is_fed(self, place: Place, parts: StreamParts) -> bool:
         """Whether all that feeds a place has sent something since its last message."""
         flows = self._meter.flows
         since = flows[place].quiet_from
-        feeders: Dict[str, List[Place]] = {}
-        for each, topic in places.items():
-            if each[0] != place[0]:
-                feeders.setdefault(topic, []).append(each)
         return all(
-            any(each in flows and flows[each].came_after >= since for each in feeders[topic])
-            for topic in claim.wiring.get(place[0], {}).values()
-            if topic in feeders
+            any(each in flows and flows[each].came_after >= since for each in senders)
+            for senders in parts.feeders(place)
         )
 
 
@@ -222,7 +205,7 @@ class FirstMessageMonitor:
 
     def periods(self, claims: Iterable[Claim]) -> Dict[Place, float]:
         """Seconds between two counts, by place."""
-        return {_goal(claim): _FIRST_MESSAGE_PERIOD for claim in claims if _waits(claim)}
+        return {goal_of(claim): _FIRST_MESSAGE_PERIOD for claim in claims if _waits(claim)}
 
     def report(self) -> None:
         """Change the claims whose first message has come."""
@@ -230,7 +213,7 @@ class FirstMessageMonitor:
         since = {each.claim_id: self._since.get(each.claim_id, self._clock()) for each in waiting}
         self._since = since
         for claim in waiting:
-            if self._meter.has_come(_goal(claim), since[claim.claim_id]):
+            if self._meter.has_come(goal_of(claim), since[claim.claim_id]):
                 self._table.change(claim.claim_id, "its first message has come", detail="")
 
 
@@ -240,12 +223,3 @@ def _watched(claims: Iterable[Claim]) -> List[Claim]:
 
 def _waits(claim: Claim) -> bool:
     return claim.state is ClaimState.ACTIVE and claim.detail == NO_MESSAGE
-
-
-def _goal(claim: Claim) -> Place:
-    return claim.goal if claim.goal[0] else ("", claim.topic)
-
-
-def _name(place: Place) -> str:
-    """Name of the nodelet, or of the topic where there is none."""
-    return place[0] or place[1]

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 from typing import Callable, List, Optional, Tuple
 
 from dyknow.errors import DyKnowError, NoPlanFound
-from dyknow.manager.claim import Claim, ClaimEvent
+from dyknow.manager.claim import Claim, ClaimEvent, check_request
 from dyknow.manager.claims.advice import CheaperPlans, refusal
 from dyknow.manager.claims.assembly import Handover
 from dyknow.manager.claims.claim_planner import ClaimPlanner
@@ -142,12 +142,14 @@ class StreamReconciler:
             dry_run: only plan.
 
         Raises:
+            BadParameter: a value of the request is of no use.
             InvalidTag: the tag is no term.
             NoPlanFound: nothing supplies it; the missing tags are named.
             StreamTypeMismatch: the stream turned out to have another type.
             Denied: the mode is read-only.
             DyKnowError: it could not be made; nothing is left of it.
         """
+        check_request(request)
         claim = Claim("" if dry_run else uuid.uuid4().hex[:12], request)
         demand_of([claim])
         if not dry_run:

@@ -100,6 +100,7 @@ class Repair:
                 if record.topics.get(port, "") != topic:
                     return Fault(f"port {port} of {name} was connected elsewhere")
             doubts += self._doubts(record)
+        doubts += self._monitor.quality.faults(claim)
         silent = self._monitor.silent
         doubts += [silent[topic] for topic in claim.sources if topic in silent]
         return Fault(doubts[0], severed=False) if doubts else None

@@ -11,13 +11,11 @@ from dyknow.manager.claims.bound_tags import Inlet, Way, supplied, ways_to_bind
 from dyknow.manager.claims.topology import Topology
 from dyknow.manager.planning.problem import Live
 from dyknow.manager.planning.supply import Demand
+from dyknow.manager.planning.wishes import TaggedStream
 from dyknow.manager.record import Record, ports_on
 from dyknow.manager.specifications.tags import Subsumption, Term, read_tags
 from dyknow.model.graph import State
 from dyknow.model.transformation import IN, OUT, Transformation
-
-TaggedStream = Tuple[Live, Tuple[Term, ...]]
-"""A stream and what it is about."""
 
 
 def live_streams(
@@ -60,7 +58,8 @@ def live_streams(
 
     for each in published:
         port = each.ports[0]
-        supply(Live(each.source, "", "", each.label, port.datatype), read_tags(port.tags))
+        stream = Live(each.source, "", "", each.label, port.datatype, port.rate)
+        supply(stream, read_tags(port.tags))
     waiting = [
         record
         for record in records
@@ -105,6 +104,7 @@ def _outputs(record: Record) -> List[TaggedStream]:
                 record.name,
                 record.transformation.label,
                 seen.get(port.name) or port.datatype,
+                port.rate,
             )
             found.append((stream, tags))
     return found

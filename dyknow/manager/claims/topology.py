@@ -41,7 +41,8 @@ def demand_of(claims: Iterable[Claim]) -> Demand:
     claims = list(claims)
     types = [wanted_type(claim) for claim in claims]
     tags = frozenset(parse_tag(claim.request.tag) for claim in claims)
-    return Demand(tags, types[0] or max(types))
+    min_rate = max(claim.request.min_rate for claim in claims)
+    return Demand(tags, types[0] or max(types), min_rate)
 
 
 def wanted_type(claim: Claim) -> str:
@@ -54,10 +55,14 @@ def may_share(claim: Claim, other: Claim) -> bool:
 
     Then one topic serves both clients.
     """
+    mine, theirs = claim.request, other.request
     return (
-        parse_tag(claim.request.tag) == parse_tag(other.request.tag)
+        parse_tag(mine.tag) == parse_tag(theirs.tag)
         and wanted_type(claim) in ("", wanted_type(other))
-        and set(claim.request.exclude) == set(other.request.exclude)
+        and set(mine.exclude) == set(theirs.exclude)
+        and mine.min_rate <= theirs.min_rate
+        and set(mine.prefer) == set(theirs.prefer)
+        and set(mine.avoid) == set(theirs.avoid)
     )
 
 

@@ -28,6 +28,7 @@ _LINE = re.compile(r"(?P<lead>[ │├└─]*─ )(?:(?P<port>\S+) ← )?(?P<wh
 _BOUND = re.compile(r"(.*)( \[\?[^\[\]]*=[^\[\]]*\])\Z")
 _INDENT = 3
 _ABOVE = "shared, see above"
+_TOPIC = "topic"
 
 
 class Entry(NamedTuple):
@@ -96,7 +97,7 @@ def tree_as_dot(text: str) -> str:
     edges: List[str] = []
     path: List[str] = []
     for entry in entries:
-        is_topic = entry.how == "topic"
+        is_topic = entry.how.split(", ")[0] == _TOPIC
         name, out = (entry.what, "") if is_topic else _nodelet_and_port(entry.what)
         if entry.how != _ABOVE:
             shape = "box" if is_topic else "ellipse"
@@ -140,21 +141,22 @@ def _entries(plan: Plan) -> List[Entry]:
     steps: Dict[Tuple[str, Bindings], PlanStep] = {
         (step.action.label, step.bindings): step for step in plan.steps
     }
+    charges = dict(plan.charges)
     entries: List[Entry] = []
     seen: Set[Tuple[str, Bindings]] = set()
     waiting: List[Tuple[int, str, Source]] = [(0, "", plan.goal)]
     while waiting:
         depth, port, source = waiting.pop()
         if isinstance(source, Live):
-            if source.nodelet:
-                how = f"runs as {source.nodelet}"
-                entries.append(Entry(depth, port, f"{source.label}.{source.port}", how))
-            else:
-                entries.append(Entry(depth, port, source.topic, "topic"))
+            name = source.nodelet or source.topic
+            how = f"runs as {name}" if source.nodelet else _TOPIC
+            what = f"{source.label}.{source.port}" if source.nodelet else name
+            entries.append(Entry(depth, port, what, how + _charged(charges.pop(name, 0))))
             continue
         key = source.label, source.bindings
         step = steps[key]
         how = f"new, cost {step.action.cost}" if step.action.cost else "at no cost"
+        how += _charged(step.action.charge)
         if key in seen:
             how = _ABOVE
         what = _what(source.label, source.port, source.bindings)
@@ -164,6 +166,10 @@ def _entries(plan: Plan) -> List[Entry]:
             for in_port, supplier in reversed(step.inputs):
                 waiting.append((depth + 1, in_port, supplier))
     return entries
+
+
+def _charged(charge: int) -> str:
+    return f", charged {charge}" if charge else ""
 
 
 def _last_ones(entries: List[Entry]) -> Set[int]:

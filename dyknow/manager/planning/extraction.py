@@ -62,10 +62,9 @@ class _Writer:
         bindings = self._bindings.get(chosen)
         return source if bindings is None else source._replace(bindings=bindings)
 
-    def step(self, number: int, cost: int) -> PlanStep:
+    def step(self, number: int, action: Action) -> PlanStep:
         """Return the step of an action."""
         network, sources = self._network, self._sources
-        action = Action(self._instances.labels[number], cost)
         if number >= len(network.labels) or number in network.rules:
             return self._bound_step(number, PlanStep(action, ()))
         inputs = [sources.get(node) or self.source(node) for node in network.inputs[number]]
@@ -123,14 +122,15 @@ def plan_of(
     steps: List[PlanStep] = []
     freed: Set[str] = set()
     for number in improved.draft.actions:
-        cost = costs[number]
+        charge = instances.charge(number)
+        cost = costs[number] - charge
         label = instances.labels[number]
         if not cost and instances.is_free(label):
             if label in freed:  # one nodelet is there: a second one has to be made
                 cost = instances.network.costs[instances.rule(number)[0]]
             freed.add(label)
-        steps.append(writer.step(number, cost))
-    total = sum([step.action.cost for step in steps])
+        steps.append(writer.step(number, Action(label, cost, charge)))
+    total = sum([step.action.cost + step.action.charge for step in steps])
     goal = writer.source(instances.reach.goal)
     return Plan(
         demand,

@@ -10,6 +10,7 @@ bindings, so its instances get numbers of their own.
 
 from __future__ import annotations
 
+from types import MappingProxyType
 from typing import Dict, List, Mapping, Tuple
 
 from dyknow.manager.planning.network import LiveMatch, Network, Reach
@@ -21,16 +22,27 @@ LIVE = -1
 """Stands for a live stream where an action could be."""
 
 
+NO_CHARGES: Mapping[str, int] = MappingProxyType({})
+"""Nothing has to be paid besides the costs."""
+
+
 class Instances:
     """Nodes and actions of a search: those of the network first, then what was instantiated."""
 
-    def __init__(self, network: Network, reach: Reach, free: Mapping[str, Bindings]) -> None:
+    def __init__(
+        self,
+        network: Network,
+        reach: Reach,
+        free: Mapping[str, Bindings],
+        charges: Mapping[str, int] = NO_CHARGES,
+    ) -> None:
         """Start with those of the network.
 
         Args:
             network: the library.
             reach: what the goal can reach.
             free: nodelets that cost nothing: label and bindings that they keep.
+            charges: what has to be paid besides the costs, by label.
         """
         self.network = network
         self.reach = reach
@@ -43,6 +55,10 @@ class Instances:
         }
         for action in network.numbers(free) - network.rules.keys():
             self.costs[action] = 0
+        self._charges = charges
+        if charges:
+            for action in reach.actions:
+                self.costs[action] += self.charge(action)
         self._first_node = len(network.patterns)
         self._first_action = len(network.labels)
         self._nodes: Dict[Tuple[int, Theta], int] = {}
@@ -108,6 +124,10 @@ class Instances:
             return self.network.base(action), ()
         return self._of_actions[action - self._first_action]
 
+    def charge(self, action: int) -> int:
+        """Return what has to be paid for an action besides its cost."""
+        return self._charges.get(self.labels[action], 0)
+
     def is_free(self, label: str) -> bool:
         """Whether there is a nodelet of a transformation that costs nothing."""
         return label in self._free
@@ -118,5 +138,5 @@ class Instances:
         if kept is not None:
             bound = dict(zip(self.network.rules[rule].variables, theta))
             if all(bound.get(variable, name) == name for variable, name in kept.items()):
-                return 0
-        return self.network.costs[rule]
+                return self.charge(rule)
+        return self.network.costs[rule] + self.charge(rule)

@@ -31,7 +31,7 @@ from dyknow.manager.planning.problem import Live, New
 from dyknow.manager.planning.rules import Premise, Rule, pattern_of, rule_of
 from dyknow.manager.planning.supply import ANY, Demand
 from dyknow.manager.specifications.tags import NO_ONTOLOGY, Subsumption, Term, read_tags
-from dyknow.model.transformation import IN, OUT, TOPIC, Transformation
+from dyknow.model.transformation import IN, OUT, TOPIC, Port, Transformation
 
 _Terms = Tuple[Term, ...]
 _CLOSED: Tuple[Theta, ...] = ((),)
@@ -46,6 +46,7 @@ class Head(NamedTuple):
         atoms: those that can supply something, with the variables numbered as the rule's.
         datatype: its ROS type.
         is_ground: whether the atoms have no variables.
+        rate: Hz that it states; 0 if it states none.
     """
 
     source: New
@@ -53,6 +54,7 @@ class Head(NamedTuple):
     atoms: Tuple[Atom, ...]
     datatype: str
     is_ground: bool
+    rate: float = 0.0
 
 
 class Offer(NamedTuple):
@@ -126,12 +128,21 @@ class LiveStreams:
         self._atoms.append(atoms)
         self.terms[stream] = self.terms.get(stream, ()) + ground
 
+    def labels(self, pattern: Pattern) -> Set[str]:
+        """Return the labels of the streams that supply a pattern."""
+        return {
+            self._streams[each].label
+            for each in self._index.find(pattern)
+            if _goes_with(self._streams[each].datatype, self._streams[each].rate, pattern)
+            and any(True for _ in solutions(self._atoms[each], pattern, self._names))
+        }
+
     def matches(self, number: int, pattern: Pattern) -> List[LiveMatch]:
         """Return the best stream for each binding of the wanted variables."""
         best: Dict[Theta, Live] = {}
         for each in self._index.find(pattern):
             stream = self._streams[each]
-            if _goes_with(stream.datatype, pattern):
+            if _goes_with(stream.datatype, stream.rate, pattern):
                 for theta in solutions(self._atoms[each], pattern, self._names):
                     best[theta] = min(best.get(theta, stream), stream)
         return [LiveMatch(number, theta, best[theta]) for theta in sorted(best)]
@@ -240,6 +251,10 @@ class Network:
         """Return a demand as people write it."""
         return self._shown[number]
 
+    def tags(self, action: int) -> List[Term]:
+        """Return the tags of all out-ports of an action."""
+        return [term for head in self._given[self.base(action)] for term in read_tags(head.texts)]
+
     def terms(self, label: str, port: str) -> _Terms:
         """Return the tags of an out-port."""
         heads = self._given[self._by_label[label]]
@@ -284,6 +299,7 @@ class Network:
         """
         self._forget_suppliers()
         pattern = pattern_of(tuple(goal.tags), goal.datatype, self.names, wanted)
+        pattern = pattern._replace(min_rate=goal.min_rate)
         self._asked += pattern not in self._by_pattern
         first = self.number(pattern, goal)
         live: List[LiveMatch] = []
@@ -338,7 +354,7 @@ class Network:
         else:
             names = []
             inputs = []
-            for name, direction, datatype, tags in tagged:
+            for name, direction, datatype, tags, *_ in tagged:
                 if direction == IN:
                     demand = self._demanded(tags, datatype)
                     if demand is not None:
@@ -348,24 +364,24 @@ class Network:
             in_ports = tuple(names)
             self.ports.append(self._shared.setdefault(in_ports, in_ports))
         heads: List[Head] = []
-        for name, direction, datatype, tags in tagged:
-            if direction == OUT:
-                head = self._head(New(label, name), tags, datatype, variables)
+        for port in tagged:
+            if port.direction == OUT:
+                head = self._head(New(label, port.name), port, variables)
                 for atom in head.atoms:
                     self._heads.add((action, len(heads)), atom)
                     self._touched.add(atom.functor)
                 heads.append(head)
         self._given[action] = tuple(heads)
 
-    def _head(
-        self, source: New, texts: Tuple[str, ...], datatype: str, variables: Tuple[str, ...]
-    ) -> Head:
+    def _head(self, source: New, port: Port, variables: Tuple[str, ...]) -> Head:
+        texts = port.tags
         terms = read_tags(texts)
-        if "?" not in "".join(texts):
-            return Head(source, texts, atoms_of(terms, (), self.names), datatype, True)
-        kept = [term for term in terms if set(term.variables) <= set(variables)]
-        is_ground = all(term.is_ground for term in kept)
-        return Head(source, texts, atoms_of(kept, variables, self.names), datatype, is_ground)
+        is_ground = "?" not in "".join(texts)
+        if not is_ground:
+            terms = tuple([term for term in terms if set(term.variables) <= set(variables)])
+            is_ground = all(term.is_ground for term in terms)
+        atoms = atoms_of(terms, variables, self.names)
+        return Head(source, texts, atoms, port.datatype, is_ground, port.rate)
 
     def _append(self, label: str, cost: int) -> int:
         self.labels.append(label)
@@ -431,7 +447,7 @@ class Network:
         is_simple = not pattern.types and len(pattern.atoms) == 1 and pattern.datatype in ANY
         for action, at in order:
             head = self._given[action][at]
-            if not _goes_with(head.datatype, pattern):
+            if not _goes_with(head.datatype, head.rate, pattern):
                 continue
             if head.is_ground:
                 known = _CLOSED if is_simple else tuple(solutions(head.atoms, pattern, self.names))
@@ -466,5 +482,7 @@ class Network:
         self._touched.clear()
 
 
-def _goes_with(datatype: str, pattern: Pattern) -> bool:
+def _goes_with(datatype: str, rate: float, pattern: Pattern) -> bool:
+    if rate and rate < pattern.min_rate:
+        return False
     return pattern.datatype in ANY or datatype in (*ANY, pattern.datatype)

@@ -45,12 +45,14 @@ class Pattern(NamedTuple):
         types: for each variable, what has to subsume its name.
         wanted: variables whose names matter to whoever demands it; of streams that differ in
             the others only, the cheapest will do.
+        min_rate: Hz; 0 for any rate.
     """
 
     atoms: Tuple[Atom, ...]
     datatype: str
     types: Tuple[Types, ...] = ()
     wanted: Tuple[int, ...] = ()
+    min_rate: float = 0.0
 
 
 class Names:

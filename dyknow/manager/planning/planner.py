@@ -15,7 +15,18 @@ from __future__ import annotations
 import contextlib
 import gc
 import time
-from typing import AbstractSet, Callable, Iterable, Iterator, List, Mapping, Tuple
+from types import MappingProxyType
+from typing import (
+    AbstractSet,
+    Callable,
+    Dict,
+    FrozenSet,
+    Iterable,
+    Iterator,
+    List,
+    Mapping,
+    Tuple,
+)
 
 from dyknow.manager.planning.budget import Budget
 from dyknow.manager.planning.extraction import no_plan, plan_of
@@ -23,15 +34,25 @@ from dyknow.manager.planning.improvement import drafted, improve
 from dyknow.manager.planning.instances import Instances
 from dyknow.manager.planning.knuth import cheapest
 from dyknow.manager.planning.network import LiveStreams, Network
-from dyknow.manager.planning.problem import NO_FREE, NO_LABELS, Answer, Live
+from dyknow.manager.planning.problem import NO_FREE, NO_LABELS, Answer
 from dyknow.manager.planning.supply import Demand
-from dyknow.manager.specifications.tags import NO_ONTOLOGY, Bindings, Subsumption, Term
+from dyknow.manager.planning.wishes import (
+    NO_WISHES,
+    ChargedStreams,
+    TaggedStream,
+    Wishes,
+    charges_of,
+)
+from dyknow.manager.specifications.tags import NO_ONTOLOGY, Bindings, Subsumption
 from dyknow.model.transformation import Transformation
 
 #: Seconds that the improvement of a plan may take.
 BUDGET = 0.1
 #: No way costs as much.
 _ANY_COST = 1 << 4096
+
+NO_FEEDERS: Mapping[str, FrozenSet[str]] = MappingProxyType({})
+"""It is not known what feeds the live streams."""
 
 
 class Planner:
@@ -67,11 +88,13 @@ class Planner:
     def plan(
         self,
         demand: Demand,
-        live: Iterable[Tuple[Live, Tuple[Term, ...]]] = (),
+        live: Iterable[TaggedStream] = (),
         exclude: AbstractSet[str] = NO_LABELS,
         free: Mapping[str, Bindings] = NO_FREE,
         paused: AbstractSet[str] = NO_LABELS,
         budget: float = BUDGET,
+        wishes: Wishes = NO_WISHES,
+        feeders: Mapping[str, FrozenSet[str]] = NO_FEEDERS,
     ) -> Answer:
         """Find the cheapest way to a stream.
 
@@ -84,26 +107,41 @@ class Planner:
             paused: labels of which no new nodelet is to be made; live streams may be used.
             budget: seconds that the improvement may take. It counts steps, so equal problems
                 have equal plans; the clock ends it only where a step takes long.
+            wishes: what is to be used rather than other things.
+            feeders: labels of what feeds the live streams, by their nodelets.
         """
         network = self._network
+        usable = [each for each in live if each[0].label not in exclude]
+        charges = charges_of(network, demand, usable, exclude, wishes)
+        charged = ChargedStreams(network, charges, feeders)
         streams = LiveStreams(network.names)
-        for stream, terms in live:
-            if stream.label not in exclude:
+        for stream, terms in usable:
+            if not charged.add(stream, terms):
                 streams.add(stream, terms)
-        with _no_collection():
+        with _no_collection(), charged:
             reach = network.reach(demand, streams, exclude | paused)
-            instances = Instances(network, reach, free)
+            instances = Instances(network, reach, free, charged.charges)
             trees = cheapest(instances)
             if not trees.is_met(reach.goal):
                 return no_plan(instances, trees)
             draft = drafted(instances, trees.chosen)
             improved = improve(instances, draft, Budget(budget, self._clock))
-            return plan_of(instances, streams, demand, improved)
+            return charged.restored(plan_of(instances, streams, demand, improved))
+
+    def charges(
+        self,
+        demand: Demand,
+        live: Iterable[TaggedStream],
+        exclude: AbstractSet[str],
+        wishes: Wishes,
+    ) -> Dict[str, int]:
+        """Return what the parts of a plan are charged besides their costs, by label."""
+        return charges_of(self._network, demand, list(live), exclude, wishes)
 
     def bindings(
         self,
         demand: Demand,
-        live: Iterable[Tuple[Live, Tuple[Term, ...]]] = (),
+        live: Iterable[TaggedStream] = (),
         budget: float = BUDGET,
     ) -> Tuple[List[Bindings], bool]:
         """Find all that the variables of a demand can stand for.

@@ -27,6 +27,7 @@ class Live(NamedTuple):
         nodelet: its publisher, empty for topics of ordinary nodes.
         label: the transformation behind it.
         datatype: ROS type.
+        rate: Hz that its out-port states; 0 if it states none.
     """
 
     topic: str
@@ -34,6 +35,7 @@ class Live(NamedTuple):
     nodelet: str
     label: str
     datatype: str
+    rate: float = 0.0
 
 
 class New(NamedTuple):
@@ -59,10 +61,19 @@ class Action(NamedTuple):
     Attributes:
         label: its name.
         cost: of a nodelet of it; 0 if there is one that can be connected elsewhere.
+        charge: what it is charged besides, since the client would rather have others.
     """
 
     label: str
     cost: int
+    charge: int = 0
+
+
+class Charge(NamedTuple):
+    """What a running nodelet, or a topic of ordinary nodes, is charged."""
+
+    name: str
+    charge: int
 
 
 class PlanStep(NamedTuple):
@@ -86,11 +97,12 @@ class Plan(NamedTuple):
         demand: what was asked for.
         goal: where it comes from.
         steps: what is to be made, suppliers before consumers.
-        cost: sum over the steps.
+        cost: sum over the steps and the charges.
         least_cost: no plan costs less; if it is the cost, that is proven least.
         bindings: of the variables in what was asked for.
         is_cut_short: whether the clock ended the improvement, so that the same problem may have
             another plan at another time.
+        charges: of the streams that are used as they are.
     """
 
     demand: Demand
@@ -100,6 +112,13 @@ class Plan(NamedTuple):
     least_cost: int = 0
     bindings: Bindings = ()
     is_cut_short: bool = False
+    charges: Tuple[Charge, ...] = ()
+
+    @property
+    def total(self) -> int:
+        """What the steps cost, and all charges."""
+        steps = sum([step.action.cost + step.action.charge for step in self.steps])
+        return steps + sum([charge for _, charge in self.charges])
 
     @property
     def live(self) -> Tuple[Live, ...]:

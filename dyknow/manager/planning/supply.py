@@ -21,14 +21,26 @@ ANY = ("", "*")
 
 
 class Demand(NamedTuple):
-    """What an in-port, or a client, asks of one stream: all tags, and a type unless empty."""
+    """What an in-port, or a client, asks of one stream.
+
+    Attributes:
+        tags: all of them.
+        datatype: ROS type; empty for any.
+        min_rate: Hz; what is stated to be slower does not meet the demand. 0 for any.
+    """
 
     tags: FrozenSet[Term]
     datatype: str = ""
+    min_rate: float = 0.0
 
     def __str__(self) -> str:
         """Write the demand for people."""
-        return write_demand(map(str, self.tags), self.datatype)
+        rate = f"at least {self.min_rate:g} Hz" if self.min_rate else ""
+        return write_demand(map(str, self.tags), self.datatype, rate)
+
+    def is_fast(self, rate: float) -> bool:
+        """Whether a rate will do; 0 stands for one that is not stated."""
+        return not rate or rate >= self.min_rate
 
 
 def meets(

@@ -24,6 +24,9 @@ MAX_COST = 2**32 - 1
 
 _ROS_NAME = re.compile(r"[A-Za-z~/][A-Za-z0-9_/]*\Z")
 _DATATYPE = re.compile(r"[A-Za-z][A-Za-z0-9_]*/[A-Za-z][A-Za-z0-9_]*\Z")
+#: Rates have at most six decimal places, and are no larger than this.
+_RATE = re.compile(r"(?=.{1,20}\Z)\+?([0-9]+(\.[0-9]{0,6})?|\.[0-9]{1,6})\Z")
+_MAX_RATE = 1_000_000
 _COST = re.compile(r"\+?[0-9]+\Z")
 
 
@@ -151,10 +154,13 @@ class Builder:
     def _ports(self, draft: TransformationDraft, is_template: bool = False) -> Tuple[Port, ...]:
         lines: Dict[str, int] = {}
         tags: Dict[str, List[str]] = {}
-        for name, _, datatype, line in draft.ports:
+        rates: Dict[str, float] = {}
+        for name, direction, datatype, line, rate in draft.ports:
             if not is_template:
                 self._check_name("port", name, line)
                 self._check_datatype(datatype, line)
+                if rate:
+                    rates[name] = self._rate(rate, direction, line)
             if name in lines:
                 self._findings.problem(
                     line,
@@ -172,9 +178,22 @@ class Builder:
                 f"a topic with {_count_ports(draft)}; expected exactly one port, of type out",
             )
         return tuple(
-            Port(name, direction, datatype, tuple(tags[name]))
-            for name, direction, datatype, _ in draft.ports
+            Port(name, direction, datatype, tuple(tags[name]), rates.get(name, 0.0))
+            for name, direction, datatype, *_ in draft.ports
         )
+
+    def _rate(self, text: str, direction: str, line: int) -> float:
+        """Read the rate that an out-port states, in Hz."""
+        if direction != OUT:
+            self._findings.problem(line, "an in-port with a rate; expected one of out-ports alone")
+        rate = float(text) if _RATE.match(text) else 0.0
+        if not 0 < rate <= _MAX_RATE:
+            self._findings.problem(
+                line,
+                f'rate="{shorten(text)}": expected Hz above 0, such as 30 or 0.5, at most '
+                f"{_MAX_RATE} and with at most six decimal places",
+            )
+        return rate
 
     def _distribute_tags(self, draft: TransformationDraft, tags: Dict[str, List[str]]) -> None:
         for port, text, line in draft.tags:

@@ -26,12 +26,13 @@ class ParameterDraft(NamedTuple):
 
 
 class PortDraft(NamedTuple):
-    """A `<port>`; the datatype is empty when it was left out."""
+    """A `<port>`; the datatype and rate are empty when they were left out."""
 
     name: str
     direction: str
     datatype: str
     line: int
+    rate: str = ""
 
 
 class TagDraft(NamedTuple):
@@ -107,6 +108,7 @@ class TransformationDraft:
         for port in self.ports:
             yield port.name, port.line
             yield port.datatype, port.line
+            yield port.rate, port.line
         for tag in self.tags:
             yield tag.port, tag.line
             yield tag.text, tag.line
@@ -127,8 +129,8 @@ class TransformationDraft:
             for name, type_, text, line in self.parameters
         ]
         made.ports = [
-            PortDraft(render(name), direction, render(datatype), line)
-            for name, direction, datatype, line in self.ports
+            PortDraft(render(name), direction, render(datatype), line, render(rate))
+            for name, direction, datatype, line, rate in self.ports
         ]
         made.tags = [TagDraft(render(port), render(text), line) for port, text, line in self.tags]
         made.ports_known = self.ports_known

@@ -19,7 +19,11 @@ _PARAM = Element(
 )
 _PORT = Element(
     "port",
-    attributes={"type": Attribute(("in", "out"), is_required=True), "datatype": ANY},
+    attributes={
+        "type": Attribute(("in", "out"), is_required=True),
+        "datatype": ANY,
+        "rate": ANY,
+    },
     holds_text=True,
     may_repeat=True,
 )

@@ -92,10 +92,12 @@ class SpecificationReader(XmlReader):
     def _port(self, text: Optional[str], attributes: Attributes, line: int) -> None:
         self._count_item(line)
         direction, datatype = attributes["type"], attributes.get("datatype", "")
-        if text is None or direction is None or datatype is None:
+        rate = attributes.get("rate", "")
+        if text is None or direction is None or datatype is None or rate is None:
             self._draft.ports_known = False
         else:
-            self._draft.ports.append(PortDraft(intern(text), direction, intern(datatype), line))
+            port = PortDraft(intern(text), direction, intern(datatype), line, rate)
+            self._draft.ports.append(port)
 
     def _tag(self, text: Optional[str], attributes: Attributes, line: int) -> None:
         self._count_item(line)

@@ -136,18 +136,8 @@ class StreamServices:
 
     def _checked(self, request: Any) -> StreamRequest:
         texts = (request.tag, request.datatype, request.client_id, request.request_id)
-        self._guards.check_sizes(
-            (*texts, request.bond_id, *request.exclude), entries=len(request.exclude)
-        )
-        if not 0 <= request.max_silence < float("inf"):
-            raise BadParameter(
-                "max_silence", f"{request.max_silence:g}", "seconds from 0 (which means: never)"
-            )
-        for name in ("min_rate", "max_age", "prefer", "avoid", "budget"):
-            if getattr(request, name):
-                what = "nothing yet: this manager does not serve it"
-                raise BadParameter(name, getattr(request, name), what)
-        _lease(request)
+        names = (*request.exclude, *request.prefer, *request.avoid)
+        self._guards.check_sizes((*texts, request.bond_id, *names), entries=len(names))
         return acquire_from(request)
 
 

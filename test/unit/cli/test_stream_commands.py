@@ -88,6 +88,32 @@ class TestTags:
         }
 
 
+class TestDemands:
+    def test_a_rate_that_is_stated_to_be_too_low(self, client: FakeClient) -> None:
+        client.world.manager.add_transformation(
+            "<transformation><label>slow</label><source>pkg/Camera</source><ports>"
+            '<port type="out" rate="5">image</port></ports>'
+            '<tags><tag port="image">Slow(camera)</tag></tags></transformation>'
+        )
+        assert run(client, "plan 'Slow(camera)' --min-rate 5").code == 0
+        outcome = run(client, "plan 'Slow(camera)' --min-rate 10")
+        assert outcome.code == 1
+        assert "nothing supplies Slow(camera) [at least 10 Hz]" in outcome.err
+
+    def test_the_claim_has_what_was_demanded(self, client: FakeClient) -> None:
+        run(client, f"{ACQUIRE} --lease 0 --min-rate 10 --budget 2")
+        (claim,) = client.reconciler.claims()
+        assert (claim.request.min_rate, claim.request.budget) == (10.0, 2.0)
+
+    @pytest.mark.parametrize("rate", ["0", "-1", "nan", "inf", "fast"])
+    def test_what_is_no_rate_is_refused(
+        self, client: FakeClient, rate: str, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        with pytest.raises(SystemExit):
+            run(client, f"{ACQUIRE} --min-rate={rate}")
+        assert f"'{rate}': expected Hz above 0, such as 10" in capsys.readouterr().err
+
+
 class TestPlan:
     def test_as_a_tree(self, client: FakeClient) -> None:
         assert run(client, "plan 'Raw(camera)'").lines == [

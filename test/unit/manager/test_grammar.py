@@ -26,8 +26,8 @@ NAMES = st.sampled_from(
      "ports", "port", "tags", "tag", "other"]
 )  # fmt: skip
 ATTRIBUTES = st.dictionaries(
-    st.sampled_from(["type", "name", "label", "port", "datatype", "other"]),
-    st.sampled_from(["in", "out", "nodelet", "topic", "string", " int ", "", "x"]),
+    st.sampled_from(["type", "name", "label", "port", "datatype", "rate", "other"]),
+    st.sampled_from(["in", "out", "nodelet", "topic", "string", " int ", "", "x", "0", "2.5"]),
     max_size=2,
 )
 

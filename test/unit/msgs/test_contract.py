@@ -24,6 +24,7 @@ MESSAGES = {
         "string datatype",
         "string topic",
         "string[] tags",
+        "float64 rate",
     ),
     "PortStatistics": (
         "string port",

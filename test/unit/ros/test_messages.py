@@ -115,12 +115,20 @@ def test_events(stamp: float, stream: StreamStatus, reason: str, is_new: bool) -
     assert messages.event_from(sent(messages.event_message(event))) == event
 
 
+name_sets = st.sets(words).map(lambda labels: tuple(sorted(labels)))
+
+
 @given(
     st.builds(
         StreamRequest,
         lease=seconds,
         max_silence=seconds,
-        exclude=st.sets(words).map(lambda labels: tuple(sorted(labels))),
+        exclude=name_sets,
+        min_rate=seconds,
+        max_age=seconds,
+        prefer=name_sets,
+        avoid=name_sets,
+        budget=seconds,
     ),
     st.booleans(),
 )

@@ -135,7 +135,10 @@ class Forks(dyknow.Nodelet):
 
 
 class Moody(Relay):
-    """Relays until the topic ~order says `raise` or `silent`, and again when it says `work`."""
+    """Relays until the topic ~order says otherwise, and again when it says `work`.
+
+    `raise` and `silent` are what they say; when it is `slow` it relays every fourth message.
+    """
 
     def on_init(self):
         self.mood = "work"
@@ -150,7 +153,7 @@ class Moody(Relay):
     def on_message(self, message):
         if self.mood == "raise":
             raise RuntimeError("the lens is dirty")
-        if self.mood == "work":
+        if self.mood == "work" or (self.mood == "slow" and message.seq % 4 == 0):
             self.out.publish(message)
 
 

@@ -1,0 +1,186 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""What clients would rather have, in plans: against brute force, and by examples."""
+
+from __future__ import annotations
+
+import random
+from typing import List, Tuple
+
+import pytest
+from unit.manager.planning.brute_force import Problem, TooLarge, least_cost
+from unit.manager.planning.random_problems import Kinds, random_problem
+
+from dyknow.manager.planning.explanation import as_tree, tree_as_dot
+from dyknow.manager.planning.planner import Planner
+from dyknow.manager.planning.problem import Live, NoPlan, Plan
+from dyknow.manager.planning.supply import Demand
+from dyknow.manager.planning.wishes import AVOIDED, NOT_PREFERRED, TaggedStream, Wishes
+from dyknow.manager.specifications.tags import parse_tag
+from dyknow.model.transformation import Port, Transformation
+
+
+def random_wishes(problem: Problem, seed: int) -> Wishes:
+    chance = random.Random(seed)
+    names = [each.label for each in problem.library]
+    names += ["a", "b", "A", "B", "C", "D", "E", "K", "L"]
+    chosen = chance.sample(names, chance.choice([1, 2, 3]))
+    split = chance.randint(0, len(chosen))
+    return Wishes(tuple(chosen[:split]), tuple(chosen[split:]))
+
+
+def charged(problem: Problem, charges: dict[str, int]) -> Problem:
+    """Write charges into costs; live streams that are charged become transformations."""
+    library = [
+        each._replace(cost=each.cost + charges.get(each.label, 0))
+        for each in problem.library
+        if each.label not in problem.exclude
+    ]
+    live = [pair for pair in problem.live if pair[0].label not in problem.exclude]
+    for number, (stream, terms) in enumerate(live):
+        if charges.get(stream.label):
+            port = Port("out0", "out", stream.datatype, tuple(map(str, terms)))
+            library.append(
+                Transformation(f"live{number}", "", cost=charges[stream.label], ports=(port,))
+            )
+    free = [pair for pair in live if not charges.get(pair[0].label)]
+    return problem._replace(library=tuple(library), live=tuple(free), exclude=frozenset())
+
+
+def test_the_cheapest_plan_with_charges() -> None:
+    plans, paying, proven = 0, 0, 0
+    for seed in range(600):
+        problem = random_problem(seed)
+        wishes = random_wishes(problem, seed)
+        planner = Planner(problem.ontology)
+        planner.add(problem.library)
+        charges = planner.charges(problem.goal, problem.live, problem.exclude, wishes)
+        answer = planner.plan(
+            problem.goal, problem.live, problem.exclude, budget=1.0, wishes=wishes
+        )
+        try:
+            expected = least_cost(charged(problem, charges))
+        except TooLarge:
+            continue
+        if isinstance(answer, NoPlan):
+            assert expected is None, seed
+            continue
+        assert expected is not None, seed
+        assert answer.cost == answer.total
+        assert answer.least_cost <= expected <= answer.cost, seed
+        plans += 1
+        proven += answer.least_cost == answer.cost
+        paying += any(step.action.charge for step in answer.steps) or bool(answer.charges)
+        again = planner.plan(problem.goal, problem.live, problem.exclude, budget=1.0)
+        fresh = Planner(problem.ontology)
+        fresh.add(problem.library)
+        assert again == fresh.plan(problem.goal, problem.live, problem.exclude, budget=1.0)
+    assert plans > 60
+    assert paying > 10
+    assert proven > 0.99 * plans
+
+
+def camera(label: str, cost: int, tag: str = "Raw(field)") -> Transformation:
+    return Transformation(label, "p/C", cost=cost, ports=(Port("image", "out", "", (tag,)),))
+
+
+FILTER = Transformation(
+    "filter",
+    "p/F",
+    ports=(Port("in", "in", "", ("Raw(?x)",)), Port("out", "out", "", ("Filtered(field)",))),
+)
+GOAL = Demand(frozenset((parse_tag("Filtered(field)"),)))
+CEILING: TaggedStream = (
+    Live("/ceiling", "image", "/ceiling_1", "ceiling", ""),
+    (parse_tag("Raw(field)"),),
+)
+
+
+def plan(*wishes: Tuple[str, ...], live: Tuple[TaggedStream, ...] = ()) -> Plan:
+    planner = Planner()
+    planner.add([camera("bottom", 1), camera("top", 3), camera("ceiling", 5), FILTER])
+    answer = planner.plan(GOAL, live, wishes=Wishes(*wishes))
+    assert isinstance(answer, Plan)
+    return answer
+
+
+def labels(answer: Plan) -> List[str]:
+    return [step.action.label for step in answer.steps]
+
+
+def test_where_there_is_a_choice_the_preferred_one_is_taken() -> None:
+    assert labels(plan()) == ["bottom", "filter"]
+    answer = plan(("ceiling",))
+    assert labels(answer) == ["ceiling", "filter"]
+    assert answer.cost == answer.least_cost == 6
+
+
+def test_what_is_avoided_is_taken_only_without_a_choice() -> None:
+    assert labels(plan((), ("bottom",))) == ["top", "filter"]
+    answer = plan((), ("bottom", "top", "ceiling"))
+    assert labels(answer) == ["bottom", "filter"]
+    assert answer.cost == 2 + AVOIDED
+    assert as_tree(answer).split("\n") == [
+        "Filtered(field): cost 1002 (proven least)",
+        "└─ filter.out [?x=field] (new, cost 1)",
+        "   └─ in ← bottom.image (new, cost 1, charged 1000)",
+    ]
+
+
+def test_what_runs_is_charged_too() -> None:
+    assert labels(plan(live=(CEILING,))) == ["filter"]
+    assert labels(plan((), ("ceiling",), live=(CEILING,))) == ["bottom", "filter"]
+    assert labels(plan(("top",), live=(CEILING,))) == ["top", "filter"]
+    answer = plan(("nonesuch",), ("Raw",), live=(CEILING,))
+    assert answer.live == (CEILING[0],)
+    assert answer.cost == answer.least_cost == 1 + AVOIDED
+    tree = as_tree(answer)
+    assert "in ← ceiling.image (runs as /ceiling_1, charged 1000)" in tree
+    assert "/ceiling_1" in tree_as_dot(tree)
+
+
+def test_what_feeds_a_running_part_is_charged_with_it() -> None:
+    stream: TaggedStream = (
+        Live("/f", "out", "/filter_1", "filter", ""),
+        (parse_tag("Filtered(field)"),),
+    )
+    planner = Planner()
+    planner.add([camera("bottom", 1), camera("top", 3), FILTER])
+    wishes = Wishes((), ("bottom",))
+    fed = {"/filter_1": frozenset(("bottom",))}
+    answer = planner.plan(GOAL, (stream,), wishes=wishes, feeders=fed)
+    assert isinstance(answer, Plan)
+    assert labels(answer) == ["top", "filter"]
+
+
+def test_who_supplies_something_else_is_not_charged_for_it() -> None:
+    answer = plan(("ceiling",))
+    assert {step.action.charge for step in answer.steps} == {0}
+
+
+def test_concepts_are_those_of_the_tags() -> None:
+    planner = Planner(Kinds())
+    planner.add([camera("one", 1, "A(a)"), camera("two", 2, "D(b)"), camera("three", 3, "A(c)")])
+    goal = Demand(frozenset((parse_tag("D(?x)"),)))
+
+    def taken(*wishes: Tuple[str, ...]) -> List[str]:
+        answer = planner.plan(goal, wishes=Wishes(*wishes))
+        assert isinstance(answer, Plan)
+        return labels(answer)
+
+    assert taken() == ["one"]
+    assert taken(("L",)) == ["two"]
+    assert taken(("c",)) == ["three"]
+    assert taken((), ("urn:a",)) == ["two"]
+    assert taken((), ("A",)) == ["two"]
+    assert taken((), ("D",)) == ["one"]
+
+
+@pytest.mark.parametrize("wishes", [Wishes(("nonesuch",)), Wishes((), ("nonesuch",))])
+def test_unknown_names_change_nothing(wishes: Wishes) -> None:
+    assert plan(*wishes) == plan()
+
+
+def test_the_charges_are_as_documented() -> None:
+    assert (AVOIDED, NOT_PREFERRED) == (1000, 100)
