@@ -53,7 +53,7 @@ class Instances:
             label: {variable: network.names.canonical(name) for variable, name in bindings}
             for label, bindings in free.items()
         }
-        for action in network.numbers(free) - network.rules.keys():
+        for action in network.numbers(free) - network.joined:
             self.costs[action] = 0
         self._charges = charges
         if charges:

@@ -318,6 +318,18 @@ def test_names_beside_a_variable_in_what_is_supplied_are_looked_up() -> None:
     assert isinstance(planner.plan(demand("Part(cam, quarter)")), NoPlan)
 
 
+def test_a_nodelet_with_a_variable_of_one_port_is_free_as_well() -> None:
+    library = [
+        make("camera", [], ["Raw(a)"], 0),
+        make("running", ["Raw(?x)"], ["Goal(b)"], 5),
+        make("cheap", ["Raw(a)"], ["Goal(b)"], 1),
+    ]
+    found = plan(library, "Goal(b)", free={"running": ()})
+    assert isinstance(found, Plan)
+    assert [step.action.label for step in found.steps] == ["camera", "running"]
+    assert found.cost == 0
+
+
 def test_one_nodelet_is_free_for_one_instance() -> None:
     library = [
         make("cam1", [], ["Raw(cam1)"], 0),
