@@ -123,8 +123,12 @@ class CreatePanel(Panel):
         self.manager.setEnabled(not self.isolated.isChecked())
         self.given.show_transformation(transformation)
         lines = [
-            f"{port.direction}  {port.name}  {port.datatype}  {' '.join(port.tags)}".rstrip()
+            line
             for port in (transformation.ports if transformation is not None else ())
+            for line in (
+                f"{port.direction}  {port.name}  {port.datatype}".rstrip(),
+                *(f"        {tag}" for tag in port.tags),
+            )
         ]
         self.ports.setText("\n".join(lines) or "–")
 
