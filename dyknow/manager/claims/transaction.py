@@ -92,20 +92,20 @@ class Transaction:
                 _attempt(partial(self._reconnect, name, before))
 
     def _make_way(self, record: Record, config: Mapping[str, str]) -> None:
-        cut: Set[Tuple[str, str]] = set()
+        cut: Dict[str, Set[str]] = {}
         while True:
-            found = {
-                name: {port: topic for port, topic in ports.items() if (name, port) not in cut}
-                for name, ports in self._connector.in_the_way(record, config).items()
+            found = self._connector.in_the_way(record, config)
+            more = {
+                name: ports for name, ports in found.items() if ports.keys() - cut.get(name, ())
             }
-            if not any(found.values()):
+            if not more:
                 return
-            for name, ports in sorted(found.items()):
+            for name, ports in sorted(more.items()):
                 other = self._manager.graph.get(name)
                 if other.state is not State.RUNNING or name in self._unresponsive:
                     raise HostError(f"{name} has to be disconnected first, and does not answer")
                 self.connect(name, ports)
-                cut.update((name, port) for port in ports)
+                cut.setdefault(name, set()).update(ports)
 
     def _reconnect(self, name: str, before: Dict[str, str]) -> None:
         record = self._manager.graph.find(name)

@@ -16,6 +16,7 @@ import pytest
 from hypothesis import HealthCheck
 from hypothesis import strategies as st
 from hypothesis.stateful import (
+    initialize,
     invariant,
     precondition,
     rule,
@@ -60,9 +61,21 @@ class Truth(FaultyLife):
         self.witness.given = self.given
         self.types = itertools.count(1)
         self.hands = itertools.count(1)
+        self.stock()
+
+    @initialize(is_heard=st.booleans())
+    def begin(self, is_heard: bool) -> None:
+        """Half of the lives begin with a claim, and somebody who listens to its nodelet."""
+        if is_heard:
+            self.field.acquire("Frame(?c)")
+            self.listen(0)
+
+    @rule()
+    def stock(self) -> None:
+        """Describe, and describe again, what the library begins with."""
         self.add("part a", [], [["Image(left)"]])
         self.add("part b", [], [["Image(right)"]], cost=2)
-        self.add("part c", ["Image(left)"], [["Frame(left)"]])
+        self.add("part c", ["Image(?c)"], [["Frame(?c)"]])
         self.add("part d", ["Image(?c)"], [["Ball(red)"], ["Ball(blue)"]])
         self.add("part e", ["Ball(?b)", "Image(?c)"], [["Goal(?b)"]], is_filled=True)
         self.add("part f", ["Image(?c)", "Frame(?c)"], [["Ball(?c)"]])
@@ -150,6 +163,13 @@ class Truth(FaultyLife):
         self.witness.described[label] = (topic, tuple(tags))
         self.witness.excuse()
 
+    @precondition(lambda self: self.beginnings())
+    @rule(number=NUMBERS)
+    def withdraw(self, number: int) -> None:
+        """Remove what the stream of a claim begins with: others may do instead."""
+        labels = self.beginnings()
+        self.remove(labels[number % len(labels)])
+
     @rule(label=LABELS)
     def remove(self, label: str) -> None:
         self.asked(lambda: self.field.manager.remove_transformation(label))
@@ -177,6 +197,21 @@ class Truth(FaultyLife):
         self.witness.by_hand.add(name)
         self.asked(
             lambda: self.field.manager.spawn(SpawnRequest(label, name, config, parameters=given))
+        )
+        self.witness.excuse()
+        self.witness.guilt.clear()
+
+    @precondition(lambda self: self.witness.bound())
+    @rule(number=NUMBERS)
+    def listen(self, number: int) -> None:
+        """Listen to nothing but what the nodelet of a claim makes of what it receives."""
+        heard = self.witness.bound()
+        topic, tag = heard[number % len(heard)]
+        name = f"/by_hand_{next(self.hands)}"
+        self.add("listener", [tag], [])
+        self.witness.by_hand.add(name)
+        self.asked(
+            lambda: self.field.manager.spawn(SpawnRequest("listener", name, {"in0": topic}))
         )
         self.witness.excuse()
         self.witness.guilt.clear()
@@ -281,6 +316,20 @@ class Truth(FaultyLife):
     def given(self, name: str) -> Mapping[str, str]:
         record = self.field.manager.graph.find(name)
         return record.given if record is not None else {}
+
+    def beginnings(self) -> List[str]:
+        """Labels of nodelets without in-ports that claims need, as long as they are described."""
+        known = {each.label for each in self.field.manager.library.all()}
+        return sorted(
+            {
+                record.label
+                for claim in self.field.living()
+                for name in claim.nodelets
+                for record in [self.field.manager.graph.find(name)]
+                if record is not None and record.label in known
+                if not any(port.direction == "in" for port in record.ports)
+            }
+        )
 
     def topics(self) -> List[str]:
         """Every topic to which a port is connected."""

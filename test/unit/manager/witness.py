@@ -173,6 +173,20 @@ class Witness:
             if source != ORDINARY and _publisher(source) not in {*self.by_hand, *self.host.slow}
         ]
 
+    def bound(self) -> List[Tuple[str, str]]:
+        """What nodelets made for claims say of the names that they received: topic and tag."""
+        return sorted(
+            {
+                (topic, tag)
+                for topic, sources in self._sources().items()
+                for source, tags in sources
+                for name, _, port in [source.partition(".")]
+                if " through " not in source and source != ORDINARY and name not in self.by_hand
+                if variables_in(self._signature(name).get(port, ())) and tags != SILENT
+                for tag in tags
+            }
+        )
+
     def _serves(self, tags: Tags, asked: Tags, names: Mapping[str, str] = {}) -> bool:
         return tags == SILENT or all(
             any(satisfies(each, tag, self.concepts, names) for each in tags) for tag in asked
