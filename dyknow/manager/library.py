@@ -20,9 +20,7 @@ from dyknow.model.transformation import TOPIC, Transformation
 from dyknow.similar import did_you_mean
 
 if TYPE_CHECKING:
-    from dyknow.manager.specifications.ontology import (
-        Ontology,  # it imports rdflib, which takes its time
-    )
+    from dyknow.manager.specifications.template import Concepts
 
 #: Meaning of the transformations in the store; 2: a variable is one thing throughout each.
 _SCHEMA = 2
@@ -41,7 +39,7 @@ class Library:
     def __init__(
         self,
         store: Store,
-        ontology: Optional[Ontology] = None,
+        ontology: Optional[Concepts] = None,
         limits: SpecificationLimits = DEFAULT_LIMITS,
     ) -> None:
         """Read the transformations in the store.

@@ -257,7 +257,7 @@ def test_nobody_is_blamed_for_what_others_do(turns: List[Tuple[str, int, int]]) 
 )
 def test_bad_values_are_refused(field: FieldWithRates, name: str, value: float) -> None:
     with pytest.raises(BadParameter, match=f"parameter '{name}' is {value}"):
-        field.acquire(**{name: value})
+        field.acquire("YUV(field)", **{name: value})
     assert not field.living()
 
 

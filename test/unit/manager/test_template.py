@@ -13,17 +13,21 @@ from hypothesis import strategies as st
 from dyknow.errors import SpecificationError, UnknownConcept
 from dyknow.manager.specifications.limits import SpecificationLimits
 from dyknow.manager.specifications.specification import parse
+from dyknow.manager.specifications.tags import NoOntology
 from dyknow.model.transformation import Parameter, Port
 
 TERMS = st.text(st.sampled_from("ab1 ${}X<&"), min_size=1, max_size=6).map(str.strip)
 SETS = st.lists(TERMS.filter(bool), min_size=1, max_size=4, unique=True)
 
 
-class Concepts:
+class Concepts(NoOntology):
     """An ontology of one class."""
 
+    def is_class(self, name):
+        return name == "http://example.org/#Camera"
+
     def individuals(self, concept):
-        if concept != "http://example.org/#Camera":
+        if not self.is_class(concept):
             raise UnknownConcept(concept)
         return ("back", "front")
 

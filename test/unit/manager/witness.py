@@ -46,6 +46,12 @@ class Concepts:
             found.add(name)
         return frozenset(found)
 
+    def individuals(self, concept: str) -> Tuple[str, ...]:
+        return tuple(sorted(name for name, above in self._above.items() if above == concept))
+
+    def unlabelled(self, concept: str) -> Tuple[str, ...]:
+        return ()
+
 
 def satisfies(
     supplied: str, demanded: str, concepts: Concepts, names: Mapping[str, str] = {}

@@ -147,8 +147,8 @@ def _goal_bindings(problem: Problem) -> Iterator[Optional[int]]:
             if fits(tags, stream.datatype, demanded, datatype, bindings, ontology):
                 mask |= 1
         for number, ports in enumerate(outs):
-            for tags, kind in ports:
-                if fits(tags, kind, demanded, datatype, bindings, ontology):
+            for produced, kind in ports:
+                if fits(produced, kind, demanded, datatype, bindings, ontology):
                     mask |= 2 << number
         return mask
 
@@ -217,7 +217,7 @@ def assert_valid(plan: Plan, problem: Problem) -> None:
     def check(source, demanded, datatype, bindings) -> None:  # type: ignore[no-untyped-def]
         assert source.label not in problem.exclude
         if isinstance(source, Live):
-            tags, kind = live[source], source.datatype
+            tags, kind = list(live[source]), source.datatype
         else:
             step = made[source.label, source.bindings]
             ports = {port.name: port for port in library[step.action.label].ports}
