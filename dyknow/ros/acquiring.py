@@ -14,7 +14,7 @@ import os
 import time
 import uuid
 from dataclasses import replace
-from typing import Any, Callable, Iterable, Optional, Tuple, Union
+from typing import Any, Callable, Dict, Iterable, Optional, Tuple, Union
 
 import rospy
 
@@ -89,6 +89,14 @@ class AcquiredStream:
     def nodelets(self) -> Tuple[str, ...]:
         """Names of the nodelets that it needs, as last reported by the manager."""
         return self._view.nodelets
+
+    @property
+    def bindings(self) -> Dict[str, str]:
+        """What the variables of the tag stand for, such as ``{"?camera": "left"}``.
+
+        A repair may change that; the event says so.
+        """
+        return dict(each.split("=", 1) for each in self._view.bindings)
 
     def wait_until_active(self, timeout: Optional[float] = None) -> bool:
         """Wait for the stream.
@@ -171,7 +179,7 @@ class AcquiredStream:
         before = self._view
         if before.state.ended:
             return
-        if (view.state, view.topic, view.detail) != (before.state, before.topic, before.detail):
+        if _shown(view) != _shown(before):
             self._put(StreamEvent(rospy.get_time(), before, view, reason))
         else:
             self._view = view
@@ -258,6 +266,11 @@ def acquire(
     return stream
 
 
+def _shown(view: StreamStatus) -> Tuple[object, ...]:
+    """What an event is told for."""
+    return view.state, view.topic, view.detail, view.bindings
+
+
 def _names(given: Union[str, Iterable[str]]) -> Tuple[str, ...]:
     return (given,) if isinstance(given, str) else tuple(given)
 
@@ -287,6 +300,7 @@ def _ask(
         detail=answer.message,
         nodelets=tuple(sorted({*answer.spawned, *answer.reused})),
         expires=answer.expires,
+        bindings=answer.bindings,
     )
     return active, answer
 

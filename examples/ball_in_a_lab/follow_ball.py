@@ -16,10 +16,11 @@ def on_position(position):
 
 
 def on_event(event):
-    rospy.loginfo("the stream is %s: %s", event.after.state.name, event.reason)
+    rospy.loginfo("%s is %s: %s", event.after.bound_tag, event.after.state.name, event.reason)
 
 
 rospy.init_node("follow_ball")
-with dyknow.acquire("Position(ball)", PointStamped, max_silence=1.0, on_event=on_event) as stream:
+asked = "Position(ball, ?camera)"
+with dyknow.acquire(asked, PointStamped, max_silence=1.0, on_event=on_event) as stream:
     rospy.Subscriber(stream.topic, PointStamped, on_position)
     rospy.spin()

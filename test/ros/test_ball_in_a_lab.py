@@ -42,6 +42,7 @@ class LabTest(StreamCase):
             manager.client.remove_transformation("camera(robot_camera)")
             seen.by("ceiling_camera")
             client.wait_for("seen by ceiling_camera")
+            client.wait_for("?camera=ceiling_camera is ACTIVE")
             self.assertEqual(self.nodelet_of(manager, "tracker"), "/tracker_1")
             self.settled(manager)
 

@@ -32,6 +32,7 @@ class AcquireTest(StreamCase):
         with dyknow.acquire(GOAL, Header) as stream:
             self.assertEqual(stream.state, ClaimState.ACTIVE)
             self.assertEqual(stream.datatype, "std_msgs/Header")
+            self.assertEqual(stream.bindings, {})
             self.assertEqual(stream.spawned, ("/camera_1", "/filter_1", "/tracker_1"))
             flow = self.flow(stream.topic)
             flow.wait()
@@ -41,6 +42,8 @@ class AcquireTest(StreamCase):
             self.assertEqual(shown.nodelets, stream.spawned)
             self.assertGreater(shown.expires, rospy.get_time())
             eventually(lambda: stream.detail == "", 5.0, "the first message has come")
+            with dyknow.acquire("Raw(?camera)") as raw:
+                self.assertEqual(raw.bindings, {"?camera": "own"})
         self.assertEqual(stream.state, ClaimState.RELEASED)
         eventually(lambda: not manager.client.get_model().nodelets, 8.0, "all is collected")
         self.assertEqual(

@@ -44,10 +44,12 @@ def test_a_robot_s_camera_is_preferred_and_the_ceiling_s_will_do(ontology):
     planner = Planner(ontology)
     for name in FILES:
         planner.add(parse_file(str(LAB / name), ontology).transformations)
-    demand = Demand(frozenset([parse_tag("Position(ball)")]), "geometry_msgs/PointStamped")
+    asked = parse_tag("Position(ball, ?camera)")
+    demand = Demand(frozenset([asked]), "geometry_msgs/PointStamped")
     answer = planner.plan(demand)
     assert isinstance(answer, Plan)
     assert [step.action.label for step in answer.steps] == ["camera(robot_camera)", "tracker"]
+    assert answer.bindings == (("?camera", "robot_camera"),)
     answer = planner.plan(demand, exclude=frozenset(["camera(robot_camera)"]))
     assert isinstance(answer, Plan)
     assert [step.action.label for step in answer.steps] == ["camera(ceiling_camera)", "tracker"]
