@@ -43,10 +43,10 @@ parameters = st.one_of(
 )
 port_names = st.one_of(names, st.sampled_from(["~image", "/camera/image_raw"]))
 tags = st.lists(labels, max_size=3, unique=True).map(tuple)
-rates = st.one_of(st.just(0.0), st.integers(0, 10**12).map(lambda number: number / 10**6))
+stated = st.one_of(st.just(0.0), st.integers(0, 10**12).map(lambda number: number / 10**6))
 ports = st.one_of(
-    st.builds(Port, port_names, st.just("in"), datatypes, tags, st.just(0.0)),
-    st.builds(Port, port_names, st.just("out"), datatypes, tags, rates),
+    st.builds(Port, port_names, st.just("in"), datatypes, tags, st.just(0.0), st.just(0.0)),
+    st.builds(Port, port_names, st.just("out"), datatypes, tags, stated, stated),
 )
 
 

@@ -45,15 +45,15 @@ def unpack(body: str) -> Transformation:
     texts = [label, source, kind]  # checked by hand: there may be hundreds of thousands
     for parameter in parameters:
         texts += parameter
-    rates: List[float] = []
-    for name, side, datatype, tags, *rate in ports:  # files of earlier versions have no rate
+    numbers: List[float] = []
+    for name, side, datatype, tags, *stated in ports:  # nothing in files of earlier versions
         texts += (name, side, datatype, *tags)
-        rates += rate
+        numbers += stated
     "".join(texts)
     if type(cost) is not int:
         raise TypeError(f"its cost is {cost!r}")
-    if not all(type(rate) is float for rate in rates):
-        raise TypeError("the rate of a port is no number")
+    if not all(type(number) is float for number in numbers):
+        raise TypeError("the rate or latency of a port is no number")
     return Transformation(
         label,
         source,
@@ -61,8 +61,8 @@ def unpack(body: str) -> Transformation:
         cost,
         tuple(Parameter(*each) for each in parameters),
         tuple(
-            Port(name, side, datatype, tuple(tags), *rate)
-            for name, side, datatype, tags, *rate in ports
+            Port(name, side, datatype, tuple(tags), *stated)
+            for name, side, datatype, tags, *stated in ports
         ),
     )
 

@@ -40,6 +40,8 @@ class Port(NamedTuple):
         datatype: The ROS type, such as `sensor_msgs/Image`; empty when it is not stated.
         tags: Semantic descriptions of the stream, in the order written.
         rate: Messages a second that an out-port sends, in Hz; 0 when it is not stated.
+        latency: Seconds that its nodelet adds to the age of what an out-port sends; 0 when it is
+            not stated, too.
     """
 
     name: str
@@ -47,6 +49,7 @@ class Port(NamedTuple):
     datatype: str = ""
     tags: Tuple[str, ...] = ()
     rate: float = 0.0
+    latency: float = 0.0
 
 
 class Transformation(NamedTuple):
@@ -111,7 +114,8 @@ def _param_xml(parameter: Parameter) -> str:
 def _port_xml(port: Port) -> str:
     datatype = f" datatype={_attribute(port.datatype)}" if port.datatype else ""
     rate = f' rate="{_number(port.rate)}"' if port.rate else ""
-    return f'<port type="{port.direction}"{datatype}{rate}>{_text(port.name)}</port>'
+    latency = f' latency="{_number(port.latency)}"' if port.latency else ""
+    return f'<port type="{port.direction}"{datatype}{rate}{latency}>{_text(port.name)}</port>'
 
 
 def _number(value: float) -> str:

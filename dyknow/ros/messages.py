@@ -103,6 +103,7 @@ def transformation_message(transformation: Transformation) -> msg.Transformation
                 "",
                 list(port.tags),
                 port.rate,
+                port.latency,
             )
             for port in transformation.ports
         ],
@@ -125,6 +126,7 @@ def transformation_from(message: msg.Transformation) -> Transformation:
                 each.datatype,
                 tuple(each.tags),
                 each.rate,
+                each.latency,
             )
             for each in message.ports
         ),

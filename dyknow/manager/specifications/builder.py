@@ -24,9 +24,14 @@ MAX_COST = 2**32 - 1
 
 _ROS_NAME = re.compile(r"[A-Za-z~/][A-Za-z0-9_/]*\Z")
 _DATATYPE = re.compile(r"[A-Za-z][A-Za-z0-9_]*/[A-Za-z][A-Za-z0-9_]*\Z")
-#: Rates have at most six decimal places, and are no larger than this.
-_RATE = re.compile(r"(?=.{1,20}\Z)\+?([0-9]+(\.[0-9]{0,6})?|\.[0-9]{1,6})\Z")
-_MAX_RATE = 1_000_000
+#: Rates and latencies have at most six decimal places, and are no larger than this.
+_DECIMAL = re.compile(r"(?=.{1,20}\Z)\+?([0-9]+(\.[0-9]{0,6})?|\.[0-9]{1,6})\Z")
+_MAX_DECIMAL = 1_000_000
+#: What out-ports may state, each with the least value and with what is expected.
+_STATED = {
+    "rate": (1e-6, "Hz above 0, such as 30 or 0.5"),
+    "latency": (0.0, "seconds from 0, such as 0.05"),
+}
 _COST = re.compile(r"\+?[0-9]+\Z")
 
 
@@ -154,13 +159,16 @@ class Builder:
     def _ports(self, draft: TransformationDraft, is_template: bool = False) -> Tuple[Port, ...]:
         lines: Dict[str, int] = {}
         tags: Dict[str, List[str]] = {}
-        rates: Dict[str, float] = {}
-        for name, direction, datatype, line, rate in draft.ports:
+        stated: Dict[str, Tuple[float, float]] = {}
+        for name, direction, datatype, line, rate, latency in draft.ports:
             if not is_template:
                 self._check_name("port", name, line)
                 self._check_datatype(datatype, line)
-                if rate:
-                    rates[name] = self._rate(rate, direction, line)
+                if rate or latency:
+                    stated[name] = (
+                        self._stated("rate", rate, direction, line),
+                        self._stated("latency", latency, direction, line),
+                    )
             if name in lines:
                 self._findings.problem(
                     line,
@@ -178,22 +186,27 @@ class Builder:
                 f"a topic with {_count_ports(draft)}; expected exactly one port, of type out",
             )
         return tuple(
-            Port(name, direction, datatype, tuple(tags[name]), rates.get(name, 0.0))
+            Port(name, direction, datatype, tuple(tags[name]), *stated.get(name, ()))
             for name, direction, datatype, *_ in draft.ports
         )
 
-    def _rate(self, text: str, direction: str, line: int) -> float:
-        """Read the rate that an out-port states, in Hz."""
+    def _stated(self, name: str, text: str, direction: str, line: int) -> float:
+        """Read a number that an out-port states; 0 if it does not."""
+        if not text:
+            return 0.0
         if direction != OUT:
-            self._findings.problem(line, "an in-port with a rate; expected one of out-ports alone")
-        rate = float(text) if _RATE.match(text) else 0.0
-        if not 0 < rate <= _MAX_RATE:
+            self._findings.problem(
+                line, f"an in-port with a {name}; expected one of out-ports alone"
+            )
+        least, expected = _STATED[name]
+        value = float(text) if _DECIMAL.match(text) else -1.0
+        if not least <= value <= _MAX_DECIMAL:
             self._findings.problem(
                 line,
-                f'rate="{shorten(text)}": expected Hz above 0, such as 30 or 0.5, at most '
-                f"{_MAX_RATE} and with at most six decimal places",
+                f'{name}="{shorten(text)}": expected {expected}, at most {_MAX_DECIMAL} and '
+                "with at most six decimal places",
             )
-        return rate
+        return value
 
     def _distribute_tags(self, draft: TransformationDraft, tags: Dict[str, List[str]]) -> None:
         for port, text, line in draft.tags:

@@ -26,13 +26,14 @@ class ParameterDraft(NamedTuple):
 
 
 class PortDraft(NamedTuple):
-    """A `<port>`; the datatype and rate are empty when they were left out."""
+    """A `<port>`; what was left out of its attributes is empty."""
 
     name: str
     direction: str
     datatype: str
     line: int
     rate: str = ""
+    latency: str = ""
 
 
 class TagDraft(NamedTuple):
@@ -109,6 +110,7 @@ class TransformationDraft:
             yield port.name, port.line
             yield port.datatype, port.line
             yield port.rate, port.line
+            yield port.latency, port.line
         for tag in self.tags:
             yield tag.port, tag.line
             yield tag.text, tag.line
@@ -129,8 +131,10 @@ class TransformationDraft:
             for name, type_, text, line in self.parameters
         ]
         made.ports = [
-            PortDraft(render(name), direction, render(datatype), line, render(rate))
-            for name, direction, datatype, line, rate in self.ports
+            PortDraft(
+                render(name), direction, render(datatype), line, render(rate), render(latency)
+            )
+            for name, direction, datatype, line, rate, latency in self.ports
         ]
         made.tags = [TagDraft(render(port), render(text), line) for port, text, line in self.tags]
         made.ports_known = self.ports_known

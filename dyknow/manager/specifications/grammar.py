@@ -23,6 +23,7 @@ _PORT = Element(
         "type": Attribute(("in", "out"), is_required=True),
         "datatype": ANY,
         "rate": ANY,
+        "latency": ANY,
     },
     holds_text=True,
     may_repeat=True,

@@ -92,12 +92,18 @@ class SpecificationReader(XmlReader):
     def _port(self, text: Optional[str], attributes: Attributes, line: int) -> None:
         self._count_item(line)
         direction, datatype = attributes["type"], attributes.get("datatype", "")
-        rate = attributes.get("rate", "")
-        if text is None or direction is None or datatype is None or rate is None:
-            self._draft.ports_known = False
-        else:
-            port = PortDraft(intern(text), direction, intern(datatype), line, rate)
+        rate, latency = attributes.get("rate", ""), attributes.get("latency", "")
+        if (
+            text is not None
+            and direction is not None
+            and datatype is not None
+            and rate is not None
+            and latency is not None
+        ):
+            port = PortDraft(intern(text), direction, intern(datatype), line, rate, latency)
             self._draft.ports.append(port)
+        else:
+            self._draft.ports_known = False
 
     def _tag(self, text: Optional[str], attributes: Attributes, line: int) -> None:
         self._count_item(line)

@@ -26,7 +26,7 @@ NAMES = st.sampled_from(
      "ports", "port", "tags", "tag", "other"]
 )  # fmt: skip
 ATTRIBUTES = st.dictionaries(
-    st.sampled_from(["type", "name", "label", "port", "datatype", "rate", "other"]),
+    st.sampled_from(["type", "name", "label", "port", "datatype", "rate", "latency", "other"]),
     st.sampled_from(["in", "out", "nodelet", "topic", "string", " int ", "", "x", "0", "2.5"]),
     max_size=2,
 )

@@ -25,6 +25,7 @@ MESSAGES = {
         "string topic",
         "string[] tags",
         "float64 rate",
+        "float64 latency",
     ),
     "PortStatistics": (
         "string port",
