@@ -41,7 +41,7 @@ class AndOrGraph:
         # Equal problems have equal numbers here: by label and bindings.
         order = sorted(
             {action for node, found in values.offers.items() for action in found},
-            key=lambda each: (instances.labels[each], instances.rule(each)[1], each),
+            key=lambda each: (instances.labels[each], instances.rule(each)[1]),
         )
         self._actions = order
         nodes: Dict[int, int] = {instances.reach.goal: 0}
@@ -68,10 +68,12 @@ class AndOrGraph:
                 self.users[node].append(action)
         self.size = len(order) + sum(map(len, self.needs)) + sum(map(len, self.makes))
 
-    def numbers(self, actions: Iterable[int]) -> List[int]:
-        """Return the numbers here of actions of the search; what is not worthwhile is left out."""
-        number_of = {action: number for number, action in enumerate(self._actions)}
-        return [number_of[each] for each in actions if each in number_of]
+    def numbers(self, instances: Instances, actions: Iterable[int]) -> List[int]:
+        """Return the numbers here of actions of a search; what is not worthwhile is left out."""
+        rule = self._instances.rule
+        number_of = {rule(action): number for number, action in enumerate(self._actions)}
+        keys = map(instances.rule, actions)
+        return [number_of[each] for each in keys if each in number_of]
 
     def cost(self, actions: Iterable[int]) -> int:
         """Sum up what actions cost."""

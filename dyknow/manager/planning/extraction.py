@@ -10,7 +10,7 @@ from typing import Dict, Iterable, List, Sequence, Set
 from dyknow.manager.planning.improvement import Improved
 from dyknow.manager.planning.instances import LIVE, Instances
 from dyknow.manager.planning.knuth import Values
-from dyknow.manager.planning.network import LiveStreams
+from dyknow.manager.planning.live_streams import LiveStreams
 from dyknow.manager.planning.problem import Action, Live, NoPlan, Plan, PlanStep, Source
 from dyknow.manager.planning.supply import Demand
 from dyknow.manager.specifications.tags import Bindings, Term, unify_all
@@ -22,19 +22,19 @@ _MOST_TOLD = 10
 class _Writer:
     """Writes the steps of one plan, suppliers first."""
 
-    def __init__(self, instances: Instances, streams: LiveStreams, improved: Improved) -> None:
-        self._instances = instances
+    def __init__(self, streams: LiveStreams, improved: Improved) -> None:
+        instances = self._instances = improved.draft.instances
         self._network = instances.network
         self._streams = streams
         self._chosen = improved.draft.chosen
         self._bindings: Dict[int, Bindings] = {}
         # Those of actions without variables at once, for plans of many thousand steps.
-        network, chosen, first = self._network, self._chosen, len(self._network.labels)
+        network, chosen, first = self._network, self._chosen, instances.first_action
         needed = {node for action in improved.draft.actions for node in instances.needs[action]}
         self._sources: Dict[int, Source] = {
             node: network.found[node][chosen[node]][0].head.source
             for node in needed
-            if node < len(network.patterns)
+            if node < instances.first_node
             and LIVE < chosen[node] < first
             and chosen[node] not in network.rules
         }
@@ -46,26 +46,20 @@ class _Writer:
             return self._instances.streams[node]
         demand, theta = self._instances.demand(node)
         network = self._network
-        offers = network.suppliers(demand)
-        if chosen in offers and not theta:
-            source = offers[chosen][0].head.source
-        else:
-            rule, bound = self._instances.rule(chosen)
-            pattern = network.patterns[demand]
-            source = min(
-                each.head.source
-                for other, found in offers.items()
-                if network.base(other) == rule
-                for each in found
-                if theta in each.of(pattern, bound, network.names)
-            )
+        action, bound = self._instances.rule(chosen)
+        pattern = network.patterns[demand]
+        source = min(
+            each.head.source
+            for each in network.found[demand][action]
+            if theta in each.of(pattern, bound, network.names)
+        )
         bindings = self._bindings.get(chosen)
         return source if bindings is None else source._replace(bindings=bindings)
 
     def step(self, number: int, action: Action) -> PlanStep:
         """Return the step of an action."""
         network, sources = self._network, self._sources
-        if number >= len(network.labels) or number in network.rules:
+        if number >= self._instances.first_action or number in network.rules:
             return self._bound_step(number, PlanStep(action, ()))
         inputs = [sources.get(node) or self.source(node) for node in network.inputs[number]]
         return PlanStep(action, tuple(zip(network.ports[number], inputs)))
@@ -113,11 +107,9 @@ class _Writer:
         return [term.substitute(bindings) for term in terms]
 
 
-def plan_of(
-    instances: Instances, streams: LiveStreams, demand: Demand, improved: Improved
-) -> Plan:
+def plan_of(streams: LiveStreams, demand: Demand, improved: Improved) -> Plan:
     """Write a plan."""
-    writer = _Writer(instances, streams, improved)
+    writer, instances = _Writer(streams, improved), improved.draft.instances
     costs = instances.costs
     steps: List[PlanStep] = []
     freed: Set[str] = set()
@@ -143,12 +135,17 @@ def plan_of(
     )
 
 
-def no_plan(instances: Instances, trees: Values) -> NoPlan:
+def no_plan(instances: Instances, trees: Values, goal: Demand) -> NoPlan:
     """Tell why there is none."""
     network, reach = instances.network, instances.reach
     used = set(reach.actions)
     offers = {
-        demand: [action for action in network.suppliers(demand) if action in used]
+        demand: [
+            action
+            for supplier in network.suppliers(demand)
+            for action in network.specialised(demand, supplier)
+            if action in used
+        ]
         for demand in reach.demands
     }
     met = {instances.demand(node)[0] for node in range(instances.node_count) if trees.is_met(node)}
@@ -163,8 +160,9 @@ def no_plan(instances: Instances, trees: Values) -> NoPlan:
                 if need not in met and need not in unmet:
                     unmet.add(need)
                     waiting.append(need)
-    missing.update(network.demand(demand) for demand in unmet if not offers[demand])
-    goal = network.demand(reach.goal)
+    for demand in unmet:
+        if not offers[demand]:
+            missing.add(goal if demand == reach.goal else network.demand(demand))
     return NoPlan(goal, tuple(sorted(missing, key=str)), not missing)
 
 

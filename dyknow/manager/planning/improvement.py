@@ -20,8 +20,9 @@ from dyknow.manager.planning.and_or_graph import AndOrGraph
 from dyknow.manager.planning.branching import search
 from dyknow.manager.planning.budget import Budget
 from dyknow.manager.planning.instances import LIVE, Instances
-from dyknow.manager.planning.knuth import Chosen, Values, cheapest
+from dyknow.manager.planning.knuth import Chosen, Values
 from dyknow.manager.planning.landmarks import landmark_bound
+from dyknow.manager.planning.refinement import Refinement
 
 #: Actions beyond which a plan is not improved.
 _MOST_ACTIONS = 10_000
@@ -38,6 +39,7 @@ _WORSE = 0.02
 class PlanDraft(NamedTuple):
     """A way to the goal: the choices, the actions with suppliers first, and their cost."""
 
+    instances: Instances
     chosen: Chosen
     actions: List[int]
     cost: int
@@ -62,7 +64,7 @@ def drafted(instances: Instances, chosen: Chosen) -> PlanDraft:
     needs, costs, goal = instances.needs, instances.costs, instances.reach.goal
     order: List[int] = []
     if chosen[goal] == LIVE:
-        return PlanDraft(chosen, order, 0)
+        return PlanDraft(instances, chosen, order, 0)
     entered = bytearray(len(needs))
     stack = [chosen[goal]]  # actions to enter; complements of those to leave again
     while stack:
@@ -76,14 +78,14 @@ def drafted(instances: Instances, chosen: Chosen) -> PlanDraft:
                 below = chosen[node]
                 if below != LIVE and not entered[below]:
                     stack.append(below)
-    return PlanDraft(chosen, order, sum([costs[action] for action in order]))
+    return PlanDraft(instances, chosen, order, sum([costs[action] for action in order]))
 
 
-def improve(instances: Instances, draft: PlanDraft, budget: Budget) -> Improved:
+def improve(problem: Refinement, draft: PlanDraft, budget: Budget) -> Improved:
     """Return a draft of less cost, or the given one.
 
     Args:
-        instances: the numbers of the search; grows.
+        problem: where it is searched.
         draft: the cheapest tree.
         budget: what the improvement may take.
     """
@@ -91,11 +93,8 @@ def improve(instances: Instances, draft: PlanDraft, budget: Budget) -> Improved:
         return Improved(draft, 0, False)
     if len(draft.actions) > _MOST_ACTIONS or budget.steps <= 0:
         return Improved(draft, 0, False)
-    values = cheapest(instances, use_sum=False, below=draft.cost, budget=budget)
+    instances, values, floor = problem.cheaper(draft.cost, budget)
     goal = instances.reach.goal
-    if values.is_complete and not values.is_met(goal):
-        return Improved(draft, draft.cost, False)
-    floor = values.value[goal] if values.is_met(goal) else values.reached
     other = drafted(instances, values.chosen) if values.is_met(goal) else draft
     if other.cost < draft.cost:
         draft = other
@@ -123,7 +122,7 @@ class _Improvement:
         cuts, rest = landmark_bound(graph, budget)
         # What was left out because the search was too large could be cheaper than these cuts.
         bound = min(draft.cost, max(cuts, floor) if self._is_complete else floor)
-        best = sorted(graph.numbers(draft.actions))
+        best = sorted(graph.numbers(draft.instances, draft.actions))
         if 0 not in graph.derive(set(best)):  # some of it cannot be part of a cheaper plan
             way = graph.cheapest_tree(graph.costs)
             assert way is not None

@@ -13,9 +13,11 @@ from __future__ import annotations
 from types import MappingProxyType
 from typing import Dict, List, Mapping, Tuple
 
-from dyknow.manager.planning.network import LiveMatch, Network, Reach
+from dyknow.manager.planning.live_streams import LiveMatch
+from dyknow.manager.planning.network import Network
 from dyknow.manager.planning.patterns import Theta
 from dyknow.manager.planning.problem import Live
+from dyknow.manager.planning.reach import Reach
 from dyknow.manager.specifications.tags import Bindings
 
 LIVE = -1
@@ -53,14 +55,15 @@ class Instances:
             label: {variable: network.names.canonical(name) for variable, name in bindings}
             for label, bindings in free.items()
         }
-        for action in network.numbers(free) - network.joined:
-            self.costs[action] = 0
         self._charges = charges
-        if charges:
-            for action in reach.actions:
-                self.costs[action] += self.charge(action)
-        self._first_node = len(network.patterns)
-        self._first_action = len(network.labels)
+        for action in reach.actions if free or charges else ():
+            is_open = reach.is_abstract or action not in network.joined
+            if is_open and self.is_free(self.labels[action]):
+                self.costs[action] = 0
+            self.costs[action] += self.charge(action)
+        #: Numbers from which on nodes and actions are those of this search.
+        self.first_node = len(network.patterns)
+        self.first_action = len(network.labels)
         self._nodes: Dict[Tuple[int, Theta], int] = {}
         self._of_nodes: List[Tuple[int, Theta]] = []
         self._actions: Dict[Tuple[int, Theta], int] = {}
@@ -71,14 +74,14 @@ class Instances:
 
     def live(self, match: LiveMatch) -> int:
         """Return the node that a live stream supplies."""
-        node = self.node(match.demand, match.theta)
+        node = self.node(match.demand, () if self.reach.is_abstract else match.theta)
         self.streams[node] = match.stream
         return node
 
     @property
     def node_count(self) -> int:
         """Nodes that have a number."""
-        return self._first_node + len(self._of_nodes)
+        return self.first_node + len(self._of_nodes)
 
     def node(self, demand: int, theta: Theta) -> int:
         """Return the number of a demand under bindings."""
@@ -87,7 +90,7 @@ class Instances:
         key = demand, theta
         found = self._nodes.get(key)
         if found is None:
-            found = self._nodes[key] = self._first_node + len(self._of_nodes)
+            found = self._nodes[key] = self.first_node + len(self._of_nodes)
             self._of_nodes.append(key)
         return found
 
@@ -98,7 +101,7 @@ class Instances:
 
     def demand(self, node: int) -> Tuple[int, Theta]:
         """Return the demand of a node, and what its wanted variables stand for."""
-        return (node, ()) if node < self._first_node else self._of_nodes[node - self._first_node]
+        return (node, ()) if node < self.first_node else self._of_nodes[node - self.first_node]
 
     def action(self, rule: int, theta: Theta, needs: Tuple[int, ...]) -> int:
         """Return the number of an action under bindings; the needed nodes are in the join's order.
@@ -109,7 +112,7 @@ class Instances:
         key = self.network.base(rule), theta
         found = self._actions.get(key)
         if found is None:
-            found = self._actions[key] = self._first_action + len(self._of_actions)
+            found = self._actions[key] = self.first_action + len(self._of_actions)
             self._of_actions.append(key)
             self.labels.append(self.labels[rule])
             self.needs.append(tuple(dict.fromkeys(needs)))
@@ -120,9 +123,9 @@ class Instances:
 
     def rule(self, action: int) -> Tuple[int, Theta]:
         """Return the action of the network, not specialised, and its bindings."""
-        if action < self._first_action:
+        if action < self.first_action:
             return self.network.base(action), ()
-        return self._of_actions[action - self._first_action]
+        return self._of_actions[action - self.first_action]
 
     def charge(self, action: int) -> int:
         """Return what has to be paid for an action besides its cost."""
@@ -131,6 +134,11 @@ class Instances:
     def is_free(self, label: str) -> bool:
         """Whether there is a nodelet of a transformation that costs nothing."""
         return label in self._free
+
+    def floor(self, rule: int) -> int:
+        """Return what an action costs at least."""
+        own = 0 if self.is_free(self.labels[rule]) else self.network.costs[rule]
+        return own + self.charge(rule)
 
     def cost(self, rule: int, theta: Theta) -> int:
         """Return what an action costs under bindings."""

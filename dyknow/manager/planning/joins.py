@@ -64,9 +64,17 @@ _Table = Dict[Theta, List[Partial]]
 class Join:
     """What has arrived at the in-ports of one action."""
 
-    def __init__(self, steps: Sequence[JoinStep]) -> None:
-        """Start without an arrival."""
+    def __init__(self, steps: Sequence[JoinStep], cost: int, rest: Sequence[int]) -> None:
+        """Start without an arrival.
+
+        Args:
+            steps: the in-ports.
+            cost: what the action costs at least.
+            rest: for each step, what the in-ports after it cost at least.
+        """
         self.steps = steps
+        self.cost = cost
+        self.rest = rest
         self._left: List[_Table] = [{} for _ in steps]
         self._right: List[_Table] = [{} for _ in steps]
 

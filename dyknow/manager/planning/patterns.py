@@ -149,6 +149,15 @@ def atoms_of(terms: Iterable[Term], variables: Sequence[str], names: Names) -> T
     )
 
 
+def narrowed(pattern: Pattern, more: Sequence[Types], names: Names) -> Pattern:
+    """Return a pattern whose wanted variables have further types."""
+    types = list(pattern.types)
+    for variable, further in zip(pattern.wanted, more):
+        if further:
+            types[variable] = names.narrowed(types[variable] | further)
+    return pattern._replace(types=tuple(types))
+
+
 def solutions(supplied: Iterable[Atom], pattern: Pattern, names: Names) -> List[Theta]:
     """Match ground atoms with a pattern.
 

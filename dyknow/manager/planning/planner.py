@@ -4,7 +4,8 @@
 """Finds the cheapest way to a stream.
 
 First Knuth's generalisation of Dijkstra's algorithm (``knuth``) finds the cheapest *tree* of
-instances, in which a part that is used twice is paid twice. Then the plan is improved by counting
+instances, in which a part that is used twice is paid twice; lower bounds from a search without
+bindings guide it (``refinement``). Then the plan is improved by counting
 shared parts once (``improvement``), within a budget. Costs are Python's integers: stacked diamonds
 make trees that cost 2**1000, without overflow. No function is recursive. Labels, bindings and
 ports decide between equal costs, so equal problems have equal plans.
@@ -33,8 +34,11 @@ from dyknow.manager.planning.extraction import no_plan, plan_of
 from dyknow.manager.planning.improvement import drafted, improve
 from dyknow.manager.planning.instances import Instances
 from dyknow.manager.planning.knuth import cheapest
-from dyknow.manager.planning.network import LiveStreams, Network
+from dyknow.manager.planning.live_streams import LiveStreams
+from dyknow.manager.planning.network import Network
 from dyknow.manager.planning.problem import NO_FREE, NO_LABELS, Answer
+from dyknow.manager.planning.reach import Scope
+from dyknow.manager.planning.refinement import Refinement
 from dyknow.manager.planning.supply import Demand
 from dyknow.manager.planning.wishes import (
     NO_WISHES,
@@ -48,8 +52,6 @@ from dyknow.model.transformation import Transformation
 
 #: Seconds that the improvement of a plan may take.
 BUDGET = 0.1
-#: No way costs as much.
-_ANY_COST = 1 << 4096
 
 NO_FEEDERS: Mapping[str, FrozenSet[str]] = MappingProxyType({})
 """It is not known what feeds the live streams."""
@@ -112,21 +114,22 @@ class Planner:
         """
         network = self._network
         usable = [each for each in live if each[0].label not in exclude]
-        charges = charges_of(network, demand, usable, exclude, wishes)
+        charges = self.charges(demand, usable, exclude, wishes)
         charged = ChargedStreams(network, charges, feeders)
         streams = LiveStreams(network.names)
         for stream, terms in usable:
             if not charged.add(stream, terms):
                 streams.add(stream, terms)
         with _no_collection(), charged:
-            reach = network.reach(demand, streams, exclude | paused)
-            instances = Instances(network, reach, free, charged.charges)
-            trees = cheapest(instances)
-            if not trees.is_met(reach.goal):
-                return no_plan(instances, trees)
+            goal = network.goal(demand)
+            scope = Scope(network, goal, streams, exclude | paused)
+            problem = Refinement(scope, free, charged.charges)
+            instances, trees = problem.trees()
+            if not trees.is_met(goal):
+                return no_plan(instances, trees, demand)
             draft = drafted(instances, trees.chosen)
-            improved = improve(instances, draft, Budget(budget, self._clock))
-            return charged.restored(plan_of(instances, streams, demand, improved))
+            improved = improve(problem, draft, Budget(budget, self._clock))
+            return charged.restored(plan_of(streams, demand, improved))
 
     def charges(
         self,
@@ -136,7 +139,8 @@ class Planner:
         wishes: Wishes,
     ) -> Dict[str, int]:
         """Return what the parts of a plan are charged besides their costs, by label."""
-        return charges_of(self._network, demand, list(live), exclude, wishes)
+        usable = [each for each in live if each[0].label not in exclude]
+        return charges_of(self._network, demand, usable, exclude, wishes)
 
     def bindings(
         self,
@@ -161,13 +165,14 @@ class Planner:
             streams.add(stream, terms)
         with _no_collection():
             variables = sorted({each for term in demand.tags for each in term.variables})
-            reach = network.reach(demand, streams, NO_LABELS, variables)
+            goal = network.goal(demand, variables)
+            reach = Scope(network, goal, streams, NO_LABELS).everything(False)
             instances = Instances(network, reach, NO_FREE)
-            values = cheapest(instances, below=_ANY_COST, budget=Budget(budget, self._clock))
+            values = cheapest(instances, is_all=True, budget=Budget(budget, self._clock))
         written = network.names.written
         found = [
             tuple(zip(variables, map(written, theta)))
-            for node, theta in instances.nodes_of(reach.goal)
+            for node, theta in instances.nodes_of(goal)
             if values.is_met(node)
         ]
         return sorted(found), values.is_complete

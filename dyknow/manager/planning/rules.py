@@ -10,6 +10,7 @@ order in which a join over the in-ports binds them, so the names that they stand
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Dict, List, NamedTuple, Sequence, Tuple
 
 from dyknow.manager.planning.patterns import (
@@ -24,6 +25,11 @@ from dyknow.model.placeholders import variables_of
 from dyknow.model.transformation import Transformation
 
 _Terms = Tuple[Term, ...]
+_Arguments = Tuple[Tuple[str, ...], Tuple[str, ...]]
+"""Those of a term, and their types."""
+
+#: Ways to join that are remembered.
+_REMEMBERED = 1_000
 
 
 class Premise(NamedTuple):
@@ -73,11 +79,6 @@ class Rule(NamedTuple):
     joins: Tuple[JoinStep, ...]
     parameters: Tuple[str, ...] = ()
 
-    def pattern(self, port: int, more: Sequence[Types], names: Names) -> Pattern:
-        """Return what an in-port demands, if joined variables have further types."""
-        _, terms, datatype = self.premises[port]
-        return pattern_of(terms, datatype, names, self.variables, self._types(more))
-
     def shown(self, port: int, more: Sequence[Types], names: Names) -> List[Term]:
         """Return the tags of an in-port as people write them, if more is said of its variables."""
         known = {
@@ -86,9 +87,6 @@ class Rule(NamedTuple):
             if types
         }
         return [term.substitute(known) for term in self.premises[port].terms]
-
-    def _types(self, more: Sequence[Types]) -> Tuple[Types, ...]:
-        return tuple([own | further for own, further in zip(self.types, more)])
 
 
 def pattern_of(
@@ -132,11 +130,27 @@ def rule_of(
         names: how names are related.
     """
     texts = [parameter.text for parameter in transformation.parameters]
-    parameters = tuple(dict.fromkeys(each for text in texts for each in variables_of(text)))
-    exposed = {each for term in out for each in term.variables}.union(parameters)
-    by_port = [
-        list(dict.fromkeys(v for term in each.terms for v in term.variables)) for each in premises
-    ]
+    parameters = tuple(dict.fromkeys([each for text in texts for each in variables_of(text)]))
+    variables, types, joins = _joined(
+        tuple([tuple([term[1:] for term in each.terms]) for each in premises]),
+        tuple([term[1:] for term in out]),
+        parameters,
+    )
+    canonical = tuple([frozenset(map(names.canonical, each)) if each else each for each in types])
+    return Rule(tuple(premises), variables, canonical, joins, parameters)
+
+
+@lru_cache(maxsize=_REMEMBERED)
+def _joined(
+    premises: Tuple[Tuple[_Arguments, ...], ...],
+    out: Tuple[_Arguments, ...],
+    parameters: Tuple[str, ...],
+) -> Tuple[Tuple[str, ...], Tuple[Types, ...], Tuple[JoinStep, ...]]:
+    """Return the joined variables with their types, and the joins: many rules have equal ones."""
+    terms = [[Term("", *each) for each in premise] for premise in premises]
+    supplied = [Term("", *each) for each in out]
+    exposed = {each for term in supplied for each in term.variables}.union(parameters)
+    by_port = [list(dict.fromkeys(v for term in each for v in term.variables)) for each in terms]
     counts: Dict[str, int] = {}
     for variables in by_port:
         for each in variables:
@@ -159,11 +173,5 @@ def rule_of(
         shared = tuple(at for at, each in enumerate(places) if each < known)
         added = tuple(at for at, each in enumerate(places) if each >= known)
         joins.append(JoinStep(port, tuple(places), shared, added))
-    types = types_of([*(term for each in premises for term in each.terms), *out])
-    return Rule(
-        tuple(premises),
-        tuple(order),
-        tuple(frozenset(map(names.canonical, types.get(each, ()))) for each in order),
-        tuple(joins),
-        parameters,
-    )
+    types = types_of([*(term for each in terms for term in each), *supplied])
+    return tuple(order), tuple(types.get(each, NO_TYPES) for each in order), tuple(joins)

@@ -26,8 +26,10 @@ from typing import (
     Tuple,
 )
 
-from dyknow.manager.planning.network import LiveStreams, Network
+from dyknow.manager.planning.live_streams import LiveStreams
+from dyknow.manager.planning.network import Network
 from dyknow.manager.planning.problem import Charge, Live, New, Plan, Source
+from dyknow.manager.planning.reach import Scope
 from dyknow.manager.planning.supply import Demand
 from dyknow.manager.specifications.tags import Term
 from dyknow.model.transformation import OUT, Port, Transformation
@@ -67,7 +69,7 @@ def charges_of(
     for stream, terms in streams:
         everything.add(stream, terms)
         tags[stream.label] = tags.get(stream.label, frozenset()).union(terms)
-    reach = network.reach(goal, LiveStreams(names), exclude)
+    reach = Scope(network, network.goal(goal), LiveStreams(names), exclude).everything(False)
     for action in reach.actions:
         tags[network.labels[action]] = frozenset(network.tags(action))
 

@@ -330,6 +330,26 @@ def test_a_nodelet_with_a_variable_of_one_port_is_free_as_well() -> None:
     assert found.cost == 0
 
 
+def test_what_is_missing_is_named_as_it_is_written_now() -> None:
+    planner = Planner()
+    planner.add([make("map", ["Image(?a)", "Pose(?a)"], ["Map(?a)"])])
+    assert isinstance(planner.plan(demand("Map(?which)")), NoPlan)
+    planner.add([make("map", ["Image(?b)", "Pose(?b)"], ["Map(?b)"])])
+    answer = planner.plan(demand("Map(?which)"))
+    assert isinstance(answer, NoPlan)
+    assert [str(each) for each in answer.missing] == ["Image(?b)", "Pose(?b)"]
+
+
+def test_equal_costs_beside_cheap_parts_of_others_are_compared_under_bindings() -> None:
+    # Without bindings the cheapest image and the cheapest pose would cost 2 together.
+    library = [make(f"image {i}", [], [f"Image(c{i})"], 1 + i) for i in range(9)]
+    library += [make(f"pose {i}", [], [f"Pose(c{i})"], 9 - i) for i in range(9)]
+    library += [make("map", ["Image(?c)", "Pose(?c)"], ["Map(?c)"], 0)]
+    answer = plan(library, "Map(?which)")
+    assert isinstance(answer, Plan)
+    assert (answer.cost, answer.least_cost) == (10, 10)
+
+
 def test_one_nodelet_is_free_for_one_instance() -> None:
     library = [
         make("cam1", [], ["Raw(cam1)"], 0),

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import random
-from typing import Dict, FrozenSet, List, Tuple
+from typing import Dict, FrozenSet, List, Sequence, Tuple
 
 from unit.manager.planning.brute_force import Problem
 
@@ -47,6 +47,11 @@ class Kinds:
 
 
 class _Writer:
+    """Writes problems; every other one is rich in bindings.
+
+    In these, transformations with in-ports supply what no source does, and that is asked for.
+    """
+
     def __init__(self, seed: int) -> None:
         self.chance = random.Random(seed)
         self.has_ontology = self.chance.random() < 0.5
@@ -56,14 +61,26 @@ class _Writer:
         self.functors = self.chance.sample(
             sorted(_FUNCTORS), self.chance.choice([2, 2, 3, 3, 4, 6])
         )
+        self.is_rich = seed % 2 == 1
+        self.sources = self.made = self.functors
+        if self.is_rich:
+            self.functors = ["C", "F", *self.chance.sample("ABD", self.chance.randint(1, 2))]
+            self.chance.shuffle(self.functors)
+            self.sources, self.made = self.functors[:-1], self.functors[-2:]
 
     def name(self, may_be_class: bool) -> str:
         if may_be_class and self.has_ontology and self.chance.random() < 0.4:
             return self.chance.choice(["K", "L", "M"])
         return self.chance.choice(self.names)
 
-    def tag(self, variables: List[str], share: float, may_have_type: bool) -> str:
-        functor = self.chance.choice(self.functors)
+    def tag(
+        self,
+        variables: List[str],
+        share: float,
+        may_have_type: bool,
+        functors: Sequence[str] = (),
+    ) -> str:
+        functor = self.chance.choice(functors or self.functors)
         args = []
         for _ in range(_FUNCTORS[functor]):
             if variables and self.chance.random() < share:
@@ -82,7 +99,7 @@ class _Writer:
         chance = self.chance
         variables = ["?x", "?y", "?z"][: chance.choice([0, 1, 1, 2, 2, 2, 3])]
         ports = []
-        for at in range(chance.choice([0, 1, 1, 1, 2, 2, 3])):
+        for at in range(chance.choice([1, 1, 2, 2, 3] if self.is_rich else [0, 1, 1, 1, 2, 2, 3])):
             tags = tuple(
                 dict.fromkeys(
                     self.tag(variables, 0.85, True) for _ in range(chance.choice([1, 1, 1, 2]))
@@ -93,7 +110,7 @@ class _Writer:
         for at in range(chance.choice([1, 1, 2])):
             tags = tuple(
                 dict.fromkeys(
-                    self.tag(bound, 0.9, bool(bound) and chance.random() < 0.3)
+                    self.tag(bound, 0.9, bool(bound) and chance.random() < 0.3, self.made)
                     for _ in range(chance.choice([1, 1, 2]))
                 )
             )
@@ -104,7 +121,9 @@ class _Writer:
 
     def source(self, number: int) -> Transformation:
         tags = tuple(
-            dict.fromkeys(self.tag([], 0, False) for _ in range(self.chance.choice([1, 2])))
+            dict.fromkeys(
+                self.tag([], 0, False, self.sources) for _ in range(self.chance.choice([1, 2]))
+            )
         )
         port = Port("out0", "out", self.datatype(), tags)
         return Transformation(
@@ -121,13 +140,14 @@ class _Writer:
         chance = self.chance
         count = chance.randint(1, 8)
         library = [self.transformation(number) for number in range(count)]
-        library += [self.source(count + number) for number in range(chance.randint(0, 3))]
+        sources = chance.randint(2, 5) if self.is_rich else chance.randint(0, 3)
+        library += [self.source(count + number) for number in range(sources)]
         live = [self.live(number) for number in range(chance.choice([0, 0, 1, 2]))]
         labels = [each.label for each in library]
         exclude = chance.sample(labels, min(len(labels), chance.choice([0, 0, 0, 1])))
         goal = frozenset(
-            parse_tag(self.tag(["?p", "?q"], 0.4, True))
-            for _ in range(chance.choice([1, 1, 1, 2]))
+            parse_tag(self.tag(["?p", "?q"], 0.4, True, self.made[-1:] if self.is_rich else ()))
+            for _ in range(1 if self.is_rich else chance.choice([1, 1, 1, 2]))
         )
         ontology = Kinds() if self.has_ontology else NO_ONTOLOGY
         return Problem(

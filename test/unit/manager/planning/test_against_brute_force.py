@@ -19,6 +19,7 @@ from unit.manager.planning.brute_force import (
 )
 from unit.manager.planning.random_problems import random_problem
 
+from dyknow.manager.planning import refinement
 from dyknow.manager.planning.planner import Planner
 from dyknow.manager.planning.problem import Answer, NoPlan, Plan
 
@@ -33,8 +34,14 @@ def solve(problem: Problem, seed: int = 0) -> Answer:
     return planner.plan(problem.goal, problem.live, problem.exclude, budget=1.0)
 
 
+@pytest.fixture(autouse=True, params=[0, refinement.SMALL])
+def small(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Search small problems in the abstract first too, as large ones are."""
+    monkeypatch.setattr(refinement, "SMALL", request.param)
+
+
 def compare(seeds: range) -> None:
-    plans, proven, skipped = 0, 0, 0
+    plans, proven, skipped, bound, several = 0, 0, 0, 0, 0
     for seed in seeds:
         problem = random_problem(seed)
         answer = solve(problem)
@@ -52,7 +59,11 @@ def compare(seeds: range) -> None:
         assert answer.least_cost <= expected <= answer.cost, seed
         plans += 1
         proven += answer.least_cost == answer.cost
-    assert plans > len(seeds) // 10
+        bound += any(step.bindings for step in answer.steps)
+        several += any(len(step.bindings) > 1 for step in answer.steps)
+    assert plans > len(seeds) // 3
+    assert bound > plans // 4
+    assert several > plans // 12
     assert proven > 0.99 * plans
     assert skipped < len(seeds) // 50
 

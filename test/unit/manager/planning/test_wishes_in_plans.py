@@ -12,6 +12,7 @@ import pytest
 from unit.manager.planning.brute_force import Problem, TooLarge, least_cost
 from unit.manager.planning.random_problems import Kinds, random_problem
 
+from dyknow.manager.planning import refinement
 from dyknow.manager.planning.explanation import as_tree, tree_as_dot
 from dyknow.manager.planning.planner import Planner
 from dyknow.manager.planning.problem import Live, NoPlan, Plan
@@ -48,7 +49,9 @@ def charged(problem: Problem, charges: dict[str, int]) -> Problem:
     return problem._replace(library=tuple(library), live=tuple(free), exclude=frozenset())
 
 
-def test_the_cheapest_plan_with_charges() -> None:
+@pytest.mark.parametrize("small", [0, refinement.SMALL])
+def test_the_cheapest_plan_with_charges(small: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(refinement, "SMALL", small)
     plans, paying, proven = 0, 0, 0
     for seed in range(600):
         problem = random_problem(seed)
