@@ -25,10 +25,15 @@ NAMES = st.sampled_from(
     ["transformations", "transformation", "label", "source", "args", "arg", "params", "param",
      "ports", "port", "tags", "tag", "other"]
 )  # fmt: skip
-ATTRIBUTES = st.dictionaries(
-    st.sampled_from(["type", "name", "label", "port", "datatype", "rate", "latency", "other"]),
-    st.sampled_from(["in", "out", "nodelet", "topic", "string", " int ", "", "x", "0", "2.5"]),
-    max_size=2,
+_VALUES = st.sampled_from(["in", "out", "nodelet", "topic", "string", " int ", "", "x"])
+# Of numbers the schema says the range; the reader leaves that to the builder.
+_NUMBERS = st.just("2.5")
+ATTRIBUTES = st.fixed_dictionaries(
+    {},
+    optional={
+        **dict.fromkeys(["type", "name", "label", "port", "datatype", "other"], _VALUES),
+        **dict.fromkeys(["rate", "latency"], _NUMBERS),
+    },
 )
 
 
