@@ -334,10 +334,12 @@ class ClaimPlanner:
     ) -> Optional[Plan]:
         """Find a stream that will do and is where the client listens already."""
         for stream, terms in sorted(streams):
-            if topic and stream.topic == topic and demand.is_fast(stream.rate):
+            is_good = demand.is_fast(stream.rate) and demand.is_soon(stream.latency)
+            if topic and stream.topic == topic and is_good:
                 ways = ways_to_meet(terms, stream.datatype, demand, self._ontology)
                 for way in ways:
-                    return Plan(demand, stream, (), 0, 0, tuple(sorted(way.items())))
+                    bindings = tuple(sorted(way.items()))
+                    return Plan(demand, stream, (), 0, 0, bindings, latency=stream.latency)
         return None
 
     def _streams(

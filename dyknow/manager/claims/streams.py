@@ -29,7 +29,8 @@ def live_streams(
 
     A nodelet's out-ports supply their tags only while the nodelet runs and each of its tagged
     in-ports is connected to a stream that satisfies it: a detector without input supplies nothing.
-    These streams bind the nodelet's variables.
+    These streams bind the nodelet's variables. What a stream states of its latency adds to that of
+    the latest one that feeds its nodelet.
 
     Args:
         records: the nodelets of the graph.
@@ -40,12 +41,14 @@ def live_streams(
     """
     streams: List[TaggedStream] = []
     on_topic: Dict[str, Tuple[Tuple[Term, ...], str]] = {}  # tags and type
+    latencies: Dict[str, float] = {}
 
     def supply(stream: Live, tags: Tuple[Term, ...]) -> None:
         if stream.topic:
             tags = topology.common_tags(stream.topic, tags)
             known, _ = on_topic.get(stream.topic, ((), ""))
             on_topic[stream.topic] = (known + tags, stream.datatype)
+            latencies[stream.topic] = max(stream.latency, latencies.get(stream.topic, 0.0))
         streams.append((stream, tags))
 
     def ways(record: Record) -> List[Way]:
@@ -58,7 +61,7 @@ def live_streams(
 
     for each in published:
         port = each.ports[0]
-        stream = Live(each.source, "", "", each.label, port.datatype, port.rate)
+        stream = Live(each.source, "", "", each.label, port.datatype, port.rate, port.latency)
         supply(stream, read_tags(port.tags))
     waiting = [
         record
@@ -75,8 +78,11 @@ def live_streams(
             if found:
                 waiting.remove(record)
                 progress = True
+                fed = [record.topics.get(port, "") for port, _ in _demands(record)]
+                begun = max([latencies.get(topic, 0.0) for topic in fed], default=0.0)
                 for stream, tags in _outputs(record):
-                    supply(stream, supplied(tags, found))
+                    latency = round(begun + stream.latency, 6)
+                    supply(stream._replace(latency=latency), supplied(tags, found))
     return streams
 
 
@@ -105,6 +111,7 @@ def _outputs(record: Record) -> List[TaggedStream]:
                 record.transformation.label,
                 seen.get(port.name) or port.datatype,
                 port.rate,
+                port.latency,
             )
             found.append((stream, tags))
     return found

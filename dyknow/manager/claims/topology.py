@@ -42,7 +42,8 @@ def demand_of(claims: Iterable[Claim]) -> Demand:
     types = [wanted_type(claim) for claim in claims]
     tags = frozenset(parse_tag(claim.request.tag) for claim in claims)
     min_rate = max(claim.request.min_rate for claim in claims)
-    return Demand(tags, types[0] or max(types), min_rate)
+    ages = [claim.request.max_age for claim in claims if claim.request.max_age]
+    return Demand(tags, types[0] or max(types), min_rate, min(ages, default=0.0))
 
 
 def wanted_type(claim: Claim) -> str:
@@ -61,6 +62,7 @@ def may_share(claim: Claim, other: Claim) -> bool:
         and wanted_type(claim) in ("", wanted_type(other))
         and set(mine.exclude) == set(theirs.exclude)
         and mine.min_rate <= theirs.min_rate
+        and (not mine.max_age or 0 < theirs.max_age <= mine.max_age)
         and set(mine.prefer) == set(theirs.prefer)
         and set(mine.avoid) == set(theirs.avoid)
     )

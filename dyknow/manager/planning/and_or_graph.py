@@ -23,14 +23,16 @@ class AndOrGraph:
         users: actions that need each node.
         offers: actions that supply each node.
         size: its number of edges, the unit in which effort is counted.
+        limit: microseconds after which no node may be supplied; None if that does not matter.
     """
 
-    def __init__(self, instances: Instances, values: Values) -> None:
+    def __init__(self, instances: Instances, values: Values, limit: Optional[int] = None) -> None:
         """Take from a search what it found.
 
         Args:
             instances: the numbers of the search.
             values: with everything that is worthwhile.
+            limit: microseconds after which no node may be supplied.
         """
         self._instances = instances
         self._live = {
@@ -66,6 +68,13 @@ class AndOrGraph:
         for action, needed in enumerate(self.needs):
             for node in needed:
                 self.users[node].append(action)
+        self.limit = limit
+        self._latencies: Dict[Tuple[int, int], int] = {}  # of actions and nodes
+        stated = instances.network.latencies
+        for action, made in enumerate(self.makes if limit is not None and stated else ()):
+            for node in made:
+                source = instances.source(order[action], self._nodes[node])
+                self._latencies[action, node] = stated.get((source.label, source.port), 0)
         self.size = len(order) + sum(map(len, self.needs)) + sum(map(len, self.makes))
 
     def numbers(self, instances: Instances, actions: Iterable[int]) -> List[int]:
@@ -89,8 +98,11 @@ class AndOrGraph:
         """Supply what can be supplied with some actions alone.
 
         Returns:
-            For each node that is reached its supplier, without a cycle.
+            For each node that is reached its supplier, without a cycle; if there is a limit,
+            the soonest one, and the nodes that are supplied in time.
         """
+        if self.limit is not None:
+            return self._soonest(actions)
         needs, makes, users = self.needs, self.makes, self.users
         missing = {action: len(needs[action]) for action in actions}
         way: Dict[int, int] = {}
@@ -106,6 +118,31 @@ class AndOrGraph:
                             if left == 1:
                                 waiting.append(user)
         return way
+
+    def _soonest(self, actions: AbstractSet[int]) -> Dict[int, int]:
+        missing = {action: len(self.needs[action]) for action in actions}
+        way: Dict[int, int] = {}
+        heap = [(0, -1, action) for action, left in missing.items() if not left]
+        heapq.heapify(heap)  # nodes by the times when they are supplied, and actions by theirs
+        while heap:
+            begun, node, action = heapq.heappop(heap)
+            if node < 0:
+                for made in self.makes[action]:
+                    done = begun + self._latencies.get((action, made), 0)
+                    if made not in way and self._is_in_time(done):
+                        heapq.heappush(heap, (done, made, action))
+            elif node not in way:
+                way[node] = action
+                for user in self.users[node]:
+                    left = missing.get(user, 0)
+                    if left:
+                        missing[user] = left - 1
+                        if left == 1:
+                            heapq.heappush(heap, (begun, -1, user))
+        return way
+
+    def _is_in_time(self, done: int) -> bool:
+        return self.limit is None or done <= self.limit
 
     def followed(self, way: Dict[int, int]) -> List[int]:
         """Return the actions that choices lead to from the goal."""
@@ -140,10 +177,15 @@ class AndOrGraph:
         )
 
     def cheapest_tree(self, prices: Sequence[float]) -> Optional[Dict[int, int]]:
-        """Choose the cheapest tree, by Knuth's algorithm, at other prices."""
-        needs, makes, users = self.needs, self.makes, self.users
+        """Choose the cheapest tree, by Knuth's algorithm, at other prices.
+
+        If there is a limit, it is a tree that is in time, but there may be cheaper ones, and none
+        may be found though there are some.
+        """
+        needs, makes, users, latencies = self.needs, self.makes, self.users, self._latencies
         missing = list(map(len, needs))
         total = list(prices)
+        begun = [0] * len(needs)
         heap: List[Tuple[float, int]] = [
             (total[action], action) for action, left in enumerate(missing) if not left
         ]
@@ -152,12 +194,14 @@ class AndOrGraph:
         while heap:
             price, action = heapq.heappop(heap)
             for node in makes[action]:
-                if node not in way:
+                done = begun[action] + latencies.get((action, node), 0)
+                if node not in way and self._is_in_time(done):
                     way[node] = action
                     if not node:
                         return way
                     for user in users[node]:
                         total[user] += price
+                        begun[user] = max(begun[user], done)
                         left = missing[user] = missing[user] - 1
                         if not left:
                             heapq.heappush(heap, (total[user], user))

@@ -75,8 +75,9 @@ def _choices(graph: AndOrGraph, has: _Actions, lacks: _Actions) -> Optional[List
     way = graph.derive(has)
     if 0 in way:
         return None
-    # Some need each other in a circle: another supplier of what they need breaks it.
-    circular = needed - way.keys()
+    # Some need each other in a circle: another supplier of what they need breaks it. Where some
+    # are too late, another supplier of anything that they need may be sooner.
+    circular = needed - way.keys() if graph.limit is None else needed
     return sorted(
         {
             action

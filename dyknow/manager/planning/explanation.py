@@ -51,10 +51,12 @@ def as_tree(answer: Answer) -> str:
     """Write a plan, or what is missing for one, for people."""
     if isinstance(answer, NoPlan):
         reasons = [f"nothing supplies {each}" for each in answer.missing]
-        *others, last = reasons or ["everything that supplies it needs it first"]
+        *others, last = reasons or [answer.reason]
         lines = [f"{answer.demand}: no plan", *(f"├─ {each}" for each in others), f"└─ {last}"]
         return "\n".join(lines)
     lines = [f"{answer.demand}: cost {answer.cost} ({_how_good(answer)})"]
+    if answer.latency or answer.demand.max_age:
+        lines[0] += f", latency {answer.latency:g} s as stated"
     entries = _entries(answer)
     last_ones = _last_ones(entries)
     open_depths: Set[int] = set()

@@ -10,6 +10,7 @@ from typing import Dict, Iterable, List, Sequence, Set
 from dyknow.manager.planning.improvement import Improved
 from dyknow.manager.planning.instances import LIVE, Instances
 from dyknow.manager.planning.knuth import Values
+from dyknow.manager.planning.latency import latency_of
 from dyknow.manager.planning.live_streams import LiveStreams
 from dyknow.manager.planning.problem import Action, Live, NoPlan, Plan, PlanStep, Source
 from dyknow.manager.planning.supply import Demand
@@ -37,6 +38,7 @@ class _Writer:
             if node < instances.first_node
             and LIVE < chosen[node] < first
             and chosen[node] not in network.rules
+            and not network.latencies
         }
 
     def source(self, node: int) -> Source:
@@ -44,15 +46,7 @@ class _Writer:
         chosen = self._chosen[node]
         if chosen == LIVE:
             return self._instances.streams[node]
-        demand, theta = self._instances.demand(node)
-        network = self._network
-        action, bound = self._instances.rule(chosen)
-        pattern = network.patterns[demand]
-        source = min(
-            each.head.source
-            for each in network.found[demand][action]
-            if theta in each.of(pattern, bound, network.names)
-        )
+        source = self._instances.source(chosen, node)
         bindings = self._bindings.get(chosen)
         return source if bindings is None else source._replace(bindings=bindings)
 
@@ -132,6 +126,7 @@ def plan_of(streams: LiveStreams, demand: Demand, improved: Improved) -> Plan:
         improved.least_cost,
         writer.goal_bindings(goal, demand),
         improved.is_cut_short,
+        latency=latency_of(goal, steps, instances.network.latencies),
     )
 
 

@@ -14,7 +14,8 @@ actions out of the plan and completes it again by the cheapest tree, at prices t
 from __future__ import annotations
 
 import random
-from typing import List, NamedTuple
+import sys
+from typing import List, NamedTuple, Optional, Tuple
 
 from dyknow.manager.planning.and_or_graph import AndOrGraph
 from dyknow.manager.planning.branching import search
@@ -81,13 +82,39 @@ def drafted(instances: Instances, chosen: Chosen) -> PlanDraft:
     return PlanDraft(instances, chosen, order, sum([costs[action] for action in order]))
 
 
-def improve(problem: Refinement, draft: PlanDraft, budget: Budget) -> Improved:
+def soonest(problem: Refinement, limit: int, budget: Budget) -> Tuple[PlanDraft, bool]:
+    """Return a rather cheap draft that is in time, or the soonest one; and whether it is in time.
+
+    Args:
+        problem: where it is searched; the goal can be met.
+        limit: microseconds that a plan may take.
+        budget: what it may take.
+    """
+    instances, values = problem.everything()
+    graph = AndOrGraph(instances, values, limit)
+    every = set(range(len(graph.costs)))
+    way = graph.cheapest_tree(graph.costs) or graph.derive(every)
+    is_in_time = 0 in way
+    if is_in_time:
+        used = graph.followed(way)
+        used = graph.pruned(used, sorted(used, key=lambda each: -graph.costs[each]), budget)
+        way = graph.derive(set(used))
+    else:
+        graph.limit = sys.maxsize
+        way = graph.derive(every)
+    return drafted(instances, graph.chosen(way)), is_in_time
+
+
+def improve(
+    problem: Refinement, draft: PlanDraft, budget: Budget, limit: Optional[int] = None
+) -> Improved:
     """Return a draft of less cost, or the given one.
 
     Args:
         problem: where it is searched.
-        draft: the cheapest tree.
+        draft: the cheapest tree, or one that is in time.
         budget: what the improvement may take.
+        limit: microseconds that a plan may take.
     """
     if not draft.cost:
         return Improved(draft, 0, False)
@@ -95,15 +122,15 @@ def improve(problem: Refinement, draft: PlanDraft, budget: Budget) -> Improved:
         return Improved(draft, 0, False)
     instances, values, floor = problem.cheaper(draft.cost, budget)
     goal = instances.reach.goal
-    other = drafted(instances, values.chosen) if values.is_met(goal) else draft
-    if other.cost < draft.cost:
-        draft = other
+    if limit is None and values.is_met(goal):
+        draft = min(draft, drafted(instances, values.chosen), key=lambda each: each.cost)
     if draft.cost <= floor:
         return Improved(draft, draft.cost, False)
     edges = sum(map(len, values.offers.values()))
     if not values.is_met(goal) or not budget.spend(_COPIED * edges):
         return Improved(draft, floor, budget.is_cut_short)
-    return _Improvement(instances, AndOrGraph(instances, values), values, budget).run(draft, floor)
+    graph = AndOrGraph(instances, values, limit)
+    return _Improvement(instances, graph, values, budget).run(draft, floor)
 
 
 class _Improvement:
@@ -124,8 +151,11 @@ class _Improvement:
         bound = min(draft.cost, max(cuts, floor) if self._is_complete else floor)
         best = sorted(graph.numbers(draft.instances, draft.actions))
         if 0 not in graph.derive(set(best)):  # some of it cannot be part of a cheaper plan
-            way = graph.cheapest_tree(graph.costs)
-            assert way is not None
+            every = set(range(len(graph.costs)))
+            way = graph.cheapest_tree(graph.costs) or graph.derive(every)
+            if 0 not in way:  # what is cheaper is too late
+                bound = draft.cost if self._is_complete else bound
+                return Improved(draft, bound, budget.is_cut_short)
             best = sorted(graph.followed(way))
         best = graph.pruned(best, sorted(best, key=lambda each: -graph.costs[each]), budget)
         least = min(draft.cost, graph.cost(best))
@@ -160,7 +190,8 @@ class _Improvement:
             for action in kept:
                 prices[action] = 0
             way = graph.cheapest_tree(prices)
-            assert way is not None
+            if way is None:
+                continue
             found = {*kept, *graph.followed(way)}
             order = sorted(found, key=lambda each: (-costs[each] * chance.random(), each))
             plan = graph.pruned(found, order, budget)

@@ -16,7 +16,7 @@ from typing import Dict, List, Mapping, Tuple
 from dyknow.manager.planning.live_streams import LiveMatch
 from dyknow.manager.planning.network import Network
 from dyknow.manager.planning.patterns import Theta
-from dyknow.manager.planning.problem import Live
+from dyknow.manager.planning.problem import Live, New
 from dyknow.manager.planning.reach import Reach
 from dyknow.manager.specifications.tags import Bindings
 
@@ -126,6 +126,18 @@ class Instances:
         if action < self.first_action:
             return self.network.base(action), ()
         return self._of_actions[action - self.first_action]
+
+    def source(self, action: int, node: int) -> New:
+        """Return the out-port with which an action supplies a node: of several the soonest."""
+        network = self.network
+        demand, theta = self.demand(node)
+        rule, bound = self.rule(action)
+        found = [
+            each.head.source
+            for each in network.found[demand][rule]
+            if theta in each.of(network.patterns[demand], bound, network.names)
+        ]
+        return min(found, key=lambda each: network.latencies.get(each[:2], 0))
 
     def charge(self, action: int) -> int:
         """Return what has to be paid for an action besides its cost."""

@@ -16,6 +16,7 @@ from __future__ import annotations
 from typing import Dict, Iterable, List, Optional, Sequence, Set, Tuple
 
 from dyknow.manager.planning.heads import Head, Heads, Offer, head_of
+from dyknow.manager.planning.latency import microseconds
 from dyknow.manager.planning.patterns import (
     Names,
     Pattern,
@@ -46,6 +47,8 @@ class Network:
         self.inputs: List[Tuple[int, ...]] = []  # what in-ports demand, in the order written
         self.ports: List[Tuple[str, ...]] = []
         self.serves: List[List[int]] = []  # what an action can supply, as far as it was asked for
+        #: Latencies that out-ports state, in microseconds, by label and port.
+        self.latencies: Dict[Tuple[str, str], int] = {}
         #: Rules of the actions whose in-ports have variables.
         self.rules: Dict[int, Rule] = {}
         #: Actions among these that join in-ports.
@@ -108,7 +111,10 @@ class Network:
         action = self._by_label.pop(label, None)
         if action is None:
             return
-        self._touch(self._heads.remove(action))
+        heads = self._heads.remove(action)
+        self._touch(heads)
+        for head in heads if self.latencies else ():
+            self.latencies.pop((label, head.source.port), None)
 
     def goal(self, demand: Demand, wanted: Sequence[str] = ()) -> int:
         """Return the number of what is asked for; what changed in the library is taken in.
@@ -224,6 +230,9 @@ class Network:
             if port.direction == OUT
         ]
         self._heads.add(action, tuple(heads))
+        for port in tagged:
+            if port.latency:
+                self.latencies[label, port.name] = microseconds(port.latency)
         self._touch(heads)
 
     def _touch(self, heads: Iterable[Head]) -> None:

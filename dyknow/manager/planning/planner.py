@@ -31,18 +31,19 @@ from typing import (
 
 from dyknow.manager.planning.budget import Budget
 from dyknow.manager.planning.extraction import no_plan, plan_of
-from dyknow.manager.planning.improvement import drafted, improve
+from dyknow.manager.planning.improvement import Improved, drafted, improve, soonest
 from dyknow.manager.planning.instances import Instances
 from dyknow.manager.planning.knuth import cheapest
+from dyknow.manager.planning.latency import microseconds
 from dyknow.manager.planning.live_streams import LiveStreams
 from dyknow.manager.planning.network import Network
-from dyknow.manager.planning.problem import NO_FREE, NO_LABELS, Answer
+from dyknow.manager.planning.problem import NO_FREE, NO_LABELS, Answer, NoPlan
 from dyknow.manager.planning.reach import Scope
 from dyknow.manager.planning.refinement import Refinement
 from dyknow.manager.planning.supply import Demand
 from dyknow.manager.planning.wishes import (
     NO_WISHES,
-    ChargedStreams,
+    StreamActions,
     TaggedStream,
     Wishes,
     charges_of,
@@ -115,21 +116,30 @@ class Planner:
         network = self._network
         usable = [each for each in live if each[0].label not in exclude]
         charges = self.charges(demand, usable, exclude, wishes)
-        charged = ChargedStreams(network, charges, feeders)
+        used = StreamActions(network, charges, feeders, bool(demand.max_age))
         streams = LiveStreams(network.names)
         for stream, terms in usable:
-            if not charged.add(stream, terms):
+            if not used.add(stream, terms):
                 streams.add(stream, terms)
-        with _no_collection(), charged:
+        with _no_collection(), used:
             goal = network.goal(demand)
             scope = Scope(network, goal, streams, exclude | paused)
-            problem = Refinement(scope, free, charged.charges)
+            problem = Refinement(scope, free, used.charges)
             instances, trees = problem.trees()
             if not trees.is_met(goal):
                 return no_plan(instances, trees, demand)
-            draft = drafted(instances, trees.chosen)
-            improved = improve(problem, draft, Budget(budget, self._clock))
-            return charged.restored(plan_of(streams, demand, improved))
+            draft, allowed = drafted(instances, trees.chosen), Budget(budget, self._clock)
+            limit = microseconds(demand.max_age) if demand.max_age else None
+
+            def latency() -> float:
+                return plan_of(streams, demand, Improved(draft, 0, False)).latency
+
+            if limit is not None and microseconds(latency()) > limit:
+                draft, is_in_time = soonest(problem, limit, allowed)
+                if not is_in_time:
+                    return NoPlan(demand, (), False, latency())
+            improved = improve(problem, draft, allowed, limit)
+            return used.restored(plan_of(streams, demand, improved))
 
     def charges(
         self,

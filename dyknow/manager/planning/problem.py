@@ -28,6 +28,7 @@ class Live(NamedTuple):
         label: the transformation behind it.
         datatype: ROS type.
         rate: Hz that its out-port states; 0 if it states none.
+        latency: seconds that its nodelet and all that feeds it state.
     """
 
     topic: str
@@ -36,6 +37,7 @@ class Live(NamedTuple):
     label: str
     datatype: str
     rate: float = 0.0
+    latency: float = 0.0
 
 
 class New(NamedTuple):
@@ -103,6 +105,7 @@ class Plan(NamedTuple):
         is_cut_short: whether the clock ended the improvement, so that the same problem may have
             another plan at another time.
         charges: of the streams that are used as they are.
+        latency: what is stated along the longest path, in s.
     """
 
     demand: Demand
@@ -113,6 +116,7 @@ class Plan(NamedTuple):
     bindings: Bindings = ()
     is_cut_short: bool = False
     charges: Tuple[Charge, ...] = ()
+    latency: float = 0.0
 
     @property
     def total(self) -> int:
@@ -135,17 +139,26 @@ class NoPlan(NamedTuple):
         demand: what was asked for.
         missing: demands that nothing supplies, sorted by their text.
         circular: whether nothing is missing, but everything that supplies it needs it first.
+        latency: of the soonest plan, in s, if all are too late; else 0.
     """
 
     demand: Demand
     missing: Tuple[Demand, ...]
     circular: bool
+    latency: float = 0.0
+
+    @property
+    def reason(self) -> str:
+        """Tell why there is no plan although nothing is missing."""
+        if self.latency:
+            return f"the least latency possible is {self.latency:g} s"
+        return "everything that supplies it needs it first"
 
     def __str__(self) -> str:
         """Name what is missing."""
         if self.missing:
             return write_missing(str(self.demand), map(str, self.missing))
-        return f"no plan for {self.demand}: everything that supplies it needs it first"
+        return f"no plan for {self.demand}: {self.reason}"
 
 
 Answer = Union[Plan, NoPlan]

@@ -87,6 +87,13 @@ class Refinement:
         instances = self._instances(self._reach)
         return instances, cheapest(instances)
 
+    def everything(self) -> Found:
+        """Find all that can be met under bindings, whatever it costs."""
+        instances = self._abstract
+        if not self._is_simple:
+            instances = self._instances(self._scope.everything(False))
+        return instances, cheapest(instances, is_all=True)
+
     def cheaper(self, cost: int, budget: Budget) -> Cheaper:
         """Find what can be part of a plan of less cost: everything, if the budget lasts."""
         instances, scope = self._abstract, self._scope

@@ -27,20 +27,27 @@ class Demand(NamedTuple):
         tags: all of them.
         datatype: ROS type; empty for any.
         min_rate: Hz; what is stated to be slower does not meet the demand. 0 for any.
+        max_age: seconds; plans whose stated latency is higher do not meet it. 0 for any.
     """
 
     tags: FrozenSet[Term]
     datatype: str = ""
     min_rate: float = 0.0
+    max_age: float = 0.0
 
     def __str__(self) -> str:
         """Write the demand for people."""
         rate = f"at least {self.min_rate:g} Hz" if self.min_rate else ""
-        return write_demand(map(str, self.tags), self.datatype, rate)
+        age = f"at most {self.max_age:g} s old" if self.max_age else ""
+        return write_demand(map(str, self.tags), self.datatype, rate, age)
 
     def is_fast(self, rate: float) -> bool:
         """Whether a rate will do; 0 stands for one that is not stated."""
         return not rate or rate >= self.min_rate
+
+    def is_soon(self, latency: float) -> bool:
+        """Whether a stated latency will do."""
+        return not self.max_age or latency <= self.max_age
 
 
 def meets(

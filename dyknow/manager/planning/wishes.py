@@ -8,8 +8,8 @@ could supply as well is charged ``NOT_PREFERRED``, unless it is preferred itself
 running parts too, which cost nothing else, and for what feeds them. The plan is cheapest with the
 charges.
 
-The search knows no live stream that costs something, so such a stream is searched as an action
-without in-ports.
+The search knows no live stream that costs or takes something, so such a stream is searched as an
+action without in-ports.
 """
 
 from __future__ import annotations
@@ -102,14 +102,15 @@ def charges_of(
     return charges
 
 
-class ChargedStreams:
-    """Live streams that are charged, as actions of a network."""
+class StreamActions:
+    """Live streams that are charged, or late where that matters, as actions of a network."""
 
     def __init__(
         self,
         network: Network,
         charges: Mapping[str, int],
         feeders: Mapping[str, FrozenSet[str]],
+        is_timed: bool,
     ) -> None:
         """Begin without a stream.
 
@@ -117,25 +118,28 @@ class ChargedStreams:
             network: where the actions are entered, for the time of one search.
             charges: by label.
             feeders: labels of what feeds a nodelet, by its name.
+            is_timed: whether the latency of streams matters.
         """
         self._network = network
         self._charges = charges
         self._feeders = feeders
+        self._is_timed = is_timed
         self._streams: Dict[str, Dict[str, TaggedStream]] = {}
         #: What is charged, by label of the library or of an action made here.
         self.charges: Dict[str, int] = dict(charges)
 
     def add(self, stream: Live, terms: Tuple[Term, ...]) -> bool:
-        """Enter a stream, if it is charged; tell whether it was."""
+        """Enter a stream, if it costs or takes something; tell whether it does."""
         feeders = self._feeders.get(stream.nodelet, frozenset())
         charge = sum([self._charges.get(each, 0) for each in {stream.label, *feeders}])
-        if charge:
+        is_used = bool(charge or (self._is_timed and stream.latency))
+        if is_used:
             label = f"\0{stream.nodelet or stream.topic}"
             self._streams.setdefault(label, {})[stream.port or "out"] = (stream, terms)
             self.charges[label] = charge
-        return bool(charge)
+        return is_used
 
-    def __enter__(self) -> ChargedStreams:
+    def __enter__(self) -> StreamActions:
         """Let the network know them."""
         self._network.add(
             Transformation(
@@ -143,7 +147,14 @@ class ChargedStreams:
                 "",
                 cost=0,
                 ports=tuple(
-                    Port(port, OUT, stream.datatype, tuple(map(str, terms)), stream.rate)
+                    Port(
+                        port,
+                        OUT,
+                        stream.datatype,
+                        tuple(map(str, terms)),
+                        stream.rate,
+                        stream.latency,
+                    )
                     for port, (stream, terms) in ports.items()
                 ),
             )
@@ -167,9 +178,9 @@ class ChargedStreams:
         steps = []
         for step in plan.steps:
             label = step.action.label
-            if label in self._streams:
+            if label in self._streams and self.charges[label]:
                 charged.append(Charge(label[1:], self.charges[label]))
-            else:
+            elif label not in self._streams:
                 inputs = tuple((port, source(each)) for port, each in step.inputs)
                 steps.append(step._replace(inputs=inputs))
         return plan._replace(

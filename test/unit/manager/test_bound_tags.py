@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from typing import Dict, List, Optional, Sequence, Set, Tuple
 
 from hypothesis import given
@@ -182,6 +183,26 @@ def test_bindings_pass_through_chains() -> None:
     records = (end, second, tracker("/left", "/poses"), POSES, LEFT)
     assert mismatches(*records) == ["/second /end"]
     assert "/second Goal(left)" in live(*records)
+
+
+def test_latencies_add_up_from_what_feeds_a_nodelet() -> None:
+    def stating(record: Record, latency: float) -> Record:
+        assert record.transformation is not None
+        ports = tuple(
+            port._replace(latency=latency if port.direction == OUT else 0.0)
+            for port in record.transformation.ports
+        )
+        return replace(record, transformation=record.transformation._replace(ports=ports))
+
+    records = (
+        stating(tracker("/left", "/poses"), 0.1),
+        stating(LEFT, 0.02),
+        stating(POSES, 0.2),
+        stating(RIGHT, 0.0),
+    )
+    streams = live_streams(records, (), topology(*records), NO_ONTOLOGY)
+    found = {stream.nodelet: stream.latency for stream, _ in streams}
+    assert found == {"/tracker": 0.3, "/left": 0.02, "/poses": 0.2, "/right": 0.0}
 
 
 def test_nodelets_that_feed_each_other_supply_nothing() -> None:

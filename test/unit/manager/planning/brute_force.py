@@ -7,7 +7,19 @@ from __future__ import annotations
 
 import heapq
 import itertools
-from typing import Dict, Iterator, List, Mapping, NamedTuple, Optional, Sequence, Set, Tuple
+from math import inf
+from typing import (
+    Dict,
+    Iterable,
+    Iterator,
+    List,
+    Mapping,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Set,
+    Tuple,
+)
 
 from dyknow.manager.planning.problem import Live, Plan
 from dyknow.manager.planning.supply import Demand
@@ -117,75 +129,139 @@ def instances(problem: Problem) -> Iterator[Instance]:
                 yield Instance(each, bindings)
 
 
+class Suppliers(NamedTuple):
+    """What supplies a demand.
+
+    Attributes:
+        mask: the suppliers as bits; the first one stands for what is live.
+        latencies: of the soonest stream of each supplier, in microseconds.
+    """
+
+    mask: int
+    latencies: Dict[int, int]
+
+
+class Instances(NamedTuple):
+    """A problem as a graph.
+
+    Attributes:
+        goal: what supplies the goal.
+        needs: what supplies the in-ports of each instance.
+        costs: of each instance.
+    """
+
+    goal: Suppliers
+    needs: List[List[Suppliers]]
+    costs: List[int]
+
+    def latency(self, there: int) -> float:
+        """Return when the goal is supplied with some instances, in microseconds."""
+        begun = {0: 0.0, **{n: inf for n in range(1, len(self.needs) + 1) if there >> n & 1}}
+
+        def until(demand: Suppliers) -> float:
+            return min([begun[n] + at for n, at in demand.latencies.items() if n in begun] + [inf])
+
+        grown = True
+        while grown:
+            grown = False
+            for number in begun.keys() - {0}:
+                when = max(map(until, self.needs[number - 1]), default=0.0)
+                grown |= when < begun[number]
+                begun[number] = min(when, begun[number])
+        return until(self.goal)
+
+
 def least_cost(problem: Problem) -> Optional[int]:
-    """Return the cost of the cheapest plan; None if there is none.
+    """Return the cost of the cheapest plan that is in time; None if there is none.
 
     Raises:
         TooLarge: it was not found among the sets that were tried.
     """
-    goals = set(_goal_bindings(problem))
-    return min((cost for cost in goals if cost is not None), default=None)
+    return _cheapest_set(written_out(problem), problem.goal.max_age)
 
 
-def _goal_bindings(problem: Problem) -> Iterator[Optional[int]]:
+def least_latency(problem: Problem) -> float:
+    """Return the latency of the soonest plan, in s."""
+    return written_out(problem).latency(-1) / 1e6
+
+
+def written_out(problem: Problem) -> Instances:
     ontology, goal = problem.ontology, sorted(problem.goal.tags)
     live = [pair for pair in problem.live if pair[0].label not in problem.exclude]
     every = list(instances(problem))
-    outs = [
-        [
-            (bound(tags_of(port), each.bindings), port.datatype)
+    streams = [
+        (0, tags, stream.datatype, stream.rate, round(stream.latency * 1e6))
+        for stream, tags in live
+    ]
+    for number, each in enumerate(every, 1):
+        streams += [
+            (
+                number,
+                bound(tags_of(port), each.bindings),
+                port.datatype,
+                port.rate,
+                round(port.latency * 1e6),
+            )
             for port in each.transformation.ports
             if port.direction == "out" and port.tags
         ]
-        for each in every
-    ]
 
-    def suppliers(demanded: Sequence[Term], datatype: str, bindings: Mapping[str, str]) -> int:
-        """Return the suppliers as bits; the first one stands for what is live."""
-        mask = 0
-        for stream, tags in live:
-            if fits(tags, stream.datatype, demanded, datatype, bindings, ontology):
-                mask |= 1
-        for number, ports in enumerate(outs):
-            for produced, kind in ports:
-                if fits(produced, kind, demanded, datatype, bindings, ontology):
-                    mask |= 2 << number
-        return mask
+    def suppliers(
+        demanded: Sequence[Term],
+        datatype: str,
+        many: Iterable[Mapping[str, str]],
+        min_rate: float = 0.0,
+    ) -> Suppliers:
+        found: Dict[int, int] = {}
+        for bindings in many:
+            for number, tags, kind, rate, latency in streams:
+                if (not rate or rate >= min_rate) and fits(
+                    tags, kind, demanded, datatype, bindings, ontology
+                ):
+                    found[number] = min(latency, found.get(number, latency))
+        return Suppliers(sum(1 << number for number in found), found)
 
     needs = [
         [
-            suppliers(tags_of(port), port.datatype, each.bindings)
+            suppliers(tags_of(port), port.datatype, [each.bindings])
             for port in each.transformation.ports
             if port.direction == "in" and port.tags
         ]
         for each in every
     ]
     variables = sorted({arg for term in goal for arg in term.args if arg.startswith("?")})
-    goal_mask = 0
-    for values in itertools.product(individuals(problem), repeat=len(variables)):
-        bindings = dict(zip(variables, values))
-        if is_typed(goal, bindings, ontology):
-            goal_mask |= suppliers(goal, problem.goal.datatype, bindings)
-    yield _cheapest_set(goal_mask, needs, [each.transformation.cost for each in every])
+    ways = [
+        dict(zip(variables, values))
+        for values in itertools.product(individuals(problem), repeat=len(variables))
+    ]
+    ways = [each for each in ways if is_typed(goal, each, ontology)]
+    return Instances(
+        suppliers(goal, problem.goal.datatype, ways, problem.goal.min_rate),
+        needs,
+        [each.transformation.cost for each in every],
+    )
 
 
-def _cheapest_set(goal: int, needs: List[List[int]], costs: List[int]) -> Optional[int]:
-    relevant = goal
+def _cheapest_set(every: Instances, max_age: float) -> Optional[int]:
+    goal, needs, costs = every
+    relevant = goal.mask
     grown = True
     while grown:
         grown = False
-        for number, masks in enumerate(needs):
+        for number, demands in enumerate(needs):
             if relevant >> number & 2:
-                for mask in masks:
-                    grown |= bool(mask & ~relevant)
-                    relevant |= mask
+                for demand in demands:
+                    grown |= bool(demand.mask & ~relevant)
+                    relevant |= demand.mask
     numbers = [number for number in range(len(needs)) if relevant >> number & 2]
     # Instances that need and supply the same are interchangeable: one of them will do.
-    alike: Dict[Tuple[int, ...], int] = {}
-    users = [mask for masks in [*needs, [goal]] for mask in masks]
+    alike: Dict[Tuple[object, ...], int] = {}
+    users = [demand for demands in [*needs, [goal]] for demand in demands]
     kept = []
     for number in numbers:
-        key = (costs[number], *needs[number], -1, *[mask >> number & 2 for mask in users])
+        needed = tuple(tuple(sorted(each.latencies.items())) for each in needs[number])
+        made = tuple(each.latencies.get(number + 1) for each in users)
+        key = costs[number], needed, made
         if key not in alike:
             alike[key] = number
             kept.append(number)
@@ -198,11 +274,11 @@ def _cheapest_set(goal: int, needs: List[List[int]], costs: List[int]) -> Option
         seen.add(there)
         if len(seen) > _MOST_SETS:
             raise TooLarge
-        if there & goal:
+        if there & goal.mask and (not max_age or every.latency(there) <= round(max_age * 1e6)):
             return cost
         for number in kept:
             bit = 2 << number
-            if not there & bit and all(there & mask for mask in needs[number]):
+            if not there & bit and all(there & each.mask for each in needs[number]):
                 heapq.heappush(heap, (cost + costs[number], there | bit))
     return None
 

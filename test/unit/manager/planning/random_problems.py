@@ -162,3 +162,28 @@ class _Writer:
 def random_problem(seed: int) -> Problem:
     """Write a problem; equal seeds write equal problems."""
     return _Writer(seed).problem()
+
+
+def with_limits(problem: Problem, seed: int) -> Problem:
+    """Let out-ports and streams state rates and latencies, and the goal demand some."""
+    chance = random.Random(seed)
+
+    def stated() -> Dict[str, float]:
+        latency = chance.choice([0.0, 0.0, 0.01, 0.02, 0.03, 0.1])
+        return {"rate": chance.choice([0.0, 0.0, 0.0, 5.0, 30.0]), "latency": latency}
+
+    library = [
+        each._replace(
+            ports=tuple(
+                port._replace(**stated()) if port.direction == "out" else port
+                for port in each.ports
+            )
+        )
+        for each in problem.library
+    ]
+    live = [(stream._replace(**stated()), terms) for stream, terms in problem.live]
+    goal = problem.goal._replace(
+        min_rate=chance.choice([0.0, 0.0, 10.0]),
+        max_age=chance.choice([0.0, 0.005, 0.01, 0.03, 0.03, 0.05, 0.1, 0.12]),
+    )
+    return problem._replace(library=tuple(library), live=tuple(live), goal=goal)
