@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import random
-from typing import Dict, FrozenSet, List, Sequence, Tuple
+from typing import Any, Dict, FrozenSet, List, Sequence, Tuple
 
 from unit.manager.planning.brute_force import Problem
 
@@ -168,7 +168,7 @@ def with_limits(problem: Problem, seed: int) -> Problem:
     """Let out-ports and streams state rates and latencies, and the goal demand some."""
     chance = random.Random(seed)
 
-    def stated() -> Dict[str, float]:
+    def stated() -> Dict[str, Any]:
         latency = chance.choice([0.0, 0.0, 0.01, 0.02, 0.03, 0.1])
         return {"rate": chance.choice([0.0, 0.0, 0.0, 5.0, 30.0]), "latency": latency}
 
