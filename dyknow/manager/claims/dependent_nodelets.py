@@ -4,7 +4,8 @@
 """Nodelets with variables: what they send follows from what they receive.
 
 Where it is not certain what a nodelet receives, each possibility counts. As long as a variable of
-an out-port is unbound, the nodelet has received nothing and sends nothing there.
+an out-port is unbound, the nodelet has received nothing and sends nothing there. What people
+connect to a topic of which nothing is known may receive anything there.
 """
 
 from __future__ import annotations
@@ -20,8 +21,10 @@ from dyknow.manager.specifications.tags import Subsumption, Term
 
 #: Possibilities that are told apart; beyond, nothing is known to be supplied.
 _MOST_POSSIBILITIES = 16
+#: What may be anything.
+_UNKNOWN: Tuple[Sent, ...] = (((), ""),)
 #: An in-port that does not receive what it demands.
-_CONFUSED = Inlet(Demand(frozenset((Term("nothing"),))), (((), ""),))
+_CONFUSED = Inlet(Demand(frozenset((Term("nothing"),))), _UNKNOWN)
 
 _Key = Tuple[int, str]
 """Number of a nodelet, and its port."""
@@ -114,7 +117,10 @@ class DependentNodelets:
                 continue
             found: Dict[Tuple[Sent, ...], None] = {}
             for topic in topics:
-                found.update(dict.fromkeys(self._sent(topic)))
+                if self._nodelets[number].is_by_hand and not self._producers(topic):
+                    found[_UNKNOWN] = None
+                else:
+                    found.update(dict.fromkeys(self._sent(topic)))
             choices.append([Inlet(consumer.demand, sent) if sent else None for sent in found])
         if math.prod(len(each) or 1 for each in choices) > _MOST_POSSIBILITIES:
             return [(_CONFUSED,)]
@@ -129,7 +135,7 @@ class DependentNodelets:
         for producer in self._producers(topic):
             by_source.setdefault(producer[:2], {})[producer] = None
         if math.prod(map(len, by_source.values())) > _MOST_POSSIBILITIES:
-            return [(((), ""),)]
+            return [_UNKNOWN]
         return [
             tuple((each.tags, each.datatype) for each in combination if not each.is_unbound)
             for combination in itertools.product(*by_source.values())

@@ -61,6 +61,7 @@ class NodeletEnds(NamedTuple):
         given: what its variables stand for in any case.
         has_variables: whether what it receives at one port says what it may receive at another,
             or what it sends.
+        is_by_hand: whether it was not made for claims: anybody may have connected it to anything.
     """
 
     is_relay: bool
@@ -68,6 +69,7 @@ class NodeletEnds(NamedTuple):
     consumers: Tuple[Tuple[Consumer, Tuple[str, ...]], ...]
     given: Way = NO_BINDINGS
     has_variables: bool = False
+    is_by_hand: bool = False
 
 
 def ends_of(record: Record) -> NodeletEnds:
@@ -99,6 +101,7 @@ def ends_of(record: Record) -> NodeletEnds:
         bool(record.given)
         or len(set(in_ports)) < len(in_ports)
         or any(not tag.is_ground for producer, _ in producers for tag in producer.tags),
+        not record.claimed,
     )
 
 

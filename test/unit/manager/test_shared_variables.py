@@ -14,6 +14,7 @@ from unit.manager.witness import Concepts, Witness
 
 from dyknow.errors import HostError, InvalidTag, NoPlanFound
 from dyknow.manager.claims.answers import StreamAnswers
+from dyknow.model.graph import SpawnRequest
 from dyknow.model.streams import ClaimState
 from dyknow.model.transformation import Parameter
 
@@ -287,3 +288,20 @@ def test_what_comes_back_does_not_change_what_others_receive(lab: Lab) -> None:
     assert field.host.nodelet("/right").topics("out") == []
     now = field.claim(claim.claim_id)
     assert (now.state, now.goal, now.bindings) == (ClaimState.ACTIVE, claim.goal, ())
+
+
+def test_what_people_connect_to_an_unknown_topic_sends_nothing_to_clients(lab: Lab) -> None:
+    lab.add("frame", {"in": ("in", ["Image(?c)"]), "out": ("out", ["Frame(?c)"])})
+    claim = lab.field.acquire("Image(left)").claim
+    lab.field.manager.spawn(SpawnRequest("frame", "/mine", {"in": "", "out": claim.topic}))
+    lab.witness.by_hand.add("/mine")
+    lab.field.tick(3.0)
+    mine = lab.field.host.nodelet("/mine")
+    assert mine.ports["out"].topic == claim.topic, "it receives nothing, and sends nothing"
+    lab.field.host.topics.add("/driver/image")
+    lab.field.host.connect("/mine", {"in": "/driver/image"})
+    lab.witness.guilt.clear()
+    lab.field.manager.look({"/mine"})
+    lab.settle()
+    assert mine.ports["out"].topic == ""
+    assert lab.field.claim(claim.claim_id).state is ClaimState.ACTIVE
