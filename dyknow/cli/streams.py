@@ -47,6 +47,14 @@ def demand_arguments(parser: argparse.ArgumentParser) -> None:
         default=0.0,
         help="how many messages a second there have to be (default: any number)",
     )
+    parser.add_argument(
+        "--max-age",
+        metavar="SECONDS",
+        type=seconds,
+        default=0.0,
+        help="how old messages may be when they are sent, by their headers' stamps (default: any "
+        "age)",
+    )
     for option, what in (
         ("--prefer", "use these where there is a choice"),
         ("--avoid", "use these only where there is no choice"),
@@ -83,6 +91,7 @@ def request_of(
         max_silence=max_silence,
         exclude=tuple(arguments.exclude),
         min_rate=arguments.min_rate,
+        max_age=arguments.max_age,
         prefer=tuple(arguments.prefer),
         avoid=tuple(arguments.avoid),
         budget=arguments.budget,

@@ -42,8 +42,6 @@ def check_request(request: StreamRequest) -> None:
     both = sorted(set(request.prefer) & set(request.avoid))
     if both:
         raise BadParameter("avoid", both[0], "a name that is not in prefer as well")
-    if request.max_age:
-        raise BadParameter("max_age", request.max_age, "0: this manager does not serve it yet")
 
 
 @dataclass(frozen=True)

@@ -80,7 +80,7 @@ class FakeListening(Listening):
     def count(self) -> Optional[Count]:
         """Return the messages since the listening began."""
         now = self._host.clock()
-        return Count(self.messages, now, now)
+        return Count(self.messages, now, now, age=self._host.age_on(self.topic))
 
     def close(self) -> None:
         """End the listening."""
@@ -97,6 +97,9 @@ class FakeHost(Host):
         silent: nodelets, by name or type, and ordinary topics that send nothing.
         dividers: how many messages, by nodelet, type or ordinary topic, make one that is sent;
             1 where nothing is said. The nodelet's own entry comes before that of its type.
+        delays: seconds that a nodelet, type or ordinary topic adds to the age of messages; 0 where
+            nothing is said, None for one that sends them without a stamp.
+        unstamped: ROS types without a header.
         slow: nodelets to which a connection takes longer than the manager waits: it fails, and is
             made later all the same (``arrive``).
         fail: called before each operation with its name and argument; may raise.
@@ -124,6 +127,8 @@ class FakeHost(Host):
         self.topics: set[str] = set()
         self.silent: set[str] = set()
         self.dividers: Dict[str, int] = {}
+        self.delays: Dict[str, Optional[float]] = {}
+        self.unstamped: set[str] = set()
         self.slow: set[str] = set()
         self.fail: Callable[[str, str], object] = lambda operation, argument: None
         self.on_change: Callable[[], None] = lambda: None
@@ -135,6 +140,7 @@ class FakeHost(Host):
         self._crashes: List[Crash] = []
         self._cut: Dict[str, ManagerState] = {}
         self._passed: Dict[str, int] = {}
+        self._ages: Dict[str, Optional[float]] = {}
         self._on_the_way: List[Tuple[FakeNodelet, Dict[str, str]]] = []
 
     # Faults and other events
@@ -226,6 +232,7 @@ class FakeHost(Host):
             The topics on which a message was sent.
         """
         moving = {each for each in self.topics - self.silent if self._sends(each)}
+        self._ages.update((each, self._aged([], each)) for each in moving)
         waiting = [
             nodelet
             for name, process in self.processes.items()
@@ -243,6 +250,8 @@ class FakeHost(Host):
                     waiting.remove(nodelet)
                     if not self._sends(nodelet.request.name, nodelet.request.source):
                         continue
+                    age = self._aged(inputs, nodelet.request.name, nodelet.request.source)
+                    self._ages.update(dict.fromkeys(nodelet.topics("out"), age))
                     moving.update(nodelet.topics("out"))
                     for port in nodelet.ports.values():
                         if port.direction == "out" and port.topic:
@@ -256,6 +265,16 @@ class FakeHost(Host):
         divider = self.dividers.get(name, self.dividers.get(kind, 1))
         passed = self._passed[name] = self._passed.get(name, 0) + 1
         return passed % divider == 0
+
+    def _aged(self, inputs: Iterable[str], name: str, kind: str = "") -> Optional[float]:
+        """Age of what something sends that it makes of these topics."""
+        delay = self.delays.get(name, self.delays.get(kind, 0.0))
+        ages = [self._ages.get(topic) for topic in inputs]
+        return None if delay is None else delay + max([age or 0.0 for age in ages], default=0.0)
+
+    def age_on(self, topic: str) -> Optional[float]:
+        """Seconds by which the latest message of a topic was old when it was sent."""
+        return self._ages.get(topic)
 
     def vanish(self, name: str) -> None:
         """Unload a nodelet behind the manager's back."""
@@ -422,11 +441,16 @@ class FakeHost(Host):
                         asked,
                         self.clock(),
                         port.name in nodelet.latched,
+                        self._ages.get(port.topic),
                     )
                     for port in nodelet.ports.values()
                     if port.direction == "out"
                 }
         return found
+
+    def is_stamped(self, datatype: str) -> Optional[bool]:
+        """Whether a type is not among the unstamped ones."""
+        return datatype not in self.unstamped
 
     def listen(self, topic: str) -> Listening:
         """Count the messages of a topic."""

@@ -111,12 +111,15 @@ class Count:
         asked: they were counted no earlier than this, in seconds of a steady clock.
         answered: nor later than this.
         latched: whether the port keeps a message for subscribers that connect later.
+        age: how old one of the messages since the last count was when it was sent, in seconds by
+            its stamp; of no meaning if there was none. None where that is not known.
     """
 
     messages: int
     asked: float
     answered: float
     latched: bool = False
+    age: Optional[float] = None
 
 
 class Listening(ABC):
@@ -240,6 +243,10 @@ class Host(ABC):
             For each nodelet the counts of its out-ports; None for a nodelet that is not there.
             Nodelets without an answer yet are left out until a later call.
         """
+
+    @abstractmethod
+    def is_stamped(self, datatype: str) -> Optional[bool]:
+        """Whether messages of a type bear a time stamp: begin with a header; None if not known."""
 
     @abstractmethod
     def listen(self, topic: str) -> Listening:

@@ -23,6 +23,8 @@ class PortStatistics:
         mean_callback: seconds that a callback takes on average; 0 for an out-port.
         max_callback: seconds that the longest callback took.
         latched: an out-port that keeps a message for whoever connects later.
+        age: seconds between the stamp and the publishing of the first message that an out-port
+            sent after the last question; None where that is not known.
     """
 
     port: str
@@ -34,6 +36,7 @@ class PortStatistics:
     mean_callback: Optional[float]
     max_callback: Optional[float]
     latched: bool = False
+    age: Optional[float] = None
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,9 @@ class ClaimState(enum.IntEnum):
 NO_MESSAGE = "no message yet"
 """Detail of an active claim on whose topic nothing has come since its stream was changed last."""
 
+UNKNOWN_AGE = "not known how old messages are: they bear no stamp, or nobody tells"
+"""Detail of an active claim with a ``max_age`` that cannot be judged."""
+
 
 @dataclass(frozen=True)
 class StreamRequest:
@@ -45,8 +48,8 @@ class StreamRequest:
         max_silence: seconds without a message after which a part counts as broken; 0: never.
         exclude: labels of transformations that must not be used.
         min_rate: Hz below which the stream is too slow; 0: any rate will do.
-        max_age: seconds beyond which messages are too old, by the stamps in their headers; 0: any
-            age will do. Managers refuse others for now.
+        max_age: seconds beyond which messages are too old when they are sent, by the stamps in
+            their headers; 0: any age will do.
         prefer: concepts or labels; what belongs to them is used where there is a choice.
         avoid: concepts or labels; what belongs to them is used only where there is no choice.
         budget: seconds for the improvement of the plan; 0 for the default.

@@ -176,6 +176,7 @@ class Context:
             self.runtime.clock,
             lambda: self.runtime.node.closed(f"publisher '{what}' of {self.name}"),
             options,
+            self.runtime.transport.age_of,
         )
         self._keep(publication)
         return publication

@@ -190,8 +190,12 @@ class Publication:
     """
 
     __slots__ = (
+        "_age",
+        "_age_of",
         "_build",
         "_closed",
+        "_is_age_wanted",
+        "_keeps",
         "_outside",
         "_route",
         "_watchers",
@@ -214,6 +218,7 @@ class Publication:
         clock: Clock,
         refusal: Callable[[], Exception],
         options: Optional[Dict[str, Any]] = None,
+        age_of: Callable[[Any], Optional[float]] = lambda message: None,
     ) -> None:
         """Describe a publication.
 
@@ -225,6 +230,7 @@ class Publication:
             clock: steady seconds, for the statistics.
             refusal: makes the exception that a publish raises after the end.
             options: further arguments for the registration outside.
+            age_of: tells the age of a message in seconds, as ``Transport.age_of``.
         """
         self.datatype = datatype
         self.latch = latch
@@ -234,6 +240,11 @@ class Publication:
         self.traffic = Traffic(clock)
         self.latched = NOTHING
         self._build = build
+        self._age_of = age_of
+        self._age: Optional[float] = None
+        self._is_age_wanted = False
+        #: Whether a message is looked at when it is published: this is all that it costs others.
+        self._keeps = latch
         self.refusal = refusal
         self._route: Optional[Tuple[Connection, ...]] = None
         self._outside: Optional[OutsidePublisher] = None
@@ -258,8 +269,8 @@ class Publication:
                 self._unrouted(message)
                 return
             self.traffic.sent()
-            if self.latch:
-                self.latched = message
+            if self._keeps:
+                self._keep(message)
             for connection in self._route:
                 connection.push_locked(message)
             outside = self._outside
@@ -283,6 +294,23 @@ class Publication:
                 return
             outside.in_flight += 1
         _hand_over(outside, outside.publish_to, peer, message)
+
+    def _keep(self, message: Any) -> None:
+        if self.latch:
+            self.latched = message
+        if self._is_age_wanted:
+            self._is_age_wanted, self._keeps = False, self.latch
+            self._age = self._age_of(message)
+
+    def sample_age(self) -> Optional[float]:
+        """Return how old a message was when it was published, and let the next one be measured.
+
+        Returns:
+            Seconds, of the first message after the last question; None if that is not known.
+        """
+        with message_lock:
+            self._is_age_wanted = self._keeps = True
+            return self._age
 
     def _unrouted(self, message: Any) -> None:
         if self._closed:

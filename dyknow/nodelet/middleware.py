@@ -141,6 +141,13 @@ class Transport(ABC):
     def build(self, datatype: Any, args: Sequence[Any], kwds: Dict[str, Any]) -> Any:
         """Make a message from what was given to ``publish``, with rospy's rules and errors."""
 
+    def age_of(self, message: Any) -> Optional[float]:
+        """Return the seconds since the time that a message bears; None if it bears none.
+
+        It is called while a message is published: it does not wait, and raises nothing.
+        """
+        return None
+
     def adapt(self, datatype: Any, receive: Receive) -> Receive:
         """Wrap ``receive`` so that it can be given any message of this process.
 

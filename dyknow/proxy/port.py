@@ -97,10 +97,12 @@ class OutPort(ProxyPort):
         return () if self.publication is None else (self.publication,)
 
     def statistics(self) -> PortStatistics:
-        """What went through, and what is kept."""
-        publication = self.publication
-        latched = publication is not None and publication.latched is not NOTHING
-        return replace(super().statistics(), latched=latched)
+        """What went through, what is kept, and how old a message was."""
+        statistics, publication = super().statistics(), self.publication
+        if publication is None:
+            return statistics
+        latched = publication.latched is not NOTHING
+        return replace(statistics, latched=latched, age=publication.sample_age())
 
 
 class InPort(ProxyPort):

@@ -196,6 +196,7 @@ def acquire(
     *,
     max_silence: float = 0.0,
     min_rate: float = 0.0,
+    max_age: float = 0.0,
     exclude: Union[str, Iterable[str]] = (),
     prefer: Union[str, Iterable[str]] = (),
     avoid: Union[str, Iterable[str]] = (),
@@ -215,6 +216,8 @@ def acquire(
         max_silence: seconds without a message after which a part counts as broken; 0: only dead
             parts count as broken.
         min_rate: Hz; a part that keeps the stream slower is replaced. 0: any rate will do.
+        max_age: seconds that messages may be old when they are published, by the stamps in their
+            headers; a part that makes them older is replaced. 0: any age will do.
         exclude: labels of transformations that must not be used, or a single one.
         prefer: concepts or labels, or a single one, to use where there is a choice.
         avoid: concepts or labels, or a single one, to use only where there is no choice.
@@ -250,6 +253,7 @@ def acquire(
             lease=lease,
             max_silence=max_silence,
             min_rate=min_rate,
+            max_age=max_age,
             exclude=_names(exclude),
             prefer=_names(prefer),
             avoid=_names(avoid),

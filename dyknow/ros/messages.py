@@ -256,6 +256,7 @@ def counts_message(nodelet: str, statistics: NodeletStatistics) -> msg.NodeletCo
                 direction=direction_message(each.direction),
                 messages=each.messages or 0,
                 latched=each.latched,
+                age=math.nan if each.age is None else each.age,
             )
             for each in sorted(statistics.ports, key=lambda each: each.port)
         ],

@@ -123,7 +123,7 @@ class StreamCase(ManagerCase):
         return events
 
     def tell(self, nodelet: str, order: str) -> None:
-        """Send an order to a moody nodelet."""
+        """Send an order to a nodelet that can be told to misbehave."""
         publisher = rospy.Publisher(f"{nodelet}/order", String, queue_size=1)
         try:
             eventually(publisher.get_num_connections, 5.0, f"{nodelet} listens")

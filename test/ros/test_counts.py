@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import threading
@@ -88,8 +89,8 @@ class CountingTest(unittest.TestCase):
     def good(self, name, messages=7):
         def answer(request):
             ports = [
-                PortCount("in", Port.IN, 1, False),
-                PortCount("out", Port.OUT, messages, True),
+                PortCount("in", Port.IN, 1, False, math.nan),
+                PortCount("out", Port.OUT, messages, True, 0.5),
             ]
             return GetCountsResponse([NodeletCounts(nodelet="/there", ports=ports)])
 
@@ -103,7 +104,7 @@ class CountingTest(unittest.TestCase):
         def answer(request):
             asked.append(sorted(request.nodelets))
             awake.wait(60.0)
-            ports = [PortCount("out", Port.OUT, 3, False)]
+            ports = [PortCount("out", Port.OUT, 3, False, math.nan)]
             return GetCountsResponse(
                 [NodeletCounts(nodelet=name, ports=ports) for name in asked[-1]]
             )

@@ -13,6 +13,7 @@ import unittest
 import graph
 import rospy
 import rostest
+from dyknow_msgs.srv import GetCounts
 from graph import Manager, call, set_config
 from processes import eventually
 from rosgraph_msgs.msg import Clock
@@ -91,6 +92,21 @@ class SimTimeTest(unittest.TestCase):
             now += 0.05
             thread.join(0.005)
         self.assertAlmostEqual(answers[0], 5.0, delta=0.5)
+
+    def test_ages_follow_the_clock(self):
+        self.manager.load("dyknow_manager_test/Stamped", "/stamped", {"/out": "/points"})
+        proxy = rospy.ServiceProxy("/manager/get_counts", GetCounts)
+        ages = []
+
+        def measure():
+            self.run_clock(100.0, 1.0)
+            (counts,) = proxy(["/stamped"]).nodelets
+            ages.extend(port.age for port in counts.ports if port.age == port.age)
+            return len(ages) >= 3
+
+        eventually(measure, 10.0, "ages are measured")
+        # Within the second that the clock runs over again and again, not decades of real time.
+        self.assertLessEqual(max(map(abs, ages)), 1.0)
 
     def test_statistics_and_time_limits_do_not(self):
         uptime = graph.get_statistics("/n").uptime

@@ -18,6 +18,7 @@ from dyknow.errors import DyKnowError, NameTaken, SpawnFailed, StreamTypeMismatc
 from dyknow.manager.claims.context import ClaimContext
 from dyknow.manager.claims.own_nodelets import instance_of
 from dyknow.manager.claims.plan_context import (
+    STAMPED,
     AssemblyRequest,
     AssemblyResult,
     PlanContext,
@@ -187,6 +188,9 @@ class Assembly:
         wanted = self._request.datatype
         if wanted not in ANY and datatype not in (*ANY, wanted):
             raise StreamTypeMismatch(self._request.tag, wanted, datatype, goal.label)
+        is_stamped = datatype in ANY or self._manager.host.is_stamped(datatype)
+        if self._request.is_stamped and is_stamped is False:
+            raise StreamTypeMismatch(self._request.tag, STAMPED, datatype, goal.label)
         result.topic, result.datatype = place or present, datatype or wanted
         name, port = self._plan.name_of(goal), goal.port
         if not place and present in self._plan.taken_topics() and datatype not in ANY:

@@ -24,17 +24,18 @@ from typing import (
 )
 
 from dyknow.backoff import Backoff
-from dyknow.errors import HostError, UnknownTransformation
+from dyknow.errors import HostError, StreamTypeMismatch, UnknownTransformation
 from dyknow.manager.claim import Claim
 from dyknow.manager.claims.context import ClaimContext
 from dyknow.manager.claims.own_nodelets import Instance, OwnNodelet, assigned, instance_of
+from dyknow.manager.claims.plan_context import STAMPED
 from dyknow.manager.claims.relay import is_relay
 from dyknow.manager.claims.streams import live_streams, with_feeders
 from dyknow.manager.claims.topology import demand_of, may_share
 from dyknow.manager.library import Library
 from dyknow.manager.planning.planner import BUDGET, Planner
-from dyknow.manager.planning.problem import NO_LABELS, Answer, NoPlan, Plan
-from dyknow.manager.planning.supply import Demand, ways_to_meet
+from dyknow.manager.planning.problem import NO_LABELS, Answer, Live, NoPlan, Plan
+from dyknow.manager.planning.supply import ANY, Demand, ways_to_meet
 from dyknow.manager.planning.wishes import NO_WISHES, TaggedStream, Wishes
 from dyknow.manager.record import Record
 from dyknow.manager.specifications.given import exposed_variables
@@ -199,7 +200,20 @@ class ClaimPlanner:
         answer = self._plan(together, claim.topic, paused, avoid)
         if isinstance(answer, NoPlan) and lenient and paused:
             answer = self._plan(together, claim.topic, NO_LABELS, avoid)
+        if isinstance(answer, Plan) and self._is_unstamped(claim, answer):
+            stamped = self.plan(claim, lenient, avoid | {answer.goal.label})
+            answer = stamped if isinstance(stamped, Plan) else answer
         return answer
+
+    def check_stamped(self, claim: Claim, plan: Plan) -> None:
+        """Check that messages of a plan bear a stamp if the claim needs one, as far as is known.
+
+        Raises:
+            StreamTypeMismatch: they do not.
+        """
+        if self._is_unstamped(claim, plan):
+            found = self._goal_type(plan)
+            raise StreamTypeMismatch(claim.request.tag, STAMPED, found, plan.goal.label)
 
     def is_waiting(self, claim: Claim) -> bool:
         """Whether there would be a plan if nothing had failed lately."""
@@ -245,6 +259,19 @@ class ClaimPlanner:
         return plan._replace(cost=plan.total, least_cost=min(plan.total, plan.least_cost))
 
     # Inside
+
+    def _is_unstamped(self, claim: Claim, plan: Plan) -> bool:
+        """Whether a claim needs stamped messages, and a plan is known to make others."""
+        known = self._goal_type(plan) if claim.request.max_age else ""
+        return known not in ANY and self._manager.host.is_stamped(known) is False
+
+    def _goal_type(self, plan: Plan) -> str:
+        """ROS type of what a plan makes; empty while it is not known."""
+        goal = plan.goal
+        if isinstance(goal, Live):
+            return goal.datatype
+        ports = self._known[goal.label].ports
+        return next((port.datatype for port in ports if port.name == goal.port), "")
 
     def _paused(self, claims: Iterable[Claim]) -> FrozenSet[str]:
         """Labels of which no nodelet is to be made for these claims now."""

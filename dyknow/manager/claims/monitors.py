@@ -15,7 +15,7 @@ from dyknow.manager.claims.quality import QualityMonitor
 from dyknow.manager.claims.stream_parts import StreamParts, described, goal_of, name_of
 from dyknow.manager.graph import Graph
 from dyknow.manager.manager import Manager
-from dyknow.model.streams import NO_MESSAGE, ClaimState
+from dyknow.model.streams import NO_MESSAGE, UNKNOWN_AGE, ClaimState
 
 #: Seconds that a part may take to send its first message, if the claim does not allow more.
 FIRST_MESSAGE = 2.0
@@ -44,7 +44,7 @@ class StreamMonitor:
         self._silence = SilenceMonitor(self._meter, manager.graph)
         self._first_messages = FirstMessageMonitor(table, self._meter, manager.graph, clock)
         #: Which claims get less than they demand, and what is to blame.
-        self.quality = QualityMonitor(self._meter, manager.graph, clock)
+        self.quality = QualityMonitor(self._meter, manager.graph, clock, manager.existing_topics)
 
     @property
     def silent(self) -> Mapping[str, str]:
@@ -91,6 +91,17 @@ class StreamMonitor:
     def report_first_messages(self) -> None:
         """Change the claims whose first message has come, by the latest counts."""
         self._first_messages.report()
+
+    def report_unknown_ages(self) -> None:
+        """Say in the details of claims where nobody can know how old their messages are."""
+        for claim in self._table.living():
+            if claim.request.max_age and claim.state is ClaimState.ACTIVE:
+                is_unknown = self.quality.is_age_unknown(claim)
+                if is_unknown and not claim.detail:
+                    self._table.change(claim.claim_id, UNKNOWN_AGE, detail=UNKNOWN_AGE)
+                elif claim.detail == UNKNOWN_AGE and not is_unknown:
+                    reason = "it is known how old its messages are"
+                    self._table.change(claim.claim_id, reason, detail="")
 
 
 class SilenceMonitor:
@@ -199,7 +210,8 @@ class FirstMessageMonitor:
         self._since[claim.claim_id] = self._clock()
         record = self._graph.find(goal[0])
         can_be_asked = record is not None and not record.rewired_by_reload
-        if can_be_asked or claim.request.max_silence > 0:
+        limits = (claim.request.max_silence, claim.request.min_rate, claim.request.max_age)
+        if can_be_asked or any(limits):  # with a limit the topic is listened to
             return NO_MESSAGE
         return f"not known whether messages come: the publisher of {topic} cannot be asked"
 

@@ -24,6 +24,8 @@ from dyknow.model.transformation import IN, OUT
 
 #: Names that are tried for one transformation.
 _MOST_NAMES = 10_000
+#: What is asked for besides, or instead of, a ROS type, for error messages.
+STAMPED = "a type that begins with a header (for max_age)"
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,7 @@ class AssemblyRequest:
         unresponsive: nodelets that do not answer.
         claim_id: whose stream it is.
         ordinary: topics on which ordinary nodes publish what the library describes.
+        is_stamped: whether its messages have to begin with a header.
     """
 
     plan: Plan
@@ -53,6 +56,7 @@ class AssemblyRequest:
     unresponsive: AbstractSet[str] = frozenset()
     claim_id: str = ""
     ordinary: AbstractSet[str] = frozenset()
+    is_stamped: bool = False
 
 
 @dataclass

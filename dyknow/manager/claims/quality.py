@@ -3,8 +3,8 @@
 
 """Which claims get less than they demand, and which parts of their streams are to blame.
 
-A part is too slow *for a claim*: others may go on with it. It stays so until it has delivered what
-it would have to for twice as long as it is judged over, so a part that is now above and now below
+A part is too slow, or too late, *for a claim*: others may go on with it. It stays so until it has
+kept the limit for twice as long as it is judged over, so a part that is now above and now below
 the limit makes nothing flap. Its transformation is given a second chance for the claim; after that
 it is left for a while, longer each time.
 """
@@ -13,14 +13,17 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
-from typing import Callable, Dict, FrozenSet, Hashable, Iterable, List, Optional, Set
+from typing import Callable, Dict, FrozenSet, Hashable, Iterable, List, Optional, Set, Tuple
 
 from dyknow.backoff import Backoff
 from dyknow.manager.claim import Claim
+from dyknow.manager.claims.ages import AgeJudge
 from dyknow.manager.claims.flows import FlowMeter, Place
-from dyknow.manager.claims.rates import RateMeter, Verdict, window_of
-from dyknow.manager.claims.stream_parts import StreamParts, name_of
+from dyknow.manager.claims.judges import Judge, Verdict
+from dyknow.manager.claims.rates import RateJudge
+from dyknow.manager.claims.stream_parts import StreamParts, goal_of, name_of
 from dyknow.manager.graph import Graph
+from dyknow.model.transformation import Transformation
 
 #: Seconds between two counts.
 _PERIOD = 0.5
@@ -38,48 +41,68 @@ _log = logging.getLogger("rosout.dyknow")
 
 @dataclass
 class _Shortfall:
-    """A part that delivers too little for a claim, and since when it delivers enough again."""
+    """A part that does not keep a claim's limit, and since when it keeps it again."""
 
+    judge: Judge
     verdict: Verdict
     good_since: Optional[float] = None
 
 
 class QualityMonitor:
-    """Judges the streams of claims that demand a rate."""
+    """Judges the streams of claims that demand a rate or an age."""
 
-    def __init__(self, meter: FlowMeter, graph: Graph, clock: Callable[[], float]) -> None:
+    def __init__(
+        self,
+        meter: FlowMeter,
+        graph: Graph,
+        clock: Callable[[], float],
+        topics: Callable[[], Iterable[Transformation]] = tuple,
+    ) -> None:
         """Begin with no claim.
 
         Args:
             meter: the counts.
             graph: the nodelets.
             clock: steady time, in seconds.
+            topics: returns what the library says about ordinary topics.
         """
         self._meter = meter
         self._graph = graph
         self._clock = clock
-        self._rates = RateMeter()
+        self._topics = topics
+        self._ages = AgeJudge(self._stated_latency)
+        self._judges: Tuple[Judge, ...] = (RateJudge(), self._ages)
         self._shortfalls: Dict[str, Dict[str, _Shortfall]] = {}
         self._failures = Backoff(clock, _FIRST_PAUSE, _LONGEST_PAUSE, _FORGIVEN_AFTER)
 
     def periods(self, claims: Iterable[Claim]) -> Dict[Place, float]:
         """Seconds between two counts, by place."""
-        return dict.fromkeys(self._windows(claims), _PERIOD)
+        claims = list(claims)
+        places = {place for judge in self._judges for place in self._windows(judge, claims)}
+        return dict.fromkeys(places, _PERIOD)
 
     def judge(self, claims: Iterable[Claim]) -> None:
         """Judge by the latest counts."""
-        claims = _watched(claims)
-        self._forget({claim.claim_id for claim in claims})
-        self._rates.add(self._meter.counted, self._windows(claims))
+        claims, now = [each for each in claims if each.topic], self._clock()
+        self._forget({claim.claim_id for claim in claims if self._limits(claim)})
+        for judge in self._judges:
+            judge.add(self._meter.counted, self._windows(judge, claims))
         for claim in claims:
             self._forgive(claim.claim_id)
-            verdict = self._rates.judge(StreamParts(claim, self._graph))
-            if verdict is not None:
-                self._blame(claim, verdict)
+            for judge in self._limits(claim):
+                verdict = judge.judge(StreamParts(claim, self._graph), now)
+                if verdict is not None:
+                    self._blame(claim, judge, verdict)
 
     def restart(self, claim_id: str, rewired: Iterable[str]) -> None:
         """Begin again with nodelets that were connected elsewhere for a claim."""
-        self._rates.restart(claim_id, rewired)
+        rewired = set(rewired)
+        for judge in self._judges:
+            judge.restart(claim_id, rewired, self._clock())
+
+    def is_age_unknown(self, claim: Claim) -> bool:
+        """Whether messages of a claim's stream have come, and nobody can tell how old they are."""
+        return self._ages.is_unknown(goal_of(claim))
 
     def faults(self, claim: Claim) -> List[str]:
         """Say which parts of a claim's stream are to blame for what it lacks."""
@@ -110,30 +133,46 @@ class QualityMonitor:
 
     # Inside
 
-    def _windows(self, claims: Iterable[Claim]) -> Dict[Place, float]:
+    def _limits(self, claim: Claim) -> List[Judge]:
+        return [judge for judge in self._judges if judge.limit(claim) > 0]
+
+    def _windows(self, judge: Judge, claims: Iterable[Claim]) -> Dict[Place, float]:
         """Seconds over which places are judged."""
         found: Dict[Place, float] = {}
-        for claim in _watched(claims):
-            window = window_of(claim.request.min_rate)
-            for place in StreamParts(claim, self._graph).topics:
-                found[place] = max(found.get(place, window), window)
+        for claim in claims:
+            if claim.topic and judge.limit(claim) > 0:
+                window = judge.window(judge.limit(claim))
+                for place in StreamParts(claim, self._graph).topics:
+                    found[place] = max(found.get(place, window), window)
         for shortfalls in self._shortfalls.values():
             for each in shortfalls.values():
-                place, window = each.verdict.place, window_of(each.verdict.needed)
-                found[place] = max(found.get(place, window), window)
+                if each.judge is judge:
+                    place, window = each.verdict.place, judge.window(each.verdict.needed)
+                    found[place] = max(found.get(place, window), window)
         return found
 
-    def _blame(self, claim: Claim, verdict: Verdict) -> None:
+    def _stated_latency(self, place: Place) -> float:
+        """Seconds that a place states to add to the age of messages; 0 if it states none."""
+        name, port = place
+        record = self._graph.find(name)
+        if name:
+            found = [] if record is None else [record.transformation]
+        else:
+            found = [each for each in self._topics() if each.source == port]
+        ports = [each for one in found if one is not None for each in one.ports]
+        return max((each.latency for each in ports if not name or each.name == port), default=0.0)
+
+    def _blame(self, claim: Claim, judge: Judge, verdict: Verdict) -> None:
         name = name_of(verdict.place)
         shortfalls = self._shortfalls.setdefault(claim.claim_id, {})
         if name in shortfalls:
             return
-        shortfalls[name] = _Shortfall(verdict)
+        shortfalls[name] = _Shortfall(judge, verdict)
         _log.warning("claim %s: %s", claim.claim_id, verdict.what)
         record = self._graph.find(name)
         if record is not None:
             key = f"{claim.claim_id} {record.label}"
-            self._failures.served(key, self._rates.served(claim.claim_id))
+            self._failures.served(key, judge.served(claim.claim_id))
             self._failures.failed(key)
 
     def _forgive(self, claim_id: str) -> None:
@@ -142,16 +181,17 @@ class QualityMonitor:
         shortfalls = self._shortfalls.get(claim_id, {})
         for name, each in list(shortfalls.items()):
             place, needed, _ = each.verdict
-            if self._rates.is_below(place, needed) is not False:
+            if each.judge.falls_short(place, needed) is not False:
                 each.good_since = None
             elif each.good_since is None:
                 each.good_since = now
-            elif now - each.good_since >= (_WINDOWS - 1) * window_of(needed):
+            elif now - each.good_since >= (_WINDOWS - 1) * each.judge.window(needed):
                 del shortfalls[name]
 
     def _forget(self, claim_ids: Set[str]) -> None:
         """Forget claims that have ended, and nodelets that are gone."""
-        self._rates.keep(claim_ids)
+        for judge in self._judges:
+            judge.keep(claim_ids)
         self._shortfalls = {
             key: {
                 name: each
@@ -161,7 +201,3 @@ class QualityMonitor:
             for key, found in self._shortfalls.items()
             if key in claim_ids
         }
-
-
-def _watched(claims: Iterable[Claim]) -> List[Claim]:
-    return [each for each in claims if each.request.min_rate > 0 and each.topic]

@@ -13,7 +13,9 @@ from __future__ import annotations
 import collections
 from typing import Deque, Dict, Iterable, Mapping, NamedTuple, Optional, Sequence, Tuple
 
+from dyknow.manager.claim import Claim
 from dyknow.manager.claims.flows import UNANSWERED, Place
+from dyknow.manager.claims.judges import Judge, Verdict, kept
 from dyknow.manager.claims.stream_parts import StreamParts, described
 from dyknow.manager.host import Count
 
@@ -26,20 +28,6 @@ _MESSAGES = 10
 _CHANCE = 2
 #: A part that sends more than this part of what it receives from a feeder does not wait for it.
 _ALIKE = 1.25
-
-
-class Verdict(NamedTuple):
-    """What keeps a stream below what is demanded.
-
-    Attributes:
-        place: who is to blame.
-        needed: what it would have to deliver.
-        what: measured and demanded values, in words.
-    """
-
-    place: Place
-    needed: float
-    what: str
 
 
 class _Cause(NamedTuple):
@@ -77,25 +65,27 @@ def window_of(rate: float) -> float:
     return max(_WINDOW, _MESSAGES / rate)
 
 
-class RateMeter:
-    """The latest counts of each place."""
+class RateJudge(Judge):
+    """Judges by ``min_rate``, from the latest counts of each place."""
 
     def __init__(self) -> None:
         """Begin without a count."""
+        super().__init__()
         self._counts: Dict[Place, Deque[Count]] = {}
         self._began: Dict[Place, float] = {}
         #: The highest rate of each place, by claim, since its stream was changed last.
         self._usual: Dict[str, Dict[Place, float]] = {}
-        #: When the stream of a claim was first and last found fast enough since then.
-        self._good: Dict[str, Tuple[float, float]] = {}
+
+    def limit(self, claim: Claim) -> float:
+        """Hz that a claim demands."""
+        return claim.request.min_rate
+
+    def window(self, limit: float) -> float:
+        """Seconds over which a rate is judged that has to be at least so high."""
+        return max(_WINDOW, _MESSAGES / limit)
 
     def add(self, counted: Mapping[Place, Count], windows: Mapping[Place, float]) -> None:
-        """Take counts in.
-
-        Args:
-            counted: what was counted just now.
-            windows: seconds over which the rates of places are judged; others are forgotten.
-        """
+        """Take counts in."""
         for place in [place for place in self._counts if place not in windows]:
             del self._counts[place]
         for place in windows.keys() & counted.keys():
@@ -115,48 +105,46 @@ class RateMeter:
         while len(counts) > 2 and count.asked - counts[1].answered >= window:
             counts.popleft()
 
-    def restart(self, claim_id: str, names: Iterable[str]) -> None:
+    def restart(self, claim_id: str, names: Iterable[str], now: float) -> None:
         """Begin again with nodelets that were connected elsewhere for a claim."""
+        super().restart(claim_id, names, now)
         names = set(names)
         if names:
             self._usual.pop(claim_id, None)
-            self._good.pop(claim_id, None)
             for place in [place for place in self._counts if place[0] in names]:
                 del self._counts[place]
 
     def keep(self, claim_ids: Iterable[str]) -> None:
         """Forget all other claims."""
-        kept = set(claim_ids)
-        self._usual = {key: each for key, each in self._usual.items() if key in kept}
-        self._good = {key: each for key, each in self._good.items() if key in kept}
+        super().keep(claim_ids)
+        self._usual = kept(self._usual, claim_ids)
 
-    def is_below(self, place: Place, rate: float) -> Optional[bool]:
+    def falls_short(self, place: Place, limit: float) -> Optional[bool]:
         """Whether a place certainly sends less than a rate; None as long as that is not known."""
-        whole = self._span(place, window_of(rate))
+        window = self.window(limit)
+        whole = self._span(place, window)
         if whole is None:
             return None
-        if whole.messages + 1 >= rate * whole.seconds:
+        if whole.messages + 1 >= limit * whole.seconds:
             return False
-        third = window_of(rate) / 3
+        third = window / 3
         counts = [each for each in self._counts[place] if each.asked >= whole.first.asked]
         begin = next(each for each in counts if Span(whole.first, each).seconds >= third)
         end = next(each for each in reversed(counts) if Span(each, whole.last).seconds >= third)
         return all(
-            each.messages < rate * each.seconds
+            each.messages < limit * each.seconds
             for each in (Span(whole.first, begin), Span(end, whole.last))
         )
 
-    def judge(self, parts: StreamParts) -> Optional[Verdict]:
+    def judge(self, parts: StreamParts, now: float) -> Optional[Verdict]:
         """Find out what slows a stream down; None if it is fast enough or that is not known."""
-        limit = parts.claim.request.min_rate
-        window = window_of(limit)
-        is_below = self.is_below(parts.goal, limit)
+        limit = self.limit(parts.claim)
+        window = self.window(limit)
+        is_below = self.falls_short(parts.goal, limit)
         if is_below is None:
             return None
         if not is_below:
-            now = self._counts[parts.goal][-1].asked
-            first, _ = self._good.get(parts.claim.claim_id, (now, now))
-            self._good[parts.claim.claim_id] = (first, now)
+            self._note_good(parts.claim.claim_id, now)
             usual = self._usual.setdefault(parts.claim.claim_id, {})
             for place in parts.topics:
                 span = self._span(place, window)
@@ -172,11 +160,6 @@ class RateMeter:
         has = f"the stream has {whole.rate:.3g} Hz, at least {limit:g} Hz are demanded"
         what = f"{described(place)} is too slow: it sends {own.rate:.3g} Hz; {has}"
         return Verdict(place, needed, what)
-
-    def served(self, claim_id: str) -> float:
-        """Seconds for which a claim's stream was fast enough since it was changed last."""
-        first, last = self._good.get(claim_id, (0.0, 0.0))
-        return last - first
 
     def _span(self, place: Place, window: float) -> Optional[Span]:
         """Return the shortest span of a window at least, up to the latest count."""

@@ -18,7 +18,7 @@ import uuid
 from dataclasses import dataclass, replace
 from typing import Callable, List, Optional, Tuple
 
-from dyknow.errors import DyKnowError, NoPlanFound
+from dyknow.errors import DyKnowError, NoPlanFound, StreamTypeMismatch
 from dyknow.manager.claim import Claim, ClaimEvent, check_request
 from dyknow.manager.claims.advice import CheaperPlans, refusal
 from dyknow.manager.claims.assembly import Handover
@@ -29,7 +29,7 @@ from dyknow.manager.claims.context import ClaimContext, ClaimLock
 from dyknow.manager.claims.garbage_collector import GarbageCollector
 from dyknow.manager.claims.monitors import StreamMonitor
 from dyknow.manager.claims.own_nodelets import instance_of
-from dyknow.manager.claims.plan_context import AssemblyResult
+from dyknow.manager.claims.plan_context import STAMPED, AssemblyResult
 from dyknow.manager.claims.repair import Repair, outcome, with_remarks
 from dyknow.manager.claims.topology import demand_of
 from dyknow.manager.manager import Manager
@@ -145,13 +145,15 @@ class StreamReconciler:
             BadParameter: a value of the request is of no use.
             InvalidTag: the tag is no term.
             NoPlanFound: nothing supplies it; the missing tags are named.
-            StreamTypeMismatch: the stream turned out to have another type.
+            StreamTypeMismatch: the stream has another type, or none with a header for ``max_age``.
             Denied: the mode is read-only.
             DyKnowError: it could not be made; nothing is left of it.
         """
         check_request(request)
         claim = Claim("" if dry_run else uuid.uuid4().hex[:12], request)
         demand_of([claim])
+        if request.max_age and self._manager.host.is_stamped(request.datatype) is False:
+            raise StreamTypeMismatch(request.tag, STAMPED, request.datatype)
         if not dry_run:
             self._manager.guards.check_writable(f"acquiring '{request.tag}'")
         with self._lock.round() if dry_run else self._lock.request():
@@ -168,6 +170,7 @@ class StreamReconciler:
                     self._table.add(replace(claim, topic="", detail=str(answer)), "requested")
                 reason = refusal(self._manager, answer, request.exclude)
                 raise NoPlanFound(reason, claim.claim_id)
+            self._planner.check_stamped(claim, answer)
             if dry_run:
                 return self._intended(claim, answer)
             plan, done = self._repair.make(claim, answer, lenient=True)
@@ -275,6 +278,7 @@ class StreamReconciler:
             self._collector.collect()
             self._cheaper_plans.report()
             self._monitor.report_first_messages()
+            self._monitor.report_unknown_ages()
 
     def end(self) -> None:
         """End every claim, since the manager is stopped on purpose; nothing is repaired later."""

@@ -186,6 +186,7 @@ class Repair:
             unresponsive=self._monitor.unresponsive,
             claim_id=claim.claim_id,
             ordinary=self._planner.ordinary(),
+            is_stamped=claim.request.max_age > 0,
         )
         assembly = Assembly(self._context, request, self._handover())
         try:

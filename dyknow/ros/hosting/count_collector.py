@@ -11,6 +11,7 @@ returned by the next call.
 
 from __future__ import annotations
 
+import math
 import time
 from typing import Collection, Dict, List, Mapping, Optional, Set
 
@@ -148,14 +149,20 @@ class _CountClient:
         for each in answer.nodelets:
             if each.nodelet in found:
                 found[each.nodelet] = {
-                    port.port: Count(port.messages, asked, answered, port.latched)
+                    port.port: Count(
+                        port.messages,
+                        asked,
+                        answered,
+                        port.latched,
+                        None if math.isnan(port.age) else port.age,
+                    )
                     for port in each.ports
                     if port.direction == Port.OUT
                 }
         return found
 
     def _one_by_one(self, nodelets: List[str]) -> Counts:
-        """Ask each nodelet's proxy, which does not say what is latched."""
+        """Ask each nodelet's proxy, which does not say what is latched, or how old."""
         found: Counts = {}
         for name in nodelets:
             client = ServiceClient(self._master, names.join(name, "get_statistics"), GetStatistics)

@@ -48,6 +48,7 @@ from dyknow.manager.host import (
 from dyknow.manager.specifications.values import value_of
 from dyknow.model.graph import PortState
 from dyknow.model.transformation import Parameter
+from dyknow.ros import ages
 from dyknow.ros.hosting.children import Child, Children
 from dyknow.ros.hosting.count_collector import CountCollector
 from dyknow.ros.hosting.external_managers import ExternalManagers
@@ -263,6 +264,10 @@ class RosHost(Host):
     ) -> Dict[str, Optional[Mapping[str, Count]]]:
         """Ask over the kept connections."""
         return self._collector.counts(wanted)
+
+    def is_stamped(self, datatype: str) -> Optional[bool]:
+        """Look the message class up."""
+        return ages.is_stamped(datatype)
 
     def listen(self, topic: str) -> Listening:
         """Subscribe."""

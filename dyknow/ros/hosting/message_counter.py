@@ -16,6 +16,7 @@ import rospy
 
 from dyknow.locks import state_lock
 from dyknow.manager.host import Count, Listening
+from dyknow.ros.ages import age_of_serialised
 from dyknow.ros.transport.registrar import Registrar
 from dyknow.workers import Workers
 
@@ -47,6 +48,8 @@ class _TopicCounter(Listening):
         self._registrations = registrations
         self._state_lock = state_lock("message counter")
         self._messages = 0
+        self._age: Optional[float] = None
+        self._is_age_wanted = True
         self._closed = False
         self._subscriber: Optional[Any] = None
         registrations.run(self._register)
@@ -55,7 +58,9 @@ class _TopicCounter(Listening):
         if self._subscriber is None or not self._registrar.is_subscribed(self._topic):
             return None
         now = time.monotonic()
-        return Count(self._messages, now, now)
+        with self._state_lock:
+            self._is_age_wanted = True
+            return Count(self._messages, now, now, age=self._age)
 
     def close(self) -> None:
         self._closed = True
@@ -76,3 +81,6 @@ class _TopicCounter(Listening):
     def _add_one(self, message: Any) -> None:
         with self._state_lock:  # rospy calls from a thread for each publisher
             self._messages += 1
+            is_age_wanted, self._is_age_wanted = self._is_age_wanted, False
+        if is_age_wanted:
+            self._age = age_of_serialised(message)

@@ -25,6 +25,7 @@ from dyknow.nodelet.middleware import (
     Transport,
 )
 from dyknow.nodelet.scheduler import Executor
+from dyknow.ros import ages
 from dyknow.ros.errors import ClosedHandle, Interrupted, MessageTimeout
 from dyknow.ros.master import Master
 from dyknow.ros.transport import anymsg, members
@@ -87,6 +88,10 @@ class RospyTransport(Transport):
     def build(self, datatype: Any, args: Sequence[Any], kwds: Dict[str, Any]) -> Any:
         """Make a message as ``rospy.Publisher.publish`` does."""
         return rospy.msg.args_kwds_to_message(datatype, tuple(args), kwds)
+
+    def age_of(self, message: Any) -> Optional[float]:
+        """Take the ROS time since the stamp in its header."""
+        return ages.age_of(message)
 
     def adapt(self, datatype: Any, receive: Receive) -> Receive:
         """Give subscribers of ``rospy.AnyMsg`` the serialised message that they expect."""

@@ -101,9 +101,9 @@ class TestDemands:
         assert "nothing supplies Slow(camera) [at least 10 Hz]" in outcome.err
 
     def test_the_claim_has_what_was_demanded(self, client: FakeClient) -> None:
-        run(client, f"{ACQUIRE} --lease 0 --min-rate 10 --budget 2")
-        (claim,) = client.reconciler.claims()
-        assert (claim.request.min_rate, claim.request.budget) == (10.0, 2.0)
+        run(client, f"{ACQUIRE} --lease 0 --min-rate 10 --max-age 0.2 --budget 2")
+        (request,) = [each.request for each in client.reconciler.claims()]
+        assert (request.min_rate, request.max_age, request.budget) == (10.0, 0.2, 2.0)
 
     @pytest.mark.parametrize("rate", ["0", "-1", "nan", "inf", "fast"])
     def test_what_is_no_rate_is_refused(

@@ -42,6 +42,7 @@ MESSAGES = {
         "uint8 direction",
         "uint64 messages",
         "bool latched",
+        "float64 age",
     ),
     "NodeletCounts": ("string nodelet", "duration uptime", "PortCount[] ports"),
     "Parameter": ("string name", "string type", "string value"),

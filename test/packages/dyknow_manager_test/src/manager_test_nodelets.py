@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import collections
 import ctypes
 import multiprocessing
 import os
@@ -13,6 +14,7 @@ import time
 
 import rospy
 from dyknow_msgs.srv import Destroy
+from geometry_msgs.msg import PointStamped
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header, String
 
@@ -155,6 +157,38 @@ class Moody(Relay):
             raise RuntimeError("the lens is dirty")
         if self.mood == "work" or (self.mood == "slow" and message.seq % 4 == 0):
             self.out.publish(message)
+
+
+class Stamped(dyknow.Nodelet):
+    """Publishes points that bear the present time, 20 times a second."""
+
+    def on_init(self):
+        self.nh = dyknow.NodeHandle(self.node_handle)
+        self.out = self.nh.Publisher("out", PointStamped, queue_size=1000)
+        self.timer = self.nh.Timer(self.nh.Duration(0.05), self.on_timer)
+
+    def on_timer(self, event):
+        self.out.publish(PointStamped(header=Header(stamp=self.nh.Time.now())))
+
+
+class Lagging(dyknow.Nodelet):
+    """Relays points; from when the topic ~order says `late` on, eight messages late."""
+
+    def on_init(self):
+        self.nh = dyknow.NodeHandle(self.node_handle)
+        self.held = collections.deque()
+        self.late_by = 0
+        self.out = self.nh.Publisher("out", PointStamped, queue_size=1000)
+        self.input = self.nh.Subscriber("in", PointStamped, self.on_message, queue_size=1000)
+        self.order = self.private_node_handle.Subscriber("order", String, self.on_order)
+
+    def on_order(self, message):
+        self.late_by = 8 if message.data == "late" else 0
+
+    def on_message(self, message):
+        self.held.append(message)
+        while len(self.held) > self.late_by:
+            self.out.publish(self.held.popleft())
 
 
 class Client(dyknow.Nodelet):

@@ -1,0 +1,66 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""How old messages are: the ROS time since the stamp in the header that they begin with.
+
+With ``/use_sim_time`` that is simulated time. A stamp of zero is none.
+"""
+
+from __future__ import annotations
+
+import functools
+import struct
+from typing import Any, Optional
+
+import roslib.message
+import rospy
+
+#: A header begins with its number, seconds and nanoseconds.
+_HEADER = struct.Struct("<III")
+
+
+@functools.lru_cache(maxsize=1000)
+def is_stamped(datatype: str) -> Optional[bool]:
+    """Whether messages of a type begin with a header; None if the type is not known here."""
+    try:
+        found = roslib.message.get_message_class(datatype)
+    except ValueError:
+        found = None
+    return None if found is None else bool(getattr(found, "_has_header", False))
+
+
+def age_of(message: Any) -> Optional[float]:
+    """Return the age of a message in seconds; None if it bears no stamp."""
+    if not getattr(message, "_has_header", False):
+        return None
+    try:
+        stamp = message.header.stamp
+        return _age(stamp.secs, stamp.nsecs)
+    except (AttributeError, TypeError):  # its author put something else there
+        return None
+
+
+def age_of_serialised(message: Any) -> Optional[float]:
+    """Return the age in seconds of what a subscriber of ``rospy.AnyMsg`` received."""
+    definition = (message._connection_header or {}).get("message_definition", "")
+    if len(message._buff or b"") < _HEADER.size or not _begins_with_header(definition):
+        return None
+    _, seconds, nanoseconds = _HEADER.unpack_from(message._buff)
+    return _age(seconds, nanoseconds)
+
+
+@functools.lru_cache(maxsize=1000)
+def _begins_with_header(definition: str) -> bool:
+    """Read the first field of a message definition, behind comments and constants."""
+    for line in definition.splitlines():
+        words = line.split("#")[0].split()
+        if words and "=" not in line.split("#")[0]:
+            return words[1:] == ["header"] and words[0].split("/")[-1] == "Header"
+    return False
+
+
+def _age(seconds: int, nanoseconds: int) -> Optional[float]:
+    if not seconds and not nanoseconds:
+        return None
+    now = rospy.get_rostime()
+    return float(now.secs - seconds + (now.nsecs - nanoseconds) * 1e-9)

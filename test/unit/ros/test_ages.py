@@ -1,0 +1,65 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""How old messages are, by their headers."""
+
+from __future__ import annotations
+
+import io
+from typing import Any, Optional
+
+import genpy
+import pytest
+import rospy
+from geometry_msgs.msg import PointStamped
+from sensor_msgs.msg import Imu, JointState
+from std_msgs.msg import Header, String
+
+from dyknow.ros.ages import age_of, age_of_serialised, is_stamped
+
+NOW = 1000.25
+
+
+@pytest.fixture(autouse=True)
+def clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rospy, "get_rostime", lambda: genpy.Time.from_sec(NOW))
+
+
+def serialised(message: Any) -> rospy.AnyMsg:
+    """A message as a subscriber of any type receives it."""
+    buffer = io.BytesIO()
+    message.serialize(buffer)
+    found = rospy.AnyMsg()
+    found.deserialize(buffer.getvalue())
+    found._connection_header = {"message_definition": message._full_text}
+    return found
+
+
+@pytest.mark.parametrize("kind", [PointStamped, JointState, Imu])
+@pytest.mark.parametrize(
+    ("stamp", "age"), [(1000.0, 0.25), (999.5, 0.75), (1001.0, -0.75), (0, None)]
+)
+def test_of_stamped_messages(kind: Any, stamp: float, age: Optional[float]) -> None:
+    message = kind(header=Header(seq=7, stamp=genpy.Time.from_sec(stamp)))
+    assert age_of(message) == pytest.approx(age)
+    assert age_of_serialised(serialised(message)) == pytest.approx(age)
+    assert is_stamped(kind._type) is True
+
+
+@pytest.mark.parametrize(
+    "message", [Header(stamp=genpy.Time(999)), String("a text of some length")]
+)
+def test_of_messages_without_a_header(message: Any) -> None:
+    assert age_of(message) is None
+    assert age_of_serialised(serialised(message)) is None
+    assert is_stamped(message._type) is False
+
+
+def test_of_what_is_not_known_or_not_a_stamp() -> None:
+    for unknown in ("", "*", "nowhere/Nothing", "a/b/c"):
+        assert is_stamped(unknown) is None
+    assert age_of(PointStamped(header=Header(stamp=5.0))) is None
+    assert age_of(PointStamped(header=None)) is None
+    nothing = rospy.AnyMsg()
+    nothing._connection_header = {}
+    assert age_of_serialised(nothing) is None
