@@ -82,26 +82,27 @@ def drafted(instances: Instances, chosen: Chosen) -> PlanDraft:
     return PlanDraft(instances, chosen, order, sum([costs[action] for action in order]))
 
 
-def soonest(problem: Refinement, limit: int, budget: Budget) -> Tuple[PlanDraft, bool]:
+def soonest(problem: Refinement, draft: PlanDraft, limit: int) -> Tuple[PlanDraft, bool]:
     """Return a rather cheap draft that is in time, or the soonest one; and whether it is in time.
 
     Args:
-        problem: where it is searched; the goal can be met.
+        problem: where it is searched.
+        draft: the cheapest tree, which is too late.
         limit: microseconds that a plan may take.
-        budget: what it may take.
     """
-    instances, values = problem.everything()
-    graph = AndOrGraph(instances, values, limit)
+    for instances, values in problem.rising(draft.cost):
+        graph = AndOrGraph(instances, values, limit)
+        way = graph.cheapest_tree(graph.costs)
+        if way is not None:
+            break
     every = set(range(len(graph.costs)))
-    way = graph.cheapest_tree(graph.costs) or graph.derive(every)
+    way = way or graph.derive(every)
     is_in_time = 0 in way
-    if is_in_time:
-        used = graph.followed(way)
-        used = graph.pruned(used, sorted(used, key=lambda each: -graph.costs[each]), budget)
-        way = graph.derive(set(used))
-    else:
+    if not is_in_time:
         graph.limit = sys.maxsize
         way = graph.derive(every)
+    if 0 not in way:  # not everything was searched
+        return draft, False
     return drafted(instances, graph.chosen(way)), is_in_time
 
 

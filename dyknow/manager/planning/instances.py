@@ -132,9 +132,12 @@ class Instances:
         network = self.network
         demand, theta = self.demand(node)
         rule, bound = self.rule(action)
+        offers = network.found[demand][rule]
+        if len(offers) == 1:
+            return offers[0].head.source
         found = [
             each.head.source
-            for each in network.found[demand][rule]
+            for each in offers
             if theta in each.of(network.patterns[demand], bound, network.names)
         ]
         return min(found, key=lambda each: network.latencies.get(each[:2], 0))

@@ -128,17 +128,17 @@ class Planner:
             instances, trees = problem.trees()
             if not trees.is_met(goal):
                 return no_plan(instances, trees, demand)
-            draft, allowed = drafted(instances, trees.chosen), Budget(budget, self._clock)
+            draft = drafted(instances, trees.chosen)
             limit = microseconds(demand.max_age) if demand.max_age else None
 
             def latency() -> float:
                 return plan_of(streams, demand, Improved(draft, 0, False)).latency
 
             if limit is not None and microseconds(latency()) > limit:
-                draft, is_in_time = soonest(problem, limit, allowed)
+                draft, is_in_time = soonest(problem, draft, limit)
                 if not is_in_time:
                     return NoPlan(demand, (), False, latency())
-            improved = improve(problem, draft, allowed, limit)
+            improved = improve(problem, draft, Budget(budget, self._clock), limit)
             return used.restored(plan_of(streams, demand, improved))
 
     def charges(

@@ -151,7 +151,7 @@ class NoPlan(NamedTuple):
     def reason(self) -> str:
         """Tell why there is no plan although nothing is missing."""
         if self.latency:
-            return f"the least latency possible is {self.latency:g} s"
+            return f"the soonest plan found takes {self.latency:g} s"
         return "everything that supplies it needs it first"
 
     def __str__(self) -> str:

@@ -11,7 +11,7 @@ about instances, takes what is worthwhile at that bound, and more only if that i
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Mapping, NamedTuple, Optional, Tuple
+from typing import Iterator, Mapping, NamedTuple, Optional, Tuple
 
 from dyknow.manager.planning.budget import Budget
 from dyknow.manager.planning.instances import Instances
@@ -23,6 +23,8 @@ from dyknow.manager.specifications.tags import Bindings
 SMALL = 100
 #: Bounds that are tried before everything is searched.
 _MOST_BOUNDS = 12
+#: Seconds, as steps, of each search in `rising`.
+_EACH_RISE = 0.5
 
 Found = Tuple[Instances, Values]
 
@@ -87,12 +89,23 @@ class Refinement:
         instances = self._instances(self._reach)
         return instances, cheapest(instances)
 
-    def everything(self) -> Found:
-        """Find all that can be met under bindings, whatever it costs."""
+    def rising(self, cost: int) -> Iterator[Found]:
+        """Find what can be part of trees of up to a cost, of more, and at last everything.
+
+        It is not all if that would take more than a fixed number of steps; the clock has no say,
+        since it must not decide whether there is a plan.
+        """
         instances = self._abstract
+        for bound in (cost, 2 * cost, 4 * cost):
+            if not self._is_simple:
+                values = cheapest(self._abstract, below=bound + 1, is_all=True)
+                instances = self._instances(self._worthwhile(bound, values)[0])
+            allowed = Budget(_EACH_RISE, lambda: 0.0)
+            yield instances, cheapest(instances, below=bound + 1, is_all=True, budget=allowed)
         if not self._is_simple:
             instances = self._instances(self._scope.everything(False))
-        return instances, cheapest(instances, is_all=True)
+        allowed = Budget(_EACH_RISE, lambda: 0.0)
+        yield instances, cheapest(instances, is_all=True, budget=allowed)
 
     def cheaper(self, cost: int, budget: Budget) -> Cheaper:
         """Find what can be part of a plan of less cost: everything, if the budget lasts."""

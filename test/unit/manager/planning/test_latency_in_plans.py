@@ -136,9 +136,9 @@ def test_when_everything_is_too_late_the_least_latency_is_told() -> None:
     answer = ball(0.05)
     assert isinstance(answer, NoPlan)
     assert str(answer) == (
-        "no plan for Ball(field) [at most 0.05 s old]: the least latency possible is 0.06 s"
+        "no plan for Ball(field) [at most 0.05 s old]: the soonest plan found takes 0.06 s"
     )
-    assert as_tree(answer).endswith("└─ the least latency possible is 0.06 s")
+    assert as_tree(answer).endswith("└─ the soonest plan found takes 0.06 s")
 
 
 @pytest.mark.parametrize(
