@@ -10,7 +10,7 @@ from typing import AbstractSet, Dict, Iterable, List, Optional, Sequence, Set, T
 
 from dyknow.manager.planning.budget import Budget
 from dyknow.manager.planning.instances import LIVE, Instances
-from dyknow.manager.planning.knuth import Chosen, Values
+from dyknow.manager.planning.values import Chosen, Values
 
 
 class AndOrGraph:

@@ -9,11 +9,11 @@ from typing import Dict, Iterable, List, Sequence, Set
 
 from dyknow.manager.planning.improvement import Improved
 from dyknow.manager.planning.instances import LIVE, Instances
-from dyknow.manager.planning.knuth import Values
 from dyknow.manager.planning.latency import latency_of
 from dyknow.manager.planning.live_streams import LiveStreams
 from dyknow.manager.planning.problem import Action, Live, NoPlan, Plan, PlanStep, Source
 from dyknow.manager.planning.supply import Demand
+from dyknow.manager.planning.values import Values
 from dyknow.manager.specifications.tags import Bindings, Term, unify_all
 
 #: Combinations of one action that found no further in-port and are told.
@@ -118,6 +118,8 @@ def plan_of(streams: LiveStreams, demand: Demand, improved: Improved) -> Plan:
         steps.append(writer.step(number, Action(label, cost, charge)))
     total = sum([step.action.cost + step.action.charge for step in steps])
     goal = writer.source(instances.reach.goal)
+    stated = instances.network.latencies
+    is_stated = bool(stated) or any(stream.latency for stream in streams.terms)
     return Plan(
         demand,
         goal,
@@ -126,7 +128,7 @@ def plan_of(streams: LiveStreams, demand: Demand, improved: Improved) -> Plan:
         improved.least_cost,
         writer.goal_bindings(goal, demand),
         improved.is_cut_short,
-        latency=latency_of(goal, steps, instances.network.latencies),
+        latency=latency_of(goal, steps, stated) if is_stated else 0.0,
     )
 
 

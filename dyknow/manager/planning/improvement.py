@@ -21,9 +21,9 @@ from dyknow.manager.planning.and_or_graph import AndOrGraph
 from dyknow.manager.planning.branching import search
 from dyknow.manager.planning.budget import Budget
 from dyknow.manager.planning.instances import LIVE, Instances
-from dyknow.manager.planning.knuth import Chosen, Values
 from dyknow.manager.planning.landmarks import landmark_bound
 from dyknow.manager.planning.refinement import Refinement
+from dyknow.manager.planning.values import Chosen, Values
 
 #: Actions beyond which a plan is not improved.
 _MOST_ACTIONS = 10_000

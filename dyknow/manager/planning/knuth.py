@@ -13,7 +13,6 @@ needs under the same bindings.
 from __future__ import annotations
 
 import heapq
-from dataclasses import dataclass, field
 from typing import (
     AbstractSet,
     Any,
@@ -21,20 +20,16 @@ from typing import (
     Dict,
     Iterable,
     List,
-    Mapping,
     Optional,
     Sequence,
     Tuple,
-    Union,
 )
 
 from dyknow.manager.planning.budget import Budget
 from dyknow.manager.planning.instances import LIVE, Instances
 from dyknow.manager.planning.joins import Join, Pairs, Partial
 from dyknow.manager.planning.patterns import Theta
-
-Chosen = Union[Mapping[int, int], Sequence[int]]
-"""For each node the action that supplies it, or ``LIVE``."""
+from dyknow.manager.planning.values import Values
 
 #: Values of nodes that the goal does not reach, and of those that are not met yet.
 _CLOSED, _OPEN = -2, -1
@@ -44,37 +39,6 @@ _BITS = 32
 _EFFORT = 20
 _RANK = (1 << _BITS) - 1
 _NONE: AbstractSet[int] = frozenset()
-
-
-@dataclass
-class Values:
-    """What a search found.
-
-    Attributes:
-        value: cost of the cheapest way to each node that was met, -1 for others.
-        chosen: the action with which it ends.
-        offers: all actions that supply a node, if everything was asked for.
-        joins: what arrived at the in-ports of the actions that join them.
-        reached: a plan with what was not found costs at least as much; None if there is none.
-        is_complete: whether the budget was sufficient.
-    """
-
-    value: List[int]
-    chosen: List[int]
-    offers: Dict[int, List[int]] = field(default_factory=dict)
-    joins: Dict[int, Join] = field(default_factory=dict)
-    reached: Optional[int] = 0
-    is_complete: bool = True
-
-    def is_met(self, node: int) -> bool:
-        """Whether there is a way to a node."""
-        return self.value[node] >= 0
-
-    @property
-    def floors(self) -> List[int]:
-        """What each node costs at least; -1 for those that cannot be met."""
-        rest = -1 if self.reached is None else self.reached
-        return [rest if each < 0 else each for each in self.value]
 
 
 def cheapest(
@@ -125,10 +89,11 @@ class _Search:
         for action in reach.actions:
             self._missing[action] = len(network.needs[action])
         # In the abstract, specialised actions too are plain ones, and ties decide nothing.
-        numbers = range(len(network.labels))
-        both = (numbers, numbers) if reach.is_abstract else network.ranks()
-        self._ranks: Sequence[int] = both[0]
-        self._by_rank: Sequence[int] = both[1]
+        self._ranks: Sequence[int] = range(len(network.labels))
+        self._by_rank: Sequence[int] = self._ranks
+        if not reach.is_abstract:
+            ranks = network.ranks()
+            self._ranks, self._by_rank = ranks.of, ranks.ordered
         # Demands that were specialised since have numbers too, and are closed.
         count = max(instances.node_count, len(network.patterns))
         self._values = Values([_CLOSED] * count, [LIVE] * count)

@@ -15,7 +15,8 @@ from __future__ import annotations
 
 from typing import Dict, Iterable, List, Optional, Sequence, Set, Tuple
 
-from dyknow.manager.planning.heads import Head, Heads, Offer, head_of
+from dyknow.manager.planning.demands import Demands
+from dyknow.manager.planning.heads import Heads, Offer, head_of
 from dyknow.manager.planning.latency import microseconds
 from dyknow.manager.planning.patterns import (
     Names,
@@ -25,6 +26,7 @@ from dyknow.manager.planning.patterns import (
     narrowed,
 )
 from dyknow.manager.planning.problem import New
+from dyknow.manager.planning.ranks import Ranks
 from dyknow.manager.planning.rules import Premise, Rule, pattern_of, rule_of
 from dyknow.manager.planning.supply import Demand
 from dyknow.manager.specifications.tags import NO_ONTOLOGY, Subsumption, Term, read_tags
@@ -55,31 +57,27 @@ class Network:
         self.joined: Set[int] = set()
         #: Actions that others specialise.
         self.general: Dict[int, int] = {}
+        self._demands = Demands(self.names)
         # By the number of a demand:
-        self.patterns: List[Pattern] = []
+        self.patterns = self._demands.patterns
         #: Actions that need it.
-        self.users: List[List[int]] = []
+        self.users = self._demands.users
         #: Demands that want names of variables.
-        self.wanting: Set[int] = set()
+        self.wanting = self._demands.wanting
         #: Their suppliers, none of them specialised, as far as they were looked up.
-        self.found: List[Dict[int, Tuple[Offer, ...]]] = []
+        self.found: Dict[int, Dict[int, Tuple[Offer, ...]]] = {}
         self._specialised: Dict[Tuple[int, int], Tuple[int, ...]] = {}
         self._offers: Dict[Tuple[int, int], Tuple[Offer, ...]] = {}
-        self._outdated: Set[int] = set()  # demands whose suppliers are to be looked up
         self._by_label: Dict[str, int] = {}
-        self._by_pattern: Dict[Pattern, int] = {}
         self._by_text: Dict[Tuple[Tuple[str, ...], str], int] = {}
         self._by_premise: Dict[Tuple[object, ...], int] = {}
-        self._by_functor: Dict[str, List[int]] = {}
         self._by_types: Dict[Tuple[int, Tuple[Types, ...]], int] = {}
         self._types: Dict[int, Tuple[Types, ...]] = {}
         self._written: Dict[int, Demand] = {}
-        self._touched: Set[str] = set()
         self._heads = Heads(self.names)
         self._asked = 0  # demands that only goals had
         self._shared: Dict[Tuple[str, ...], Tuple[str, ...]] = {}
-        self._ranks: List[int] = []
-        self._by_rank: List[int] = []
+        self._ranks = Ranks()
 
     def __len__(self) -> int:
         """Count the transformations."""
@@ -112,7 +110,7 @@ class Network:
         if action is None:
             return
         heads = self._heads.remove(action)
-        self._touch(heads)
+        self._demands.touch(heads)
         for head in heads if self.latencies else ():
             self.latencies.pop((label, head.source.port), None)
 
@@ -123,19 +121,16 @@ class Network:
             demand: what is asked for.
             wanted: its variables of which every name matters.
         """
-        for functor in self._touched:
-            for name in self.names.above(functor):
-                self._outdated.update(self._by_functor.get(name, ()))
-        self._touched.clear()
+        self._demands.refresh()
         pattern = pattern_of(tuple(demand.tags), demand.datatype, self.names, wanted)
         pattern = pattern._replace(min_rate=demand.min_rate)
-        self._asked += pattern not in self._by_pattern
-        return self._number(pattern)
+        self._asked += pattern not in self._demands
+        return self._demands.number(pattern)
 
     def demand(self, number: int) -> Demand:
         """Return what in-ports demand as people write it: of equal demands the first one."""
         known = self._written.get(number)
-        return known or min(self._demands(number), key=str)
+        return known or min(self._as_written(number), key=str)
 
     def tags(self, action: int) -> List[Term]:
         """Return the tags of all out-ports of an action."""
@@ -150,15 +145,15 @@ class Network:
 
     def suppliers(self, number: int) -> Dict[int, Tuple[Offer, ...]]:
         """Return the actions that can supply a demand, by label, each with its out-ports."""
-        if number in self._outdated:
-            before = self.found[number]
+        if number in self._demands.outdated:
+            before = self.found.get(number, ())
             found = self.found[number] = self._heads.find(
                 self.patterns[number], self.labels, self.rules
             )
             for action in found:
                 if action not in before:
                     self.serves[action].append(number)
-            self._outdated.discard(number)
+            self._demands.outdated.discard(number)
         return self.found[number]
 
     def specialised(self, number: int, action: int) -> Tuple[int, ...]:
@@ -182,25 +177,10 @@ class Network:
             return self._offers[number, action]
         return self.found[number][action]
 
-    def ranks(self) -> Tuple[List[int], List[int]]:
-        """Return the rank of each action by its label, and the actions by their ranks.
-
-        A specialised action has the rank of the one that it specialises.
-        """
-        labels, ranks, general = self.labels, self._ranks, self.general
-        new = range(len(ranks), len(labels))
-        inserted = [action for action in new if action not in general]
-        if inserted:
-            self._by_rank += inserted
-            self._by_rank.sort(key=labels.__getitem__)
-            self._ranks = ranks = [0] * len(labels)
-            for rank, action in enumerate(self._by_rank):
-                ranks[action] = rank
-            for special, action in general.items():
-                ranks[special] = ranks[action]
-        else:
-            ranks += [ranks[general[action]] for action in new]
-        return ranks, self._by_rank
+    def ranks(self) -> Ranks:
+        """Return the order of the actions by their labels."""
+        self._ranks.update(self.labels, self.general)
+        return self._ranks
 
     # Inside
 
@@ -233,10 +213,7 @@ class Network:
         for port in tagged:
             if port.latency:
                 self.latencies[label, port.name] = microseconds(port.latency)
-        self._touch(heads)
-
-    def _touch(self, heads: Iterable[Head]) -> None:
-        self._touched.update([atom.functor for head in heads for atom in head.atoms])
+        self._demands.touch(heads)
 
     def _append(self, label: str, cost: int) -> int:
         self.labels.append(label)
@@ -244,24 +221,7 @@ class Network:
         self.serves.append([])
         return len(self.labels) - 1
 
-    def _number(self, pattern: Pattern) -> int:
-        found = self._by_pattern.get(pattern)
-        if found is None:
-            found = self._by_pattern[pattern] = len(self.patterns)
-            self.patterns.append(pattern)
-            self.users.append([])
-            self.found.append({})
-            self._outdated.add(found)
-            if pattern.wanted:
-                self.wanting.add(found)
-            for functor in dict.fromkeys([atom.functor for atom in pattern.atoms]):
-                if functor in self._by_functor:
-                    self._by_functor[functor].append(found)
-                else:
-                    self._by_functor[functor] = [found]
-        return found
-
-    def _demands(self, number: int) -> Iterable[Demand]:
+    def _as_written(self, number: int) -> Iterable[Demand]:
         """Yield what in-ports of transformations that are still there demand, as written."""
         for action in self.users[number]:
             base = self.base(action)
@@ -303,7 +263,7 @@ class Network:
             number = self._by_premise.get(key)
             if number is None:
                 pattern = pattern_of(terms, datatype, names, rule.variables, rule.types)
-                number = self._by_premise[key] = self._number(pattern)
+                number = self._by_premise[key] = self._demands.number(pattern)
             inputs.append(number)
         self._need(action, tuple(inputs))
         return rule.variables
@@ -319,7 +279,7 @@ class Network:
             if len(terms) > 1:
                 terms = tuple(sorted(terms))
             pattern = Pattern(atoms_of(terms, (), self.names), datatype)
-            found = self._by_text[key] = self._number(pattern)
+            found = self._by_text[key] = self._demands.number(pattern)
             self._written.setdefault(found, Demand(frozenset(terms), datatype))
         return found
 
@@ -339,7 +299,7 @@ class Network:
             inputs = list(self.inputs[action])
             for step in rule.joins:
                 pattern = self.patterns[inputs[step.port]]
-                inputs[step.port] = self._number(
+                inputs[step.port] = self._demands.number(
                     narrowed(pattern, [types[each] for each in step.variables], self.names)
                 )
             self._need(found, tuple(inputs))

@@ -40,10 +40,10 @@ from dyknow.manager.planning.network import Network
 from dyknow.manager.planning.problem import NO_FREE, NO_LABELS, Answer, NoPlan
 from dyknow.manager.planning.reach import Scope
 from dyknow.manager.planning.refinement import Refinement
+from dyknow.manager.planning.stream_actions import StreamActions
 from dyknow.manager.planning.supply import Demand
 from dyknow.manager.planning.wishes import (
     NO_WISHES,
-    StreamActions,
     TaggedStream,
     Wishes,
     charges_of,

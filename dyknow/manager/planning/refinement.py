@@ -15,8 +15,9 @@ from typing import Iterator, Mapping, NamedTuple, Optional, Tuple
 
 from dyknow.manager.planning.budget import Budget
 from dyknow.manager.planning.instances import Instances
-from dyknow.manager.planning.knuth import Values, cheapest
+from dyknow.manager.planning.knuth import cheapest
 from dyknow.manager.planning.reach import Reach, Scope
+from dyknow.manager.planning.values import Values
 from dyknow.manager.specifications.tags import Bindings
 
 #: Actions that are searched under bindings at once.

@@ -56,7 +56,7 @@ def test_the_cheapest_plan_with_charges(small: int, monkeypatch: pytest.MonkeyPa
     for seed in range(600):
         problem = random_problem(seed)
         wishes = random_wishes(problem, seed)
-        planner = Planner(problem.ontology)
+        planner = Planner(problem.ontology, clock=lambda: 0.0)
         planner.add(problem.library)
         charges = planner.charges(problem.goal, problem.live, problem.exclude, wishes)
         answer = planner.plan(
@@ -76,7 +76,7 @@ def test_the_cheapest_plan_with_charges(small: int, monkeypatch: pytest.MonkeyPa
         proven += answer.least_cost == answer.cost
         paying += any(step.action.charge for step in answer.steps) or bool(answer.charges)
         again = planner.plan(problem.goal, problem.live, problem.exclude, budget=1.0)
-        fresh = Planner(problem.ontology)
+        fresh = Planner(problem.ontology, clock=lambda: 0.0)
         fresh.add(problem.library)
         assert again == fresh.plan(problem.goal, problem.live, problem.exclude, budget=1.0)
     assert plans > 60
