@@ -280,7 +280,10 @@ class Network:
                 terms = tuple(sorted(terms))
             pattern = Pattern(atoms_of(terms, (), self.names), datatype)
             found = self._by_text[key] = self._demands.number(pattern)
-            self._written.setdefault(found, Demand(frozenset(terms), datatype))
+            new = Demand(frozenset(terms), datatype)
+            known = self._written.setdefault(found, new)
+            if known is not new:  # names of one entity
+                self._written[found] = min(known, new, key=str)
         return found
 
     def _with_types(self, action: int, types: Tuple[Types, ...]) -> int:

@@ -96,13 +96,14 @@ class Refinement:
         It is not all if that would take more than a fixed number of steps; the clock has no say,
         since it must not decide whether there is a plan.
         """
-        instances = self._abstract
         for bound in (cost, 2 * cost, 4 * cost):
+            instances = self._again()
             if not self._is_simple:
                 values = cheapest(self._abstract, below=bound + 1, is_all=True)
                 instances = self._instances(self._worthwhile(bound, values)[0])
             allowed = Budget(_EACH_RISE, lambda: 0.0)
             yield instances, cheapest(instances, below=bound + 1, is_all=True, budget=allowed)
+        instances = self._again()
         if not self._is_simple:
             instances = self._instances(self._scope.everything(False))
         allowed = Budget(_EACH_RISE, lambda: 0.0)
@@ -110,7 +111,7 @@ class Refinement:
 
     def cheaper(self, cost: int, budget: Budget) -> Cheaper:
         """Find what can be part of a plan of less cost: everything, if the budget lasts."""
-        instances, scope = self._abstract, self._scope
+        instances, scope = self._again(), self._scope
         floor: Optional[int] = None
         if not self._is_simple:
             values = cheapest(instances, use_sum=False, below=cost, is_all=True, budget=budget)
@@ -144,6 +145,10 @@ class Refinement:
         limits = [each for each in (reach.beyond, closer.beyond) if each is not None]
         closer.beyond = min(limits, default=None)
         return closer, special.value[reach.goal]
+
+    def _again(self) -> Instances:
+        """Number instances again: another search may find other inputs for them first."""
+        return self._instances(self._abstract.reach)
 
     def _instances(self, reach: Reach) -> Instances:
         return Instances(self._scope.network, reach, self._free, self._charges)

@@ -73,6 +73,13 @@ def test_a_share_of_random_libraries() -> None:
     compare(range(_SHARE))
 
 
+def test_a_second_search_may_find_other_inputs_for_an_instance() -> None:
+    answer = solve(random_problem(6181))
+    assert isinstance(answer, Plan)
+    assert_valid(answer, random_problem(6181))
+    assert answer.cost == least_cost(random_problem(6181))
+
+
 def test_what_the_variables_of_a_demand_can_stand_for() -> None:
     """Those names that can be put in their places; a class would stand for its individuals too."""
     several = 0
