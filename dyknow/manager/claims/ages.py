@@ -15,7 +15,7 @@ from typing import Callable, Deque, Dict, Iterable, List, Mapping, NamedTuple, O
 
 from dyknow.manager.claim import Claim
 from dyknow.manager.claims.flows import Place
-from dyknow.manager.claims.judges import Judge, Verdict, kept
+from dyknow.manager.claims.judges import Judge, Judgement, kept
 from dyknow.manager.claims.stream_parts import StreamParts, described
 from dyknow.manager.host import Count
 
@@ -96,7 +96,7 @@ class AgeJudge(Judge):
         """Whether what a place sends is too old; None as long as that is not known."""
         return _are_above(self._ages(place), limit)
 
-    def judge(self, parts: StreamParts, now: float) -> Optional[Verdict]:
+    def judge(self, parts: StreamParts, now: float) -> Optional[Judgement]:
         """Find out what delays a stream; None if nothing does or that is not known."""
         claim_id, limit = parts.claim.claim_id, self.limit(parts.claim)
         since = self._changed.get(claim_id, _NEVER)
@@ -112,7 +112,7 @@ class AgeJudge(Judge):
         behind = age - statistics.median(self._ages(place, since))
         needed = max(limit - behind, _FAIR_PART * limit)
         what = f"{described(place)} delays the stream by {added:.3g} s"
-        return Verdict(
+        return Judgement(
             place, needed, f"{what}: it is {age:.3g} s old, at most {limit:g} s was asked for"
         )
 

@@ -16,7 +16,7 @@ from dyknow.manager.host import Count
 _Value = TypeVar("_Value")
 
 
-class Verdict(NamedTuple):
+class Judgement(NamedTuple):
     """What keeps a stream from what is demanded.
 
     Attributes:
@@ -60,7 +60,7 @@ class Judge(ABC):
         """Whether a place certainly does not keep a limit; None as long as that is not known."""
 
     @abstractmethod
-    def judge(self, parts: StreamParts, now: float) -> Optional[Verdict]:
+    def judge(self, parts: StreamParts, now: float) -> Optional[Judgement]:
         """Find out what keeps a stream from its limit; None if nothing or that is not known."""
 
     def restart(self, claim_id: str, names: Iterable[str], now: float) -> None:

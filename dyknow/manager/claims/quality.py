@@ -19,7 +19,7 @@ from dyknow.backoff import Backoff
 from dyknow.manager.claim import Claim
 from dyknow.manager.claims.ages import AgeJudge
 from dyknow.manager.claims.flows import FlowMeter, Place
-from dyknow.manager.claims.judges import Judge, Verdict
+from dyknow.manager.claims.judges import Judge, Judgement
 from dyknow.manager.claims.rates import RateJudge
 from dyknow.manager.claims.stream_parts import StreamParts, goal_of, name_of
 from dyknow.manager.graph import Graph
@@ -44,7 +44,7 @@ class _Shortfall:
     """A part that does not keep a claim's limit, and since when it keeps it again."""
 
     judge: Judge
-    verdict: Verdict
+    judgement: Judgement
     good_since: Optional[float] = None
 
 
@@ -90,9 +90,9 @@ class QualityMonitor:
         for claim in claims:
             self._forgive(claim.claim_id)
             for judge in self._limits(claim):
-                verdict = judge.judge(StreamParts(claim, self._graph), now)
-                if verdict is not None:
-                    self._blame(claim, judge, verdict)
+                judgement = judge.judge(StreamParts(claim, self._graph), now)
+                if judgement is not None:
+                    self._blame(claim, judge, judgement)
 
     def restart(self, claim_id: str, rewired: Iterable[str]) -> None:
         """Begin again with nodelets that were connected elsewhere for a claim."""
@@ -108,7 +108,7 @@ class QualityMonitor:
         """Say which parts of a claim's stream are to blame for what it lacks."""
         parts = {*claim.nodelets, *claim.sources}
         return [
-            each.verdict.what
+            each.judgement.what
             for name, each in sorted(self._shortfalls.get(claim.claim_id, {}).items())
             if name in parts
         ]
@@ -147,7 +147,7 @@ class QualityMonitor:
         for shortfalls in self._shortfalls.values():
             for each in shortfalls.values():
                 if each.judge is judge:
-                    place, window = each.verdict.place, judge.window(each.verdict.needed)
+                    place, window = each.judgement.place, judge.window(each.judgement.needed)
                     found[place] = max(found.get(place, window), window)
         return found
 
@@ -162,13 +162,13 @@ class QualityMonitor:
         ports = [each for one in found if one is not None for each in one.ports]
         return max((each.latency for each in ports if not name or each.name == port), default=0.0)
 
-    def _blame(self, claim: Claim, judge: Judge, verdict: Verdict) -> None:
-        name = name_of(verdict.place)
+    def _blame(self, claim: Claim, judge: Judge, judgement: Judgement) -> None:
+        name = name_of(judgement.place)
         shortfalls = self._shortfalls.setdefault(claim.claim_id, {})
         if name in shortfalls:
             return
-        shortfalls[name] = _Shortfall(judge, verdict)
-        _log.warning("claim %s: %s", claim.claim_id, verdict.what)
+        shortfalls[name] = _Shortfall(judge, judgement)
+        _log.warning("claim %s: %s", claim.claim_id, judgement.what)
         record = self._graph.find(name)
         if record is not None:
             key = f"{claim.claim_id} {record.label}"
@@ -180,7 +180,7 @@ class QualityMonitor:
         now = self._clock()
         shortfalls = self._shortfalls.get(claim_id, {})
         for name, each in list(shortfalls.items()):
-            place, needed, _ = each.verdict
+            place, needed, _ = each.judgement
             if each.judge.falls_short(place, needed) is not False:
                 each.good_since = None
             elif each.good_since is None:
@@ -196,7 +196,7 @@ class QualityMonitor:
             key: {
                 name: each
                 for name, each in found.items()
-                if not each.verdict.place[0] or self._graph.find(name) is not None
+                if not each.judgement.place[0] or self._graph.find(name) is not None
             }
             for key, found in self._shortfalls.items()
             if key in claim_ids

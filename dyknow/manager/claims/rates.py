@@ -15,7 +15,7 @@ from typing import Deque, Dict, Iterable, Mapping, NamedTuple, Optional, Sequenc
 
 from dyknow.manager.claim import Claim
 from dyknow.manager.claims.flows import UNANSWERED, Place
-from dyknow.manager.claims.judges import Judge, Verdict, kept
+from dyknow.manager.claims.judges import Judge, Judgement, kept
 from dyknow.manager.claims.stream_parts import StreamParts, described
 from dyknow.manager.host import Count
 
@@ -136,7 +136,7 @@ class RateJudge(Judge):
             for each in (Span(whole.first, begin), Span(end, whole.last))
         )
 
-    def judge(self, parts: StreamParts, now: float) -> Optional[Verdict]:
+    def judge(self, parts: StreamParts, now: float) -> Optional[Judgement]:
         """Find out what slows a stream down; None if it is fast enough or that is not known."""
         limit = self.limit(parts.claim)
         window = self.window(limit)
@@ -159,7 +159,7 @@ class RateJudge(Judge):
         assert whole is not None and own is not None
         has = f"the stream has {whole.rate:.3g} Hz, at least {limit:g} Hz are demanded"
         what = f"{described(place)} is too slow: it sends {own.rate:.3g} Hz; {has}"
-        return Verdict(place, needed, what)
+        return Judgement(place, needed, what)
 
     def _span(self, place: Place, window: float) -> Optional[Span]:
         """Return the shortest span of a window at least, up to the latest count."""

@@ -167,9 +167,17 @@ def test_in_ports_that_contradict_each_other_are_both_wrong_and_nothing_is_suppl
 
 
 def test_one_that_receives_nothing_sends_nothing() -> None:
-    records = (LEFT, POSES, tracker("/nobody"), viewer("Ball(right)"))
+    made = replace(tracker("/nobody"), claimed=True)
+    records = (LEFT, POSES, made, viewer("Ball(right)"))
     assert mismatches(*records) == []
     assert not any(each.startswith("/tracker") for each in live(*records))
+
+
+def test_what_people_connect_to_an_unknown_topic_may_send_anything() -> None:
+    records = (LEFT, POSES, tracker("/nobody"), viewer("Ball(right)"))
+    assert mismatches(*records) == ["/tracker /viewer"]
+    assert not any(each.startswith("/tracker") for each in live(*records))
+    assert mismatches(LEFT, POSES, tracker(""), viewer("Ball(right)")) == []
 
 
 def test_what_was_given_holds_whatever_is_connected() -> None:
