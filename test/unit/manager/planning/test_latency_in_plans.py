@@ -80,7 +80,7 @@ def test_a_share_of_random_libraries() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("block", range(30))
+@pytest.mark.parametrize("block", range(10))
 def test_random_libraries(block: int) -> None:
     compare(range(block * _SHARE, (block + 1) * _SHARE))
 
