@@ -8,7 +8,7 @@ from __future__ import annotations
 import getpass
 import socket
 import time
-from typing import TYPE_CHECKING, Callable, Mapping, Optional
+from typing import TYPE_CHECKING, Callable, Mapping, Optional, Tuple
 
 from python_qt_binding.QtCore import QStringListModel, Qt, Signal
 from python_qt_binding.QtGui import QFont
@@ -57,21 +57,27 @@ class StreamsPanel(Panel):
         super().__init__(monitor, line, parent)
         self.watch = StreamWatch(monitor)
         self.tag, self.datatype, self.exclude = QLineEdit(), QLineEdit(), QLineEdit()
+        self.prefer, self.avoid = QLineEdit(), QLineEdit()
         self.tag.setPlaceholderText("FieldPosition(ball)")
         self.datatype.setPlaceholderText("any")
         self.exclude.setPlaceholderText("labels, separated by ;")
         self.exclude.setToolTip("Transformations that must not be used")
+        for field, what in ((self.prefer, "is a choice"), (self.avoid, "is no other choice")):
+            field.setPlaceholderText("concepts or labels")
+            field.setToolTip(f"Concepts or labels, separated by ;: used where there {what}")
+        self.prefer.setAccessibleName("Prefer")
+        self.avoid.setAccessibleName("Avoid")
         self._tags, self._types = QStringListModel(self), QStringListModel(self)
         for field, model in ((self.tag, self._tags), (self.datatype, self._types)):
             completer = QCompleter(model, self)
             completer.setFilterMode(Qt.MatchContains)
             completer.setCaseSensitivity(Qt.CaseInsensitive)
             field.setCompleter(completer)
-        self.silence = QDoubleSpinBox()
-        self.silence.setRange(0.0, 3600.0)
-        self.silence.setSuffix(" s")
-        self.silence.setSpecialValueText("never")
-        self.silence.setToolTip("The stream is repaired if it is silent for longer")
+        self.silence = _limit("never", " s", "The stream is repaired if it is silent for longer")
+        self.rate = _limit("any", " Hz", "The stream is repaired if it is slower")
+        self.age = _limit("any", " s", "The stream is repaired if its messages are older")
+        self.rate.setAccessibleName("Rate at least")
+        self.age.setAccessibleName("Age at most")
         self.preview, self.acquire = QPushButton("&Preview"), QPushButton("Ac&quire")
         self.plan = _text("Plan")
         self.plan.setPlaceholderText("How the stream would be made is shown here")
@@ -93,13 +99,16 @@ class StreamsPanel(Panel):
 
     def request(self) -> StreamRequest:
         """The request that the fields describe."""
-        labels = (part.strip() for part in self.exclude.text().split(";"))
         return StreamRequest(
             tag=self.tag.text().strip(),
             datatype=self.datatype.text().strip(),
             client_id=f"window of {getpass.getuser()} on {socket.gethostname()}",
             max_silence=self.silence.value(),
-            exclude=tuple(label for label in labels if label),
+            min_rate=self.rate.value(),
+            max_age=self.age.value(),
+            exclude=_names(self.exclude),
+            prefer=_names(self.prefer),
+            avoid=_names(self.avoid),
         )
 
     @qt_slot
@@ -205,7 +214,7 @@ class StreamsPanel(Panel):
 
     def _listen(self) -> None:
         self.tag.textChanged.connect(self._follow)
-        for field in (self.tag, self.datatype, self.exclude):
+        for field in (self.tag, self.datatype, self.exclude, self.prefer, self.avoid):
             field.returnPressed.connect(self._preview)
         self.preview.clicked.connect(self._preview)
         self.acquire.clicked.connect(self._acquire)
@@ -224,11 +233,11 @@ class StreamsPanel(Panel):
         form.addRow("&Tag:", self.tag)
         form.addRow("Type:", self.datatype)
         form.addRow("W&ithout:", self.exclude)
+        having = QHBoxLayout()
+        form.addRow("Prefer, avoid:", _side_by_side(self.prefer, self.avoid))
         form.addRow("Silent at &most:", self.silence)
-        asking, having = QHBoxLayout(), QHBoxLayout()
-        for widget in (self.preview, self.acquire):
-            asking.addWidget(widget)
-        form.addRow("", asking)
+        form.addRow("Rate, age:", _side_by_side(self.rate, self.age))
+        form.addRow("", _side_by_side(self.preview, self.acquire))
         having.addWidget(self.ended)
         having.addStretch(1)
         for widget in (self.replan, self.release):
@@ -252,6 +261,27 @@ def _state(stream: StreamStatus) -> str:
     state = stream.state.name.lower()
     is_there = stream.state is ClaimState.ACTIVE
     return f"{state}: {stream.detail}" if is_there and stream.detail else state
+
+
+def _names(field: QLineEdit) -> Tuple[str, ...]:
+    names = (part.strip() for part in field.text().split(";"))
+    return tuple(name for name in names if name)
+
+
+def _limit(none: str, unit: str, tip: str) -> QDoubleSpinBox:
+    box = QDoubleSpinBox()
+    box.setRange(0.0, 3600.0)
+    box.setSuffix(unit)
+    box.setSpecialValueText(none)
+    box.setToolTip(tip)
+    return box
+
+
+def _side_by_side(*widgets: QWidget) -> QHBoxLayout:
+    row = QHBoxLayout()
+    for widget in widgets:
+        row.addWidget(widget)
+    return row
 
 
 def _text(name: str) -> QPlainTextEdit:

@@ -50,6 +50,22 @@ def test_a_stream_is_previewed_acquired_and_released(qtbot, window, remote):
     assert "active → released" in panel.events.toPlainText()
 
 
+def test_what_matters_is_asked_for(qtbot, window, remote):
+    panel = _ask_for(qtbot, window, "Track(ball)")
+    assert (panel.request().min_rate, panel.request().max_age, panel.request().avoid) == (0, 0, ())
+    panel.rate.setValue(10.0)
+    panel.age.setValue(0.25)
+    panel.prefer.setText("tracker")
+    panel.avoid.setText(" bottom camera;; BallObject ")
+    asked = panel.request()
+    assert (asked.min_rate, asked.max_age) == (10.0, 0.25)
+    assert (asked.prefer, asked.avoid) == (("tracker",), ("bottom camera", "BallObject"))
+    panel.age.setValue(0.0)
+    click(qtbot, panel.preview)
+    until(qtbot, lambda: "Track(ball) [at least 10 Hz]" in panel.plan.toPlainText())
+    assert "runs as /field/ceiling_camera" in panel.plan.toPlainText()  # instead of a detector
+
+
 def test_a_stream_that_needs_new_nodelets_brings_them(qtbot, window, remote):
     remote.client.destroy("/field/tracker")
     panel = _ask_for(qtbot, window, "Track(ball)")
