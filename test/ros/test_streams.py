@@ -26,13 +26,17 @@ DYKNOW = [sys.executable, "-m", "dyknow.cli"]
 
 
 class AcquireTest(StreamCase):
+    def test_what_variables_stand_for(self):
+        self.tracking()
+        with dyknow.acquire("Raw(?camera)") as raw, dyknow.acquire(GOAL) as ground:
+            self.assertEqual((raw.bindings, ground.bindings), ({"?camera": "own"}, {}))
+
     def test_a_stream_is_made_and_lives_as_long_as_the_block(self):
         manager = self.tracking()
         events = self.events()
         with dyknow.acquire(GOAL, Header) as stream:
             self.assertEqual(stream.state, ClaimState.ACTIVE)
             self.assertEqual(stream.datatype, "std_msgs/Header")
-            self.assertEqual(stream.bindings, {})
             self.assertEqual(stream.spawned, ("/camera_1", "/filter_1", "/tracker_1"))
             flow = self.flow(stream.topic)
             flow.wait()
@@ -42,8 +46,6 @@ class AcquireTest(StreamCase):
             self.assertEqual(shown.nodelets, stream.spawned)
             self.assertGreater(shown.expires, rospy.get_time())
             eventually(lambda: stream.detail == "", 5.0, "the first message has come")
-            with dyknow.acquire("Raw(?camera)") as raw:
-                self.assertEqual(raw.bindings, {"?camera": "own"})
         self.assertEqual(stream.state, ClaimState.RELEASED)
         eventually(lambda: not manager.client.get_model().nodelets, 8.0, "all is collected")
         self.assertEqual(
