@@ -53,7 +53,7 @@ def charged(problem: Problem, charges: dict[str, int]) -> Problem:
 def test_the_cheapest_plan_with_charges(small: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(refinement, "SMALL", small)
     plans, paying, proven = 0, 0, 0
-    for seed in range(600):
+    for seed in range(300):
         problem = random_problem(seed)
         wishes = random_wishes(problem, seed)
         planner = Planner(problem.ontology, clock=lambda: 0.0)
