@@ -11,6 +11,7 @@ has to be too low in the first and the last third of a window as well: a pause i
 from __future__ import annotations
 
 import collections
+import math
 from typing import Deque, Dict, Iterable, Mapping, NamedTuple, Optional, Sequence, Tuple
 
 from dyknow.manager.claim import Claim
@@ -196,7 +197,8 @@ class RateJudge(Judge):
         """Tell whether a place is too slow since its feeder is.
 
         A place that kept up with a feeder that is too slow is not to blame. Neither is a feeder
-        that the place did not keep up with, or that it never waited for.
+        that the place did not keep up with, or that it never waited for. Nor is one that is as
+        fast as while the stream was fast enough, but that does not say who is.
         """
         given, sent = self._span(feeder, window), self._span(place, window)
         assert given is not None and sent is not None
@@ -204,10 +206,12 @@ class RateJudge(Judge):
         changes_alone = not given.messages and given.last.latched
         is_ahead = not is_known and sent.messages > _ALIKE * given.messages + _CHANCE
         is_behind = (sent.messages + _CHANCE) * ratio < given.messages
+        usual = self._usual.get(parts.claim.claim_id, {}).get(feeder, math.inf)
+        is_as_ever = is_known and given.messages + 1 >= usual * given.seconds
         share = given.rate / (needed * ratio)
         if changes_alone or is_ahead or is_behind:
             return _Cause(False, True, share)
-        is_slow = (given.messages + 1) / ratio + 1 < needed * given.seconds
+        is_slow = not is_as_ever and (given.messages + 1) / ratio + 1 < needed * given.seconds
         return _Cause(is_slow, is_slow, share)
 
     def _ratio(self, feeder: Place, place: Place, parts: StreamParts) -> float:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Dict, List, Tuple
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from unit.manager.field import CHAIN, FIRST_MESSAGE, Field
 
@@ -210,6 +210,8 @@ def test_a_stated_rate_that_is_too_low_is_not_used_for_the_goal(field: FieldWith
 @given(
     st.lists(st.tuples(st.sampled_from(CHAIN), st.integers(1, 6), st.integers(2, 15)), max_size=5)
 )
+@example([("bottom camera", 6, 5), ("subsampler", 3, 3), ("subsampler", 2, 2)])
+@example([("bottom camera", 4, 3), ("detector", 2, 3), ("bottom camera", 2, 3)])
 def test_nobody_is_blamed_for_what_others_do(turns: List[Tuple[str, int, int]]) -> None:
     """Parts slow down and recover as they like: who is blamed was slow lately."""
     field = FieldWithRates()
