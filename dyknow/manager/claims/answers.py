@@ -22,6 +22,7 @@ from dyknow.errors import (
 from dyknow.manager.claim import Claim, ClaimEvent
 from dyknow.manager.claims.reconciler import Acquired
 from dyknow.manager.planning.explanation import as_tree
+from dyknow.manager.specifications.tags import written_bindings
 from dyknow.model.streams import Acquisition, Replanned, StreamEvent, StreamStatus
 
 _RESULTS: Tuple[Tuple[Type[DyKnowError], Result], ...] = (
@@ -105,7 +106,7 @@ class StreamAnswers:
 
 
 def _written(claim: Claim) -> Tuple[str, ...]:
-    return tuple(f"{variable}={name}" for variable, name in claim.bindings)
+    return tuple(written_bindings((each,)) for each in claim.bindings)
 
 
 def refusal_of(error: BaseException) -> StreamRefused:

@@ -156,7 +156,7 @@ class ClaimPlanner:
                 bound = min(present) if len(present) == 1 else ()
                 is_certain = {variable for variable, _ in bound} == exposed
                 if is_certain or not users:
-                    kept = bound if users else _restricted(record.given, set(record.given))
+                    kept = bound if users else tuple(sorted(record.given.items()))
                     found.append(OwnNodelet(name, record.label, kept, bound))
         return found
 

@@ -83,14 +83,15 @@ class QualityMonitor:
 
     def judge(self, claims: Iterable[Claim]) -> None:
         """Judge by the latest counts."""
-        claims, now = [each for each in claims if each.topic], self._clock()
-        self._forget({claim.claim_id for claim in claims if self._limits(claim)})
+        claims, now = [each for each in claims if each.topic and self._limits(each)], self._clock()
+        self._forget({claim.claim_id for claim in claims})
         for judge in self._judges:
             judge.add(self._meter.counted, self._windows(judge, claims))
         for claim in claims:
             self._forgive(claim.claim_id)
+            parts = StreamParts(claim, self._graph)
             for judge in self._limits(claim):
-                judgement = judge.judge(StreamParts(claim, self._graph), now)
+                judgement = judge.judge(parts, now)
                 if judgement is not None:
                     self._blame(claim, judge, judgement)
 

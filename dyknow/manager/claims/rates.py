@@ -11,7 +11,6 @@ has to be too low in the first and the last third of a window as well: a pause i
 from __future__ import annotations
 
 import collections
-import math
 from typing import Deque, Dict, Iterable, Mapping, NamedTuple, Optional, Sequence, Tuple
 
 from dyknow.manager.claim import Claim
@@ -59,11 +58,6 @@ class Span(NamedTuple):
     def rate(self) -> float:
         """About how many messages a second there were, in Hz."""
         return self.messages / self.seconds
-
-
-def window_of(rate: float) -> float:
-    """Seconds over which a rate is judged that has to be at least so high."""
-    return max(_WINDOW, _MESSAGES / rate)
 
 
 class RateJudge(Judge):
@@ -202,11 +196,11 @@ class RateJudge(Judge):
         """
         given, sent = self._span(feeder, window), self._span(place, window)
         assert given is not None and sent is not None
-        ratio, is_known = self._ratio(feeder, place, parts), self._is_known(feeder, place, parts)
+        usual, _ = known = self._known(feeder, place, parts)
+        ratio, is_known = self._ratio(feeder, place, parts), all(known)
         changes_alone = not given.messages and given.last.latched
         is_ahead = not is_known and sent.messages > _ALIKE * given.messages + _CHANCE
         is_behind = (sent.messages + _CHANCE) * ratio < given.messages
-        usual = self._usual.get(parts.claim.claim_id, {}).get(feeder, math.inf)
         is_as_ever = is_known and given.messages + 1 >= usual * given.seconds
         share = given.rate / (needed * ratio)
         if changes_alone or is_ahead or is_behind:
@@ -216,9 +210,10 @@ class RateJudge(Judge):
 
     def _ratio(self, feeder: Place, place: Place, parts: StreamParts) -> float:
         """Messages of a feeder for each one of a place; 1 where that was never seen."""
-        usual = self._usual.get(parts.claim.claim_id, {})
-        return usual[feeder] / usual[place] if self._is_known(feeder, place, parts) else 1.0
+        given, sent = self._known(feeder, place, parts)
+        return given / sent if given and sent else 1.0
 
-    def _is_known(self, feeder: Place, place: Place, parts: StreamParts) -> bool:
+    def _known(self, feeder: Place, place: Place, parts: StreamParts) -> Tuple[float, float]:
+        """Usual rates of both; 0 where there was no message while the stream was fast enough."""
         usual = self._usual.get(parts.claim.claim_id, {})
-        return bool(usual.get(feeder) and usual.get(place))
+        return usual.get(feeder, 0.0), usual.get(place, 0.0)

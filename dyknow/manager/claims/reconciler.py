@@ -274,6 +274,7 @@ class StreamReconciler:
                     self._repair.repair(claim.claim_id)
                 except DyKnowError as error:
                     _log.warning("claim %s: %s", claim.claim_id, error)
+            self._repair.follow_bindings()
             self._collector.clear_topics()
             self._collector.collect()
             self._cheaper_plans.report()

@@ -213,7 +213,6 @@ class Repair:
             return
         fault = self.diagnose(claim)
         if fault is None:
-            self._follow_bindings(claim)
             if claim.state is not ClaimState.ACTIVE:
                 detail = self._monitor.restart(claim, claim.goal, claim.topic, ())
                 whole = {"state": ClaimState.ACTIVE, "detail": detail}
@@ -247,17 +246,25 @@ class Repair:
             done.remarks.insert(0, _changed_bindings(done.bindings))
         self._table.change(claim_id, with_remarks(reason, done), **outcome(done))
 
-    def _follow_bindings(self, claim: Claim) -> None:
-        """Tell what the variables of a claim stand for now, if that was changed from elsewhere."""
-        if not claim.bindings:
+    def follow_bindings(self) -> None:
+        """Tell what the variables of claims stand for now, if that was changed from elsewhere."""
+        claims = [
+            each
+            for each in self._table.living()
+            if each.bindings and each.state is ClaimState.ACTIVE
+            if each.claim_id != self._context.lock.claim_id  # a request makes its stream
+        ]
+        if not claims:
             return
-        topology = self._context.connector.topology()
-        for producer in topology.producers(claim.topic):
-            ways = [tuple(sorted(way.items())) for way in topology.ways_to_serve(producer, claim)]
-            if ways and claim.bindings not in ways:
-                reason = _changed_bindings(ways[0])
-                self._table.change(claim.claim_id, reason, bindings=ways[0])
-                return
+        topology = self._context.connector.topology()  # takes long, so once for all
+        for claim in claims:
+            for producer in topology.producers(claim.topic):
+                found = topology.ways_to_serve(producer, claim)
+                ways = [tuple(sorted(way.items())) for way in found]
+                if ways and claim.bindings not in ways:
+                    reason = _changed_bindings(ways[0])
+                    self._table.change(claim.claim_id, reason, bindings=ways[0])
+                    break
 
     def _give_up(self, claim: Claim, fault: Fault, answer: NoPlan) -> None:
         """Say that there is no way now, and whether one is to be expected without a change."""

@@ -22,7 +22,7 @@ from typing import Dict, List, NamedTuple, Set, Tuple
 
 from dyknow.graphviz import quote
 from dyknow.manager.planning.problem import Answer, Live, NoPlan, Plan, PlanStep, Source
-from dyknow.manager.specifications.tags import Bindings
+from dyknow.manager.specifications.tags import Bindings, written_bindings
 
 _LINE = re.compile(r"(?P<lead>[ │├└─]*─ )(?:(?P<port>\S+) ← )?(?P<what>.*) \((?P<how>[^()]*)\)\Z")
 _BOUND = re.compile(r"(.*)( \[\?[^\[\]]*=[^\[\]]*\])\Z")
@@ -127,7 +127,7 @@ def _how_good(plan: Plan) -> str:
 
 
 def _what(label: str, port: str, bindings: Bindings) -> str:
-    names = ", ".join(f"{variable}={name}" for variable, name in bindings)
+    names = written_bindings(bindings)
     return f"{label}.{port} [{names}]" if names else f"{label}.{port}"
 
 

@@ -115,7 +115,7 @@ class Planner:
         """
         network = self._network
         usable = [each for each in live if each[0].label not in exclude]
-        charges = self.charges(demand, usable, exclude, wishes)
+        charges = charges_of(network, demand, usable, exclude, wishes)
         used = StreamActions(network, charges, feeders, bool(demand.max_age))
         streams = LiveStreams(network.names)
         for stream, terms in usable:
