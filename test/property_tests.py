@@ -3,6 +3,8 @@
 
 """How many examples the property tests try, and for how long.
 
+The usual examples are the same in each run, so a change that breaks none of them is not told that
+it broke something. ``HYPOTHESIS_PROFILE=random`` looks for others, and for five times as many;
 ``HYPOTHESIS_PROFILE=slow`` is for machines that are slow or busy: a tenth of the examples.
 """
 
@@ -14,19 +16,24 @@ from typing import Any
 from hypothesis import HealthCheck, settings
 
 PROFILE = os.environ.get("HYPOTHESIS_PROFILE", "usual")
-FEWER = {"usual": 1, "slow": 10}
+#: Examples of each profile, to those of the usual one.
+SHARES = {"usual": 1.0, "slow": 0.1, "random": 5.0}
 
 
 def register_profiles() -> None:
     """Make the profile of the environment the one of this process."""
     # No deadline: an example that had to wait for its processor has not failed.
-    settings.register_profile("usual", deadline=None)
-    settings.register_profile(
-        "slow", deadline=None, max_examples=10, suppress_health_check=[HealthCheck.too_slow]
-    )
+    for name, share in SHARES.items():
+        settings.register_profile(
+            name,
+            deadline=None,
+            derandomize=name != "random",
+            max_examples=int(100 * share),
+            suppress_health_check=[HealthCheck.too_slow] if name == "slow" else [],
+        )
     settings.load_profile(PROFILE)
 
 
 def examples(count: int, **options: Any) -> settings:
-    """Settings for a test that tries `count` examples, or fewer of them in a slower profile."""
-    return settings(max_examples=max(1, count // FEWER[PROFILE]), deadline=None, **options)
+    """Settings for a test that tries `count` examples, or its profile's share of them."""
+    return settings(max_examples=max(1, int(count * SHARES[PROFILE])), deadline=None, **options)

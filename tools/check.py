@@ -5,8 +5,9 @@
 
 A stage that fails fails the run, but the later stages still run, so that one run shows everything
 there is to mend. With ``--long`` it runs what takes too long for every change instead: the unit
-tests that are marked ``long``, those on Python 3.8, the rostest suites in ``test/ros/long``, the
-types of the tests, and the measurement of what the unit tests cover.
+tests that are marked ``long``, those on Python 3.8, the others with random examples, the rostest
+suites in ``test/ros/long``, the types of the tests, and the measurement of what the unit tests
+cover.
 """
 
 from __future__ import annotations
@@ -84,17 +85,18 @@ def run_pytest(
     return Outcome(report.passed, max(failed, 1), output, note, report.failures)
 
 
-def unit_tests(long: bool = False) -> Outcome:
-    """The tests that need no roscore, on the Python of ROS; those marked long, or the others."""
+def unit_tests(marked: str = "not long", is_long: bool = False, **environment: str) -> Outcome:
+    """The tests that need no roscore, on the Python of ROS: those that are marked so."""
     return run_pytest(
-        "unit-long.xml" if long else "unit.xml",
+        f"unit-{marked.replace(' ', '-')}.xml",
         *IN_WORKSPACE,
         *(str(VENV / "python"), "-m", "pytest", "-q", *IN_PARALLEL),
-        *("-m", "long" if long else "not long", "test/unit"),
+        *("-m", marked, "test/unit"),
         # Stacks that are taken of a running test, rather than a stuck one, may crash it.
-        *(("-o", "faulthandler_timeout=0") if long else ()),
-        timeout=LONG_TIMEOUT if long else STAGE_TIMEOUT,
+        *(("-o", "faulthandler_timeout=0") if is_long else ()),
+        timeout=LONG_TIMEOUT if is_long else STAGE_TIMEOUT,
         QT_QPA_PLATFORM="offscreen",
+        **environment,
     )
 
 
@@ -196,7 +198,8 @@ LONG_STAGES: tuple[Stage, ...] = (
     ("mypy on tests", check(str(VENV / "mypy"), "--config-file", "test/mypy.ini")),
     ("unit tests on Python 3.8", unit_tests_py38),
     ("coverage", coverage),
-    ("long unit tests", lambda: unit_tests(long=True)),
+    ("random unit tests", lambda: unit_tests(is_long=True, HYPOTHESIS_PROFILE="random")),
+    ("long unit tests", lambda: unit_tests("long", True)),
     ("long ROS tests", lambda: ros_tests(long=True)),
 )
 

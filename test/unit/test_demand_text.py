@@ -22,10 +22,12 @@ names = st.one_of(
         ["a; b", "a & b", "a [b/C]", "claim x", 'say "x"', "a\\", "nothing supplies x"]
     ),
 ).filter(lambda name: name == name.strip())
+variables = names.filter(lambda name: ":" not in name).map(lambda name: "?" + name)
+typed = st.builds("{}: {}".format, variables, names)
 tags = st.builds(
     lambda functor, args: str(parse_tag(f"{functor}({', '.join(args)})" if args else functor)),
     names,
-    st.lists(names | names.map(lambda name: "?" + name), max_size=2),
+    st.lists(names | variables | typed, max_size=2),
 )
 demands = st.tuples(
     st.sets(tags, min_size=1, max_size=2), st.sampled_from(["", "std_msgs/Header"])
