@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from unit.packaging.workspaces import ROOT, Workspace
 
-PARTS = ("DYKNOW_DEMONSTRATION", "DYKNOW_BENCHMARK", "DYKNOW_RQT")
+PARTS = ("DYKNOW_DEMONSTRATION", "DYKNOW_BENCHMARK", "DYKNOW_RQT", "DYKNOW_ROSCPP")
 #: What no module of the runtime imports: the parts, and libraries for images, plots and windows.
 LUGGAGE = (
     *("dyknow_benchmark", "dyknow_demo", "dyknow_rqt"),
@@ -56,7 +56,10 @@ def test_an_install_space_with_the_parts_and_without(tmp_path):
     workspace.add_dyknow()
     install = tmp_path / "install"
     workspace.make("install")
-    assert {"benchmark", "benchmark_chain", "demo", "dyknow_rqt"} < names(install / "lib/dyknow")
+    assert {"benchmark", "benchmark_chain", "cpp_nodelet_manager", "demo", "dyknow_rqt"} < names(
+        install / "lib/dyknow"
+    )
+    assert "libdyknow_roscpp.so" in names(install / "lib")
     assert {"dyknow_benchmark", "dyknow_demo", "dyknow_rqt"} < names(
         install / "lib/python3/dist-packages"
     )

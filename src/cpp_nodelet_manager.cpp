@@ -1,0 +1,18 @@
+// SPDX-FileCopyrightText: 2026 the DyKnow developers
+// SPDX-License-Identifier: BSD-3-Clause
+
+/// @file The nodelet manager in C++ whose nodelets have live ports: the stock one, with our library linked
+/// first.
+#include <nodelet/loader.h>
+#include <ros/ros.h>
+
+#include "dyknow_roscpp/self_check.h"
+
+int main(int argc, char** argv)
+{
+  ros::init(argc, argv, "manager");
+  dyknow::areHooksReached();  // says at the start what is wrong; the nodelets run all the same
+  const nodelet::Loader loader;
+  ros::spin();
+  return 0;
+}

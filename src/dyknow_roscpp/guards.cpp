@@ -1,0 +1,121 @@
+// SPDX-FileCopyrightText: 2026 the DyKnow developers
+// SPDX-License-Identifier: BSD-3-Clause
+
+#include "guards.h"
+
+#include <fnmatch.h>
+#include <ros/param.h>
+#include <ros/this_node.h>
+
+#include <algorithm>
+
+#include "names.h"
+#include "problems.h"
+
+namespace dyknow
+{
+namespace
+{
+
+/// The key under which a manager hands over its guards, see dyknow/ros/nodelets/guard_parameters.py.
+std::string keyOf(const std::string& owner)
+{
+  std::string key;
+  const auto begin = owner.find_first_not_of('/');
+  const auto end = owner.find_last_not_of('/');
+  for (auto i = begin; begin != std::string::npos && i <= end; ++i)
+  {
+    key += owner[i] == '_' ? "__" : owner[i] == '/' ? "_s" : std::string(1, owner[i]);
+  }
+  return key;
+}
+
+/// Characters of a text in UTF-8.
+std::size_t lengthOf(const std::string& text)
+{
+  return std::count_if(text.begin(), text.end(), [](unsigned char each) { return (each & 0xc0) != 0x80; });
+}
+
+void lower(std::size_t& limit, XmlRpc::XmlRpcValue& guards, const char* name)
+{
+  if (guards.hasMember(name) && guards[name].getType() == XmlRpc::XmlRpcValue::TypeInt)
+  {
+    limit = std::min(limit, static_cast<std::size_t>(std::max(0, static_cast<int>(guards[name]))));
+  }
+}
+
+}  // namespace
+
+Guards Guards::current()
+{
+  Guards all;
+  XmlRpc::XmlRpcValue by_owner;
+  const std::string parameter = names::join(ros::this_node::getName(), "guards");
+  if (!ros::param::getCached(parameter, by_owner) || by_owner.getType() != XmlRpc::XmlRpcValue::TypeStruct)
+  {
+    return all;
+  }
+  for (auto& [owner, guards] : by_owner)
+  {
+    if (guards.getType() != XmlRpc::XmlRpcValue::TypeStruct)
+    {
+      continue;
+    }
+    if (guards.hasMember("denied_topics") &&
+        guards["denied_topics"].getType() == XmlRpc::XmlRpcValue::TypeArray)
+    {
+      auto& patterns = guards["denied_topics"];
+      for (int i = 0; i < patterns.size(); ++i)
+      {
+        if (patterns[i].getType() == XmlRpc::XmlRpcValue::TypeString)
+        {
+          all.denied_topics_.insert(patterns[i]);
+        }
+      }
+    }
+    if (guards.hasMember("read_only") && guards["read_only"].getType() == XmlRpc::XmlRpcValue::TypeBoolean &&
+        static_cast<bool>(guards["read_only"]))
+    {
+      all.read_only_owners_.insert(owner);
+    }
+    lower(all.string_length_, guards, "string_length");
+    lower(all.array_length_, guards, "array_length");
+  }
+  return all;
+}
+
+void Guards::checkCaller(const std::string& caller, const std::string& what) const
+{
+  if (!read_only_owners_.empty() && read_only_owners_.count(keyOf(caller)) == 0)
+  {
+    throw denied(what, "DyKnow runs read-only (parameter read_only)");
+  }
+}
+
+void Guards::checkTopic(const std::string& topic) const
+{
+  for (const auto& pattern : denied_topics_)
+  {
+    if (fnmatch(pattern.c_str(), topic.c_str(), FNM_NOESCAPE) == 0)
+    {
+      throw denied("topic '" + topic + "'", "it matches '" + pattern + "' of the deny list (denied_topics)");
+    }
+  }
+}
+
+void Guards::checkSizes(const std::vector<std::string>& strings, std::size_t entries) const
+{
+  if (entries > array_length_)
+  {
+    throw limitExceeded("entries in an array", entries, array_length_);
+  }
+  for (const auto& each : strings)
+  {
+    if (lengthOf(each) > string_length_)
+    {
+      throw limitExceeded("characters in a string", lengthOf(each), string_length_);
+    }
+  }
+}
+
+}  // namespace dyknow

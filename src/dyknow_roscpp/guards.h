@@ -1,0 +1,45 @@
+// SPDX-FileCopyrightText: 2026 the DyKnow developers
+// SPDX-License-Identifier: BSD-3-Clause
+
+/// @file Restrictions on changes, those of dyknow/guards.py.
+///
+/// DyKnow managers hand them to a process as its private parameters `~guards/KEY`, one for each manager;
+/// those of all add up. The parameter server tells roscpp's cache of every change, so a look costs no remote
+/// call.
+#ifndef DYKNOW_ROSCPP_GUARDS_H
+#define DYKNOW_ROSCPP_GUARDS_H
+
+#include <cstddef>
+#include <set>
+#include <string>
+#include <vector>
+
+namespace dyknow
+{
+
+class Guards
+{
+public:
+  /// Reads the guards of this moment.
+  static Guards current();
+
+  /// Refuses a change in read-only mode, unless a manager makes it that is read-only itself: it refuses what
+  /// users ask of it, and still brings back nodelets that died. Raises Refusal.
+  void checkCaller(const std::string& caller, const std::string& what) const;
+
+  /// Refuses a topic of the deny list. Raises Refusal.
+  void checkTopic(const std::string& topic) const;
+
+  /// Refuses strings and arrays beyond the limits. Raises Refusal.
+  void checkSizes(const std::vector<std::string>& strings, std::size_t entries) const;
+
+private:
+  std::set<std::string> denied_topics_;
+  std::set<std::string> read_only_owners_;  ///< keys of managers
+  std::size_t string_length_ = 4096;
+  std::size_t array_length_ = 1024;
+};
+
+}  // namespace dyknow
+
+#endif

@@ -1,0 +1,302 @@
+// SPDX-FileCopyrightText: 2026 the DyKnow developers
+// SPDX-License-Identifier: BSD-3-Clause
+
+/// @file The hooks: definitions of libroscpp's functions that come before its own.
+#include <ros/node_handle.h>
+#include <ros/subscription_queue.h>
+#include <ros/this_node.h>
+#include <ros/topic_manager.h>
+
+#include <typeinfo>
+
+#include "port_names.h"
+#include "probe.h"
+#include "problems.h"
+#include "process_services.h"
+#include "registry.h"
+#include "self_check.h"
+#include "symbols.h"
+#include "topics.h"
+
+namespace dyknow
+{
+namespace
+{
+
+using AdvertiseMethod = ros::Publisher (ros::NodeHandle::*)(ros::AdvertiseOptions&);
+using SubscribeMethod = ros::Subscriber (ros::NodeHandle::*)(ros::SubscribeOptions&);
+using ResolveMethod = std::string (ros::NodeHandle::*)(const std::string&, bool) const;
+using PublishMethod = void (ros::TopicManager::*)(const std::string&,
+                                                  const boost::function<ros::SerializedMessage(void)>&,
+                                                  ros::SerializedMessage&);
+
+/// Whether a handle's topic is a port. What belongs to the process rather than to the code in it is none.
+bool isPort(const std::string& topic, const std::string& datatype)
+{
+  return topic != "/rosout" && topic != "/clock" && datatype != "bond/Status" &&
+         datatype.compare(0, 12, "dyknow_msgs/") != 0;
+}
+
+/// Makes what is behind a handle, and the handle with it: `make` gets the options with the key as topic.
+template <class End, class Options, class Make>
+auto makeHandle(const ros::NodeHandle& handle, Options& options, Direction direction, Make make)
+{
+  auto& registry = Registry::instance();
+  const std::string resolved = handle.resolveName(options.topic);
+  const auto owner = registry.ownerOf(handle, options.callback_queue);
+  const auto name = namePort(*owner, handle, options.topic);
+  const auto port = owner->declare(name.label, direction, name.origin, resolved);
+  if (owner->name == ros::this_node::getName())
+  {
+    offerServices(owner);  // a nodelet's are offered when it is loaded
+  }
+  const auto end = std::make_shared<End>(port);
+  const std::string key = registry.makeKey(resolved);
+  registry.add(key, end);
+  struct Undo
+  {
+    ~Undo()
+    {
+      options.topic = resolved;
+      if (!is_made)
+      {
+        registry.remove(key);
+        end.close();
+      }
+    }
+    Registry& registry;
+    Options& options;
+    const std::string& resolved;
+    const std::string& key;
+    End& end;
+    bool is_made;
+  } undo{registry, options, resolved, key, *end, false};
+  options.topic = key;
+  auto made = make(options);
+  undo.is_made = static_cast<bool>(made);
+  return made;
+}
+
+}  // namespace
+
+std::vector<void*> roscppHooks()
+{
+  using Push = void (ros::SubscriptionQueue::*)(const ros::SubscriptionCallbackHelperPtr&,
+                                                const ros::MessageDeserializerPtr&, bool,
+                                                const ros::VoidConstWPtr&, bool, ros::Time, bool*);
+  return {
+      addressOf(static_cast<AdvertiseMethod>(&ros::NodeHandle::advertise)),
+      addressOf(static_cast<SubscribeMethod>(&ros::NodeHandle::subscribe)),
+      addressOf(static_cast<ResolveMethod>(&ros::NodeHandle::resolveName)),
+      addressOf(&ros::TopicManager::subscribe),
+      addressOf(&ros::TopicManager::unsubscribe),
+      addressOf(&ros::TopicManager::advertise),
+      addressOf(&ros::TopicManager::unadvertise),
+      addressOf(static_cast<PublishMethod>(&ros::TopicManager::publish)),
+      addressOf(&ros::TopicManager::getNumSubscribers),
+      addressOf(&ros::TopicManager::getNumPublishers),
+      addressOf(&ros::TopicManager::incrementSequence),
+      topics::unregisterPublisherHook(),
+      addressOf(static_cast<Push>(&ros::SubscriptionQueue::push)),
+      addressOf(&ros::SubscriptionQueue::clear),
+      addressOf(&ros::Publisher::getTopic),
+      addressOf(&ros::Subscriber::getTopic),
+  };
+}
+
+}  // namespace dyknow
+
+namespace ros
+{
+
+using dyknow::Registry;
+
+Publisher NodeHandle::advertise(AdvertiseOptions& ops)
+{
+  static const auto next = dyknow::behind(static_cast<dyknow::AdvertiseMethod>(&NodeHandle::advertise));
+  if (!dyknow::areHooksReached() || !dyknow::isPort(resolveName(ops.topic), ops.datatype))
+  {
+    return next(this, ops);
+  }
+  return dyknow::makeHandle<dyknow::PortPublication>(*this, ops, dyknow::Direction::OUT,
+                                                     [this](auto& options) { return next(this, options); });
+}
+
+Subscriber NodeHandle::subscribe(SubscribeOptions& ops)
+{
+  static const auto next = dyknow::behind(static_cast<dyknow::SubscribeMethod>(&NodeHandle::subscribe));
+  if (!dyknow::areHooksReached() || !dyknow::isPort(resolveName(ops.topic), ops.datatype))
+  {
+    return next(this, ops);
+  }
+  return dyknow::makeHandle<dyknow::PortSubscription>(*this, ops, dyknow::Direction::IN,
+                                                      [this](auto& options) { return next(this, options); });
+}
+
+std::string NodeHandle::resolveName(const std::string& name, bool remap) const
+{
+  static const auto next = dyknow::behind(static_cast<dyknow::ResolveMethod>(&NodeHandle::resolveName));
+  static const auto& roscpp = *new std::string(dyknow::libraryOf(reinterpret_cast<void*>(next)));
+  std::string resolved = next(this, name, remap);
+  // Of what roscpp resolves for itself, parameters and services, nothing is noted.
+  if (remap && !name.empty() && name[0] != '/' && dyknow::areHooksReached())
+  {
+    const std::string caller = dyknow::libraryOf(__builtin_return_address(0));
+    if (caller != roscpp && caller != dyknow::libraryOf(reinterpret_cast<void*>(&dyknow::roscppHooks)))
+    {
+      dyknow::noteResolved(*Registry::instance().ownerOf(*this, nullptr), *this, name, resolved);
+    }
+  }
+  return resolved;
+}
+
+bool TopicManager::subscribe(const SubscribeOptions& ops)
+{
+  if (dyknow::Probe::note())
+  {
+    return false;
+  }
+  if (const auto subscription = Registry::instance().subscription(ops.topic))
+  {
+    return subscription->open(ops);
+  }
+  const dyknow::topics::WiringLock lock;
+  return dyknow::topics::subscribe(lock, ops);
+}
+
+bool TopicManager::unsubscribe(const std::string& topic, const SubscriptionCallbackHelperPtr& helper)
+{
+  if (const auto subscription = Registry::instance().subscription(topic))
+  {
+    subscription->close();
+    Registry::instance().remove(topic);
+    return true;
+  }
+  static const auto next = dyknow::behind(&TopicManager::unsubscribe);
+  return next(this, topic, helper);
+}
+
+bool TopicManager::advertise(const AdvertiseOptions& ops, const SubscriberCallbacksPtr& callbacks)
+{
+  if (dyknow::Probe::note())
+  {
+    return false;
+  }
+  if (const auto publication = Registry::instance().publication(ops.topic))
+  {
+    try
+    {
+      return publication->open(ops, callbacks);
+    }
+    catch (const dyknow::Refusal&)  // roscpp has logged why
+    {
+      return false;
+    }
+  }
+  const dyknow::topics::WiringLock lock;
+  return dyknow::topics::advertise(lock, ops, callbacks);
+}
+
+bool TopicManager::unadvertise(const std::string& topic, const SubscriberCallbacksPtr& callbacks)
+{
+  if (const auto publication = Registry::instance().publication(topic))
+  {
+    publication->close();
+    Registry::instance().remove(topic);
+    return true;
+  }
+  static const auto next = dyknow::behind(&TopicManager::unadvertise);
+  return next(this, topic, callbacks);
+}
+
+bool TopicManager::unregisterPublisher(const std::string& topic)
+{
+  static const auto next = dyknow::behind(&TopicManager::unregisterPublisher);
+  return dyknow::topics::putOffUnregistration(topic) || next(this, topic);
+}
+
+void TopicManager::publish(const std::string& topic, const boost::function<SerializedMessage(void)>& serfunc,
+                           SerializedMessage& m)
+{
+  if (const auto publication = Registry::instance().publication(topic))
+  {
+    publication->publish(serfunc, m);
+    return;
+  }
+  dyknow::topics::publish(topic, serfunc, m);
+}
+
+std::size_t TopicManager::getNumSubscribers(const std::string& topic)
+{
+  const auto publication = Registry::instance().publication(topic);
+  return publication ? publication->subscribers() : dyknow::topics::subscribers(topic);
+}
+
+std::size_t TopicManager::getNumPublishers(const std::string& topic)
+{
+  const auto subscription = Registry::instance().subscription(topic);
+  return subscription ? subscription->publishers() : dyknow::topics::publishers(topic);
+}
+
+void TopicManager::incrementSequence(const std::string& topic)
+{
+  if (const auto publication = Registry::instance().publication(topic))
+  {
+    publication->incrementSequence();
+    return;
+  }
+  dyknow::topics::incrementSequence(topic);
+}
+
+std::string Publisher::getTopic() const
+{
+  static const auto next = dyknow::behind(&Publisher::getTopic);
+  const std::string key = next(this);
+  const auto publication = Registry::instance().publication(key);
+  return publication ? publication->port().topic() : key;
+}
+
+std::string Subscriber::getTopic() const
+{
+  static const auto next = dyknow::behind(&Subscriber::getTopic);
+  const std::string key = next(this);
+  const auto subscription = Registry::instance().subscription(key);
+  return subscription ? subscription->port().topic() : key;
+}
+
+void SubscriptionQueue::push(const SubscriptionCallbackHelperPtr& helper,
+                             const MessageDeserializerPtr& deserializer, bool has_tracked_object,
+                             const VoidConstWPtr& tracked_object, bool nonconst_need_copy,
+                             ros::Time receipt_time, bool* was_full)
+{
+  static const auto next = dyknow::behind(&SubscriptionQueue::push);
+  if (typeid(*helper) != typeid(dyknow::Connection))
+  {
+    next(this, helper, deserializer, has_tracked_object, tracked_object, nonconst_need_copy, receipt_time,
+         was_full);
+    return;
+  }
+  const bool is_full = static_cast<dyknow::Connection&>(*helper).take(
+      [&]
+      {
+        bool full = false;
+        next(this, helper, deserializer, has_tracked_object, tracked_object, nonconst_need_copy, receipt_time,
+             &full);
+        return full;
+      });
+  if (was_full != nullptr)
+  {
+    *was_full = is_full;
+  }
+}
+
+void SubscriptionQueue::clear()
+{
+  static const auto next = dyknow::behind(&SubscriptionQueue::clear);
+  if (!dyknow::topics::isDraining())
+  {
+    next(this);
+  }
+}
+
+}  // namespace ros

@@ -1,0 +1,41 @@
+// SPDX-FileCopyrightText: 2026 the DyKnow developers
+// SPDX-License-Identifier: BSD-3-Clause
+
+/// @file Names: what is a topic, and how ports are called.
+#ifndef DYKNOW_ROSCPP_NAMES_H
+#define DYKNOW_ROSCPP_NAMES_H
+
+#include <map>
+#include <string>
+
+namespace dyknow::names
+{
+
+/// Namespace of a global name: `/robot` for `/robot/camera`, `/` at the root.
+std::string parent(const std::string& name);
+
+/// Appends a relative name to a namespace.
+std::string join(const std::string& space, const std::string& name);
+
+/// Whether a global name is below a namespace.
+bool isBelow(const std::string& name, const std::string& space);
+
+/// Makes what a user wrote the global name of a topic. Raises Refusal if it is none.
+///
+/// @param node what a leading `~` stands for; relative names begin in its namespace.
+std::string topicOf(const std::string& text, const std::string& node);
+
+/// Takes remappings back: what a global name was called before `remappings` (global to global) applied to it,
+/// or to a namespace that it is in.
+std::string beforeRemapping(const std::string& name, const std::map<std::string, std::string>& remappings);
+
+/// Name of the port for a global name that was written relatively, in a handle of its node or nodelet:
+/// relative to the node's namespace, private with `~`, else global.
+std::string portOf(const std::string& name, const std::string& node);
+
+/// The global name of a port, before any remapping.
+std::string globalOf(const std::string& port, const std::string& node);
+
+}  // namespace dyknow::names
+
+#endif

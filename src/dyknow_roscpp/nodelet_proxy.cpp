@@ -1,0 +1,317 @@
+// SPDX-FileCopyrightText: 2026 the DyKnow developers
+// SPDX-License-Identifier: BSD-3-Clause
+
+#include "nodelet_proxy.h"
+
+#include <ros/console.h>
+#include <ros/exceptions.h>
+
+#include <algorithm>
+#include <thread>
+
+#include "guards.h"
+#include "master_state.h"
+#include "names.h"
+#include "problems.h"
+#include "registry.h"
+
+namespace dyknow
+{
+namespace
+{
+
+/// How long a reconfiguration waits for peers outside.
+constexpr std::chrono::milliseconds PATIENCE(500);
+constexpr std::chrono::milliseconds STEP(1);
+
+/// Moves that are prepared, and cancelled unless they are committed.
+class Preparation
+{
+public:
+  ~Preparation()
+  {
+    for (const auto& end : ends_)
+    {
+      end->cancel();
+    }
+  }
+
+  void add(const std::shared_ptr<End>& end, const std::string& topic, Clock::time_point deadline)
+  {
+    ends_.push_back(end);  // first: it may have registered when it raises
+    end->prepare(topic, deadline);
+  }
+
+  void commit()
+  {
+    for (const auto& end : ends_)
+    {
+      end->commit();
+    }
+    ends_.clear();
+  }
+
+private:
+  std::vector<std::shared_ptr<End>> ends_;
+};
+
+}  // namespace
+
+NodeletProxy::NodeletProxy(std::string name, std::map<std::string, std::string> remappings,
+                           std::function<void(const std::string&)> on_change)
+  : name(std::move(name))
+  , remappings(std::move(remappings))
+  , on_change_(std::move(on_change))
+{
+}
+
+std::shared_ptr<Port> NodeletProxy::declare(const std::string& label, Direction direction,
+                                            const std::string& origin, const std::string& topic)
+{
+  std::shared_ptr<Port> port;
+  {
+    std::lock_guard<std::mutex> lock(state_lock_);
+    for (const auto& each : ports_)
+    {
+      if (each->label == label && each->direction == direction)
+      {
+        return each;
+      }
+    }
+    port = std::make_shared<Port>(label, direction, origin, topic);
+    ports_.push_back(port);
+  }
+  on_change_(name);
+  return port;
+}
+
+std::vector<NodeletProxy::NamedPort> NodeletProxy::ports() const
+{
+  std::lock_guard<std::mutex> lock(state_lock_);
+  std::vector<NamedPort> named;
+  for (const auto& port : ports_)
+  {
+    // A topic that is used in both directions is two ports.
+    const bool is_one_of_two =
+        std::any_of(ports_.begin(), ports_.end(),
+                    [&port](const auto& other)
+                    { return other->label == port->label && other->direction != port->direction; });
+    const std::string suffix = is_one_of_two ? port->direction == Direction::IN ? "_in" : "_out" : "";
+    named.push_back({port->label + suffix, port});
+  }
+  return named;
+}
+
+std::uint32_t NodeletProxy::reconfigurations() const
+{
+  std::lock_guard<std::mutex> lock(state_lock_);
+  return reconfigurations_;
+}
+
+void NodeletProxy::setConfig(const Config& config)
+{
+  std::lock_guard<std::mutex> turn(turn_lock_);
+  const auto guards = Guards::current();
+  std::vector<std::string> texts;
+  for (const auto& [port, topic] : config)
+  {
+    texts.push_back(port);
+    texts.push_back(topic);
+  }
+  guards.checkSizes(texts, config.size());
+  const MasterState master;
+  const auto changes = checked(config, guards, master);
+  if (std::any_of(changes.begin(), changes.end(),
+                  [](const auto& each) { return each.port->topic() != each.topic; }))
+  {
+    apply(changes, master);
+    on_change_(name);
+  }
+}
+
+void NodeletProxy::close()
+{
+  std::lock_guard<std::mutex> lock(state_lock_);
+  is_closed_ = true;
+}
+
+std::vector<NodeletProxy::Change> NodeletProxy::checked(const Config& config, const Guards& guards,
+                                                        const MasterState& master) const
+{
+  const auto ports = this->ports();
+  std::vector<std::string> problems;
+  std::vector<Change> changes;
+  std::map<std::string, std::string> types;
+  std::map<std::string, int> named;
+  for (const auto& entry : config)
+  {
+    if (++named[entry.first] == 2)
+    {
+      problems.push_back(duplicatePort(entry.first).what());
+    }
+  }
+  for (const auto& [text, wanted] : config)
+  {
+    try
+    {
+      const auto port = find(text, ports);
+      std::string topic;
+      if (!wanted.empty())
+      {
+        topic = names::topicOf(wanted, name);
+        guards.checkTopic(topic);
+        checkType({text, port}, topic, master, types);
+      }
+      const bool is_twice = std::any_of(changes.begin(), changes.end(),
+                                        [&port](const auto& each) { return each.port == port; });
+      if (is_twice && named[text] == 1)  // by both of its names
+      {
+        throw duplicatePort(text);
+      }
+      changes.push_back({port, topic});
+    }
+    catch (const Refusal& problem)
+    {
+      problems.push_back(problem.what());
+    }
+  }
+  if (!problems.empty())
+  {
+    throw invalidConfiguration(name, problems);
+  }
+  return changes;
+}
+
+std::shared_ptr<Port> NodeletProxy::find(const std::string& text, const std::vector<NamedPort>& ports) const
+{
+  std::vector<std::string> known;
+  std::vector<std::shared_ptr<Port>> by_origin;
+  for (const auto& each : ports)
+  {
+    if (each.name == text)
+    {
+      return each.port;
+    }
+    if (each.port->origin == text)
+    {
+      by_origin.push_back(each.port);
+    }
+    known.push_back(each.name);
+  }
+  if (by_origin.size() != 1)  // of two it cannot say which
+  {
+    throw unknownPort(text, known);
+  }
+  return by_origin.front();
+}
+
+void NodeletProxy::checkType(const NamedPort& port, const std::string& topic, const MasterState& master,
+                             std::map<std::string, std::string>& types) const
+{
+  const std::string wanted = port.port->datatype();
+  if (wanted.empty() || wanted == "*")
+  {
+    return;
+  }
+  // What is known of a topic: what lives there, or the first port to come.
+  if (types.count(topic) == 0 && topic != port.port->topic())
+  {
+    const std::string here = Registry::instance().datatypeOf(topic);
+    types[topic] = here.empty() ? master.datatypeOf(topic) : here;
+  }
+  auto& present = types[topic];
+  if (present.empty())
+  {
+    present = wanted;
+  }
+  if (present != wanted)
+  {
+    throw typeMismatch(topic, wanted + " (port '" + port.name + "')", present);
+  }
+}
+
+void NodeletProxy::apply(const std::vector<Change>& changes, const MasterState& master)
+{
+  const auto deadline = Clock::now() + PATIENCE;
+  Preparation preparation;
+  std::vector<std::pair<std::shared_ptr<End>, std::size_t>> awaited;
+  // Publications first: their subscribers connect meanwhile.
+  for (const auto direction : {Direction::OUT, Direction::IN})
+  {
+    for (const auto& change : changes)
+    {
+      if (change.port->direction != direction || change.port->topic() == change.topic)
+      {
+        continue;
+      }
+      for (const auto& end : change.port->ends())
+      {
+        try
+        {
+          preparation.add(end, change.topic, deadline);
+        }
+        catch (const ros::Exception& error)
+        {
+          throw invalidConfiguration(name, {error.what()});
+        }
+        catch (const Refusal& error)
+        {
+          throw invalidConfiguration(name, {error.what()});
+        }
+        if (direction == Direction::OUT)
+        {
+          awaited.emplace_back(end, master.subscribersOf(change.topic));
+        }
+      }
+    }
+  }
+  const auto is_ready = [](const auto& each)
+  {
+    return each.first->isReady(each.second);
+  };
+  while (Clock::now() < deadline && !std::all_of(awaited.begin(), awaited.end(), is_ready))
+  {
+    std::this_thread::sleep_for(STEP);  // a poll: roscpp tells of a subscriber, but not of all of them
+  }
+  {
+    std::lock_guard<std::mutex> lock(state_lock_);
+    if (is_closed_)
+    {
+      throw unloadedMeanwhile(name);
+    }
+    for (const auto& change : changes)
+    {
+      change.port->setTopic(change.topic);
+    }
+    ++reconfigurations_;
+  }
+  preparation.commit();
+  followPorts(changes, deadline);
+}
+
+void NodeletProxy::followPorts(const std::vector<Change>& changes, Clock::time_point deadline)
+{
+  // A handle that was made meanwhile is where its port was.
+  for (const auto& change : changes)
+  {
+    for (const auto& end : change.port->ends())
+    {
+      if (end->isOpen() && end->topic() != change.topic)
+      {
+        try
+        {
+          end->prepare(change.topic, deadline);
+          end->commit();
+        }
+        catch (const std::exception& error)  // the others have moved, and stay
+        {
+          ROS_ERROR("%s: a new handle of port '%s' is not on '%s': %s", name.c_str(),
+                    change.port->label.c_str(), change.topic.c_str(), error.what());
+          end->cancel();
+        }
+      }
+    }
+  }
+}
+
+}  // namespace dyknow

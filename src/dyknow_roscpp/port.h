@@ -1,0 +1,94 @@
+// SPDX-FileCopyrightText: 2026 the DyKnow developers
+// SPDX-License-Identifier: BSD-3-Clause
+
+/// @file Ports: the state objects of a node's or nodelet's topics.
+#ifndef DYKNOW_ROSCPP_PORT_H
+#define DYKNOW_ROSCPP_PORT_H
+
+#include <atomic>
+#include <memory>
+#include <mutex>
+#include <string>
+#include <vector>
+
+#include "traffic.h"
+
+namespace dyknow
+{
+
+enum class Direction
+{
+  IN,
+  OUT
+};
+
+/// What a handle of roscpp (ros::Publisher, ros::Subscriber) has behind it: it moves with its port.
+///
+/// A move is prepared, then either committed or cancelled. One thread moves an end at a time; its node may
+/// close it meanwhile, and it then does nothing any more.
+class End
+{
+public:
+  virtual ~End() = default;
+
+  /// Registers on a topic (empty: on none) beside the present one. Raises an exception if that fails.
+  virtual void prepare(const std::string& topic, Clock::time_point deadline) = 0;
+
+  /// Whether as many peers outside as `expected` are connected to what was prepared.
+  virtual bool isReady(std::size_t expected) const = 0;
+
+  virtual void commit() = 0;
+  virtual void cancel() = 0;
+
+  /// The topic that it is connected to; empty: none. Of an end that is not open, an empty text as well.
+  virtual std::string topic() const = 0;
+
+  /// Whether its node holds it.
+  virtual bool isOpen() const = 0;
+};
+
+/// A port lives as long as its nodelet, while handles on it come and go (lazy nodelets unsubscribe while
+/// nobody listens to them): a handle that is made later has the same connection. Every method is safe from
+/// any thread.
+class Port
+{
+public:
+  /// @param label name of the port, without what tells it from a port of the other direction
+  /// @param origin global name of the topic before any remapping
+  Port(std::string label, Direction direction, std::string origin, std::string topic);
+
+  const std::string label;
+  const Direction direction;
+  const std::string origin;
+  /// An out-port keeps a message for whoever connects later.
+  std::atomic<bool> latched{false};
+
+  std::string topic() const;
+  void setTopic(const std::string& topic);
+  std::string datatype() const;
+
+  /// Lets an end share the port; returns its counts, which go on where those of an end that has left stopped.
+  std::shared_ptr<Traffic> join(const std::shared_ptr<End>& end, const std::string& datatype);
+  void leave(const End* end);
+  std::vector<std::shared_ptr<End>> ends() const;
+
+  /// What went through all that share the port.
+  Traffic::Snapshot statistics() const;
+
+private:
+  struct Share
+  {
+    const End* key;
+    std::weak_ptr<End> end;
+    std::shared_ptr<Traffic> traffic;
+  };
+
+  mutable std::mutex state_lock_;
+  std::string topic_;
+  std::string datatype_;
+  std::vector<Share> shares_;
+};
+
+}  // namespace dyknow
+
+#endif

@@ -1,0 +1,115 @@
+// SPDX-FileCopyrightText: 2026 the DyKnow developers
+// SPDX-License-Identifier: BSD-3-Clause
+
+#include "port_names.h"
+
+#include <ros/names.h>
+
+#include <map>
+#include <mutex>
+#include <utility>
+
+#include "names.h"
+
+namespace dyknow
+{
+namespace
+{
+
+/// Names of one owner that are kept at most.
+constexpr std::size_t MOST = 1000;
+
+std::mutex& tableLock()
+{
+  static auto& state_lock = *new std::mutex;  // leaked, see later.cpp
+  return state_lock;
+}
+
+/// By owner: port names by resolved name. Nodelets that are loaded again ask for the same names.
+std::map<std::string, std::map<std::string, std::string>>& table()
+{
+  static auto& names = *new std::map<std::string, std::map<std::string, std::string>>;
+  return names;
+}
+
+std::map<std::string, std::string> remappingsOf(const NodeletProxy& owner)
+{
+  auto all = owner.remappings;
+  for (const auto& each : ros::names::getRemappings())
+  {
+    all.insert(each);
+  }
+  return all;
+}
+
+/// The port of a name that is relative to a handle.
+PortName relativePort(const NodeletProxy& owner, const ros::NodeHandle& handle, const std::string& name)
+{
+  std::string space = handle.getNamespace();
+  if (space != owner.name && space != names::parent(owner.name))
+  {
+    space = names::beforeRemapping(space, remappingsOf(owner));
+  }
+  const std::string origin = names::join(space, name);
+  return {names::portOf(origin, owner.name), origin};
+}
+
+/// The port of a resolved name that was noted; empty if there is none.
+std::string notedPort(const NodeletProxy& owner, const std::string& resolved)
+{
+  std::lock_guard<std::mutex> lock(tableLock());
+  const auto& noted = table()[owner.name];
+  if (const auto found = noted.find(resolved); found != noted.end())
+  {
+    return found->second;
+  }
+  // image_transport puts a transport's topic below that of the image, and the camera's beside it.
+  const auto last = resolved.rfind('/') + 1;
+  const std::string space = names::parent(resolved);
+  if (const auto found = noted.find(space); found != noted.end())
+  {
+    return found->second + "/" + resolved.substr(last);
+  }
+  for (const auto& [name, label] : noted)
+  {
+    if (resolved.compare(last, std::string::npos, "camera_info") == 0 && names::parent(name) == space)
+    {
+      const auto slash = label.rfind('/');
+      const std::string before = slash != std::string::npos ? label.substr(0, slash + 1)
+                                 : label[0] == '~'          ? "~"
+                                                            : "";
+      return before + "camera_info";
+    }
+  }
+  return "";
+}
+
+}  // namespace
+
+PortName namePort(const NodeletProxy& owner, const ros::NodeHandle& handle, const std::string& topic)
+{
+  if (topic.empty() || topic[0] != '/')
+  {
+    return relativePort(owner, handle, topic);
+  }
+  const std::string noted = notedPort(owner, topic);
+  if (!noted.empty())
+  {
+    return {noted, names::globalOf(noted, owner.name)};
+  }
+  return {names::isBelow(topic, owner.name) ? names::portOf(topic, owner.name) : topic, topic};
+}
+
+void noteResolved(const NodeletProxy& owner, const ros::NodeHandle& handle, const std::string& asked,
+                  const std::string& resolved)
+{
+  const auto port = relativePort(owner, handle, asked);
+  std::lock_guard<std::mutex> lock(tableLock());
+  auto& noted = table()[owner.name];
+  if (noted.size() < MOST)
+  {
+    noted[resolved] = port.label;
+  }
+}
+
+}  // namespace dyknow

@@ -1,0 +1,35 @@
+// SPDX-FileCopyrightText: 2026 the DyKnow developers
+// SPDX-License-Identifier: BSD-3-Clause
+
+/// @file How the port of a handle is called: as its node's own code calls the topic, before any remapping.
+#ifndef DYKNOW_ROSCPP_PORT_NAMES_H
+#define DYKNOW_ROSCPP_PORT_NAMES_H
+
+#include <ros/node_handle.h>
+
+#include <string>
+
+#include "nodelet_proxy.h"
+
+namespace dyknow
+{
+
+/// The name of a port, and the global name of its topic before any remapping.
+struct PortName
+{
+  std::string label;
+  std::string origin;
+};
+
+/// Names the port of a topic that the code of `owner` asks of a handle. Its namespace may have been remapped,
+/// which is taken back.
+PortName namePort(const NodeletProxy& owner, const ros::NodeHandle& handle, const std::string& topic);
+
+/// Notes that the code of `owner` has let roscpp resolve a name. What advertises the resolved name later, as
+/// image_transport does, is a port of the name that was asked for.
+void noteResolved(const NodeletProxy& owner, const ros::NodeHandle& handle, const std::string& asked,
+                  const std::string& resolved);
+
+}  // namespace dyknow
+
+#endif

@@ -1,0 +1,240 @@
+// SPDX-FileCopyrightText: 2026 the DyKnow developers
+// SPDX-License-Identifier: BSD-3-Clause
+
+#include "port_publication.h"
+
+#include <ros/callback_queue_interface.h>
+
+#include <algorithm>
+
+#include "later.h"
+#include "problems.h"
+
+namespace dyknow
+{
+namespace
+{
+
+/// How long an old registration stays that is heard outside: what was published reaches the network first.
+constexpr std::chrono::milliseconds LINGER(200);
+
+}  // namespace
+
+PortPublication::PortPublication(std::shared_ptr<Port> port) : port_(std::move(port)) {}
+
+bool PortPublication::open(const ros::AdvertiseOptions& options, const ros::SubscriberCallbacksPtr& callbacks)
+{
+  traffic_ = port_->join(shared_from_this(), options.datatype);
+  RegistrationPtr first;
+  {
+    std::lock_guard<std::mutex> lock(message_lock_);
+    options_ = options;
+    options_.tracked_object.reset();  // the node's callbacks hold it weakly
+    node_ = callbacks;
+    is_open_ = true;
+    const std::string topic = port_->topic();
+    if (topic.empty())
+    {
+      return true;
+    }
+    first = active_ = std::make_shared<Registration>(topic, node_);
+  }
+  const topics::WiringLock lock;
+  if (isActive(first))
+  {
+    first->advertise(lock, options_);
+  }
+  return true;
+}
+
+void PortPublication::close()
+{
+  port_->leave(this);
+  std::vector<RegistrationPtr> all;
+  {
+    std::lock_guard<std::mutex> lock(message_lock_);
+    is_open_ = false;
+    all.swap(lingering_);
+    for (auto* each : {&active_, &prepared_})
+    {
+      if (*each)
+      {
+        all.push_back(*each);
+        each->reset();
+      }
+    }
+  }
+  if (!node_)
+  {
+    return;
+  }
+  {
+    // Lingering ones too, at once: push_latched_message_ has a raw pointer to the node's publisher.
+    const topics::WiringLock lock;
+    for (const auto& each : all)
+    {
+      each->unadvertise(lock);
+    }
+  }
+  if (node_->callback_queue_ != nullptr)
+  {
+    node_->callback_queue_->removeByID(reinterpret_cast<std::uint64_t>(node_.get()));
+  }
+}
+
+void PortPublication::publish(const boost::function<ros::SerializedMessage()>& serialise,
+                              ros::SerializedMessage& message)
+{
+  std::lock_guard<std::mutex> lock(message_lock_);
+  if (active_)
+  {
+    traffic_->sent();
+    topics::publish(active_->topic, serialise, message);
+  }
+  else
+  {
+    traffic_->dropped();
+    if (options_.latch)
+    {
+      // ros::Publisher keeps it for those to come, and expects it as roscpp leaves it.
+      const ros::SerializedMessage serialised = serialise();
+      message.buf = serialised.buf;
+      message.num_bytes = serialised.num_bytes;
+      message.message_start = serialised.message_start;
+      message.message.reset();
+    }
+  }
+  if (options_.latch)
+  {
+    port_->latched = true;
+  }
+}
+
+void PortPublication::incrementSequence()
+{
+  std::lock_guard<std::mutex> lock(message_lock_);
+  if (active_)
+  {
+    topics::incrementSequence(active_->topic);
+  }
+}
+
+std::size_t PortPublication::subscribers() const
+{
+  std::string now;
+  std::string next;
+  {
+    std::lock_guard<std::mutex> lock(message_lock_);
+    now = active_ ? active_->topic : "";
+    next = prepared_ ? prepared_->topic : "";
+  }
+  return (now.empty() ? 0 : topics::subscribers(now)) +
+         (next.empty() || next == now ? 0 : topics::subscribers(next));
+}
+
+void PortPublication::prepare(const std::string& topic, Clock::time_point deadline)
+{
+  RegistrationPtr registration;
+  {
+    std::lock_guard<std::mutex> lock(message_lock_);
+    if (!is_open_)
+    {
+      return;
+    }
+    is_prepared_ = true;
+    if (topic.empty())
+    {
+      return;
+    }
+    registration = prepared_ = std::make_shared<Registration>(topic, node_);
+  }
+  const topics::WiringLock lock(deadline);
+  if (isOpen())  // otherwise close() has had the lock before us
+  {
+    registration->advertise(lock, options_);
+  }
+}
+
+bool PortPublication::isReady(std::size_t expected) const
+{
+  std::string next;
+  {
+    std::lock_guard<std::mutex> lock(message_lock_);
+    next = prepared_ ? prepared_->topic : "";
+  }
+  return next.empty() || topics::subscribers(next) >= expected;
+}
+
+void PortPublication::commit()
+{
+  RegistrationPtr old;
+  {
+    std::lock_guard<std::mutex> lock(message_lock_);
+    if (!is_open_ || !is_prepared_)
+    {
+      return;
+    }
+    is_prepared_ = false;
+    old.swap(active_);
+    active_.swap(prepared_);
+    if (!old)
+    {
+      return;
+    }
+    withdrawLater(old);
+  }
+}
+
+void PortPublication::cancel()
+{
+  RegistrationPtr cancelled;
+  {
+    std::lock_guard<std::mutex> lock(message_lock_);
+    is_prepared_ = false;
+    cancelled.swap(prepared_);
+    if (!cancelled)
+    {
+      return;
+    }
+    withdrawLater(cancelled);
+  }
+}
+
+std::string PortPublication::topic() const
+{
+  std::lock_guard<std::mutex> lock(message_lock_);
+  return active_ ? active_->topic : "";
+}
+
+bool PortPublication::isOpen() const
+{
+  std::lock_guard<std::mutex> lock(message_lock_);
+  return is_open_;
+}
+
+bool PortPublication::isActive(const RegistrationPtr& registration) const
+{
+  std::lock_guard<std::mutex> lock(message_lock_);
+  return active_ == registration;
+}
+
+void PortPublication::withdrawLater(const RegistrationPtr& old)
+{
+  lingering_.push_back(old);
+  const auto due = Clock::now() + (old->isHeardOutside() ? LINGER : LINGER * 0);
+  old->disconnectAll();
+  later(
+      [self = shared_from_this(), old]
+      {
+        const topics::WiringLock lock;
+        {
+          std::lock_guard<std::mutex> message_lock(self->message_lock_);
+          auto& lingering = self->lingering_;
+          lingering.erase(std::remove(lingering.begin(), lingering.end(), old), lingering.end());
+        }
+        old->unadvertise(lock);
+      },
+      due);
+}
+
+}  // namespace dyknow

@@ -1,0 +1,114 @@
+// SPDX-FileCopyrightText: 2026 the DyKnow developers
+// SPDX-License-Identifier: BSD-3-Clause
+
+/// @file What a ros::Publisher has behind it.
+#ifndef DYKNOW_ROSCPP_PORT_PUBLICATION_H
+#define DYKNOW_ROSCPP_PORT_PUBLICATION_H
+
+#include <ros/advertise_options.h>
+#include <ros/common.h>
+#include <ros/serialized_message.h>
+#include <ros/subscriber_link.h>
+
+#include <memory>
+#include <mutex>
+#include <string>
+#include <vector>
+
+#include "port.h"
+#include "topics.h"
+
+namespace dyknow
+{
+
+/// One publication's registration on one topic, with the links to its subscribers.
+class Registration : public std::enable_shared_from_this<Registration>
+{
+public:
+  Registration(std::string topic, ros::SubscriberCallbacksPtr node);
+
+  const std::string topic;
+  /// What roscpp calls; it calls what the node wants to be called.
+  const ros::SubscriberCallbacksPtr callbacks;
+
+  /// Advertises. Raises Refusal if roscpp does not take it.
+  void advertise(const topics::WiringLock& lock, ros::AdvertiseOptions options);
+  void unadvertise(const topics::WiringLock& lock);
+
+  /// Calls the node's disconnect callback for each link: roscpp does not when a publisher unadvertises, and a
+  /// lazy nodelet would go on working for nobody.
+  void disconnectAll();
+
+  /// Whether there is a link to another process, which is still to be sent what was published.
+  bool isHeardOutside() const;
+
+private:
+  void connected(const ros::SubscriberLinkPtr& link);
+  void disconnected(const ros::SubscriberLinkPtr& link);
+  void queueForNode(const ros::SubscriberStatusCallback& callback, const ros::SubscriberLinkPtr& link) const;
+
+  const ros::SubscriberCallbacksPtr node_;
+  bool is_advertised_ = false;  ///< under the wiring lock
+  mutable std::mutex links_lock_;
+  std::vector<ros::SubscriberLinkPtr> links_;
+};
+
+using RegistrationPtr = std::shared_ptr<Registration>;
+
+/// A publication of a node's code, connected to one topic or to none.
+///
+/// A move registers on the new topic, waits a while until its subscribers are connected, switches between two
+/// messages, and withdraws the old registration when its messages are on their way.
+///
+/// Locks: the wiring lock, then `message_lock_`, then roscpp's, then `links_lock_`.
+class PortPublication final : public End, public std::enable_shared_from_this<PortPublication>
+{
+public:
+  explicit PortPublication(std::shared_ptr<Port> port);
+
+  /// The node advertises; returns what roscpp is to answer.
+  bool open(const ros::AdvertiseOptions& options, const ros::SubscriberCallbacksPtr& callbacks);
+
+  /// The node lets go.
+  void close();
+
+  void publish(const boost::function<ros::SerializedMessage()>& serialise, ros::SerializedMessage& message);
+  void incrementSequence();
+
+  /// Subscribers that are connected, of the old and the new topic while it moves: a lazy nodelet must not
+  /// stop in between.
+  std::size_t subscribers() const;
+
+  const Port& port() const { return *port_; }
+
+  // End
+  void prepare(const std::string& topic, Clock::time_point deadline) override;
+  bool isReady(std::size_t expected) const override;
+  void commit() override;
+  void cancel() override;
+  std::string topic() const override;
+  bool isOpen() const override;
+
+private:
+  /// Whether it has not been moved away meanwhile.
+  bool isActive(const RegistrationPtr& registration) const;
+  /// Under `message_lock_`: the node's queue, which is told of lost subscribers, is there until close() has
+  /// it.
+  void withdrawLater(const RegistrationPtr& old);
+
+  const std::shared_ptr<Port> port_;
+  std::shared_ptr<Traffic> traffic_;
+  ros::AdvertiseOptions options_;
+  ros::SubscriberCallbacksPtr node_;
+
+  mutable std::mutex message_lock_;  ///< held while a message is published
+  bool is_open_ = false;
+  RegistrationPtr active_;
+  RegistrationPtr prepared_;
+  bool is_prepared_ = false;
+  std::vector<RegistrationPtr> lingering_;
+};
+
+}  // namespace dyknow
+
+#endif

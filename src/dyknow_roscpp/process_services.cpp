@@ -1,0 +1,292 @@
+// SPDX-FileCopyrightText: 2026 the DyKnow developers
+// SPDX-License-Identifier: BSD-3-Clause
+
+#include "process_services.h"
+
+#include <dyknow_msgs/GetConfig.h>
+#include <dyknow_msgs/GetCounts.h>
+#include <dyknow_msgs/GetStatistics.h>
+#include <dyknow_msgs/NodeletChanges.h>
+#include <dyknow_msgs/SetConfig.h>
+#include <ros/callback_queue.h>
+#include <ros/node_handle.h>
+#include <ros/single_subscriber_publisher.h>
+#include <ros/spinner.h>
+#include <ros/this_node.h>
+
+#include <algorithm>
+#include <mutex>
+#include <set>
+
+#include "guards.h"
+#include "later.h"
+#include "problems.h"
+#include "registry.h"
+
+namespace dyknow
+{
+namespace
+{
+
+constexpr int THREADS = 4;
+/// In which changes that follow one that was told are collected.
+constexpr std::chrono::milliseconds WINDOW(20);
+constexpr int QUEUE_SIZE = 1000;
+/// Characters of one text in the log.
+constexpr std::size_t LONGEST_LOG = 4096;
+
+ros::Duration toRos(Clock::duration duration)
+{
+  return ros::Duration(std::chrono::duration<double>(duration).count());
+}
+
+std::string forLog(const std::string& text)
+{
+  return text.size() <= LONGEST_LOG
+             ? text
+             : text.substr(0, LONGEST_LOG) + "... (" + std::to_string(text.size()) + " characters)";
+}
+
+std::uint8_t directionOf(const Port& port)
+{
+  return port.direction == Direction::OUT ? dyknow_msgs::Port::OUT : dyknow_msgs::Port::IN;
+}
+
+/// Ports sorted by name.
+std::vector<NodeletProxy::NamedPort> sortedPorts(const NodeletProxy& proxy)
+{
+  auto ports = proxy.ports();
+  std::sort(ports.begin(), ports.end(), [](const auto& a, const auto& b) { return a.name < b.name; });
+  return ports;
+}
+
+using GetConfigEvent = ros::ServiceEvent<dyknow_msgs::GetConfig::Request, dyknow_msgs::GetConfig::Response>;
+using SetConfigEvent = ros::ServiceEvent<dyknow_msgs::SetConfig::Request, dyknow_msgs::SetConfig::Response>;
+using GetStatisticsEvent =
+    ros::ServiceEvent<dyknow_msgs::GetStatistics::Request, dyknow_msgs::GetStatistics::Response>;
+using GetCountsEvent = ros::ServiceEvent<dyknow_msgs::GetCounts::Request, dyknow_msgs::GetCounts::Response>;
+
+bool getConfig(const NodeletProxy& proxy, GetConfigEvent& event)
+{
+  for (const auto& each : proxy.ports())
+  {
+    dyknow_msgs::Port port;
+    port.name = each.name;
+    port.direction = directionOf(*each.port);
+    port.datatype = each.port->datatype();
+    port.topic = each.port->topic();
+    event.getResponse().ports.push_back(port);
+  }
+  return true;
+}
+
+bool setConfig(NodeletProxy& proxy, SetConfigEvent& event)
+{
+  const std::string caller = event.getCallerName();
+  auto& answer = event.getResponse();
+  NodeletProxy::Config config;
+  std::string told;
+  for (const auto& each : event.getRequest().config)
+  {
+    config.emplace_back(each.port, each.topic);
+    told +=
+        (told.empty() ? "'" : ", '") + each.port + "' to " + (each.topic.empty() ? "nothing" : each.topic);
+  }
+  try
+  {
+    Guards::current().checkCaller(caller, "connecting ports of '" + proxy.name + "'");
+    proxy.setConfig(config);
+  }
+  catch (const Refusal& refusal)
+  {
+    ROS_ERROR("%s: set_config of %s: %s", proxy.name.c_str(), forLog(caller).c_str(),
+              forLog(refusal.what()).c_str());
+    answer.message = refusal.what();
+    return true;
+  }
+  ROS_INFO("%s: %s connected %s", proxy.name.c_str(), forLog(caller).c_str(), forLog(told).c_str());
+  answer.success = true;
+  return true;
+}
+
+bool getStatistics(const NodeletProxy& proxy, GetStatisticsEvent& event)
+{
+  auto& answer = event.getResponse();
+  answer.uptime = toRos(Clock::now() - proxy.started);
+  answer.reconfigurations = proxy.reconfigurations();
+  for (const auto& each : sortedPorts(proxy))
+  {
+    const auto counts = each.port->statistics();
+    dyknow_msgs::PortStatistics port;
+    port.port = each.name;
+    port.direction = directionOf(*each.port);
+    port.topic = each.port->topic();
+    port.messages = counts.messages;
+    port.dropped = counts.dropped;
+    port.rate = counts.rate;
+    port.mean_callback = toRos(counts.busy / std::max<std::uint64_t>(counts.messages, 1));
+    port.max_callback = toRos(counts.longest);
+    answer.ports.push_back(port);
+  }
+  return true;
+}
+
+bool getCounts(GetCountsEvent& event)
+{
+  const auto& wanted = event.getRequest().nodelets;
+  Guards::current().checkSizes(wanted, wanted.size());
+  const std::set<std::string> names(wanted.begin(), wanted.end());
+  for (const auto& proxy : Registry::instance().owners())
+  {
+    if (!names.empty() && names.count(proxy->name) == 0)
+    {
+      continue;
+    }
+    dyknow_msgs::NodeletCounts nodelet;
+    nodelet.nodelet = proxy->name;
+    nodelet.uptime = toRos(Clock::now() - proxy->started);
+    for (const auto& each : sortedPorts(*proxy))
+    {
+      dyknow_msgs::PortCount port;
+      port.port = each.name;
+      port.direction = directionOf(*each.port);
+      port.messages = each.port->statistics().messages;
+      port.latched = each.port->latched;
+      nodelet.ports.push_back(port);
+    }
+    event.getResponse().nodelets.push_back(nodelet);
+  }
+  return true;
+}
+
+/// What this process offers; leaked on purpose, see later.cpp.
+class Services
+{
+public:
+  static Services& instance()
+  {
+    static Services& services = *new Services;
+    return services;
+  }
+
+  void offer(const std::shared_ptr<NodeletProxy>& proxy)
+  {
+    std::vector<ros::ServiceServer> servers = {
+        make<GetConfigEvent>(proxy->name + "/get_config",
+                             [proxy](GetConfigEvent& event) { return getConfig(*proxy, event); }),
+        make<SetConfigEvent>(proxy->name + "/set_config",
+                             [proxy](SetConfigEvent& event) { return setConfig(*proxy, event); }),
+        make<GetStatisticsEvent>(proxy->name + "/get_statistics",
+                                 [proxy](GetStatisticsEvent& event) { return getStatistics(*proxy, event); }),
+    };
+    std::lock_guard<std::mutex> lock(state_lock_);
+    servers_[proxy.get()].swap(servers);
+  }
+
+  void withdraw(const NodeletProxy& proxy)
+  {
+    std::vector<ros::ServiceServer> servers;
+    {
+      std::lock_guard<std::mutex> lock(state_lock_);
+      servers.swap(servers_[&proxy]);
+      servers_.erase(&proxy);
+    }
+    for (auto& each : servers)
+    {
+      each.shutdown();
+    }
+  }
+
+  void announce(const std::string& nodelet)
+  {
+    std::lock_guard<std::mutex> lock(state_lock_);
+    if (changed_.empty())
+    {
+      later([this] { tell(); }, std::max(Clock::now(), told_ + WINDOW));
+    }
+    changed_.insert(nodelet);
+  }
+
+private:
+  Services() : handle_("~"), spinner_(THREADS, &queue_)
+  {
+    handle_.setCallbackQueue(&queue_);
+    const ros::SubscriberStatusCallback greet = &Services::tellEverything;
+    changes_ = handle_.advertise<dyknow_msgs::NodeletChanges>("changes", QUEUE_SIZE, greet);
+    counts_ = make<GetCountsEvent>(ros::this_node::getName() + "/get_counts", getCounts);
+    spinner_.start();
+  }
+
+  template <class Event, class Answer>
+  ros::ServiceServer make(const std::string& name, Answer answer)
+  {
+    ros::AdvertiseServiceOptions options;
+    options.initBySpecType<Event>(name, answer);
+    return handle_.advertiseService(options);
+  }
+
+  /// A newcomer may have missed changes.
+  static void tellEverything(const ros::SingleSubscriberPublisher& newcomer)
+  {
+    dyknow_msgs::NodeletChanges message;
+    for (const auto& each : Registry::instance().owners())
+    {
+      message.nodelets.push_back(each->name);
+    }
+    if (!message.nodelets.empty())
+    {
+      newcomer.publish(message);
+    }
+  }
+
+  void tell()
+  {
+    dyknow_msgs::NodeletChanges message;
+    {
+      std::lock_guard<std::mutex> lock(state_lock_);
+      message.nodelets.assign(changed_.begin(), changed_.end());
+      changed_.clear();
+      told_ = Clock::now();
+    }
+    changes_.publish(message);
+  }
+
+  ros::CallbackQueue queue_;
+  ros::NodeHandle handle_;
+  ros::AsyncSpinner spinner_;
+  ros::Publisher changes_;
+  ros::ServiceServer counts_;
+  std::mutex state_lock_;
+  std::map<const NodeletProxy*, std::vector<ros::ServiceServer>> servers_;
+  std::set<std::string> changed_;
+  Clock::time_point told_;
+};
+
+}  // namespace
+
+void offerServices(const std::shared_ptr<NodeletProxy>& proxy)
+{
+  if (!proxy->is_offered.exchange(true))
+  {
+    Services::instance().offer(proxy);
+    announceChange(proxy->name);
+  }
+}
+
+void withdrawServices(const NodeletProxy& proxy)
+{
+  Services::instance().withdraw(proxy);
+  announceChange(proxy.name);
+}
+
+void offerProcessServices()
+{
+  Services::instance();
+}
+
+void announceChange(const std::string& nodelet)
+{
+  Services::instance().announce(nodelet);
+}
+
+}  // namespace dyknow

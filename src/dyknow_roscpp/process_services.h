@@ -1,0 +1,34 @@
+// SPDX-FileCopyrightText: 2026 the DyKnow developers
+// SPDX-License-Identifier: BSD-3-Clause
+
+/// @file The services of proxies and of the process, and the announcement of changes.
+///
+/// They have a callback queue and threads of their own: a nodelet whose callback hangs can be looked at and
+/// re-wired.
+#ifndef DYKNOW_ROSCPP_PROCESS_SERVICES_H
+#define DYKNOW_ROSCPP_PROCESS_SERVICES_H
+
+#include <memory>
+#include <string>
+
+#include "nodelet_proxy.h"
+
+namespace dyknow
+{
+
+/// Offers get_config, set_config and get_statistics in the name of a nodelet, and tells of it on `~changes`;
+/// once is enough.
+void offerServices(const std::shared_ptr<NodeletProxy>& proxy);
+
+/// Withdraws them, and tells of it.
+void withdrawServices(const NodeletProxy& proxy);
+
+/// Offers what the process offers: the service `~get_counts` and the topic `~changes`. Once is enough.
+void offerProcessServices();
+
+/// Tells on `~changes` that a nodelet, or a port of it, has changed; returns at once.
+void announceChange(const std::string& nodelet);
+
+}  // namespace dyknow
+
+#endif

@@ -1,0 +1,192 @@
+// SPDX-FileCopyrightText: 2026 the DyKnow developers
+// SPDX-License-Identifier: BSD-3-Clause
+
+#include <ros/callback_queue_interface.h>
+#include <ros/single_subscriber_publisher.h>
+
+#include <algorithm>
+
+#include "port_publication.h"
+#include "private_member.h"
+#include "problems.h"
+
+namespace dyknow
+{
+
+/// Names the private link of a peer, see private_member.h.
+struct LinkOf
+{
+  using Member = ros::SubscriberLinkPtr ros::SingleSubscriberPublisher::*;
+  friend Member pointerTo(LinkOf);
+};
+
+template struct PrivateMember<LinkOf, &ros::SingleSubscriberPublisher::link_>;
+
+namespace
+{
+
+/// Calls at once. roscpp waits for callbacks in a queue when it removes them, and it does so under the wiring
+/// lock: it must not wait for the node's code. What is called here only passes the call on to the node's
+/// queue.
+class DirectQueue : public ros::CallbackQueueInterface
+{
+public:
+  void addCallback(const ros::CallbackInterfacePtr& callback, std::uint64_t) override { callback->call(); }
+  void removeByID(std::uint64_t) override {}
+};
+
+/// A callback of the node about one subscriber.
+class StatusCall : public ros::CallbackInterface
+{
+public:
+  StatusCall(ros::SubscriberStatusCallback callback, ros::SubscriberLinkPtr link,
+             const ros::SubscriberCallbacks& node)
+    : callback_(std::move(callback))
+    , link_(std::move(link))
+    , is_tracked_(node.has_tracked_object_)
+    , tracked_(node.tracked_object_)
+  {
+  }
+
+  CallResult call() override
+  {
+    ros::VoidConstPtr kept;
+    if (is_tracked_ && !(kept = tracked_.lock()))
+    {
+      return Invalid;
+    }
+    callback_(ros::SingleSubscriberPublisher(link_));
+    return Success;
+  }
+
+private:
+  const ros::SubscriberStatusCallback callback_;
+  const ros::SubscriberLinkPtr link_;
+  const bool is_tracked_;
+  const ros::VoidConstWPtr tracked_;
+};
+
+/// Whether this thread joins a publication that is there, whose links then have not been sent a latched
+/// message.
+thread_local bool t_joining = false;
+
+ros::SubscriberCallbacksPtr makeCallbacks()
+{
+  static auto& queue = *new DirectQueue;  // leaked, see later.cpp
+  auto callbacks = boost::make_shared<ros::SubscriberCallbacks>();
+  callbacks->callback_queue_ = &queue;
+  return callbacks;
+}
+
+}  // namespace
+
+Registration::Registration(std::string topic, ros::SubscriberCallbacksPtr node)
+  : topic(std::move(topic))
+  , callbacks(makeCallbacks())
+  , node_(std::move(node))
+{
+  callbacks->push_latched_message_ = node_->push_latched_message_;
+}
+
+void Registration::advertise(const topics::WiringLock& lock, ros::AdvertiseOptions options)
+{
+  options.topic = topic;
+  callbacks->connect_ = [self = weak_from_this()](const ros::SingleSubscriberPublisher& peer)
+  {
+    if (const auto here = self.lock())
+    {
+      here->connected(peer.*pointerTo(LinkOf()));
+    }
+  };
+  callbacks->disconnect_ = [self = weak_from_this()](const ros::SingleSubscriberPublisher& peer)
+  {
+    if (const auto here = self.lock())
+    {
+      here->disconnected(peer.*pointerTo(LinkOf()));
+    }
+  };
+  t_joining = topics::isAdvertised(lock, topic);
+  bool is_done = false;
+  try
+  {
+    is_done = topics::advertise(lock, options, callbacks);
+  }
+  catch (...)
+  {
+    t_joining = false;
+    throw;
+  }
+  t_joining = false;
+  if (!is_done)
+  {
+    throw Refusal("cannot advertise '" + topic + "'");
+  }
+  is_advertised_ = true;
+}
+
+void Registration::unadvertise(const topics::WiringLock& lock)
+{
+  if (is_advertised_)
+  {
+    is_advertised_ = false;
+    topics::unadvertise(lock, topic, callbacks);
+  }
+}
+
+void Registration::disconnectAll()
+{
+  std::vector<ros::SubscriberLinkPtr> left;
+  {
+    std::lock_guard<std::mutex> lock(links_lock_);
+    left.swap(links_);
+  }
+  for (const auto& link : left)
+  {
+    queueForNode(node_->disconnect_, link);
+  }
+}
+
+bool Registration::isHeardOutside() const
+{
+  std::lock_guard<std::mutex> lock(links_lock_);
+  return std::any_of(links_.begin(), links_.end(), [](const auto& link) { return !link->isIntraprocess(); });
+}
+
+void Registration::connected(const ros::SubscriberLinkPtr& link)
+{
+  {
+    std::lock_guard<std::mutex> lock(links_lock_);
+    links_.push_back(link);
+  }
+  if (t_joining && node_->push_latched_message_)
+  {
+    node_->push_latched_message_(link);
+  }
+  queueForNode(node_->connect_, link);
+}
+
+void Registration::disconnected(const ros::SubscriberLinkPtr& link)
+{
+  {
+    std::lock_guard<std::mutex> lock(links_lock_);
+    const auto found = std::find(links_.begin(), links_.end(), link);
+    if (found == links_.end())
+    {
+      return;  // the node was told when the port moved away
+    }
+    links_.erase(found);
+  }
+  queueForNode(node_->disconnect_, link);
+}
+
+void Registration::queueForNode(const ros::SubscriberStatusCallback& callback,
+                                const ros::SubscriberLinkPtr& link) const
+{
+  if (callback && node_->callback_queue_ != nullptr)
+  {
+    const auto call = boost::make_shared<StatusCall>(callback, link, *node_);
+    node_->callback_queue_->addCallback(call, reinterpret_cast<std::uint64_t>(node_.get()));
+  }
+}
+
+}  // namespace dyknow

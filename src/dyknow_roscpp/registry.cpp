@@ -1,0 +1,185 @@
+// SPDX-FileCopyrightText: 2026 the DyKnow developers
+// SPDX-License-Identifier: BSD-3-Clause
+
+#include "registry.h"
+
+#include <ros/names.h>
+#include <ros/this_node.h>
+
+#include "process_services.h"
+
+namespace dyknow
+{
+namespace
+{
+
+thread_local const ros::CallbackQueueInterface* t_running = nullptr;
+
+}  // namespace
+
+Registry& Registry::instance()
+{
+  static Registry& registry = *new Registry;  // leaked, see later.cpp
+  return registry;
+}
+
+std::shared_ptr<NodeletProxy> Registry::enter(const std::string& nodelet,
+                                              const std::map<std::string, std::string>& remappings,
+                                              const std::vector<ros::CallbackQueueInterface*>& queues)
+{
+  const auto proxy = std::make_shared<NodeletProxy>(nodelet, remappings, announceChange);
+  std::unique_lock<std::shared_mutex> lock(state_lock_);
+  for (const auto* queue : queues)
+  {
+    queues_[queue] = nodelet;
+  }
+  return owners_[nodelet] = proxy;
+}
+
+std::shared_ptr<NodeletProxy> Registry::leave(const ros::CallbackQueueInterface* queue)
+{
+  std::shared_ptr<NodeletProxy> gone;
+  {
+    std::unique_lock<std::shared_mutex> lock(state_lock_);
+    const auto found = queues_.find(queue);
+    if (found == queues_.end())
+    {
+      return nullptr;
+    }
+    const std::string nodelet = found->second;
+    queues_.erase(found);
+    const auto owner = owners_.find(nodelet);
+    if (owner == owners_.end())
+    {
+      return nullptr;
+    }
+    gone = owner->second;
+    owners_.erase(owner);
+  }
+  gone->close();
+  return gone;
+}
+
+std::shared_ptr<NodeletProxy> Registry::ownerOf(const ros::NodeHandle& handle,
+                                                const ros::CallbackQueueInterface* queue)
+{
+  {
+    std::shared_lock<std::shared_mutex> lock(state_lock_);
+    for (const auto* each : {queue, const_cast<const ros::CallbackQueueInterface*>(handle.getCallbackQueue()),
+                             RunningQueue::current()})
+    {
+      const auto found = queues_.find(each);
+      const auto owner = found == queues_.end() ? owners_.end() : owners_.find(found->second);
+      if (owner != owners_.end())
+      {
+        return owner->second;
+      }
+    }
+  }
+  return node();
+}
+
+std::shared_ptr<NodeletProxy> Registry::node()
+{
+  const std::string name = ros::this_node::getName();
+  std::unique_lock<std::shared_mutex> lock(state_lock_);
+  auto& found = owners_[name];
+  if (!found)
+  {
+    found = std::make_shared<NodeletProxy>(name, std::map<std::string, std::string>(), announceChange);
+  }
+  return found;
+}
+
+std::vector<std::shared_ptr<NodeletProxy>> Registry::owners() const
+{
+  std::shared_lock<std::shared_mutex> lock(state_lock_);
+  std::vector<std::shared_ptr<NodeletProxy>> found;
+  for (const auto& each : owners_)
+  {
+    found.push_back(each.second);
+  }
+  return found;
+}
+
+std::string Registry::datatypeOf(const std::string& topic) const
+{
+  for (const auto& owner : owners())
+  {
+    for (const auto& each : owner->ports())
+    {
+      if (each.port->topic() == topic && each.port->datatype() != "*" && !each.port->ends().empty())
+      {
+        return each.port->datatype();
+      }
+    }
+  }
+  return "";
+}
+
+std::string Registry::makeKey(const std::string& topic)
+{
+  std::unique_lock<std::shared_mutex> lock(state_lock_);
+  return topic + "/__dyknow" + std::to_string(++last_key_);
+}
+
+void Registry::add(const std::string& key, std::shared_ptr<PortSubscription> subscription)
+{
+  std::unique_lock<std::shared_mutex> lock(state_lock_);
+  subscriptions_[key] = std::move(subscription);
+}
+
+void Registry::add(const std::string& key, std::shared_ptr<PortPublication> publication)
+{
+  std::unique_lock<std::shared_mutex> lock(state_lock_);
+  publications_[key] = std::move(publication);
+}
+
+std::shared_ptr<PortSubscription> Registry::subscription(const std::string& key) const
+{
+  std::shared_lock<std::shared_mutex> lock(state_lock_);
+  const auto found = subscriptions_.find(key);
+  return found == subscriptions_.end() ? nullptr : found->second;
+}
+
+std::shared_ptr<PortPublication> Registry::publication(const std::string& key) const
+{
+  std::shared_lock<std::shared_mutex> lock(state_lock_);
+  const auto found = publications_.find(key);
+  return found == publications_.end() ? nullptr : found->second;
+}
+
+void Registry::remove(const std::string& key)
+{
+  std::shared_ptr<PortSubscription> subscription;  // destroyed without the lock
+  std::shared_ptr<PortPublication> publication;
+  std::unique_lock<std::shared_mutex> lock(state_lock_);
+  if (const auto found = subscriptions_.find(key); found != subscriptions_.end())
+  {
+    subscription.swap(found->second);
+    subscriptions_.erase(found);
+  }
+  if (const auto found = publications_.find(key); found != publications_.end())
+  {
+    publication.swap(found->second);
+    publications_.erase(found);
+  }
+  lock.unlock();
+}
+
+RunningQueue::RunningQueue(const ros::CallbackQueueInterface* queue) : before_(t_running)
+{
+  t_running = queue;
+}
+
+RunningQueue::~RunningQueue()
+{
+  t_running = before_;
+}
+
+const ros::CallbackQueueInterface* RunningQueue::current()
+{
+  return t_running;
+}
+
+}  // namespace dyknow

@@ -1,0 +1,93 @@
+// SPDX-FileCopyrightText: 2026 the DyKnow developers
+// SPDX-License-Identifier: BSD-3-Clause
+
+/// @file Whose is a handle, and what is behind it.
+#ifndef DYKNOW_ROSCPP_REGISTRY_H
+#define DYKNOW_ROSCPP_REGISTRY_H
+
+#include <ros/callback_queue_interface.h>
+#include <ros/node_handle.h>
+
+#include <map>
+#include <memory>
+#include <shared_mutex>
+#include <string>
+#include <unordered_map>
+#include <vector>
+
+#include "nodelet_proxy.h"
+#include "port_publication.h"
+#include "port_subscription.h"
+
+namespace dyknow
+{
+
+/// The tables of this process. Every method is safe from any thread.
+///
+/// The name of a topic cannot tell two nodelets on one topic apart. So the hooks put a key of its own into
+/// the options of each handle, which roscpp then passes in every later call in place of the topic.
+///
+/// A handle belongs to the nodelet whose callback queue it uses; if it uses none, to the nodelet that this
+/// thread runs (`RunningQueue`); else to the node. A tracked object would be no key: many handles have none.
+class Registry
+{
+public:
+  static Registry& instance();
+
+  // Owners
+
+  /// A nodelet begins; its handles use these queues.
+  std::shared_ptr<NodeletProxy> enter(const std::string& nodelet,
+                                      const std::map<std::string, std::string>& remappings,
+                                      const std::vector<ros::CallbackQueueInterface*>& queues);
+
+  /// The nodelet of a queue ends: returns its proxy, which is closed; null if there is none (any more).
+  std::shared_ptr<NodeletProxy> leave(const ros::CallbackQueueInterface* queue);
+
+  std::shared_ptr<NodeletProxy> ownerOf(const ros::NodeHandle& handle,
+                                        const ros::CallbackQueueInterface* queue);
+  std::vector<std::shared_ptr<NodeletProxy>> owners() const;
+
+  /// Type of a topic that a port of this process is connected to; empty if none is.
+  std::string datatypeOf(const std::string& topic) const;
+
+  // Handles
+
+  std::string makeKey(const std::string& topic);
+  void add(const std::string& key, std::shared_ptr<PortSubscription> subscription);
+  void add(const std::string& key, std::shared_ptr<PortPublication> publication);
+  std::shared_ptr<PortSubscription> subscription(const std::string& key) const;
+  std::shared_ptr<PortPublication> publication(const std::string& key) const;
+  void remove(const std::string& key);
+
+private:
+  Registry() = default;
+
+  std::shared_ptr<NodeletProxy> node();
+
+  mutable std::shared_mutex state_lock_;
+  std::map<const ros::CallbackQueueInterface*, std::string> queues_;
+  std::map<std::string, std::shared_ptr<NodeletProxy>> owners_;
+  std::unordered_map<std::string, std::shared_ptr<PortSubscription>> subscriptions_;
+  std::unordered_map<std::string, std::shared_ptr<PortPublication>> publications_;
+  std::uint64_t last_key_ = 0;
+};
+
+/// Says, while it lives, that this thread works for the nodelet of a queue.
+class RunningQueue
+{
+public:
+  explicit RunningQueue(const ros::CallbackQueueInterface* queue);
+  ~RunningQueue();
+  RunningQueue(const RunningQueue&) = delete;
+  RunningQueue& operator=(const RunningQueue&) = delete;
+
+  static const ros::CallbackQueueInterface* current();
+
+private:
+  const ros::CallbackQueueInterface* const before_;
+};
+
+}  // namespace dyknow
+
+#endif

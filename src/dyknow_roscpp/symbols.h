@@ -1,0 +1,57 @@
+// SPDX-FileCopyrightText: 2026 the DyKnow developers
+// SPDX-License-Identifier: BSD-3-Clause
+
+/// @file The look-up of what comes behind us.
+///
+/// Functions of libroscpp are called through the procedure linkage table, so a library that comes first in
+/// the look-up order takes their place: an executable that is linked with it first, or one that is started
+/// with LD_PRELOAD. A hook is a definition of such a function; `behind` finds the one that it stands in front
+/// of.
+#ifndef DYKNOW_ROSCPP_SYMBOLS_H
+#define DYKNOW_ROSCPP_SYMBOLS_H
+
+#include <cstring>
+#include <string>
+
+namespace dyknow
+{
+
+/// Linker's name of the function at an address; empty if it has none.
+std::string symbolAt(const void* address);
+
+/// File of the library that has a function.
+std::string libraryOf(const void* address);
+
+/// The next definition of a function of ours in the look-up order; null if there is none.
+void* definitionBehind(const void* hook);
+
+/// Same; ends the process with the symbol's name if there is none, since the call cannot be passed on.
+void* requireBehind(const void* hook);
+
+/// Address of a function that is a non-virtual method.
+template <class Method>
+void* addressOf(Method method)
+{
+  void* address;
+  static_assert(sizeof(method) >= sizeof(address));
+  std::memcpy(&address, &method, sizeof(address));  // so it is laid out by the Itanium C++ ABI
+  return address;
+}
+
+/// The function behind a hook that is a method, to be called with the object first.
+template <class Result, class Class, class... Arguments>
+auto behind(Result (Class::*hook)(Arguments...))
+{
+  return reinterpret_cast<Result (*)(Class*, Arguments...)>(requireBehind(addressOf(hook)));
+}
+
+/// Same, for a method that is const.
+template <class Result, class Class, class... Arguments>
+auto behind(Result (Class::*hook)(Arguments...) const)
+{
+  return reinterpret_cast<Result (*)(const Class*, Arguments...)>(requireBehind(addressOf(hook)));
+}
+
+}  // namespace dyknow
+
+#endif

@@ -1,0 +1,156 @@
+// SPDX-FileCopyrightText: 2026 the DyKnow developers
+// SPDX-License-Identifier: BSD-3-Clause
+
+#include "topics.h"
+
+#include <ros/publication.h>
+#include <ros/topic_manager.h>
+
+#include <vector>
+
+#include "private_member.h"
+#include "problems.h"
+#include "symbols.h"
+
+namespace dyknow
+{
+
+/// Names the private method, see private_member.h.
+struct UnregisterPublisher
+{
+  using Method = bool (ros::TopicManager::*)(const std::string&);
+  friend void* addressOfPrivate(UnregisterPublisher);
+};
+
+template struct PrivateMethod<UnregisterPublisher, &ros::TopicManager::unregisterPublisher>;
+
+namespace topics
+{
+namespace
+{
+
+std::timed_mutex& wiringMutex()
+{
+  static auto& mutex = *new std::timed_mutex;  // leaked, see later.cpp
+  return mutex;
+}
+
+thread_local bool t_draining = false;
+thread_local std::vector<std::string>* t_unregistered = nullptr;
+
+ros::TopicManager* manager()
+{
+  return ros::TopicManager::instance().get();
+}
+
+}  // namespace
+
+WiringLock::WiringLock() : lock_(wiringMutex()) {}
+
+WiringLock::WiringLock(Clock::time_point deadline) : lock_(wiringMutex(), deadline)
+{
+  if (!lock_.owns_lock())
+  {
+    throw Refusal("the process is held up by another registration with the ROS master; try again");
+  }
+}
+
+bool subscribe(const WiringLock&, const ros::SubscribeOptions& options)
+{
+  static const auto next = behind(&ros::TopicManager::subscribe);
+  return next(manager(), options);
+}
+
+void unsubscribe(const WiringLock&, const std::string& topic,
+                 const ros::SubscriptionCallbackHelperPtr& helper)
+{
+  static const auto next = behind(&ros::TopicManager::unsubscribe);
+  next(manager(), topic, helper);
+}
+
+void unsubscribeDraining(const WiringLock& lock, const std::string& topic,
+                         const ros::SubscriptionCallbackHelperPtr& helper)
+{
+  t_draining = true;
+  unsubscribe(lock, topic, helper);
+  t_draining = false;
+}
+
+bool isDraining()
+{
+  return t_draining;
+}
+
+bool advertise(const WiringLock&, const ros::AdvertiseOptions& options,
+               const ros::SubscriberCallbacksPtr& callbacks)
+{
+  static const auto next = behind(&ros::TopicManager::advertise);
+  return next(manager(), options, callbacks);
+}
+
+bool isAdvertised(const WiringLock&, const std::string& topic)
+{
+  const ros::PublicationPtr publication = manager()->lookupPublication(topic);
+  return publication && publication->getNumCallbacks() > 0;
+}
+
+void unadvertise(const WiringLock&, const std::string& topic, const ros::SubscriberCallbacksPtr& callbacks)
+{
+  static const auto next = behind(&ros::TopicManager::unadvertise);
+  using Unregister = bool (*)(ros::TopicManager*, const std::string&);
+  static const auto unregister = reinterpret_cast<Unregister>(requireBehind(unregisterPublisherHook()));
+  // roscpp asks the master while it holds the lock that every publish needs: it is asked after that.
+  std::vector<std::string> unregistered;
+  t_unregistered = &unregistered;
+  next(manager(), topic, callbacks);
+  t_unregistered = nullptr;
+  for (const auto& each : unregistered)
+  {
+    unregister(manager(), each);
+  }
+}
+
+void* unregisterPublisherHook()
+{
+  return addressOfPrivate(UnregisterPublisher());
+}
+
+bool putOffUnregistration(const std::string& topic)
+{
+  if (t_unregistered == nullptr)
+  {
+    return false;
+  }
+  t_unregistered->push_back(topic);
+  return true;
+}
+
+void publish(const std::string& topic, const boost::function<ros::SerializedMessage()>& serialise,
+             ros::SerializedMessage& message)
+{
+  using Publish = void (ros::TopicManager::*)(
+      const std::string&, const boost::function<ros::SerializedMessage(void)>&, ros::SerializedMessage&);
+  static const auto next = behind(static_cast<Publish>(&ros::TopicManager::publish));
+  next(manager(), topic, serialise, message);
+}
+
+std::size_t subscribers(const std::string& topic)
+{
+  static const auto next = behind(&ros::TopicManager::getNumSubscribers);
+  return next(manager(), topic);
+}
+
+std::size_t publishers(const std::string& topic)
+{
+  static const auto next = behind(&ros::TopicManager::getNumPublishers);
+  return next(manager(), topic);
+}
+
+void incrementSequence(const std::string& topic)
+{
+  static const auto next = behind(&ros::TopicManager::incrementSequence);
+  next(manager(), topic);
+}
+
+}  // namespace topics
+}  // namespace dyknow

@@ -1,0 +1,73 @@
+// SPDX-FileCopyrightText: 2026 the DyKnow developers
+// SPDX-License-Identifier: BSD-3-Clause
+
+/// @file The topic manager of libroscpp that comes behind us, one change at a time.
+#ifndef DYKNOW_ROSCPP_TOPICS_H
+#define DYKNOW_ROSCPP_TOPICS_H
+
+#include <ros/advertise_options.h>
+#include <ros/common.h>
+#include <ros/serialized_message.h>
+#include <ros/subscribe_options.h>
+
+#include <functional>
+#include <mutex>
+#include <string>
+
+#include "traffic.h"
+
+namespace dyknow::topics
+{
+
+/// Held over every registration: roscpp itself races when one thread subscribes while another unsubscribes or
+/// advertises. User code never runs under it (see DirectQueue), so it need not be recursive.
+///
+/// While the master is down roscpp holds on for ever in a registration, and this lock with it. So whoever
+/// answers a service takes it with a deadline.
+class WiringLock
+{
+public:
+  WiringLock();
+
+  /// Raises Refusal if somebody else holds it until the deadline.
+  explicit WiringLock(Clock::time_point deadline);
+
+private:
+  std::unique_lock<std::timed_mutex> lock_;
+};
+
+bool subscribe(const WiringLock&, const ros::SubscribeOptions& options);
+
+void unsubscribe(const WiringLock&, const std::string& topic,
+                 const ros::SubscriptionCallbackHelperPtr& helper);
+
+/// Same, but what is in the helper's queue is still delivered.
+void unsubscribeDraining(const WiringLock&, const std::string& topic,
+                         const ros::SubscriptionCallbackHelperPtr& helper);
+
+/// Whether this thread is in `unsubscribeDraining`.
+bool isDraining();
+
+bool advertise(const WiringLock&, const ros::AdvertiseOptions& options,
+               const ros::SubscriberCallbacksPtr& callbacks);
+
+/// Whether a publisher of this process is on a topic.
+bool isAdvertised(const WiringLock&, const std::string& topic);
+
+void unadvertise(const WiringLock&, const std::string& topic, const ros::SubscriberCallbacksPtr& callbacks);
+
+/// Address of the hook of TopicManager::unregisterPublisher, which is private.
+void* unregisterPublisherHook();
+
+/// Puts off what `unadvertise` of this thread has to tell the master; false if it is not in there.
+bool putOffUnregistration(const std::string& topic);
+
+void publish(const std::string& topic, const boost::function<ros::SerializedMessage()>& serialise,
+             ros::SerializedMessage& message);
+std::size_t subscribers(const std::string& topic);
+std::size_t publishers(const std::string& topic);
+void incrementSequence(const std::string& topic);
+
+}  // namespace dyknow::topics
+
+#endif

@@ -1,0 +1,62 @@
+// SPDX-FileCopyrightText: 2026 the DyKnow developers
+// SPDX-License-Identifier: BSD-3-Clause
+
+/// @file Counts of what went through one end of a port.
+#ifndef DYKNOW_ROSCPP_TRAFFIC_H
+#define DYKNOW_ROSCPP_TRAFFIC_H
+
+#include <chrono>
+#include <cstdint>
+#include <mutex>
+
+namespace dyknow
+{
+
+using Clock = std::chrono::steady_clock;
+
+/// Running counts, those that `dyknow.nodelet.traffic` keeps in Python. Every method is safe from any thread.
+class Traffic
+{
+public:
+  /// A moment of the counts.
+  struct Snapshot
+  {
+    std::uint64_t messages = 0;
+    std::uint64_t dropped = 0;
+    double rate = 0.0;  ///< Hz over the last messages; 0 for less than two, falling while none come
+    Clock::duration busy{0};
+    Clock::duration longest{0};
+  };
+
+  /// Counts one message that goes out now.
+  void sent();
+
+  /// Counts one message whose callback began at `start` and took so long.
+  void received(Clock::time_point start, Clock::duration took);
+
+  /// Counts one message that a full queue refused, or that was published while disconnected.
+  void dropped();
+
+  Snapshot snapshot() const;
+
+private:
+  /// Number and time of the first message of a stretch; number 0: there was none.
+  struct Mark
+  {
+    std::uint64_t number = 0;
+    Clock::time_point time;
+  };
+
+  void count(Clock::time_point now);
+  double rate() const;
+
+  mutable std::mutex state_lock_;
+  Snapshot counts_;
+  Clock::time_point last_;
+  Mark begin_;
+  Mark before_;
+};
+
+}  // namespace dyknow
+
+#endif

@@ -1,0 +1,49 @@
+// SPDX-FileCopyrightText: 2026 the DyKnow developers
+// SPDX-License-Identifier: BSD-3-Clause
+
+#include <nodelet/nodelet.h>
+#include <ros/ros.h>
+#include <std_msgs/Header.h>
+#include <std_msgs/String.h>
+
+#include <pluginlib/class_list_macros.hpp>
+#include <string>
+#include <vector>
+
+namespace dyknow_cpp_test
+{
+
+/// Uses topics by all kinds of names, from handles of all kinds.
+class Names : public nodelet::Nodelet
+{
+  void onInit() override
+  {
+    auto& nh = getNodeHandle();
+    advertise(nh, "words");
+    advertise(nh, "camera/image_raw");
+    advertise(getPrivateNodeHandle(), "echo");
+    advertise(nh, "/tf");
+    advertise(ros::NodeHandle(nh, "left"), "image");
+    advertise(nh, nh.resolveName("resolved"));
+    advertise(nh, nh.resolveName("resolved") + "/compressed");
+    advertise(nh, "loop");
+    subscribers_.push_back(nh.subscribe("loop", 1, &Names::onMessage, this));
+    subscribers_.push_back(nh.subscribe("/clock", 1, &Names::onMessage, this));
+    strings_ = nh.advertise<std_msgs::String>("text", 1);
+  }
+
+  void advertise(ros::NodeHandle nh, const std::string& topic)
+  {
+    publishers_.push_back(nh.advertise<std_msgs::Header>(topic, 1));
+  }
+
+  void onMessage(const std_msgs::HeaderConstPtr&) {}
+
+  std::vector<ros::Publisher> publishers_;
+  std::vector<ros::Subscriber> subscribers_;
+  ros::Publisher strings_;
+};
+
+}  // namespace dyknow_cpp_test
+
+PLUGINLIB_EXPORT_CLASS(dyknow_cpp_test::Names, nodelet::Nodelet)

@@ -1,0 +1,89 @@
+// SPDX-FileCopyrightText: 2026 the DyKnow developers
+// SPDX-License-Identifier: BSD-3-Clause
+
+#include <nodelet/nodelet.h>
+#include <ros/ros.h>
+#include <std_msgs/Header.h>
+#include <std_srvs/Trigger.h>
+
+#include <atomic>
+#include <chrono>
+#include <pluginlib/class_list_macros.hpp>
+#include <sstream>
+#include <string>
+#include <thread>
+
+namespace dyknow_cpp_test
+{
+
+/// Numbers its messages and signs them with its name and their address.
+class Source : public nodelet::Nodelet
+{
+public:
+  ~Source() override
+  {
+    stopped_ = true;
+    if (sender_.joinable())
+    {
+      sender_.join();
+    }
+  }
+
+private:
+  void onInit() override
+  {
+    auto& private_nh = getPrivateNodeHandle();
+    out_ = getNodeHandle().advertise<std_msgs::Header>("out", 1000, private_nh.param("latch", false));
+    start_ = private_nh.advertiseService("start", &Source::onStart, this);
+    report_ = private_nh.advertiseService("report", &Source::onReport, this);
+  }
+
+  bool onStart(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& answer)
+  {
+    if (sender_.joinable())
+    {
+      sender_.join();
+    }
+    const auto& private_nh = getPrivateNodeHandle();
+    sender_ =
+        std::thread(&Source::send, this, private_nh.param("count", 1), private_nh.param("rate", 1000.0));
+    answer.success = true;
+    return true;
+  }
+
+  bool onReport(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& answer)
+  {
+    answer.message = "{\"sent\": " + std::to_string(sent_) +
+                     ", \"listeners\": " + std::to_string(out_.getNumSubscribers()) + "}";
+    answer.success = true;
+    return true;
+  }
+
+  void send(int count, double rate)
+  {
+    const auto start = std::chrono::steady_clock::now();
+    for (int i = 0; i < count && !stopped_; ++i)
+    {
+      const std::chrono::duration<double> due(i / rate);
+      std::this_thread::sleep_until(start + std::chrono::duration_cast<std::chrono::nanoseconds>(due));
+      const auto message = boost::make_shared<std_msgs::Header>();
+      std::ostringstream signature;
+      signature << getName() << "@" << message.get();
+      message->seq = sent_;
+      message->frame_id = signature.str();
+      ++sent_;
+      out_.publish(message);
+    }
+  }
+
+  ros::Publisher out_;
+  ros::ServiceServer start_;
+  ros::ServiceServer report_;
+  std::atomic<int> sent_{0};
+  std::atomic<bool> stopped_{false};
+  std::thread sender_;
+};
+
+}  // namespace dyknow_cpp_test
+
+PLUGINLIB_EXPORT_CLASS(dyknow_cpp_test::Source, nodelet::Nodelet)

@@ -1,0 +1,74 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""What the suites about live ports of C++ nodelets share."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import graph
+import rospy
+from dyknow_msgs.msg import PortConfig
+from dyknow_msgs.srv import SetConfig
+from std_srvs.srv import Trigger
+
+#: Where libraries of this workspace are.
+FOLDERS = [Path(each) / "lib" for each in os.environ["CMAKE_PREFIX_PATH"].split(os.pathsep)]
+LIBRARY = next(
+    each / "libdyknow_roscpp.so" for each in FOLDERS if (each / "libdyknow_roscpp.so").exists()
+)
+OURS = ("rosrun", "dyknow", "cpp_nodelet_manager")
+PRELOADED = (
+    *("rosrun", "--prefix", f"env LD_PRELOAD={LIBRARY}"),
+    *("nodelet", "nodelet", "manager"),
+)
+#: What a sink reports when everything has come once, in order and by reference.
+FLAWLESS = {"lost": 0, "doubled": 0, "reordered": 0, "copied": 0}
+
+
+class CppManager(graph.Ended, graph.ManagerServices):
+    """A nodelet manager in C++ in a process of its own."""
+
+    def __init__(self, name: str, *command: str) -> None:
+        namespace, _, base = name.rpartition("/")
+        graph.ManagerServices.__init__(self, name)
+        super().__init__(*(command or OURS), f"__name:={base}", f"__ns:={namespace or '/'}")
+        self.wait_until_up()
+
+    def load(self, type_name: str, name: str, *arguments: Any, **parameters: Any) -> None:
+        full_name = type_name if "/" in type_name else f"dyknow_cpp_test/{type_name}"
+        super().load(full_name, name, *arguments, **parameters)
+
+
+def start(source: str) -> None:
+    """Let a source publish its messages."""
+    rospy.ServiceProxy(f"{source}/start", Trigger)()
+
+
+def report(nodelet: str) -> dict[str, int]:
+    """What a source or a sink has seen."""
+    return json.loads(rospy.ServiceProxy(f"{nodelet}/report", Trigger)().message)
+
+
+def flaws(sink: str) -> dict[str, int]:
+    """The part of a sink's report that is to be flawless."""
+    return {key: value for key, value in report(sink).items() if key in FLAWLESS}
+
+
+class Mover:
+    """Connects one port of a nodelet elsewhere, over a connection that it keeps."""
+
+    def __init__(self, nodelet: str, port: str) -> None:
+        self._port = port
+        self._set_config = rospy.ServiceProxy(f"{nodelet}/set_config", SetConfig, persistent=True)
+
+    def __call__(self, topic: str) -> None:
+        answer = self._set_config([PortConfig(self._port, topic)])
+        assert answer.success, answer.message
+
+    def close(self) -> None:
+        self._set_config.close()

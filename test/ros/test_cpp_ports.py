@@ -1,0 +1,409 @@
+#!/usr/bin/env python3
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Live ports of C++ nodelets that know nothing of them: moves, names, refusals, counts."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import statistics
+import threading
+import time
+
+import graph
+import rospy
+import rostest
+from cpp_suite import FLAWLESS, PRELOADED, CppManager, Mover, flaws, report, start
+from dyknow_msgs.msg import NodeletChanges, Port
+from dyknow_msgs.srv import GetCounts
+from graph import set_config, set_config_pairs, topics_of_ports
+from processes import eventually
+from sensor_msgs.msg import CameraInfo, Image
+from std_msgs.msg import Header, String
+from telling import TellingCase
+
+from dyknow import errors
+from dyknow.guards import Guards
+from dyknow.ros.nodelets.guard_parameters import guards_key, to_parameter
+
+RATE = 1000
+COUNT = 4 * RATE
+MANAGER = "/cpp_manager"
+
+
+class CppCase(TellingCase):
+    """Tests in one C++ nodelet manager, in which each leaves nothing."""
+
+    command: tuple[str, ...] = ()
+
+    @classmethod
+    def setUpClass(cls) -> None:
+        cls.manager = CppManager(MANAGER, *cls.command)
+        cls.addClassCleanup(cls.manager.__exit__)
+
+    def tearDown(self) -> None:
+        self.assertFalse(self.manager.has_ended, self.manager.output)
+        self.manager.unload_all()
+
+    def mover(self, nodelet: str, port: str) -> Mover:
+        mover = Mover(nodelet, port)
+        self.addCleanup(mover.close)
+        return mover
+
+    def assert_all_arrived(self, sink: str, count: int, timeout: float = 20.0) -> None:
+        eventually(
+            lambda: report(sink)["received"] >= count, timeout, "all arrived", lambda: report(sink)
+        )
+        self.assertEqual(flaws(sink), FLAWLESS)
+        self.assertEqual(report(sink)["received"], count)
+
+
+class MoveTest(CppCase):
+    """Nothing is lost, doubled, reordered or copied at 1 kHz while ports move."""
+
+    def moves_while_sending(self, count: int, *sources: str, step) -> None:
+        """Repeat a step until all sources have sent their messages."""
+        for source in sources:
+            start(source)
+        times = []
+        for topic in itertools.cycle(("/b", "/a")):
+            before = time.monotonic()
+            step(topic)
+            times.append(time.monotonic() - before)
+            if all(report(source)["sent"] == count for source in sources):
+                break
+        print(f"{self.id()}: {len(times)} moves, median {statistics.median(times) * 1e3:.1f} ms")
+        self.assertGreater(len(times), 20)
+
+    def test_an_out_port(self):
+        self.manager.load("Sink", "/sink", {"/in": "/a", "/second": "/b"}, second=True)
+        self.manager.load("Source", "/source", {"/out": "/a"}, count=COUNT, rate=RATE)
+        move = self.mover("/source", "out")
+        self.moves_while_sending(COUNT, "/source", step=move)
+        self.assert_all_arrived("/sink", COUNT)
+        counts = graph.port_statistics("/source", "out")
+        self.assertEqual((counts.messages, counts.dropped), (COUNT, 0))
+        self.assertGreater(counts.rate, RATE / 10)
+
+    def test_an_in_port_between_two_sources(self):
+        for multithreaded in (False, True):
+            with self.subTest(multithreaded=multithreaded):
+                for source, topic in (("/left", "/a"), ("/right", "/b")):
+                    self.manager.load("Source", source, {"/out": topic}, count=COUNT, rate=RATE)
+                self.manager.load("Sink", "/sink", {"/in": "/a"}, mt=multithreaded)
+                self.moves_while_sending(COUNT, "/left", "/right", step=self.mover("/sink", "in"))
+                self.assertEqual(flaws("/sink"), FLAWLESS)
+                self.assertGreater(report("/sink")["switches"], 20)
+                self.manager.unload_all()
+
+    def test_both_ends(self):
+        self.manager.load("Sink", "/sink", {"/in": "/a"})
+        self.manager.load("Source", "/source", {"/out": "/a"}, count=COUNT, rate=RATE)
+        move_in, move_out = self.mover("/sink", "in"), self.mover("/source", "out")
+
+        def move_both(topic: str) -> None:
+            move_in(topic)
+            move_out(topic)
+
+        self.moves_while_sending(COUNT, "/source", step=move_both)
+        self.assert_all_arrived("/sink", COUNT)
+
+    def test_a_slow_receiver_with_a_backlog(self):
+        self.manager.load("Sink", "/sink", {"/in": "/a"}, delay=0.002, queue_size=COUNT)
+        self.manager.load("Source", "/source", {"/out": "/a"}, count=COUNT, rate=RATE)
+        move_in, move_out = self.mover("/sink", "in"), self.mover("/source", "out")
+
+        def move_both(topic: str) -> None:
+            move_in(topic)
+            move_out(topic)
+
+        self.moves_while_sending(COUNT, "/source", step=move_both)
+        self.assertLess(report("/sink")["received"], COUNT)
+        self.assert_all_arrived("/sink", COUNT, 30.0)
+
+    def test_a_disconnected_out_port_drops(self):
+        self.manager.load("Sink", "/sink", {"/in": "/a"})
+        self.manager.load("Source", "/source", {"/out": "/a"}, count=10, rate=RATE)
+        self.mover("/source", "out")("")
+        start("/source")
+        eventually(lambda: report("/source")["sent"] == 10, 5.0, "all sent")
+        counts = graph.port_statistics("/source", "out")
+        self.assertEqual((counts.messages, counts.dropped, counts.topic), (0, 10, ""))
+        self.assertEqual(report("/source")["listeners"], 0)
+        self.assertEqual(report("/sink")["received"], 0)
+
+    def test_a_latched_message_comes_with_every_connection(self):
+        self.manager.load("Source", "/source", {"/out": "/a"}, latch=True)
+        self.manager.load("Source", "/other", {"/out": "/b"})
+        self.manager.load("Sink", "/sink", {"/in": "/b"})
+        start("/source")
+        eventually(lambda: report("/source")["sent"] == 1, 5.0, "sent")
+        self.mover("/source", "out")("/b")  # a publisher and a listener of the process are there
+        eventually(lambda: report("/sink")["received"] == 1, 5.0, "it came")
+        counts = rospy.ServiceProxy(f"{MANAGER}/get_counts", GetCounts)(["/source"])
+        self.assertTrue(counts.nodelets[0].ports[0].latched)
+
+    def test_outside_subscribers_miss_nothing(self):
+        heard = []
+        for topic in ("/a", "/b"):
+            subscriber = rospy.Subscriber(topic, Header, lambda message: heard.append(message.seq))
+            self.addCleanup(subscriber.unregister)
+        self.manager.load("Source", "/source", {"/out": "/a"}, count=2000, rate=500)
+        eventually(lambda: report("/source")["listeners"] == 1, 5.0, "connected")
+        start("/source")
+        move = self.mover("/source", "out")
+        for topic in ("/b", "/a", "/b", "/a"):
+            move(topic)
+            time.sleep(0.3)  # as long as the old registration lingers
+        eventually(lambda: len(heard) == 2000, 10.0, "all heard", lambda: len(heard))
+        self.assertEqual(sorted(heard), list(range(2000)))
+
+
+class PortTest(CppCase):
+    """What the services tell of ports."""
+
+    def test_names(self):
+        self.manager.load(
+            "Names",
+            "/robot/names",
+            {"/robot/words": "/said", "/robot/left": "/right", "/robot/resolved": "/found"},
+        )
+        ports = {port.name: port for port in graph.get_config("/robot/names")}
+        self.assertEqual(
+            {name: port.topic for name, port in ports.items()},
+            {
+                "words": "/said",
+                "camera/image_raw": "/robot/camera/image_raw",
+                "~echo": "/robot/names/echo",
+                "/tf": "/tf",
+                "left/image": "/right/image",
+                "resolved": "/found",
+                "resolved/compressed": "/found/compressed",
+                "loop_out": "/robot/loop",
+                "loop_in": "/robot/loop",
+                "text": "/robot/text",
+            },
+        )
+        self.assertEqual(ports["loop_in"].direction, Port.IN)
+        self.assertEqual(ports["text"].datatype, "std_msgs/String")
+        answer = set_config("/robot/names", **{"/robot/words": "spoken", "~echo": "~inner"})
+        self.assertTrue(answer.success, answer.message)
+        topics = topics_of_ports("/robot/names")
+        self.assertEqual(topics["words"], "/robot/spoken")
+        self.assertEqual(topics["~echo"], "/robot/names/inner")
+        self.assertIn("/robot/spoken", graph.registrations(MANAGER)["publishers"])
+
+    def test_changes_are_announced_and_counted(self):
+        told = []
+        subscriber = rospy.Subscriber(
+            f"{MANAGER}/changes", NodeletChanges, lambda message: told.extend(message.nodelets)
+        )
+        self.addCleanup(subscriber.unregister)
+        eventually(lambda: subscriber.get_num_connections() == 1, 5.0, "connected")
+        self.manager.load("Source", "/source", {"/out": "/a"}, count=7, rate=RATE)
+        eventually(lambda: "/source" in told, 5.0, "the load is told")
+        del told[:]
+        set_config("/source", out="/b")
+        eventually(lambda: told == ["/source"], 5.0, "the change is told")
+        start("/source")
+        ask = rospy.ServiceProxy(f"{MANAGER}/get_counts", GetCounts)
+        eventually(lambda: ask(["/source"]).nodelets[0].ports[0].messages == 7, 5.0, "counted")
+        self.manager.unload("/source")
+        eventually(lambda: told == ["/source"] * 2, 5.0, "the unload is told")
+        self.assertEqual(ask(["/source"]).nodelets, [])
+        self.assertEqual([each for each in graph.services_of(MANAGER) if "/source" in each], [])
+
+    def test_a_lazy_nodelet(self):
+        camera = Camera("/cam", 8), Camera("/cam2", 16)
+        for each in camera:
+            self.addCleanup(each.close)
+        self.manager.load(
+            "image_proc/crop_decimate",
+            "/crop",
+            {"/camera/image_raw": "/cam/image_raw", "/camera/camera_info": "/cam/camera_info"},
+        )
+        self.manager.load("image_proc/resize", "/resize", {"/image": "/camera_out/image_raw"})
+        self.assertEqual(width_on("/resize/image"), 8)
+        for camera_name, width in (("/cam2", 16), ("/cam", 8)):
+            answer = set_config(
+                "/crop",
+                **{
+                    "camera/image_raw": f"{camera_name}/image_raw",
+                    "camera/camera_info": f"{camera_name}/camera_info",
+                },
+            )  # while nobody listens
+            self.assertTrue(answer.success, answer.message)
+            self.assertEqual(width_on("/resize/image"), width)
+        eventually(lambda: not graph.nodes_on("/cam/image_raw")[1], 5.0, "nobody listens any more")
+
+
+class Camera:
+    """Publishes images with camera_info in a namespace until it is closed."""
+
+    def __init__(self, namespace: str, width: int) -> None:
+        self._images = rospy.Publisher(f"{namespace}/image_raw", Image, queue_size=1)
+        self._infos = rospy.Publisher(f"{namespace}/camera_info", CameraInfo, queue_size=1)
+        self._width = width
+        self._closed = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def _run(self) -> None:
+        width = self._width
+        while not self._closed.wait(0.05):
+            image = Image(
+                height=6, width=width, encoding="mono8", step=width, data=bytes(6 * width)
+            )
+            info = CameraInfo(height=6, width=width)
+            image.header.stamp = info.header.stamp = rospy.Time.now()
+            self._images.publish(image)
+            self._infos.publish(info)
+
+    def close(self) -> None:
+        self._closed.set()
+        self._thread.join()
+        self._images.unregister()
+        self._infos.unregister()
+
+
+def width_on(topic: str) -> int:
+    return rospy.wait_for_message(topic, Image, 20.0).width
+
+
+class RefusalTest(CppCase):
+    """All or nothing, in the words of the Python proxy."""
+
+    def setUp(self):
+        self.manager.load("Source", "/n", {"/out": "/a"})
+
+    def assert_refused(self, answer, *problems):
+        self.assertEqual(answer.message, str(errors.InvalidConfiguration("/n", problems)))
+        self.assertFalse(answer.success)
+        self.assert_untouched()
+
+    def assert_untouched(self):
+        self.assertEqual(topics_of_ports("/n"), {"out": "/a"})
+        self.assertEqual(graph.get_statistics("/n").reconfigurations, 0)
+
+    def test_unknown_port(self):
+        self.assert_refused(
+            set_config("/n", out="/x", ouut="/y"), errors.UnknownPort("ouut", ["out"])
+        )
+
+    def test_everything_at_once(self):
+        self.assert_refused(
+            set_config_pairs("/n", ("out", "/a//b"), ("lens", "/x"), ("out", "/y")),
+            errors.DuplicatePort("out"),
+            errors.InvalidName("/a//b", "topic name"),
+            errors.UnknownPort("lens", ["out"]),
+        )
+
+    def test_a_topic_with_another_type(self):
+        wanted = "std_msgs/Header (port 'out')"
+        publisher = rospy.Publisher("/outside", String, queue_size=1)
+        eventually(lambda: graph.nodes_on("/outside")[0], 5.0, "it is registered")
+        self.assert_refused(
+            set_config("/n", out="/outside"),
+            errors.TypeMismatch("/outside", wanted, "std_msgs/String"),
+        )
+        publisher.unregister()
+        self.manager.load("Names", "/names", {"/text": "/inside"})
+        self.assert_refused(
+            set_config("/n", out="/inside"),
+            errors.TypeMismatch("/inside", wanted, "std_msgs/String"),
+        )
+
+    @contextlib.contextmanager
+    def guarded(self, **guards):
+        """Guards that hold for a while, of which one refuses strings of 21 characters."""
+        parameter = f"{MANAGER}/{guards_key('/dyknow_manager')}"
+
+        def hold() -> bool:
+            return "unknown port" not in set_config("/n", **{21 * "x": "/x"}).message
+
+        rospy.set_param(parameter, to_parameter(Guards(string_length=20, **guards)))
+        try:
+            eventually(hold, 5.0, "the guards hold")
+            yield
+        finally:
+            rospy.delete_param(parameter)
+            eventually(lambda: not hold(), 5.0, "the guards are lifted")
+
+    def assert_said(self, answer, problem):
+        self.assertEqual((answer.success, answer.message), (False, str(problem)))
+        self.assert_untouched()
+
+    def test_guards(self):
+        topic = "/robot/left/wheel"
+        why = "it matches '/robot/*' of the deny list (denied_topics)"
+        with self.guarded(denied_topics=("/robot/*",), array_length=2):
+            self.assert_refused(
+                set_config("/n", out=topic), errors.Denied(f"topic '{topic}'", why)
+            )
+            self.assert_said(
+                set_config("/n", out="/" + 20 * "ä"),
+                errors.LimitExceeded("characters in a string", 21, 20),
+            )
+            self.assert_said(
+                set_config_pairs("/n", ("a", "/a"), ("b", "/b"), ("c", "/c")),
+                errors.LimitExceeded("entries in an array", 3, 2),
+            )
+
+    def test_read_only(self):
+        why = "DyKnow runs read-only (parameter read_only)"
+        with self.guarded(read_only=True):
+            self.assert_said(
+                set_config("/n", out="/x"), errors.Denied("connecting ports of '/n'", why)
+            )
+
+
+class UnloadTest(CppCase):
+    """A nodelet that is unloaded while its ports move."""
+
+    def test_unload_against_move(self):
+        ended = threading.Event()
+        refusals = []
+
+        def move() -> None:
+            topics = itertools.cycle(("/a", "/b", ""))
+            while not ended.is_set():
+                for nodelet, port in (("/source", "out"), ("/sink", "in")):
+                    try:
+                        answer = set_config(nodelet, **{port: next(topics)})
+                        refusals.extend([answer.message] * (not answer.success))
+                    except (rospy.ServiceException, rospy.ROSException):
+                        pass  # it is unloaded just now
+
+        threads = [threading.Thread(target=move) for _ in range(2)]
+        for thread in threads:
+            thread.start()
+        try:
+            for _ in range(30):
+                self.manager.load("Sink", "/sink", {"/in": "/a"})
+                self.manager.load("Source", "/source", {"/out": "/a"}, count=COUNT, rate=RATE)
+                start("/source")
+                time.sleep(0.05)  # not a wait: the moves go on meanwhile
+                self.manager.unload("/sink")
+                self.manager.unload("/source")
+        finally:
+            ended.set()
+            for thread in threads:
+                thread.join()
+        expected = ("was unloaded during", "is held up by another registration")
+        others = [each for each in refusals if not any(text in each for text in expected)]
+        self.assertEqual(others, [])
+        self.assertEqual(self.manager.list(), [])
+        eventually(lambda: not any(graph.nodes_on("/a")), 5.0, "nothing is left on the topic")
+
+
+class PreloadedTest(MoveTest):
+    """The same moves in the stock nodelet manager, with the library preloaded."""
+
+    command = PRELOADED
+
+
+if __name__ == "__main__":
+    rospy.init_node("cpp_ports_test")
+    rostest.rosrun("dyknow", "cpp_ports", "__main__")
