@@ -51,7 +51,7 @@ Guards Guards::current()
   Guards all;
   XmlRpc::XmlRpcValue by_owner;
   const std::string parameter = names::join(ros::this_node::getName(), "guards");
-  if (!ros::param::getCached(parameter, by_owner) || by_owner.getType() != XmlRpc::XmlRpcValue::TypeStruct)
+  if (!ros::param::get(parameter, by_owner) || by_owner.getType() != XmlRpc::XmlRpcValue::TypeStruct)
   {
     return all;
   }

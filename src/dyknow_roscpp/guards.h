@@ -20,7 +20,7 @@ namespace dyknow
 class Guards
 {
 public:
-  /// Reads the guards of this moment.
+  /// Asks the parameter server for the guards of this moment: roscpp's cache may not have heard of them yet.
   static Guards current();
 
   /// Refuses a change in read-only mode, unless a manager makes it that is read-only itself: it refuses what

@@ -108,10 +108,11 @@ std::uint32_t NodeletProxy::reconfigurations() const
   return reconfigurations_;
 }
 
-void NodeletProxy::setConfig(const Config& config)
+void NodeletProxy::setConfig(const Config& config, const std::string& caller)
 {
   std::lock_guard<std::mutex> turn(turn_lock_);
   const auto guards = Guards::current();
+  guards.checkCaller(caller, "connecting ports of '" + name + "'");
   std::vector<std::string> texts;
   for (const auto& [port, topic] : config)
   {

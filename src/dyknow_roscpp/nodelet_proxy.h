@@ -61,7 +61,9 @@ public:
 
   /// Connects ports to topics, all or none; an empty topic disconnects. Raises Refusal; nothing is changed
   /// then.
-  void setConfig(const Config& config);
+  ///
+  /// @param caller name of the node that asks for it
+  void setConfig(const Config& config, const std::string& caller);
 
   /// The nodelet is unloaded: no more changes.
   void close();

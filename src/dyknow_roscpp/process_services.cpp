@@ -94,8 +94,7 @@ bool setConfig(NodeletProxy& proxy, SetConfigEvent& event)
   }
   try
   {
-    Guards::current().checkCaller(caller, "connecting ports of '" + proxy.name + "'");
-    proxy.setConfig(config);
+    proxy.setConfig(config, caller);
   }
   catch (const Refusal& refusal)
   {
