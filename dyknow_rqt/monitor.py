@@ -270,7 +270,7 @@ class Monitor(QObject):
         """Read everything for a look; in the background."""
         model = self.remote.graph()
         topics = {port.topic for each in model.nodelets for port in each.ports if port.topic}
-        hosts = {each.manager for each in model.nodelets}
+        hosts = {each.node for each in model.nodelets}
         nodes: Tuple[PlainNode, ...] = ()
         taken: FrozenSet[str] = frozenset()
         try:

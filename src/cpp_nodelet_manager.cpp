@@ -6,12 +6,17 @@
 #include <nodelet/loader.h>
 #include <ros/ros.h>
 
+#include "dyknow_roscpp/process_services.h"
 #include "dyknow_roscpp/self_check.h"
 
 int main(int argc, char** argv)
 {
   ros::init(argc, argv, "manager");
-  dyknow::areHooksReached();  // says at the start what is wrong; the nodelets run all the same
+  const ros::NodeHandle node;
+  if (dyknow::areHooksReached())  // otherwise the log says what is wrong, and the nodelets run all the same
+  {
+    dyknow::offerProcessServices();  // first: whoever finds the loader's services knows what this process is
+  }
   const nodelet::Loader loader;
   ros::spin();
   return 0;

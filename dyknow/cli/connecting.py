@@ -84,7 +84,7 @@ def connect(
     topic = topic or out.topic
     if not topic:
         nodelets = client.get_graph().nodelets
-        published = client.published({each.manager for each in nodelets})
+        published = client.published({each.node for each in nodelets})
         topic = choose_topic(source.nodelet, out, into, nodelets, published)
     # The in-port first: it receives the first message that is published on the topic.
     changes = [

@@ -40,6 +40,7 @@ def nodelet_json(nodelet: NodeletStatus) -> Json:
         "protected": nodelet.is_protected,
         "isolated": nodelet.isolated,
         "rewired_by_reload": nodelet.rewired_by_reload,
+        "kind": nodelet.kind.value,
         "state": state_of(nodelet),
         "detail": nodelet.detail,
         "ports": [port_json(port) for port in by_name(nodelet.ports)],

@@ -90,6 +90,8 @@ def _without_ros_words(parser: Parser, words: Sequence[str]) -> List[str]:
     """Drop the arguments that roslaunch adds; refuse others that would have no effect."""
     own = [word for word in words if ":=" not in word]
     command = next((word for word in own if word in all_commands()), "")
+    if command == "run":
+        return list(words)  # they are the node's
     for word in words:
         if ":=" in word and word.split(":=")[0] not in _FROM_ROSLAUNCH:
             parser.error(f"'{word}' would have no effect: {_instead(command, word)}")

@@ -32,10 +32,9 @@ from dyknow.manager.host import (
     Listening,
     LoadRequest,
     ManagerState,
-    NodeletKind,
 )
 from dyknow.manager.specifications.values import value_of
-from dyknow.model.graph import PortState
+from dyknow.model.graph import NodeletKind, PortState
 
 
 @dataclass
@@ -92,7 +91,9 @@ class FakeHost(Host):
 
     Attributes:
         sources: ports of each nodelet type, as (name, direction, datatype).
-        cpp: types that are plain C++ nodelets.
+        cpp: types that are C++ nodelets.
+        lazy: ports of nodelet types that do not show until somebody listens to them.
+        stock: whether nodelet managers for these are stock ones, which cannot re-wire them.
         topics: ordinary topics that are published.
         silent: nodelets, by name or type, and ordinary topics that send nothing.
         dividers: how many messages, by nodelet, type or ordinary topic, make one that is sent;
@@ -124,6 +125,8 @@ class FakeHost(Host):
         self.clock = clock
         self.listeners: List[FakeListening] = []
         self.cpp: set[str] = set()
+        self.stock = False
+        self.lazy: Dict[str, Collection[str]] = {}
         self.topics: set[str] = set()
         self.silent: set[str] = set()
         self.dividers: Dict[str, int] = {}
@@ -202,7 +205,7 @@ class FakeHost(Host):
 
     def add(self, manager: str, kind: NodeletKind = NodeletKind.PYTHON) -> None:
         """Start, or restart, a nodelet manager of others."""
-        state = ManagerState(manager, kind, str(next(self._incarnations)), own=False)
+        state = self._state(manager, kind, own=False)
         self.processes[manager] = FakeManager(state)
 
     def cut(self, manager: str, known: bool = True, unseen: bool = False) -> None:
@@ -360,7 +363,10 @@ class FakeHost(Host):
             self.parameters[f"{request.name}/{parameter.name}"] = value_of(parameter)
         nodelet = FakeNodelet(request)
         for name, direction, datatype in self.sources[request.source]:
-            topic = request.remappings.get(f"/{name}", "")
+            key = names.resolve(name, names.parent(request.name), request.name)
+            topic = request.remappings.get(key, "")
+            if process.state.rewirable and topic.startswith(f"{request.name}/disconnected/"):
+                topic = ""
             nodelet.ports[name] = PortState(name, direction, datatype, topic)
         process.nodelets[request.name] = nodelet
         self.on_change()
@@ -393,7 +399,9 @@ class FakeHost(Host):
     def ports(self, name: str) -> Tuple[PortState, ...]:
         """Return the ports of a nodelet."""
         self._step("ports", name)
-        return tuple(self._process_of(name).nodelets[name].ports.values())
+        nodelet = self._process_of(name).nodelets[name]
+        lazy = self.lazy.get(nodelet.request.source, ())
+        return tuple(port for port in nodelet.ports.values() if port.name not in lazy)
 
     def connect(self, name: str, config: Mapping[str, str]) -> None:
         """Connect ports."""
@@ -463,9 +471,15 @@ class FakeHost(Host):
         return f"/fake_{len(self.processes)}"
 
     def _start(self, name: str, kind: NodeletKind, isolated_for: str) -> str:
-        state = ManagerState(name, kind, str(next(self._incarnations)), isolated_for)
-        self.processes[name] = FakeManager(state)
+        self.processes[name] = FakeManager(self._state(name, kind, isolated_for))
         return name
+
+    def _state(
+        self, name: str, kind: NodeletKind, isolated_for: str = "", own: bool = True
+    ) -> ManagerState:
+        rewirable = kind is NodeletKind.PYTHON or not self.stock
+        incarnation = str(next(self._incarnations))
+        return ManagerState(name, kind, incarnation, isolated_for, own, rewirable=rewirable)
 
     def _step(self, operation: str, argument: str) -> None:
         assert_no_state_lock(f"asking the host: {operation} {argument}")

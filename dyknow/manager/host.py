@@ -9,7 +9,6 @@ The manager reaches nodelets only through a ``Host``. The real one speaks ROS
 
 from __future__ import annotations
 
-import enum
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from typing import (
@@ -24,20 +23,15 @@ from typing import (
     Tuple,
 )
 
-from dyknow.model.graph import PortState
+from dyknow.model.graph import NodeletKind, PortState
 from dyknow.model.transformation import Parameter
-
-
-class NodeletKind(enum.Enum):
-    """What a nodelet manager can host."""
-
-    PYTHON = "python"
-    CPP = "c++"
 
 
 @dataclass(frozen=True)
 class ManagerState:
-    """A nodelet manager.
+    """A nodelet manager, or a node that is re-wirable in a process of its own.
+
+    Such a node is shown as if it hosted itself, and can host nothing else.
 
     Attributes:
         name: global node name.
@@ -48,6 +42,8 @@ class ManagerState:
         responsive: whether it answered when it was asked last.
         away: whether its host does not answer, so that it is not known whether it is there.
         unseen: whether it was not looked for yet; until then holds what was known of it before.
+        rewirable: whether what it hosts has ports that can be connected elsewhere; else it is
+            loaded again for that, as in a stock C++ nodelet manager.
     """
 
     name: str
@@ -58,6 +54,7 @@ class ManagerState:
     responsive: bool = True
     away: bool = False
     unseen: bool = False
+    rewirable: bool = True
 
     @property
     def alive(self) -> bool:

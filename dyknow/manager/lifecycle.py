@@ -26,8 +26,8 @@ from dyknow.errors import (
 from dyknow.guards import Guards
 from dyknow.manager import placement
 from dyknow.manager.graph import Graph
-from dyknow.manager.host import Host, LoadRequest, ManagerState, NodeletKind
-from dyknow.manager.record import Record, declared_ports, seen_ports
+from dyknow.manager.host import Host, LoadRequest, ManagerState
+from dyknow.manager.record import Record, declared_ports, missing_connections, seen_ports
 from dyknow.manager.specifications.given import completed, names_of, set_on_load
 from dyknow.manager.specifications.tags import Subsumption
 from dyknow.manager.suspects import Suspects
@@ -99,7 +99,7 @@ class Lifecycle:
         with self._graph.changing(request.name, new=True, patience=PATIENCE):
             kind = self._host.kind_of(transformation.source)
             planned = Record(
-                request.name, transformation, "", claimed=claimed, parameters=parameters
+                request.name, transformation, "", claimed=claimed, parameters=parameters, kind=kind
             )
             self._suspects.know(planned)
             suspicion = "" if request.manager else self._suspects.verdict(request.name)
@@ -119,7 +119,6 @@ class Lifecycle:
                 manager=manager,
                 is_protected=request.is_protected,
                 isolated=isolated,
-                rewired_by_reload=kind is NodeletKind.CPP,
                 topics=config,
                 suspicion=suspicion,
             )
@@ -162,8 +161,8 @@ class Lifecycle:
         starting = replace(starting, topics=self.fitting(starting))
         try:
             if record.isolated:
-                kind = NodeletKind.CPP if record.rewired_by_reload else NodeletKind.PYTHON
-                starting = replace(starting, manager=self._host.ensure(kind, record.name))
+                manager = self._host.ensure(record.kind, record.name)
+                starting = replace(starting, manager=manager)
             running = self._bring_up(starting)
         except NameTaken:
             return record  # it is there: the next look finds it
@@ -225,7 +224,7 @@ class Lifecycle:
         self._graph.remove(record.name)
 
     def reload(self, name: str, config: Mapping[str, str]) -> None:
-        """Connect ports of a plain C++ nodelet elsewhere: unload it and load it remapped.
+        """Connect ports of a C++ nodelet in a stock nodelet manager: load it again, remapped.
 
         Raises:
             DyKnowError: it did not work; the nodelet is wired as before.
@@ -304,23 +303,25 @@ class Lifecycle:
     def _bring_up(self, record: Record) -> Record:
         transformation = record.transformation
         assert transformation is not None
-        wiring = {port: topic for port, topic in record.topics.items() if topic}
         request = LoadRequest(
             record.name,
             transformation.source,
             set_on_load(transformation, record.parameters),
-            _remappings(record, transformation) if record.rewired_by_reload else {},
+            {} if record.kind.is_written_for_dyknow else _remappings(record, transformation),
         )
         self._host.load(record.manager, request, self._timeout)
+        state = self._state(record.manager)
         record = replace(
             record,
             state=State.RUNNING,
             detail=record.suspicion,
-            incarnation=self._incarnation(record.manager),
+            incarnation=state.incarnation if state is not None else "",
+            rewired_by_reload=state is not None and not state.rewirable,
         )
         if record.rewired_by_reload:
             return replace(record, ports=declared_ports(record))
         ports = self._checked_ports(record)
+        wiring = missing_connections(record, ports)
         if wiring:
             self._host.connect(record.name, wiring)
             ports = tuple(replace(port, topic=wiring.get(port.name, port.topic)) for port in ports)
@@ -334,6 +335,8 @@ class Lifecycle:
         wrong = []
         for port in transformation.ports:
             real = found.get(port.name)
+            if not record.kind.is_written_for_dyknow and (real is None or not real.datatype):
+                continue  # a lazy one subscribes once somebody listens to it
             if real is None:
                 known = ", ".join(sorted(found)) or "none"
                 wrong.append(f"it has no port '{port.name}'; its ports: {known}")
@@ -371,16 +374,13 @@ class Lifecycle:
     def _state(self, manager: str) -> Optional[ManagerState]:
         return next((each for each in self._host.managers() if each.name == manager), None)
 
-    def _incarnation(self, manager: str) -> str:
-        state = self._state(manager)
-        return state.incarnation if state is not None else ""
-
 
 def _remappings(record: Record, transformation: Transformation) -> Dict[str, str]:
-    """Return the remappings that wire a plain C++ nodelet.
+    """Return the remappings that wire a C++ nodelet from its start.
 
     A port that is not remapped would use its own name as its topic. So a port that is connected to
-    nothing is remapped, too, to a topic that nothing else uses.
+    nothing is remapped, too, to a topic below ``NODELET/disconnected``: a re-wirable nodelet
+    manager takes it for disconnected, and in a stock one nothing else uses it.
     """
     return {
         names.resolve(port.name, names.parent(record.name), record.name): record.topics.get(

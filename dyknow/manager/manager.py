@@ -200,7 +200,7 @@ class Manager:
             self.graph.put(replace(record, is_protected=is_protected))
 
     def reconfigure(self, name: str, config: Mapping[str, str]) -> None:
-        """Connect ports of a plain C++ nodelet elsewhere, which loads it again.
+        """Connect ports of a C++ nodelet in a stock nodelet manager, which loads it again.
 
         Raises:
             DyKnowError: it did not work; the nodelet is wired as before.

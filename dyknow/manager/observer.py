@@ -23,7 +23,13 @@ from dyknow.locks import state_lock, turn_lock
 from dyknow.manager.graph import Graph
 from dyknow.manager.host import Crash, Host, ManagerState
 from dyknow.manager.lifecycle import Lifecycle
-from dyknow.manager.record import Record, declared_ports, seen_ports, topics_of
+from dyknow.manager.record import (
+    Record,
+    declared_ports,
+    missing_connections,
+    seen_ports,
+    topics_of,
+)
 from dyknow.manager.suspects import Suspects
 from dyknow.model.graph import State
 
@@ -121,7 +127,7 @@ class Observer:
             for manager in sorted(listed):
                 for name in sorted(listed[manager] - known):
                     if not self._graph.is_busy(name):
-                        self._meet(name, manager)
+                        self._meet(name, by_name[manager])
             dead, self._dead = sorted(self._dead), set()
         for name in dead:
             self._bring_back_soon(name)
@@ -262,11 +268,12 @@ class Observer:
 
     def _complete(self, record: Record) -> bool:
         """Finish bringing a nodelet back, which an earlier life of the manager had begun."""
-        wiring = {port: topic for port, topic in self._lifecycle.fitting(record).items() if topic}
+        wanted = replace(record, topics=self._lifecycle.fitting(record))
         try:
             if record.rewired_by_reload:  # its present wiring cannot be known
                 self._host.unload(record.manager, record.name)
                 return False
+            wiring = missing_connections(wanted, self._host.ports(record.name))
             if wiring:
                 self._host.connect(record.name, wiring)
         except HostError as error:
@@ -320,20 +327,20 @@ class Observer:
             if state.name == manager and not state.alive and state.own:
                 self._host.ensure(state.kind, state.isolated_for)
 
-    def _meet(self, name: str, manager: str) -> None:
+    def _meet(self, name: str, state: ManagerState) -> None:
         try:
             with self._graph.changing(name, new=True):
-                if name in self._host.list(manager):  # and not gone since the look began
-                    self._graph.put(self._foreign(name, manager), durable=False)
+                if name in self._host.list(state.name):  # and not gone since the look began
+                    self._graph.put(self._foreign(name, state), durable=False)
         except (Busy, NameTaken, HostError):
             return
 
-    def _foreign(self, name: str, manager: str) -> Record:
+    def _foreign(self, name: str, state: ManagerState) -> Record:
         try:
             ports = self._host.ports(name)
         except HostError:
-            ports = ()  # a plain C++ nodelet has no proxy
-        return Record(name, None, manager, state=State.RUNNING, ports=ports)
+            ports = ()  # in a stock C++ nodelet manager it has no proxy
+        return Record(name, None, state.name, state=State.RUNNING, ports=ports, kind=state.kind)
 
     def _is_unlisted(self, record: Record) -> bool:
         """Whether the process of a nodelet runs on without it.

@@ -9,8 +9,9 @@ import collections
 from typing import Dict, Iterable, List, Optional
 
 from dyknow.errors import HostError
-from dyknow.manager.host import Host, NodeletKind
+from dyknow.manager.host import Host
 from dyknow.manager.record import Record, topics_of
+from dyknow.model.graph import NodeletKind
 
 
 def choose(
@@ -51,8 +52,7 @@ def choose(
             raise HostError(f"nodelet manager '{asked}' {what}")
         if state.kind is not kind:
             raise HostError(
-                f"nodelet manager '{asked}' hosts {state.kind.value} nodelets, "
-                f"this one is {kind.value}"
+                f"'{asked}' hosts no {kind.title}s: it is there for a {state.kind.title}"
             )
         return asked
     if isolated_for:

@@ -5,12 +5,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Dict, List, Mapping, Optional, Tuple
+from typing import Dict, Iterable, List, Mapping, Optional, Tuple
 
 from dyknow.manager.specifications.given import bindings_of
-from dyknow.model.graph import NodeletStatus, PortState, State
+from dyknow.model.graph import NodeletKind, NodeletStatus, PortState, State
 from dyknow.model.transformation import Parameter, Transformation
 
 
@@ -25,8 +25,8 @@ class Record:
         manager: nodelet manager that hosts it.
         is_protected: whether it may not be destroyed.
         isolated: whether it has a process of its own.
-        rewired_by_reload: whether it is a plain C++ nodelet, which is loaded again to connect it
-            elsewhere.
+        rewired_by_reload: whether it is a C++ nodelet in a stock nodelet manager, which is loaded
+            again to connect it elsewhere.
         topics: where its ports should be connected.
         state: whether it runs.
         detail: why it does not, in words.
@@ -37,6 +37,7 @@ class Record:
         unwanted: whether it should have been destroyed while its nodelet manager did not answer;
             it is destroyed as soon as that answers.
         parameters: those that were given to it, which it keeps for life.
+        kind: what it is.
     """
 
     name: str
@@ -54,6 +55,7 @@ class Record:
     suspicion: str = ""
     unwanted: bool = False
     parameters: Tuple[Parameter, ...] = ()
+    kind: NodeletKind = NodeletKind.PYTHON
 
     @cached_property
     def given(self) -> Dict[str, str]:
@@ -71,7 +73,7 @@ class Record:
         return NodeletStatus(
             self.name,
             self.label,
-            self.manager,
+            "" if self.kind is NodeletKind.CPP_NODE else self.manager,
             self.is_protected,
             self.isolated,
             self.rewired_by_reload,
@@ -79,26 +81,27 @@ class Record:
             self.detail,
             self.ports,
             self.parameters,
+            self.kind,
         )
 
 
 def seen_ports(record: Record, ports: Tuple[PortState, ...]) -> Tuple[PortState, ...]:
-    """Return the ports that a proxy reports, with the tags of the transformation."""
-    declared = (
-        {port.name: port for port in record.transformation.ports}
-        if (record.transformation is not None)
-        else {}
-    )
-    return tuple(
-        PortState(
-            port.name,
-            port.direction,
-            port.datatype,
-            port.topic,
-            declared[port.name].tags if port.name in declared else (),
-        )
+    """Return the ports that a proxy reports, with the tags of the transformation.
+
+    A nodelet that was not written for DyKnow may have declared ports that its proxy does not
+    report, or of which it knows the topic alone: a lazy one subscribes once somebody listens to
+    it. They are shown as declared.
+    """
+    declared = {port.name: port for port in declared_ports(record)}
+    seen = {
+        port.name: replace(declared[port.name], topic=port.topic)
+        if port.name in declared and not port.datatype
+        else replace(port, tags=declared[port.name].tags if port.name in declared else ())
         for port in ports
-    )
+    }
+    if not record.kind.is_written_for_dyknow:
+        seen.update({name: port for name, port in declared.items() if name not in seen})
+    return tuple(seen.values())
 
 
 def declared_ports(record: Record) -> Tuple[PortState, ...]:
@@ -111,6 +114,35 @@ def declared_ports(record: Record) -> Tuple[PortState, ...]:
         )
         for port in record.transformation.ports
     )
+
+
+def missing_connections(record: Record, ports: Iterable[PortState]) -> Dict[str, str]:
+    """Return the connections that a nodelet should have and was not loaded with.
+
+    A C++ nodelet was loaded with the connections of those declared ports that bear the names of
+    its topics. Its other topics are where it puts them, unless they were moved.
+    """
+    if record.kind.is_written_for_dyknow:
+        return {port: topic for port, topic in record.topics.items() if topic}
+    assert record.transformation is not None
+    wanted = {**{port.name: "" for port in record.transformation.ports}, **record.topics}
+    return {
+        port.name: wanted[port.name]
+        for port in ports
+        if port.name in wanted and port.topic != wanted[port.name]
+    }
+
+
+def movable_ports(record: Record) -> Tuple[PortState, ...]:
+    """Return the ports that are connected and disconnected as claims and wirings need it.
+
+    Topics that a C++ nodelet uses, and its transformation does not declare, stay where it puts
+    them until somebody moves them: transforms, parameters, what lies beside an image.
+    """
+    if record.kind.is_written_for_dyknow or record.transformation is None:
+        return record.ports
+    declared = {port.name for port in record.transformation.ports}
+    return tuple(port for port in record.ports if port.name in declared)
 
 
 def topics_of(record: Record) -> Dict[str, str]:

@@ -21,7 +21,7 @@ from dyknow.manager.record import Record
 from dyknow.manager.specifications.given import set_on_load
 from dyknow.manager.state_file import IN_MEMORY, StateFile
 from dyknow.manager.well_typed import check_types
-from dyknow.model.graph import State
+from dyknow.model.graph import NodeletKind, State
 from dyknow.model.transformation import Parameter, Port, Transformation
 
 #: What reading an entry without a meaning may raise.
@@ -219,6 +219,7 @@ def _body(record: Record) -> str:
             "suspicion": record.suspicion,
             "unwanted": record.unwanted,
             "parameters": record.parameters,
+            "kind": record.kind.value,
         },
         sort_keys=True,
     )
@@ -228,10 +229,12 @@ def _record(name: str, text: str) -> Record:
     body = json.loads(text)
     made_from = body.pop("transformation")
     state = State(body.pop("state"))
+    plain = NodeletKind.CPP if body["rewired_by_reload"] else NodeletKind.PYTHON
+    kind = NodeletKind(body.pop("kind", plain))  # which earlier versions did not write
     transformation = unpack(made_from) if made_from else None
     given = tuple(Parameter(*each) for each in body.pop("parameters", ()))
     record = Record(
-        name=name, transformation=transformation, state=state, parameters=given, **body
+        name=name, transformation=transformation, state=state, parameters=given, kind=kind, **body
     )
     check_types(record)
     if names.check(name, "nodelet name") != name or name[:1] != "/":

@@ -21,6 +21,26 @@ class State(enum.IntEnum):
     FAILED = 3
 
 
+class NodeletKind(enum.Enum):
+    """What something with ports is; the values are those of ``dyknow_msgs/Nodelet``."""
+
+    PYTHON = "nodelet"
+    CPP = "cpp_nodelet"
+    CPP_NODE = "cpp_node"
+
+    @property
+    def is_written_for_dyknow(self) -> bool:
+        """Whether its ports are declared as such; else they are the topics that it uses."""
+        return self is NodeletKind.PYTHON
+
+    @property
+    def title(self) -> str:
+        """What people call it."""
+        return {"nodelet": "Python nodelet", "cpp_nodelet": "C++ nodelet"}.get(
+            self.value, "C++ node"
+        )
+
+
 @dataclass(frozen=True)
 class PortState:
     """A port of a running nodelet.
@@ -60,14 +80,16 @@ class NodeletStatus:
         name: global name.
         transformation: label of the transformation that it was made from; empty if others loaded
             it.
-        manager: nodelet manager that hosts it.
+        manager: nodelet manager that hosts it; empty for a node in a process of its own.
         is_protected: whether ``destroy`` refuses it.
         isolated: whether it has a process of its own.
-        rewired_by_reload: a plain C++ nodelet, which is loaded again to connect it elsewhere.
+        rewired_by_reload: a C++ nodelet in a stock nodelet manager, which is loaded again to
+            connect it elsewhere.
         state: whether it runs.
         detail: why it does not, in words.
         ports: in the order in which the nodelet made them.
         parameters: those that were given to it when it was spawned, by name.
+        kind: what it is.
     """
 
     name: str
@@ -80,6 +102,12 @@ class NodeletStatus:
     detail: str
     ports: Tuple[PortState, ...]
     parameters: Tuple[Parameter, ...] = ()
+    kind: NodeletKind = NodeletKind.PYTHON
+
+    @property
+    def node(self) -> str:
+        """Global name of the node that it is, or is in."""
+        return self.manager or self.name
 
     @property
     def connections(self) -> Dict[str, str]:

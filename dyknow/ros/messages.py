@@ -15,7 +15,14 @@ from dyknow_msgs import msg, srv
 from genpy import Duration, Time
 
 from dyknow.errors import Result, StreamRefused
-from dyknow.model.graph import Model, NodeletStatus, PortState, SpawnRequest, State
+from dyknow.model.graph import (
+    Model,
+    NodeletKind,
+    NodeletStatus,
+    PortState,
+    SpawnRequest,
+    State,
+)
 from dyknow.model.statistics import NodeletStatistics, PortStatistics
 from dyknow.model.streams import (
     Acquisition,
@@ -148,7 +155,7 @@ def nodelet_message(nodelet: NodeletStatus) -> msg.Nodelet:
         state=int(nodelet.state),
         detail=nodelet.detail,
         ports=[port_message(port) for port in nodelet.ports],
-        kind="cpp_nodelet" if nodelet.rewired_by_reload else "nodelet",
+        kind=nodelet.kind.value,
         parameters=_parameter_messages(nodelet.parameters),
     )
 
@@ -165,6 +172,7 @@ def _nodelet_from(message: msg.Nodelet) -> NodeletStatus:
         message.detail,
         tuple(port_from(port) for port in message.ports),
         parameters_from(message.parameters),
+        NodeletKind(message.kind),
     )
 
 

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Dict, List, Tuple
+from typing import Dict, List, Mapping, Tuple
 
 from dyknow.errors import DyKnowError
 from dyknow.model.client import BaseManagerClient
@@ -59,8 +59,7 @@ def _end(kept: Kept, plan: LoadPlan, client: BaseManagerClient) -> ReversibleSte
             raise DyKnowError(f"the library has no '{former.label}' any more")
         declared, later = _by_declaration(former, blueprint)
         client.spawn_nodelet(replace(former, config=declared))
-        if later:
-            client.set_config(former.name, later)
+        _connect_undeclared(former.name, later, client)
         if kept.differences:
             raise DyKnowError("it runs again, but is made as the library says now")
 
@@ -98,11 +97,23 @@ def _make(
             ReversibleStep(
                 f"connecting '{nodelet.name}'",
                 nodelet.name,
-                lambda: client.set_config(nodelet.name, later),
+                lambda: _connect_undeclared(nodelet.name, later, client),
                 lambda: None,  # it goes with the nodelet
             )
         )
     return steps
+
+
+def _connect_undeclared(name: str, config: Mapping[str, str], client: BaseManagerClient) -> None:
+    """Connect ports that are not declared.
+
+    A C++ nodelet may not have them yet; it then puts them where its code says.
+    """
+    nodelet = client.get_graph().nodelet(name) if config else None
+    if nodelet is not None and not nodelet.kind.is_written_for_dyknow:
+        config = {port: topic for port, topic in config.items() if nodelet.port(port) is not None}
+    if config:
+        client.set_config(name, config)
 
 
 def _by_declaration(

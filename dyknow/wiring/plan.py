@@ -10,6 +10,7 @@ from typing import (
     Callable,
     Collection,
     Dict,
+    FrozenSet,
     List,
     Mapping,
     Optional,
@@ -40,18 +41,26 @@ class Kept:
         present: what runs.
         differences: how it was made otherwise than the library says now, in words: from an
             earlier transformation, so that it cannot be made again as it was.
+        declared: ports of its transformation. Others of a C++ nodelet stay where they are, unless
+            the file connects them, and may not be there yet.
     """
 
     wanted: SpawnRequest
     present: NodeletStatus
     differences: Tuple[str, ...] = ()
+    declared: FrozenSet[str] = frozenset()
 
     @property
     def moves(self) -> Dict[str, str]:
         """New topics of those ports that are to be moved; empty to disconnect."""
-        wanted = self.wanted.config
         present = self.present.connections
-        ports = {**dict.fromkeys(present, ""), **wanted}
+        disconnected = dict.fromkeys(present, "")
+        wanted = dict(self.wanted.config)
+        if not self.present.kind.is_written_for_dyknow:
+            there = {port.name for port in self.present.ports} | self.declared
+            wanted = {port: topic for port, topic in wanted.items() if port in there}
+            disconnected = {port: "" for port in disconnected if port in self.declared}
+        ports = {**disconnected, **wanted}
         return {
             port: topic for port, topic in sorted(ports.items()) if present.get(port, "") != topic
         }
@@ -244,8 +253,9 @@ def _plan_present(
     outdated: Tuple[str, ...] = ()
     if not is_replaced:
         outdated = _otherwise_made(plan.blueprints[nodelet.label], nodelet, present, stored)
+    declared = frozenset(port.name for port in plan.blueprints[nodelet.label].ports)
     if not replace or not (is_replaced or outdated):
-        plan.kept.append(Kept(nodelet, present, outdated))
+        plan.kept.append(Kept(nodelet, present, outdated, declared))
         return False
     if present.is_protected:
         plan.problems.append(
@@ -253,7 +263,7 @@ def _plan_present(
             f"first: dyknow unprotect {nodelet.name}"
         )
         return False
-    plan.remade.append(Kept(nodelet, present, outdated))
+    plan.remade.append(Kept(nodelet, present, outdated, declared))
     return True
 
 

@@ -126,7 +126,7 @@ def _nodelet_tip(nodelet: NodeletStatus) -> str:
         for word, holds in (
             ("protected", nodelet.is_protected),
             ("in a process of its own", nodelet.isolated),
-            ("C++, connecting it loads it again", nodelet.rewired_by_reload),
+            ("connecting it loads it again", nodelet.rewired_by_reload),
         )
         if holds
     ]
@@ -134,8 +134,8 @@ def _nodelet_tip(nodelet: NodeletStatus) -> str:
     return _tip(
         nodelet.name,
         nodelet.transformation or "loaded by others",
+        nodelet.kind.title + (f" in {nodelet.manager}" if nodelet.manager else ""),
         " ".join(f"{each.name}={each.text}" for each in nodelet.parameters),
-        f"in {nodelet.manager}",
         f"in-ports: {inputs}, out-ports: {len(nodelet.ports) - inputs}",
         *facts,
         state + (f": {nodelet.detail}" if nodelet.detail else ""),

@@ -10,7 +10,7 @@ from typing import Optional, Sequence
 from python_qt_binding.QtCore import Signal
 from python_qt_binding.QtWidgets import QHBoxLayout, QPushButton, QVBoxLayout, QWidget
 
-from dyknow.model.graph import State
+from dyknow.model.graph import NodeletKind, State
 from dyknow.model.transformation import IN
 from dyknow_rqt.graph.changes import DestroyNodelet, Protect
 from dyknow_rqt.graph.snapshot import Snapshot
@@ -78,14 +78,14 @@ class ActivePanel(Panel):
             inputs = sum(port.direction == IN for port in nodelet.ports)
             words = [nodelet.state.name.lower()] if nodelet.state is not State.RUNNING else []
             words += ["protected"] if nodelet.is_protected else []
-            words += ["C++"] if nodelet.rewired_by_reload else []
+            words += [] if nodelet.kind is NodeletKind.PYTHON else [nodelet.kind.title]
             cells = (
                 nodelet.name,
                 nodelet.transformation or "(by others)",
                 str(inputs),
                 str(len(nodelet.ports) - inputs),
                 ", ".join(words) or "running",
-                nodelet.manager,
+                nodelet.manager or "(a process of its own)",
             )
             rows.append((cells, nodelet.detail))
         self.table.show_rows(rows)

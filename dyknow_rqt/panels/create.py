@@ -144,7 +144,9 @@ class CreatePanel(Panel):
 
     @qt_slot
     def _show_managers(self, snapshot: Snapshot) -> None:
-        found = sorted({each.manager for each in snapshot.nodelets if not each.isolated})
+        found = sorted(
+            {each.manager for each in snapshot.nodelets if each.manager and not each.isolated}
+        )
         if found != [self.manager.itemText(i) for i in range(1, self.manager.count())]:
             text = self.manager.currentText()
             self.manager.clear()

@@ -4,13 +4,13 @@
 #include "guards.h"
 
 #include <fnmatch.h>
-#include <ros/param.h>
 #include <ros/this_node.h>
 
 #include <algorithm>
 
 #include "names.h"
 #include "problems.h"
+#include "question.h"
 
 namespace dyknow
 {
@@ -46,12 +46,11 @@ void lower(std::size_t& limit, XmlRpc::XmlRpcValue& guards, const char* name)
 
 }  // namespace
 
-Guards Guards::current()
+Guards Guards::current(Clock::time_point deadline)
 {
   Guards all;
-  XmlRpc::XmlRpcValue by_owner;
-  const std::string parameter = names::join(ros::this_node::getName(), "guards");
-  if (!ros::param::get(parameter, by_owner) || by_owner.getType() != XmlRpc::XmlRpcValue::TypeStruct)
+  auto by_owner = askMaster("getParam", names::join(ros::this_node::getName(), "guards"), deadline);
+  if (by_owner.getType() != XmlRpc::XmlRpcValue::TypeStruct)
   {
     return all;
   }

@@ -4,8 +4,7 @@
 /// @file Restrictions on changes, those of dyknow/guards.py.
 ///
 /// DyKnow managers hand them to a process as its private parameters `~guards/KEY`, one for each manager;
-/// those of all add up. The parameter server tells roscpp's cache of every change, so a look costs no remote
-/// call.
+/// those of all add up.
 #ifndef DYKNOW_ROSCPP_GUARDS_H
 #define DYKNOW_ROSCPP_GUARDS_H
 
@@ -14,6 +13,8 @@
 #include <string>
 #include <vector>
 
+#include "traffic.h"
+
 namespace dyknow
 {
 
@@ -21,7 +22,8 @@ class Guards
 {
 public:
   /// Asks the parameter server for the guards of this moment: roscpp's cache may not have heard of them yet.
-  static Guards current();
+  /// Raises Refusal if it does not answer by the deadline.
+  static Guards current(Clock::time_point deadline);
 
   /// Refuses a change in read-only mode, unless a manager makes it that is read-only itself: it refuses what
   /// users ask of it, and still brings back nodelets that died. Raises Refusal.

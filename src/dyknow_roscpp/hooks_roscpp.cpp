@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 
 /// @file The hooks: definitions of libroscpp's functions that come before its own.
+#include <ros/init.h>
 #include <ros/node_handle.h>
 #include <ros/subscription_queue.h>
 #include <ros/this_node.h>
@@ -9,6 +10,7 @@
 
 #include <typeinfo>
 
+#include "later.h"
 #include "port_names.h"
 #include "probe.h"
 #include "problems.h"
@@ -45,7 +47,7 @@ auto makeHandle(const ros::NodeHandle& handle, Options& options, Direction direc
   const std::string resolved = handle.resolveName(options.topic);
   const auto owner = registry.ownerOf(handle, options.callback_queue);
   const auto name = namePort(*owner, handle, options.topic);
-  const auto port = owner->declare(name.label, direction, name.origin, resolved);
+  const auto port = owner->declare(name, direction, resolved);
   if (owner->name == ros::this_node::getName())
   {
     offerServices(owner);  // a nodelet's are offered when it is loaded
@@ -85,6 +87,7 @@ std::vector<void*> roscppHooks()
                                                 const ros::MessageDeserializerPtr&, bool,
                                                 const ros::VoidConstWPtr&, bool, ros::Time, bool*);
   return {
+      reinterpret_cast<void*>(static_cast<void (*)()>(&ros::start)),
       addressOf(static_cast<AdvertiseMethod>(&ros::NodeHandle::advertise)),
       addressOf(static_cast<SubscribeMethod>(&ros::NodeHandle::subscribe)),
       addressOf(static_cast<ResolveMethod>(&ros::NodeHandle::resolveName)),
@@ -110,6 +113,21 @@ namespace ros
 {
 
 using dyknow::Registry;
+
+void start()
+{
+  static const auto next = dyknow::behind(static_cast<void (*)()>(&ros::start));
+  next();
+  // Later: this is called while the first NodeHandle is made, under the lock that the next one needs.
+  dyknow::later(
+      []
+      {
+        if (dyknow::areHooksReached())
+        {
+          dyknow::offerProcessServices();
+        }
+      });
+}
 
 Publisher NodeHandle::advertise(AdvertiseOptions& ops)
 {

@@ -3,10 +3,12 @@
 
 #include "master_state.h"
 
-#include <ros/master.h>
 #include <ros/this_node.h>
 
+#include <algorithm>
+
 #include "problems.h"
+#include "question.h"
 
 namespace dyknow
 {
@@ -15,37 +17,12 @@ namespace
 
 constexpr int PUBLISHERS = 0;
 constexpr int SUBSCRIBERS = 1;
+constexpr std::chrono::milliseconds NODE_PATIENCE(200);
 
-XmlRpc::XmlRpcValue ask(const std::string& question)
+/// The type of a topic in a list of pairs; empty if it is not there, or matches any.
+std::string typeIn(XmlRpc::XmlRpcValue types, const std::string& topic)
 {
-  XmlRpc::XmlRpcValue request;
-  XmlRpc::XmlRpcValue response;
-  XmlRpc::XmlRpcValue payload;
-  request[0] = ros::this_node::getName();
-  if (!ros::master::execute(question, request, response, payload, false))
-  {
-    throw Refusal("the ROS master at " + ros::master::getURI() + " does not answer");
-  }
-  return payload;
-}
-
-}  // namespace
-
-MasterState::MasterState() : state_(ask("getSystemState")) {}
-
-std::size_t MasterState::subscribersOf(const std::string& topic) const
-{
-  return countOf(SUBSCRIBERS, topic);
-}
-
-std::string MasterState::datatypeOf(const std::string& topic) const
-{
-  if (countOf(PUBLISHERS, topic) == 0 && countOf(SUBSCRIBERS, topic) == 0)
-  {
-    return "";
-  }
-  auto types = ask("getTopicTypes");
-  for (int i = 0; i < types.size(); ++i)
+  for (int i = 0; types.valid() && i < types.size(); ++i)
   {
     if (static_cast<std::string>(types[i][0]) == topic)
     {
@@ -56,17 +33,73 @@ std::string MasterState::datatypeOf(const std::string& topic) const
   return "";
 }
 
-std::size_t MasterState::countOf(int side, const std::string& topic) const
+}  // namespace
+
+MasterState::MasterState(Clock::time_point deadline)
+  : deadline_(deadline)
+  , state_(askMaster("getSystemState", "", deadline))
 {
+}
+
+std::size_t MasterState::subscribersOf(const std::string& topic) const
+{
+  return nodesOn(SUBSCRIBERS, topic).size();
+}
+
+std::string MasterState::datatypeOf(const std::string& topic) const
+{
+  if (!nodesOn(PUBLISHERS, topic).empty())
+  {
+    return typeIn(askMaster("getTopicTypes", "", deadline_), topic);
+  }
+  for (const auto& node : nodesOn(SUBSCRIBERS, topic))
+  {
+    const std::string found = subscribedType(node, topic);
+    if (!found.empty())
+    {
+      return found;
+    }
+  }
+  return "";
+}
+
+std::vector<std::string> MasterState::nodesOn(int side, const std::string& topic) const
+{
+  std::vector<std::string> nodes;
   auto& topics = state_[side];
   for (int i = 0; i < topics.size(); ++i)
   {
     if (static_cast<std::string>(topics[i][0]) == topic)
     {
-      return topics[i][1].size();
+      for (int j = 0; j < topics[i][1].size(); ++j)
+      {
+        nodes.push_back(topics[i][1][j]);
+      }
     }
   }
-  return 0;
+  return nodes;
+}
+
+std::string MasterState::subscribedType(const std::string& node, const std::string& topic) const
+{
+  if (node == ros::this_node::getName())
+  {
+    return "";  // the ports of this process say themselves what they carry
+  }
+  auto uri = askMaster("lookupNode", node, deadline_);
+  if (!uri.valid())
+  {
+    return "";
+  }
+  try
+  {
+    const auto deadline = std::min(deadline_, Clock::now() + NODE_PATIENCE);
+    return typeIn(ask(uri, "getSubscriptions", "", deadline), topic);
+  }
+  catch (const Refusal&)
+  {
+    return "";  // a node that does not answer says nothing of the topic
+  }
 }
 
 }  // namespace dyknow

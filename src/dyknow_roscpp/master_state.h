@@ -8,6 +8,9 @@
 #include <xmlrpcpp/XmlRpcValue.h>
 
 #include <string>
+#include <vector>
+
+#include "traffic.h"
 
 namespace dyknow
 {
@@ -17,17 +20,24 @@ class MasterState
 {
 public:
   /// Asks the master. Raises Refusal if it does not answer: roscpp would hold on for ever in a registration.
-  MasterState();
+  ///
+  /// @param deadline of this question and of those that follow
+  explicit MasterState(Clock::time_point deadline);
 
   /// Nodes that subscribe to a topic.
   std::size_t subscribersOf(const std::string& topic) const;
 
-  /// Type of a topic that has a publisher or subscriber, else empty: the master's types outlive them.
+  /// Type of a topic that has a publisher or subscriber, else empty.
+  ///
+  /// The master's types outlive the publishers that they come from, so they count only while there is a
+  /// publisher; without one the subscribers are asked.
   std::string datatypeOf(const std::string& topic) const;
 
 private:
-  std::size_t countOf(int side, const std::string& topic) const;
+  std::vector<std::string> nodesOn(int side, const std::string& topic) const;
+  std::string subscribedType(const std::string& node, const std::string& topic) const;
 
+  const Clock::time_point deadline_;
   mutable XmlRpc::XmlRpcValue state_;
 };
 

@@ -22,6 +22,9 @@ namespace
 
 /// How long a reconfiguration waits for peers outside.
 constexpr std::chrono::milliseconds PATIENCE(500);
+/// How long it waits for the ROS master, and for another reconfiguration of the nodelet.
+constexpr std::chrono::milliseconds MASTER_PATIENCE(1000);
+constexpr std::chrono::milliseconds TURN_PATIENCE(2000);
 constexpr std::chrono::milliseconds STEP(1);
 
 /// Moves that are prepared, and cancelled unless they are committed.
@@ -65,20 +68,28 @@ NodeletProxy::NodeletProxy(std::string name, std::map<std::string, std::string> 
 {
 }
 
-std::shared_ptr<Port> NodeletProxy::declare(const std::string& label, Direction direction,
-                                            const std::string& origin, const std::string& topic)
+std::shared_ptr<Port> NodeletProxy::declare(const PortName& port_name, Direction direction,
+                                            const std::string& topic)
 {
   std::shared_ptr<Port> port;
   {
     std::lock_guard<std::mutex> lock(state_lock_);
-    for (const auto& each : ports_)
+    std::string first = topicAtStart(topic);
+    for (auto each = ports_.begin(); each != ports_.end(); ++each)
     {
-      if (each->label == label && each->direction == direction)
+      const auto& known = **each;
+      if (known.name.label == port_name.label && known.is_to_come)
       {
-        return each;
+        first = known.topic();  // now it has come, and its direction is known
+        ports_.erase(each);
+        break;
+      }
+      if (known.name.label == port_name.label && known.direction == direction)
+      {
+        return *each;
       }
     }
-    port = std::make_shared<Port>(label, direction, origin, topic);
+    port = std::make_shared<Port>(port_name, direction, first);
     ports_.push_back(port);
   }
   on_change_(name);
@@ -95,9 +106,9 @@ std::vector<NodeletProxy::NamedPort> NodeletProxy::ports() const
     const bool is_one_of_two =
         std::any_of(ports_.begin(), ports_.end(),
                     [&port](const auto& other)
-                    { return other->label == port->label && other->direction != port->direction; });
+                    { return other->name.label == port->name.label && other->direction != port->direction; });
     const std::string suffix = is_one_of_two ? port->direction == Direction::IN ? "_in" : "_out" : "";
-    named.push_back({port->label + suffix, port});
+    named.push_back({port->name.label + suffix, port});
   }
   return named;
 }
@@ -110,8 +121,13 @@ std::uint32_t NodeletProxy::reconfigurations() const
 
 void NodeletProxy::setConfig(const Config& config, const std::string& caller)
 {
-  std::lock_guard<std::mutex> turn(turn_lock_);
-  const auto guards = Guards::current();
+  const std::unique_lock<std::timed_mutex> turn(turn_lock_, TURN_PATIENCE);
+  if (!turn)
+  {
+    throw Refusal("another reconfiguration of '" + name + "' takes too long; try again");
+  }
+  const auto deadline = Clock::now() + MASTER_PATIENCE;
+  const auto guards = Guards::current(deadline);
   guards.checkCaller(caller, "connecting ports of '" + name + "'");
   std::vector<std::string> texts;
   for (const auto& [port, topic] : config)
@@ -120,7 +136,7 @@ void NodeletProxy::setConfig(const Config& config, const std::string& caller)
     texts.push_back(topic);
   }
   guards.checkSizes(texts, config.size());
-  const MasterState master;
+  const MasterState master(deadline);
   const auto changes = checked(config, guards, master);
   if (std::any_of(changes.begin(), changes.end(),
                   [](const auto& each) { return each.port->topic() != each.topic; }))
@@ -144,6 +160,21 @@ std::vector<NodeletProxy::Change> NodeletProxy::checked(const Config& config, co
   std::vector<Change> changes;
   std::map<std::string, std::string> types;
   std::map<std::string, int> named;
+  const auto is_changed = [&changes](const std::shared_ptr<Port>& port)
+  {
+    return std::any_of(changes.begin(), changes.end(),
+                       [&port](const auto& each) { return each.port->name.label == port->name.label &&
+                                                          each.port->direction == port->direction; });
+  };
+  const auto change = [&](const NamedPort& port, const std::string& topic)
+  {
+    if (!topic.empty())
+    {
+      guards.checkTopic(topic);
+      checkType(port, topic, master, types);
+    }
+    changes.push_back({port.port, topic});
+  };
   for (const auto& entry : config)
   {
     if (++named[entry.first] == 2)
@@ -155,25 +186,40 @@ std::vector<NodeletProxy::Change> NodeletProxy::checked(const Config& config, co
   {
     try
     {
-      const auto port = find(text, ports);
-      std::string topic;
-      if (!wanted.empty())
+      const auto found = find(text, ports);
+      const std::string topic = wanted.empty() ? "" : names::topicOf(wanted, name);
+      for (const auto& port : found)
       {
-        topic = names::topicOf(wanted, name);
-        guards.checkTopic(topic);
-        checkType({text, port}, topic, master, types);
+        if (is_changed(port) && named[text] == 1)  // by both of its names
+        {
+          throw duplicatePort(text);
+        }
+        change({text, port}, port->name.image == text ? topicBeside(port->name, topic) : topic);
       }
-      const bool is_twice = std::any_of(changes.begin(), changes.end(),
-                                        [&port](const auto& each) { return each.port == port; });
-      if (is_twice && named[text] == 1)  // by both of its names
-      {
-        throw duplicatePort(text);
-      }
-      changes.push_back({port, topic});
     }
     catch (const Refusal& problem)
     {
       problems.push_back(problem.what());
+    }
+  }
+  // What image_transport put beside an image, and is still there, goes with it.
+  for (const auto& [moved, topic] : std::vector<Change>(changes))
+  {
+    for (const auto& each : ports)
+    {
+      const auto& port = each.port;
+      if (port->name.image == moved->name.label && port->direction == moved->direction && !is_changed(port) &&
+          port->topic() == topicBeside(port->name, moved->topic()))
+      {
+        try
+        {
+          change(each, topicBeside(port->name, topic));
+        }
+        catch (const Refusal& problem)
+        {
+          problems.push_back(problem.what());
+        }
+      }
     }
   }
   if (!problems.empty())
@@ -183,27 +229,59 @@ std::vector<NodeletProxy::Change> NodeletProxy::checked(const Config& config, co
   return changes;
 }
 
-std::shared_ptr<Port> NodeletProxy::find(const std::string& text, const std::vector<NamedPort>& ports) const
+std::vector<std::shared_ptr<Port>> NodeletProxy::find(const std::string& text,
+                                                      const std::vector<NamedPort>& ports) const
 {
   std::vector<std::string> known;
   std::vector<std::shared_ptr<Port>> by_origin;
+  std::vector<std::shared_ptr<Port>> by_image;  // of an image that comes by image_transport's topics alone
   for (const auto& each : ports)
   {
     if (each.name == text)
     {
-      return each.port;
+      return {each.port};
     }
-    if (each.port->origin == text)
+    if (each.port->name.origin == text)
     {
       by_origin.push_back(each.port);
     }
+    if (each.port->name.image == text)
+    {
+      by_image.push_back(each.port);
+    }
     known.push_back(each.name);
   }
-  if (by_origin.size() != 1)  // of two it cannot say which
+  if (!by_image.empty())
+  {
+    return by_image;
+  }
+  if (by_origin.empty())
+  {
+    by_origin.push_back(portToCome(text));
+  }
+  if (by_origin.size() != 1 || !by_origin.front())  // of two it cannot say which
   {
     throw unknownPort(text, known);
   }
-  return by_origin.front();
+  return by_origin;
+}
+
+std::shared_ptr<Port> NodeletProxy::portToCome(const std::string& text) const
+{
+  const std::string origin = names::globalOf(text, name);
+  const auto remapping = remappings.find(origin);
+  if (text.empty() || remapping == remappings.end())
+  {
+    return nullptr;
+  }
+  // Of which direction it will be is not known; what is lazy is the subscription, as a rule.
+  const PortName port_name{text[0] == '/' ? names::portOf(text, name) : text, origin, ""};
+  return std::make_shared<Port>(port_name, Direction::IN, topicAtStart(remapping->second), true);
+}
+
+std::string NodeletProxy::topicAtStart(const std::string& remapped) const
+{
+  return names::isBelow(remapped, names::join(name, "disconnected")) ? "" : remapped;
 }
 
 void NodeletProxy::checkType(const NamedPort& port, const std::string& topic, const MasterState& master,
@@ -231,7 +309,28 @@ void NodeletProxy::checkType(const NamedPort& port, const std::string& topic, co
   }
 }
 
-void NodeletProxy::apply(const std::vector<Change>& changes, const MasterState& master)
+void NodeletProxy::setTopicsLocked(std::vector<Change>& changes)
+{
+  for (auto& change : changes)
+  {
+    const auto is_same = [&change](const auto& each)
+    {
+      return each->name.label == change.port->name.label && each->direction == change.port->direction;
+    };
+    const auto known = std::find_if(ports_.begin(), ports_.end(), is_same);
+    if (known == ports_.end())
+    {
+      ports_.push_back(change.port);  // one to come
+    }
+    else
+    {
+      change.port = *known;  // which may have come meanwhile
+    }
+    change.port->setTopic(change.topic);
+  }
+}
+
+void NodeletProxy::apply(std::vector<Change> changes, const MasterState& master)
 {
   const auto deadline = Clock::now() + PATIENCE;
   Preparation preparation;
@@ -280,10 +379,7 @@ void NodeletProxy::apply(const std::vector<Change>& changes, const MasterState& 
     {
       throw unloadedMeanwhile(name);
     }
-    for (const auto& change : changes)
-    {
-      change.port->setTopic(change.topic);
-    }
+    setTopicsLocked(changes);
     ++reconfigurations_;
   }
   preparation.commit();
@@ -307,7 +403,7 @@ void NodeletProxy::followPorts(const std::vector<Change>& changes, Clock::time_p
         catch (const std::exception& error)  // the others have moved, and stay
         {
           ROS_ERROR("%s: a new handle of port '%s' is not on '%s': %s", name.c_str(),
-                    change.port->label.c_str(), change.topic.c_str(), error.what());
+                    change.port->name.label.c_str(), change.topic.c_str(), error.what());
           end->cancel();
         }
       }

@@ -24,8 +24,8 @@ class MasterState;
 
 /// A change is checked as a whole, then applied as a whole. Every method is safe from any thread.
 ///
-/// Locks: `turn_lock_` is held over a reconfiguration, which waits for peers at most 0.5 s and for no
-/// callback; `state_lock_` guards the table of ports. Neither is held by who opens or closes an end.
+/// Locks: `turn_lock_` is held over a reconfiguration, which waits for the ROS master at most 1 s, for peers
+/// at most 0.5 s, and for no callback; `state_lock_` guards the table of ports. Neither is held by who opens or closes an end.
 class NodeletProxy
 {
 public:
@@ -37,7 +37,8 @@ public:
   };
   using Config = std::vector<std::pair<std::string, std::string>>;
 
-  /// @param remappings of the load request, global to global: their sources are ports to come
+  /// @param remappings of the load request or the process, global to global. A source of them may be the topic
+  ///        of a port to come: a lazy nodelet subscribes once somebody listens to it
   /// @param on_change called after every change of a port, on the thread that made it
   NodeletProxy(std::string name, std::map<std::string, std::string> remappings,
                std::function<void(const std::string&)> on_change);
@@ -47,11 +48,10 @@ public:
   const Clock::time_point started = Clock::now();
   std::atomic<bool> is_offered{false};  ///< its services are
 
-  /// The port of a label; the first call makes it.
+  /// The port of a name; the first call makes it.
   ///
-  /// @param origin global name of its topic before, `topic` after remapping
-  std::shared_ptr<Port> declare(const std::string& label, Direction direction, const std::string& origin,
-                                const std::string& topic);
+  /// @param topic where remappings put it; below `NODELET/disconnected/`: it starts disconnected
+  std::shared_ptr<Port> declare(const PortName& port_name, Direction direction, const std::string& topic);
 
   /// The ports, in the order of their declaration.
   std::vector<NamedPort> ports() const;
@@ -76,14 +76,17 @@ private:
   };
 
   std::vector<Change> checked(const Config& config, const Guards& guards, const MasterState& master) const;
-  std::shared_ptr<Port> find(const std::string& text, const std::vector<NamedPort>& ports) const;
+  std::vector<std::shared_ptr<Port>> find(const std::string& text, const std::vector<NamedPort>& ports) const;
+  std::shared_ptr<Port> portToCome(const std::string& text) const;
+  std::string topicAtStart(const std::string& remapped) const;
   void checkType(const NamedPort& port, const std::string& topic, const MasterState& master,
                  std::map<std::string, std::string>& types) const;
-  void apply(const std::vector<Change>& changes, const MasterState& master);
+  void apply(std::vector<Change> changes, const MasterState& master);
+  void setTopicsLocked(std::vector<Change>& changes);
   void followPorts(const std::vector<Change>& changes, Clock::time_point deadline);
 
   const std::function<void(const std::string&)> on_change_;
-  std::mutex turn_lock_;
+  std::timed_mutex turn_lock_;
   mutable std::mutex state_lock_;
   std::vector<std::shared_ptr<Port>> ports_;
   std::uint32_t reconfigurations_ = 0;

@@ -5,13 +5,26 @@
 
 #include <algorithm>
 
+#include "names.h"
+
 namespace dyknow
 {
 
-Port::Port(std::string label, Direction direction, std::string origin, std::string topic)
-  : label(std::move(label))
+std::string topicBeside(const PortName& name, const std::string& image)
+{
+  if (image.empty())
+  {
+    return "";
+  }
+  const bool is_below = name.label.compare(0, name.image.size() + 1, name.image + "/") == 0;
+  const std::string last = name.label.substr(name.label.find_last_of("/~") + 1);
+  return names::join(is_below ? image : names::parent(image), last);
+}
+
+Port::Port(PortName name, Direction direction, std::string topic, bool is_to_come)
+  : name(std::move(name))
   , direction(direction)
-  , origin(std::move(origin))
+  , is_to_come(is_to_come)
   , topic_(std::move(topic))
 {
 }

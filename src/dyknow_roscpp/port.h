@@ -47,19 +47,28 @@ public:
   virtual bool isOpen() const = 0;
 };
 
+/// How a port is called.
+struct PortName
+{
+  std::string label;   ///< without what tells it from a port of the other direction
+  std::string origin;  ///< global name of the topic before any remapping
+  std::string image;   ///< label of the image that image_transport put it beside or below; empty: none
+};
+
+/// Where image_transport puts the topic of a port when the topic of its image (empty: none) is this one.
+std::string topicBeside(const PortName& name, const std::string& image);
+
 /// A port lives as long as its nodelet, while handles on it come and go (lazy nodelets unsubscribe while
 /// nobody listens to them): a handle that is made later has the same connection. Every method is safe from
 /// any thread.
 class Port
 {
 public:
-  /// @param label name of the port, without what tells it from a port of the other direction
-  /// @param origin global name of the topic before any remapping
-  Port(std::string label, Direction direction, std::string origin, std::string topic);
+  Port(PortName name, Direction direction, std::string topic, bool is_to_come = false);
 
-  const std::string label;
+  const PortName name;
   const Direction direction;
-  const std::string origin;
+  const bool is_to_come;  ///< no handle has been made on it yet
   /// An out-port keeps a message for whoever connects later.
   std::atomic<bool> latched{false};
 

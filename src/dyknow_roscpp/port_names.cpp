@@ -51,24 +51,25 @@ PortName relativePort(const NodeletProxy& owner, const ros::NodeHandle& handle, 
     space = names::beforeRemapping(space, remappingsOf(owner));
   }
   const std::string origin = names::join(space, name);
-  return {names::portOf(origin, owner.name), origin};
+  return {names::portOf(origin, owner.name), origin, ""};
 }
 
-/// The port of a resolved name that was noted; empty if there is none.
-std::string notedPort(const NodeletProxy& owner, const std::string& resolved)
+/// The port of a resolved name that was noted; its label is empty if there is none.
+PortName notedPort(const NodeletProxy& owner, const std::string& resolved)
 {
   std::lock_guard<std::mutex> lock(tableLock());
   const auto& noted = table()[owner.name];
   if (const auto found = noted.find(resolved); found != noted.end())
   {
-    return found->second;
+    return {found->second, names::globalOf(found->second, owner.name), ""};
   }
   // image_transport puts a transport's topic below that of the image, and the camera's beside it.
   const auto last = resolved.rfind('/') + 1;
   const std::string space = names::parent(resolved);
   if (const auto found = noted.find(space); found != noted.end())
   {
-    return found->second + "/" + resolved.substr(last);
+    const std::string label = found->second + "/" + resolved.substr(last);
+    return {label, names::globalOf(label, owner.name), found->second};
   }
   for (const auto& [name, label] : noted)
   {
@@ -78,10 +79,11 @@ std::string notedPort(const NodeletProxy& owner, const std::string& resolved)
       const std::string before = slash != std::string::npos ? label.substr(0, slash + 1)
                                  : label[0] == '~'          ? "~"
                                                             : "";
-      return before + "camera_info";
+      const std::string beside = before + "camera_info";
+      return {beside, names::globalOf(beside, owner.name), label};
     }
   }
-  return "";
+  return {};
 }
 
 }  // namespace
@@ -92,12 +94,12 @@ PortName namePort(const NodeletProxy& owner, const ros::NodeHandle& handle, cons
   {
     return relativePort(owner, handle, topic);
   }
-  const std::string noted = notedPort(owner, topic);
-  if (!noted.empty())
+  const auto noted = notedPort(owner, topic);
+  if (!noted.label.empty())
   {
-    return {noted, names::globalOf(noted, owner.name)};
+    return noted;
   }
-  return {names::isBelow(topic, owner.name) ? names::portOf(topic, owner.name) : topic, topic};
+  return {names::isBelow(topic, owner.name) ? names::portOf(topic, owner.name) : topic, topic, ""};
 }
 
 void noteResolved(const NodeletProxy& owner, const ros::NodeHandle& handle, const std::string& asked,

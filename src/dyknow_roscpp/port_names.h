@@ -14,13 +14,6 @@
 namespace dyknow
 {
 
-/// The name of a port, and the global name of its topic before any remapping.
-struct PortName
-{
-  std::string label;
-  std::string origin;
-};
-
 /// Names the port of a topic that the code of `owner` asks of a handle. Its namespace may have been remapped,
 /// which is taken back.
 PortName namePort(const NodeletProxy& owner, const ros::NodeHandle& handle, const std::string& topic);

@@ -6,6 +6,7 @@
 #include <ros/callback_queue_interface.h>
 
 #include <algorithm>
+#include <set>
 
 #include "later.h"
 #include "problems.h"
@@ -17,6 +18,40 @@ namespace
 
 /// How long an old registration stays that is heard outside: what was published reaches the network first.
 constexpr std::chrono::milliseconds LINGER(200);
+
+/// Topics to which publications are about to move.
+class Destinations
+{
+public:
+  static Destinations& instance()
+  {
+    static Destinations& destinations = *new Destinations;  // leaked, see later.cpp
+    return destinations;
+  }
+
+  /// A topic is one of them for as long as the result lives.
+  std::shared_ptr<void> add(const std::string& topic)
+  {
+    std::lock_guard<std::mutex> lock(state_lock_);
+    const auto place = topics_.insert(topic);
+    return std::shared_ptr<void>(nullptr,
+                                 [this, place](void*)
+                                 {
+                                   std::lock_guard<std::mutex> lock(state_lock_);
+                                   topics_.erase(place);
+                                 });
+  }
+
+  bool has(const std::string& topic) const
+  {
+    std::lock_guard<std::mutex> lock(state_lock_);
+    return topics_.count(topic) > 0;
+  }
+
+private:
+  mutable std::mutex state_lock_;
+  std::multiset<std::string> topics_;
+};
 
 }  // namespace
 
@@ -54,6 +89,7 @@ void PortPublication::close()
   {
     std::lock_guard<std::mutex> lock(message_lock_);
     is_open_ = false;
+    notice_.reset();
     all.swap(lingering_);
     for (auto* each : {&active_, &prepared_})
     {
@@ -147,6 +183,7 @@ void PortPublication::prepare(const std::string& topic, Clock::time_point deadli
       return;
     }
     registration = prepared_ = std::make_shared<Registration>(topic, node_);
+    notice_ = Destinations::instance().add(topic);
   }
   const topics::WiringLock lock(deadline);
   if (isOpen())  // otherwise close() has had the lock before us
@@ -175,6 +212,7 @@ void PortPublication::commit()
       return;
     }
     is_prepared_ = false;
+    notice_.reset();
     old.swap(active_);
     active_.swap(prepared_);
     if (!old)
@@ -191,6 +229,7 @@ void PortPublication::cancel()
   {
     std::lock_guard<std::mutex> lock(message_lock_);
     is_prepared_ = false;
+    notice_.reset();
     cancelled.swap(prepared_);
     if (!cancelled)
     {
@@ -198,6 +237,11 @@ void PortPublication::cancel()
     }
     withdrawLater(cancelled);
   }
+}
+
+bool PortPublication::isAnyMovingTo(const std::string& topic)
+{
+  return Destinations::instance().has(topic);
 }
 
 std::string PortPublication::topic() const

@@ -81,6 +81,9 @@ public:
 
   const Port& port() const { return *port_; }
 
+  /// Whether a publication of this process is about to move to a topic: its messages still go to another one.
+  static bool isAnyMovingTo(const std::string& topic);
+
   // End
   void prepare(const std::string& topic, Clock::time_point deadline) override;
   bool isReady(std::size_t expected) const override;
@@ -105,6 +108,7 @@ private:
   bool is_open_ = false;
   RegistrationPtr active_;
   RegistrationPtr prepared_;
+  std::shared_ptr<void> notice_;  ///< that it moves to the topic of `prepared_`, for `isAnyMovingTo`
   bool is_prepared_ = false;
   std::vector<RegistrationPtr> lingering_;
 };

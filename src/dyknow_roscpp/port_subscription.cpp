@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "later.h"
+#include "port_publication.h"
 #include "problems.h"
 
 namespace dyknow
@@ -338,7 +339,8 @@ void PortSubscription::switchIfDue(const ConnectionPtr& next, Clock::time_point 
     }
   }
   const auto now = Clock::now();
-  const bool is_connected = now - committed >= CONNECTED_PATIENCE && topics::publishers(next->topic) > 0;
+  const bool is_connected = now - committed >= CONNECTED_PATIENCE && topics::publishers(next->topic) > 0 &&
+                            !PortPublication::isAnyMovingTo(next->topic);
   if (!is_connected && now - committed < PATIENCE)
   {
     later([self = shared_from_this(), next, committed] { self->switchIfDue(next, committed); }, now + STEP);

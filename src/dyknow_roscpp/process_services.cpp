@@ -8,8 +8,9 @@
 #include <dyknow_msgs/GetStatistics.h>
 #include <dyknow_msgs/NodeletChanges.h>
 #include <dyknow_msgs/SetConfig.h>
+#include <ros/advertise_service_options.h>
 #include <ros/callback_queue.h>
-#include <ros/node_handle.h>
+#include <ros/service_manager.h>
 #include <ros/single_subscriber_publisher.h>
 #include <ros/spinner.h>
 #include <ros/this_node.h>
@@ -19,9 +20,11 @@
 #include <set>
 
 #include "guards.h"
+#include "names.h"
 #include "later.h"
 #include "problems.h"
 #include "registry.h"
+#include "topics.h"
 
 namespace dyknow
 {
@@ -133,7 +136,6 @@ bool getStatistics(const NodeletProxy& proxy, GetStatisticsEvent& event)
 bool getCounts(GetCountsEvent& event)
 {
   const auto& wanted = event.getRequest().nodelets;
-  Guards::current().checkSizes(wanted, wanted.size());
   const std::set<std::string> names(wanted.begin(), wanted.end());
   for (const auto& proxy : Registry::instance().owners())
   {
@@ -155,10 +157,15 @@ bool getCounts(GetCountsEvent& event)
     }
     event.getResponse().nodelets.push_back(nodelet);
   }
+  const std::string loader = names::join(ros::this_node::getName(), "load_nodelet");
+  const bool is_manager = ros::ServiceManager::instance()->lookupServicePublication(loader) != nullptr;
+  event.getResponse().kind = is_manager ? "cpp_nodelet" : "cpp_node";
   return true;
 }
 
 /// What this process offers; leaked on purpose, see later.cpp.
+///
+/// Without any ros::NodeHandle: a node ends with its last one, which must not be ours.
 class Services
 {
 public:
@@ -170,29 +177,19 @@ public:
 
   void offer(const std::shared_ptr<NodeletProxy>& proxy)
   {
-    std::vector<ros::ServiceServer> servers = {
-        make<GetConfigEvent>(proxy->name + "/get_config",
-                             [proxy](GetConfigEvent& event) { return getConfig(*proxy, event); }),
-        make<SetConfigEvent>(proxy->name + "/set_config",
-                             [proxy](SetConfigEvent& event) { return setConfig(*proxy, event); }),
-        make<GetStatisticsEvent>(proxy->name + "/get_statistics",
-                                 [proxy](GetStatisticsEvent& event) { return getStatistics(*proxy, event); }),
-    };
-    std::lock_guard<std::mutex> lock(state_lock_);
-    servers_[proxy.get()].swap(servers);
+    advertise<GetConfigEvent>(proxy->name + "/get_config",
+                              [proxy](GetConfigEvent& event) { return getConfig(*proxy, event); });
+    advertise<SetConfigEvent>(proxy->name + "/set_config",
+                              [proxy](SetConfigEvent& event) { return setConfig(*proxy, event); });
+    advertise<GetStatisticsEvent>(proxy->name + "/get_statistics", [proxy](GetStatisticsEvent& event)
+                                  { return getStatistics(*proxy, event); });
   }
 
   void withdraw(const NodeletProxy& proxy)
   {
-    std::vector<ros::ServiceServer> servers;
+    for (const char* each : {"/get_config", "/set_config", "/get_statistics"})
     {
-      std::lock_guard<std::mutex> lock(state_lock_);
-      servers.swap(servers_[&proxy]);
-      servers_.erase(&proxy);
-    }
-    for (auto& each : servers)
-    {
-      each.shutdown();
+      ros::ServiceManager::instance()->unadvertiseService(proxy.name + each);
     }
   }
 
@@ -207,21 +204,29 @@ public:
   }
 
 private:
-  Services() : handle_("~"), spinner_(THREADS, &queue_)
+  Services() : changes_(names::join(ros::this_node::getName(), "changes")), spinner_(THREADS, &queue_)
   {
-    handle_.setCallbackQueue(&queue_);
     const ros::SubscriberStatusCallback greet = &Services::tellEverything;
-    changes_ = handle_.advertise<dyknow_msgs::NodeletChanges>("changes", QUEUE_SIZE, greet);
-    counts_ = make<GetCountsEvent>(ros::this_node::getName() + "/get_counts", getCounts);
+    const ros::SubscriberStatusCallback none;
+    const auto options = ros::AdvertiseOptions::create<dyknow_msgs::NodeletChanges>(
+        changes_, QUEUE_SIZE, greet, none, ros::VoidConstPtr(), &queue_);
+    {
+      const topics::WiringLock lock;
+      topics::advertise(
+          lock, options,
+          boost::make_shared<ros::SubscriberCallbacks>(greet, none, ros::VoidConstPtr(), &queue_));
+    }
+    advertise<GetCountsEvent>(names::join(ros::this_node::getName(), "get_counts"), getCounts);
     spinner_.start();
   }
 
   template <class Event, class Answer>
-  ros::ServiceServer make(const std::string& name, Answer answer)
+  void advertise(const std::string& name, Answer answer)
   {
     ros::AdvertiseServiceOptions options;
     options.initBySpecType<Event>(name, answer);
-    return handle_.advertiseService(options);
+    options.callback_queue = &queue_;
+    ros::ServiceManager::instance()->advertiseService(options);
   }
 
   /// A newcomer may have missed changes.
@@ -247,16 +252,14 @@ private:
       changed_.clear();
       told_ = Clock::now();
     }
-    changes_.publish(message);
+    ros::SerializedMessage serialised;
+    topics::publish(changes_, [&message] { return ros::serialization::serializeMessage(message); }, serialised);
   }
 
+  const std::string changes_;
   ros::CallbackQueue queue_;
-  ros::NodeHandle handle_;
   ros::AsyncSpinner spinner_;
-  ros::Publisher changes_;
-  ros::ServiceServer counts_;
   std::mutex state_lock_;
-  std::map<const NodeletProxy*, std::vector<ros::ServiceServer>> servers_;
   std::set<std::string> changed_;
   Clock::time_point told_;
 };

@@ -86,7 +86,7 @@ std::shared_ptr<NodeletProxy> Registry::node()
   auto& found = owners_[name];
   if (!found)
   {
-    found = std::make_shared<NodeletProxy>(name, std::map<std::string, std::string>(), announceChange);
+    found = std::make_shared<NodeletProxy>(name, ros::names::getRemappings(), announceChange);
   }
   return found;
 }

@@ -45,6 +45,13 @@ auto behind(Result (Class::*hook)(Arguments...))
   return reinterpret_cast<Result (*)(Class*, Arguments...)>(requireBehind(addressOf(hook)));
 }
 
+/// Same, for a function that is no method.
+template <class Result, class... Arguments>
+auto behind(Result (*hook)(Arguments...))
+{
+  return reinterpret_cast<Result (*)(Arguments...)>(requireBehind(reinterpret_cast<void*>(hook)));
+}
+
 /// Same, for a method that is const.
 template <class Result, class Class, class... Arguments>
 auto behind(Result (Class::*hook)(Arguments...) const)

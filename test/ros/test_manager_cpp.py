@@ -2,15 +2,18 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Plain C++ nodelets of image_proc under the DyKnow manager, in one graph with Python ones."""
+"""C++ nodelets of image_proc under the DyKnow manager, in one graph with Python ones."""
 
 from __future__ import annotations
 
 import math
+import os
+import subprocess
 import threading
 import time
 from pathlib import Path
 
+import cpp_suite
 import rospkg
 import rospy
 import rostest
@@ -20,11 +23,43 @@ from processes import BUSY
 from sensor_msgs.msg import CameraInfo, Image
 
 from dyknow.errors import Refused
-from dyknow.model.graph import State
+from dyknow.model.graph import NodeletKind, State
+from dyknow.model.streams import StreamRequest
 
 EXAMPLE = Path(rospkg.RosPack().get_path("dyknow")) / "examples/transformations/image_proc.xml"
 CPP = "/dyknow_cpp_nodelet_manager"
 RELAY = specification("images", "dyknow_manager_test/ImageRelay", ">in out>")
+#: From one of two cameras through a relay, a C++ nodelet and another relay.
+CHAIN = """
+<transformations>
+  <transformation type="topic">
+    <label>camera</label><source>/cam/image_raw</source>
+    <ports><port type="out" datatype="sensor_msgs/Image">image</port></ports>
+    <tags><tag port="image">Raw(image)</tag></tags>
+  </transformation>
+  {relays}
+  <transformation>
+    <label>half</label><source>image_proc/resize</source>
+    <params>
+      <param name="use_scale" type="bool">true</param>
+      <param name="scale_width" type="double">0.5</param>
+      <param name="scale_height" type="double">0.5</param>
+    </params>
+    <ports>
+      <port type="in" datatype="sensor_msgs/Image">image</port>
+      <port type="out" datatype="sensor_msgs/Image">~image</port>
+    </ports>
+    <tags><tag port="image">Copy(image)</tag><tag port="~image">Half(image)</tag></tags>
+  </transformation>
+</transformations>
+"""
+_RELAY = """
+  <transformation cost="{cost}">
+    <label>{label}</label><source>dyknow_manager_test/ImageRelay</source>
+    <ports><port type="in">in</port><port type="out">out</port></ports>
+    <tags><tag port="in">{before}(image)</tag><tag port="out">{after}(image)</tag></tags>
+  </transformation>
+"""
 
 
 class Camera:
@@ -72,36 +107,81 @@ class CppTest(ManagerCase):
         self.client.spawn("resize", "/robot/resize", {"image": "/copy", "~image": "/small"})
         self.assertEqual(size_on("/small"), (4, 3))
         found = self.manager.nodelet("/robot/resize")
-        self.assertTrue(found.rewired_by_reload)
+        self.assertEqual((found.kind, found.rewired_by_reload), (NodeletKind.CPP, False))
         self.assertEqual((found.manager, found.state), (CPP, State.RUNNING))
-        self.assertEqual(
-            self.manager.topics("/robot/resize"),
-            {"image": "/copy", "camera_info": "", "~image": "/small", "~camera_info": ""},
-        )
+        self.assert_declared({"image": "/copy", "~image": "/small"})
         self.assertEqual(rospy.get_param("/robot/resize/scale_width"), 0.5)
 
+        before = self.client.get_statistics("/robot/resize")
         self.client.set_config("/robot/resize", {"image": "/cam2/image_raw"})
         self.assertEqual(size_on("/small"), (4, 3))
-        ports = {port.name: port.topic for port in self.client.get_config("/robot/resize")}
-        self.assertEqual(ports["image"], "/cam2/image_raw")
-        self.assertEqual(self.manager.topics("/robot/resize"), ports)
+        self.assert_declared({"image": "/cam2/image_raw", "~image": "/small"})
         with self.assertRaisesRegex(Refused, "sideways"):
             self.client.set_config("/robot/resize", {"sideways": "/x"})
-        statistics = rospy.ServiceProxy("/robot/resize/get_statistics", GetStatistics)()
-        self.assertEqual(statistics.reconfigurations, 1)
-        self.assertEqual([math.isnan(port.rate) for port in statistics.ports], [True] * 4)
-        traffic = self.client.get_statistics("/robot/resize").ports
-        self.assertEqual([port.messages for port in traffic], [None] * 4)
+        after = self.client.get_statistics("/robot/resize")
+        self.assertGreater(after.uptime, before.uptime, "it was not loaded again")
+        self.assertEqual(after.reconfigurations, before.reconfigurations + 1)
+        counts = {port.port: port.messages for port in after.ports}
+        self.assertGreater(counts["~image"], 0)
+        self.client.set_config("/robot/resize", {"camera_info": "/cam2/camera_info"})
+        self.assert_declared(
+            {"image": "/cam2/image_raw", "~image": "/small", "camera_info": "/cam2/camera_info"}
+        )
 
         self.client.destroy("/robot/resize")
         eventually(lambda: registrations("/robot") == [], 2.0, "nothing is left")
         eventually(lambda: registrations("/small") == [], 2.0, "nothing is left")
+
+    def assert_declared(self, topics: dict[str, str]) -> None:
+        """The model shows the declared ports, lazy ones too, and the proxy what it has of them."""
+        declared = ("image", "camera_info", "~image", "~camera_info")
+        wanted = {**dict.fromkeys(declared, ""), **topics}
+
+        def shown() -> dict[str, str]:
+            found = self.manager.topics("/robot/resize")
+            return {port: found[port] for port in declared}
+
+        eventually(lambda: shown() == wanted, 2.0, "the model shows it", shown)
+        ports = {port.name: port.topic for port in self.client.get_config("/robot/resize")}
+        self.assertEqual({**wanted, **{p: ports[p] for p in declared if p in ports}}, wanted)
+
+    def test_a_claim_of_both_kinds_is_repaired_live(self):
+        relays = "".join(
+            _RELAY.format(label=label, before=before, after=after, cost=cost)
+            for label, before, after, cost in (
+                ("first", "Raw", "Copy", 1),
+                ("spare first", "Raw", "Copy", 2),
+                ("last", "Half", "Shown", 1),
+            )
+        )
+        self.client.add_transformation(CHAIN.format(relays=relays))
+        claim = self.client.acquire_stream(StreamRequest("Shown(image)", max_silence=2.0))
+        self.assertEqual(size_on(claim.topic), (4, 3))
+        half = next(name for name in claim.spawned if "half" in name)
+        before = self.client.get_statistics(half)
+        self.client.remove_transformation("first")
+
+        def labels() -> list[str]:
+            return [each.transformation for each in self.client.get_graph().nodelets]
+
+        eventually(lambda: "spare first" in labels(), 10.0, "it is replaced", labels)
+        self.assertEqual(size_on(claim.topic), (4, 3))
+        after = self.client.get_statistics(half)
+        self.assertGreater(after.uptime, before.uptime, "the C++ part was re-wired, not reloaded")
+        self.assertGreater(after.reconfigurations, before.reconfigurations)
+        self.client.release_stream(claim.claim_id)
 
     def test_crop_decimate_finds_camera_info_beside_its_image(self):
         config = {"camera/image_raw": "/cam/image_raw", "camera_out/image_raw": "/half/image_raw"}
         self.client.spawn("crop_decimate", "/crop", config)
         self.assertEqual(size_on("/half/image_raw"), (4, 3))
         self.assertEqual(rospy.wait_for_message("/half/camera_info", CameraInfo, 5.0).width, 8)
+        self.client.set_config("/crop", {"camera/image_raw": "/cam2/image_raw"})
+        self.client.set_config("/crop", {"camera_out/image_raw": "/other/image_raw"})
+        self.assertEqual(size_on("/other/image_raw"), (4, 3))
+        self.assertEqual(rospy.wait_for_message("/other/camera_info", CameraInfo, 5.0).width, 8)
+        topics = {port.name: port.topic for port in self.client.get_config("/crop")}
+        self.assertEqual(topics["camera/camera_info"], "/cam2/camera_info")
 
     def test_kill_9_of_the_cpp_nodelet_manager_and_of_the_manager(self):
         config = {"image": "/cam/image_raw", "~image": "/small"}
@@ -139,6 +219,64 @@ class CppTest(ManagerCase):
         with self.assertRaisesRegex(Refused, "image_proc/nothing"):
             self.client.spawn("gone", "/gone")
         self.client.add_transformation(LIBRARY)
+
+
+class StockTest(ManagerCase):
+    """Where the library cannot stand in front of libroscpp, nodelets are loaded again."""
+
+    def test_a_failing_self_check(self):
+        linked = subprocess.run(["ldd", str(cpp_suite.LIBRARY)], stdout=subprocess.PIPE, text=True)
+        roscpp = next(line.split()[2] for line in linked.stdout.splitlines() if "roscpp." in line)
+        os.environ["LD_PRELOAD"] = roscpp  # its functions are found first then
+        try:
+            manager = self.started()
+        finally:
+            del os.environ["LD_PRELOAD"]
+        client = manager.client
+        client.add_transformation(EXAMPLE.read_text())
+        camera = Camera("/cam")
+        self.addCleanup(camera.close)
+        client.spawn("resize", "/resize", {"image": "/cam/image_raw", "~image": "/small"})
+        self.assertEqual(size_on("/small"), (4, 3))
+        self.assertIn("cannot be connected while they run", manager.output)
+        self.assertIn(f"of {roscpp} is found before that of", manager.output)
+        found = manager.nodelet("/resize")
+        self.assertEqual((found.kind, found.rewired_by_reload), (NodeletKind.CPP, True))
+        client.set_config("/resize", {"~image": "/smaller"})
+        self.assertEqual(size_on("/smaller"), (4, 3))
+        with self.assertRaisesRegex(Refused, "sideways"):
+            client.set_config("/resize", {"sideways": "/x"})
+        statistics = rospy.ServiceProxy("/resize/get_statistics", GetStatistics)()
+        self.assertEqual(statistics.reconfigurations, 1)
+        self.assertEqual([math.isnan(port.rate) for port in statistics.ports], [True] * 4)
+        traffic = client.get_statistics("/resize").ports
+        self.assertEqual([port.messages for port in traffic], [None] * 4)
+
+
+class ExternalTest(ManagerCase):
+    """C++ nodelet managers that others started."""
+
+    def test_ours_and_a_stock_one(self):
+        stock = ("rosrun", "nodelet", "nodelet", "manager")
+        for name, command in (("/ours", cpp_suite.OURS), ("/stock", stock)):
+            process = cpp_suite.CppManager(name, *command)
+            self.addCleanup(process.__exit__)
+            process.load("image_proc/resize", f"{name}_resize", {"image": "/cam/image_raw"})
+        manager = self.started(nodelet_managers=["/ours", "/stock"])
+        eventually(lambda: manager.nodelet("/ours_resize"), 10.0, "it is seen")
+        self.assertIs(manager.nodelet("/ours_resize").kind, NodeletKind.CPP)
+        self.assertIn("~image", manager.topics("/ours_resize"))
+        self.assertEqual(manager.topics("/stock_resize"), {})
+        manager.client.set_config("/ours_resize", {"~image": "/small"})
+        eventually(
+            lambda: manager.topics("/ours_resize")["~image"] == "/small", 2.0, "it is shown"
+        )
+        manager.client.add_transformation(EXAMPLE.read_text())
+        for name in ("/ours", "/stock"):
+            manager.client.spawn("resize", f"{name}_spawned", manager=name)
+            found = manager.nodelet(f"{name}_spawned")
+            self.assertEqual(found.rewired_by_reload, name == "/stock")
+            manager.client.destroy(f"{name}_spawned")
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ from dyknow.cli.commands import (
     inspect,
     library,
     nodelets,
+    run,
     save_load,
     statistics,
     streams,
@@ -25,7 +26,7 @@ from dyknow.cli.commands import (
 #: Titles and commands, in the order of the help.
 GROUPS: Tuple[Tuple[str, Tuple[Command, ...]], ...] = (
     ("What runs", (*inspect.COMMANDS, *statistics.COMMANDS, *graph.COMMANDS)),
-    ("Nodelets", nodelets.COMMANDS),
+    ("Nodelets and nodes", (*nodelets.COMMANDS, *run.COMMANDS)),
     ("Connections", wiring.COMMANDS),
     ("Streams on request", (*tags.COMMANDS, *acquire.COMMANDS, *streams.COMMANDS)),
     ("Transformations", (*library.COMMANDS, *check.COMMANDS)),

@@ -61,7 +61,7 @@ def _long_list(nodelets: Sequence[NodeletStatus]) -> List[str]:
                 ",".join(marks),
                 str(directions.count(IN)),
                 str(directions.count(OUT)),
-                each.manager,
+                each.manager or "-",
             )
         )
     return columns(rows, right=(3, 4))
@@ -92,14 +92,16 @@ def _describe(nodelet: NodeletStatus, snapshot: Model) -> Iterator[str]:
     yield "-" * 80
     yield f"Nodelet [{nodelet.name}]"
     yield f"Transformation: {nodelet.transformation or '(none: loaded by others)'}"
-    yield f"Nodelet manager: {nodelet.manager}{' (its own process)' * nodelet.isolated}"
+    yield f"Kind: {nodelet.kind.title}"
+    if nodelet.manager:
+        yield f"Nodelet manager: {nodelet.manager}{' (its own process)' * nodelet.isolated}"
     yield f"State: {state_of(nodelet)}" + (f" ({nodelet.detail})" if nodelet.detail else "")
     yield f"Protected: {'yes' if nodelet.is_protected else 'no'}"
     if nodelet.parameters:
         given = ", ".join(f"{each.name}={each.text}" for each in nodelet.parameters)
         yield f"Parameters given at the spawn: {given}"
     if nodelet.rewired_by_reload:
-        yield "Re-wiring: loads it again (a plain C++ nodelet)"
+        yield "Re-wiring: loads it again (its nodelet manager is a stock one)"
     ends = _ends(snapshot)
     for direction, title in ((IN, "In-ports"), (OUT, "Out-ports")):
         yield ""

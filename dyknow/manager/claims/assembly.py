@@ -27,12 +27,12 @@ from dyknow.manager.claims.plan_context import (
 from dyknow.manager.claims.relay import relay
 from dyknow.manager.claims.streams import with_feeders
 from dyknow.manager.claims.transaction import Transaction
-from dyknow.manager.host import Count, Host, NodeletKind
+from dyknow.manager.host import Count, Host
 from dyknow.manager.planning.problem import Live, New, PlanStep, Source
 from dyknow.manager.planning.supply import ANY
 from dyknow.manager.record import Record, ports_on
 from dyknow.manager.specifications.given import filling
-from dyknow.model.graph import SpawnRequest, State
+from dyknow.model.graph import NodeletKind, SpawnRequest, State
 from dyknow.model.transformation import OUT, Parameter, Transformation
 
 #: Seconds between two looks for the first message of a replacement.
@@ -82,8 +82,11 @@ class Handover:
     def _counter(
         self, record: Record, port: str, closing: contextlib.ExitStack
     ) -> Callable[[], Optional[Count]]:
-        """Return a function that counts the messages of an out-port."""
-        if record.rewired_by_reload:
+        """Return a function that counts the messages of an out-port.
+
+        A C++ nodelet may be lazy, and send only to whoever listens.
+        """
+        if not record.kind.is_written_for_dyknow:
             listening = self._host.listen(record.topics.get(port, ""))
             closing.callback(listening.close)
             return listening.count

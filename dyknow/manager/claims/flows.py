@@ -3,20 +3,25 @@
 
 """How many messages the parts of streams have sent, and in which spans of time they sent none.
 
-Nodelets are asked for the counts of their out-ports. Topics of ordinary nodes, and of plain C++
-nodelets, whose publishers cannot be asked, are listened to. A count holds for one moment between
+Nodelets are asked for the counts of their out-ports. Topics of ordinary nodes, and of nodelets in
+stock C++ managers, whose publishers cannot be asked, are listened to. So are those of other C++
+nodelets that must not be silent and that no nodelet listens to: a lazy one sends only to whoever
+listens. A count holds for one moment between
 the question and the answer. Every conclusion drawn here holds for any such moment, so a slow
 network makes conclusions late, but not wrong. A count that could not be read allows none.
 """
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from typing import Callable, Dict, FrozenSet, Iterable, List, Mapping, Set, Tuple
 
 from dyknow.manager.graph import Graph
 from dyknow.manager.host import Count, Host, Listening
+from dyknow.manager.record import Record
 from dyknow.model.graph import State
+from dyknow.model.transformation import IN
 
 #: Seconds without an answer after which a nodelet is unresponsive.
 UNANSWERED = 2.0
@@ -99,11 +104,12 @@ class FlowMeter:
             if name in names:
                 flow.quiet_from = self._clock()
 
-    def read(self, *periods: Mapping[Place, float]) -> Set[Place]:
+    def read(self, expected: Mapping[Place, float], *steady: Mapping[Place, float]) -> Set[Place]:
         """Count where a count is due; flows of places that are not named are forgotten.
 
         Args:
-            periods: seconds between two counts, by place; the shortest one is used.
+            expected: seconds between two counts, by place where a message is awaited.
+            steady: same, by place that must send steadily; the shortest one is used.
 
         Returns:
             The places where messages have come.
@@ -116,8 +122,9 @@ class FlowMeter:
         }
         # An unresponsive nodelet is asked until it answers, whether a claim needs it or not.
         wanted = {place: _RETRY for places in self._unresponsive.values() for place in places}
-        for place, period in [each for one in periods for each in one.items()]:
-            wanted[place] = min(wanted.get(place, period), period)
+        for periods in (expected, *steady):
+            for place, period in periods.items():
+                wanted[place] = min(wanted.get(place, period), period)
         topics: Dict[str, List[Place]] = {}
         asked: Dict[str, Dict[str, List[Place]]] = {}
         for place in sorted(wanted):
@@ -133,7 +140,26 @@ class FlowMeter:
                 asked.setdefault(record.manager, {}).setdefault(name, []).append(place)
         for place in [place for place in self._flows if place not in wanted]:
             del self._flows[place]
+        for topic in self._unheard(itertools.chain(*steady), records):
+            topics.setdefault(topic, [])
         return self._listen(topics) | self._ask(asked, wanted)
+
+    def _unheard(self, steady: Iterable[Place], records: Mapping[str, Record]) -> Set[str]:
+        """Topics of C++ nodelets that no nodelet listens to."""
+        lazy = [
+            (records[name], port)
+            for name, port in steady
+            if name in records and not records[name].kind.is_written_for_dyknow
+        ]
+        if not lazy:
+            return set()
+        heard = {
+            port.topic
+            for record in records.values()
+            for port in record.ports
+            if port.direction == IN
+        }
+        return {record.topics.get(port, "") for record, port in lazy} - heard
 
     def _listen(self, topics: Mapping[str, List[Place]]) -> Set[Place]:
         for topic in [topic for topic in self._listening if topic not in topics]:

@@ -14,7 +14,7 @@ from dyknow.errors import DyKnowError
 from dyknow.manager.claim import Claim
 from dyknow.manager.claims.context import ClaimContext
 from dyknow.manager.claims.ends import Consumer, Producer
-from dyknow.manager.record import Record
+from dyknow.manager.record import Record, movable_ports
 from dyknow.model.graph import State
 from dyknow.model.streams import ClaimState
 from dyknow.model.transformation import IN, OUT
@@ -72,15 +72,16 @@ class GarbageCollector:
         for record in self._graph.all():
             if not record.claimed:
                 continue
-            tagged = [port for port in record.ports if port.direction == IN and port.tags]
+            own = movable_ports(record)
+            tagged = [port for port in own if port.direction == IN and port.tags]
             ports = {port.name for port in tagged if port.topic in undescribed}
             if record.name not in self._lock.reserved:
                 ports.update(
                     port.name
-                    for port in (tagged if record.name in needed else record.ports)
+                    for port in (tagged if record.name in needed else own)
                     if (record.name, port.name, port.topic) not in wires
                 )
-            # In one call, since a plain C++ nodelet is loaded again by each.
+            # In one call, since a nodelet of a stock C++ manager is loaded again by each.
             self._disconnect(record, ports)
         for topic, producer, consumer in self._connector.topology().mismatches():
             self._separate(topic, producer, consumer, wires)

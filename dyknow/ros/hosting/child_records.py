@@ -10,7 +10,7 @@ import os
 from dataclasses import dataclass
 from typing import Iterable, List, Optional
 
-from dyknow.manager.host import NodeletKind
+from dyknow.model.graph import NodeletKind
 from dyknow.ros.os_process import ProcessId
 
 

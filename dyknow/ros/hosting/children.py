@@ -22,7 +22,8 @@ from dyknow import names
 from dyknow.backoff import Backoff
 from dyknow.errors import HostError, PeerTimeout
 from dyknow.locks import state_condition, turn_lock
-from dyknow.manager.host import Crash, NodeletKind
+from dyknow.manager.host import Crash
+from dyknow.model.graph import NodeletKind
 from dyknow.periodic import in_background
 from dyknow.ros.hosting import child_records
 from dyknow.ros.hosting.child_records import ChildRecord
@@ -62,6 +63,7 @@ class Child:
         trouble: why it did not come up; empty if it did.
         stale: address of a dead predecessor at the master; empty if there is none.
         log: what it prints.
+        rewirable: whether what it hosts has ports that can be connected elsewhere.
     """
 
     record: ChildRecord
@@ -72,6 +74,7 @@ class Child:
     trouble: str = ""
     stale: str = ""
     log: Optional[LogTail] = None
+    rewirable: bool = True
 
     @property
     def incarnation(self) -> str:
@@ -117,8 +120,8 @@ class Children:
             _log.warning("'%s': %s; looking for nodelet managers by name", self._path, error)
             records = []
         known = {record.name for record in records}
-        for kind in NodeletKind:
-            name = names.join(self._namespace, _BASES[kind])
+        for kind, base in _BASES.items():
+            name = names.join(self._namespace, base)
             found = None if name in known else self._launcher.living(name)
             if found is not None and self._launcher.is_ours(name):
                 records.append(ChildRecord(name, kind, process=found))
@@ -363,7 +366,9 @@ class Children:
                 raise HostError(f"it has not come up within {START_TIMEOUT:g} s")
             time.sleep(_STEP)
             uri = self._launcher.address(name, child.stale)
+        rewirable = self._launcher.is_rewirable(child.record.kind, name)
         with self._changed:
+            child.rewirable = rewirable
             child.up = child.wanted
             self._changed.notify_all()
         self._on_change()

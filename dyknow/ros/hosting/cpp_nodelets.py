@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The proxy's three services for plain C++ nodelets, offered by the manager in their place.
+"""The proxy's three services for nodelets of stock C++ managers, offered in their place.
 
 Such a nodelet has no ports that can be moved: what connects it elsewhere is a reload with other
 remappings, which the manager does. What goes through it is not counted.
@@ -23,7 +23,7 @@ from dyknow.ros.nodelets.proxy_services import ProxyServices
 
 
 class CppProxy:
-    """Stands in for the proxy of one C++ nodelet."""
+    """Stands in for the proxy of one nodelet."""
 
     def __init__(self, manager: Manager, name: str) -> None:
         self.name = name
@@ -69,7 +69,7 @@ class CppProxy:
 
 
 class CppNodelets:
-    """All C++ nodelets that the manager made."""
+    """All nodelets that the manager made in stock C++ nodelet managers."""
 
     def __init__(self, manager: Manager) -> None:
         """Begin without services."""

@@ -20,13 +20,19 @@ import time
 from dataclasses import dataclass, replace
 from typing import Dict, FrozenSet, Iterable, List, Optional
 
+from dyknow_msgs.srv import GetCounts
+
+from dyknow import names
 from dyknow.backoff import Backoff
 from dyknow.errors import HostError, HostTimeout, PeerTimeout
 from dyknow.locks import state_lock
-from dyknow.manager.host import ManagerState, NodeletKind
+from dyknow.manager.host import ManagerState
+from dyknow.model.graph import NodeletKind
 from dyknow.periodic import PeriodicWorker
+from dyknow.ros.hosting.count_collector import SERVICE as COUNTS
 from dyknow.ros.hosting.list_client import TIMEOUT, ListClient
 from dyknow.ros.master import Master
+from dyknow.ros.service_client import ServiceClient, ServiceFailed, ServiceLost
 
 #: Seconds for a new connection and the first answer over it, on a slow link.
 FIND_TIMEOUT = 3.0
@@ -35,8 +41,6 @@ FIRST_PAUSE = 0.25
 LONGEST_PAUSE = 2.0
 #: Seconds between two looks at one that answers: does it still bear its name?
 PERIOD = 1.0
-#: Topic that the nodelet managers of DyKnow publish, and the stock ones do not.
-_PYTHON_SIGN = "changes"
 
 _log = logging.getLogger("rosout.dyknow")
 
@@ -48,12 +52,12 @@ class Process:
     Attributes:
         uri: address of its node.
         pid: its process id.
-        kind: what it hosts.
+        kind: what it hosts; None for a stock C++ nodelet manager, whose nodelets have no ports.
     """
 
     uri: str
     pid: int
-    kind: NodeletKind
+    kind: Optional[NodeletKind]
 
     @property
     def incarnation(self) -> str:
@@ -108,14 +112,16 @@ class ExternalManager:
     def state(self) -> ManagerState:
         """What is known of it now, as the manager sees it."""
         known = self._presence
+        kind = known.process.kind if known.process is not None else NodeletKind.PYTHON
         return ManagerState(
             self.name,
-            known.process.kind if known.process is not None else NodeletKind.PYTHON,
+            kind or NodeletKind.CPP,
             known.process.incarnation if known.process is not None else "",
             own=False,
             responsive=not known.trouble,
             away=known.away,
             unseen=known.unseen,
+            rewirable=kind is not None,
         )
 
     def check(self) -> None:
@@ -227,13 +233,11 @@ class ExternalManager:
         try:
             pid = self._master.pid(self.name, uri, TIMEOUT)
             nodelets = frozenset(client.list(FIND_TIMEOUT))
-            publishes = self._master.publishers(f"{self.name}/{_PYTHON_SIGN}")
+            found = Process(uri, pid, self._kind())
         except (HostError, PeerTimeout, LookupError) as error:
             client.close()
             self._miss(self._client, error)
             return
-        kind = NodeletKind.PYTHON if self.name in publishes else NodeletKind.CPP
-        found = Process(uri, pid, kind)
         with self._state_lock:
             before, old, self._client = self._presence, self._client, client
             self._presence = Presence(found, "", False, nodelets, unseen=False)
@@ -241,6 +245,14 @@ class ExternalManager:
         if before.process is not None and before.process.uri != uri:
             self.displaced.append(before.process)
         _log.info("nodelet manager %s is there (%s)", self.name, found.incarnation)
+
+    def _kind(self) -> Optional[NodeletKind]:
+        client = ServiceClient(self._master, names.join(self.name, COUNTS), GetCounts)
+        try:
+            kind = client.call(TIMEOUT, [self.name]).kind
+        except (ServiceFailed, ServiceLost):
+            return None
+        return NodeletKind.PYTHON if kind == NodeletKind.PYTHON.value else NodeletKind.CPP
 
     def _end(self, displaced: Process) -> bool:
         """Tell a process to end whose name another one bears now; returns whether it knows."""

@@ -4,8 +4,8 @@
 """Hands the guards of a DyKnow manager to the nodelet managers that enforce them.
 
 With the guards go the names of the nodelets that only this DyKnow manager may unload
-(``dyknow.ros.nodelets.guard_parameters``). Stock nodelet managers enforce nothing and are left
-out.
+(``dyknow.ros.nodelets.guard_parameters``); those in C++ enforce the guards alone. Stock nodelet
+managers enforce nothing and are left out.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from dyknow import names
 from dyknow.errors import HostError, PeerTimeout
 from dyknow.guards import Guards
 from dyknow.locks import state_lock
-from dyknow.manager.host import ManagerState, NodeletKind
+from dyknow.manager.host import ManagerState
 from dyknow.ros.master import Master
 from dyknow.ros.nodelets.guard_parameters import guards_key, to_parameter
 
@@ -56,7 +56,7 @@ class GuardHandover:
 
         A failure is logged, and tried again by the next call.
         """
-        if not manager.alive or manager.kind is not NodeletKind.PYTHON:
+        if not manager.alive or not manager.rewirable:
             return
         name = manager.name
         with self._state_lock:

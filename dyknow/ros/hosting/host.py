@@ -15,6 +15,7 @@ import logging
 from concurrent.futures import ThreadPoolExecutor
 from typing import (
     Any,
+    Callable,
     Collection,
     Dict,
     FrozenSet,
@@ -43,10 +44,9 @@ from dyknow.manager.host import (
     Listening,
     LoadRequest,
     ManagerState,
-    NodeletKind,
 )
 from dyknow.manager.specifications.values import value_of
-from dyknow.model.graph import PortState
+from dyknow.model.graph import NodeletKind, PortState
 from dyknow.model.transformation import Parameter
 from dyknow.ros import ages
 from dyknow.ros.hosting.children import Child, Children
@@ -56,6 +56,7 @@ from dyknow.ros.hosting.guard_handover import GuardHandover
 from dyknow.ros.hosting.list_client import ListClients
 from dyknow.ros.hosting.message_counter import MessageCounter
 from dyknow.ros.hosting.nodelet_types import NodeletTypes
+from dyknow.ros.hosting.rewirable_nodes import RewirableNodes
 from dyknow.ros.master import Master
 from dyknow.ros.service_client import ServiceClient, ServiceFailed, ServiceLost
 from dyknow.ros.transport.registrar import Registrar
@@ -105,6 +106,8 @@ class RosHost(Host):
         self._children = children
         self._external = ExternalManagers(master, external)
         self._guards = GuardHandover(master, guards)
+        self._nodes = RewirableNodes(master, self._is_manager)
+        self._nodes.on_end = self._guards.withdraw
         self._types = NodeletTypes()
         self._collector = CountCollector(master)
         self._counter = MessageCounter(registrar)
@@ -114,6 +117,15 @@ class RosHost(Host):
         #: By nodelet manager and nodelet.
         self._failures: Dict[Tuple[str, str], _Failure] = {}
 
+    def start(self, on_change: Callable[[], object]) -> None:
+        """Begin to look for re-wirable nodes.
+
+        Args:
+            on_change: called when one has begun or ended.
+        """
+        self._nodes.on_change = on_change
+        self._nodes.start()
+
     # Nodelet managers
 
     def kind_of(self, source: str) -> NodeletKind:
@@ -121,9 +133,10 @@ class RosHost(Host):
         return self._types.kind_of(source)
 
     def managers(self) -> List[ManagerState]:
-        """List our children and the external nodelet managers; all of them get the guards."""
+        """List our children, the external nodelet managers and nodes; all get the guards."""
         states = [self._state_of_child(child) for child in self._children.all()]
         states += [each.state for each in self._external.all()]
+        states += self._nodes.all()
         for state in states:
             self._guards.hand_over(state)
         return sorted(states, key=lambda state: state.name)
@@ -205,7 +218,15 @@ class RosHost(Host):
             raise HostError(text) from error
 
     def unload(self, manager: str, name: str) -> None:
-        """Unload, unless the load was refused."""
+        """Unload, unless the load was refused.
+
+        Raises:
+            HostError: it is a node in a process of its own, which is not ours to end.
+        """
+        if self._nodes.has(name):
+            raise HostError(
+                f"'{name}' is a node in a process of its own; end it with: rosnode kill {name}"
+            )
         with self._state_lock:
             if self._failures.get((manager, name)) is _Failure.REFUSED:
                 del self._failures[manager, name]
@@ -279,12 +300,14 @@ class RosHost(Host):
         self._collector.close()
         self._list_clients.close()
         self._external.close()
+        self._nodes.close()
         self._askers.shutdown(wait=False)
 
     def release(self) -> None:
-        """Take our guards off the external nodelet managers, at an end on purpose."""
-        for each in self._external.all():
-            self._guards.withdraw(each.name)
+        """Take our guards off what goes on without us, at an end on purpose."""
+        names = [each.name for each in self._external.all()]
+        for name in [*names, *(each.name for each in self._nodes.all())]:
+            self._guards.withdraw(name)
 
     # Inside
 
@@ -292,7 +315,12 @@ class RosHost(Host):
         record, incarnation = child.record, child.incarnation
         responsive = self._list_clients.answers(record.name, incarnation)
         return ManagerState(
-            record.name, record.kind, incarnation, record.isolated_for, responsive=responsive
+            record.name,
+            record.kind,
+            incarnation,
+            record.isolated_for,
+            responsive=responsive,
+            rewirable=child.rewirable,
         )
 
     def _incarnation(self, manager: str) -> str:
@@ -308,7 +336,16 @@ class RosHost(Host):
                 _log.warning("nodelet manager %s: %s", state.name, error)
             return None
 
+    def _is_manager(self, name: str) -> bool:
+        children = self._children.all()
+        return self._external.find(name) is not None or name in (c.record.name for c in children)
+
     def _listed(self, manager: str, incarnation: str = "") -> List[str]:
+        node = next((each for each in self._nodes.all() if each.name == manager), None)
+        if node is not None:
+            if not node.responsive:
+                raise HostTimeout(f"node '{manager}' does not answer")
+            return [manager]
         external = self._external.find(manager)
         if external is not None:
             return external.list(incarnation)

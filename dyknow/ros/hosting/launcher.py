@@ -20,11 +20,13 @@ from roslib.packages import find_node
 
 from dyknow import names
 from dyknow.errors import HostError, PeerTimeout
-from dyknow.manager.host import Crash, NodeletKind
+from dyknow.manager.host import Crash
+from dyknow.model.graph import NodeletKind
 from dyknow.nodelet import crash_record
 from dyknow.periodic import in_background
 from dyknow.ros import os_process
 from dyknow.ros.addresses import is_here
+from dyknow.ros.hosting.count_collector import SERVICE as COUNTS
 from dyknow.ros.log_tail import LogTail
 from dyknow.ros.master import Master
 from dyknow.ros.nodelets.owner import OwnerLock
@@ -177,6 +179,24 @@ class Launcher:
         except (LookupError, PeerTimeout):
             return ""
 
+    def is_rewirable(self, kind: NodeletKind, name: str) -> bool:
+        """Whether what a nodelet manager that is up hosts has ports that can be connected.
+
+        A C++ one that is a stock one, or whose self-check failed, does not offer their counts.
+        """
+        if kind is NodeletKind.PYTHON:
+            return True
+        try:
+            self._master.ask("lookupService", names.join(name, COUNTS))
+        except LookupError:
+            _log.warning(
+                "nodelets in %s cannot be connected while they run, and are loaded again for "
+                "that; its log says why, or it was built without roscpp",
+                name,
+            )
+            return False
+        return True
+
     def _watch(self, found: ProcessId, output: str) -> None:
         """Start a process that ends a stock nodelet manager when it is orphaned."""
         lock, timeout = self._owner.path, str(self._orphan_timeout)
@@ -200,6 +220,9 @@ class Launcher:
             program = (sys.executable, "-m", "dyknow.cli.nodelet", "manager")
             care = (f"_{key}:={json.dumps(value)}" for key, value in self._care.items())
             return (*program, *node, *care)
+        found = find_node("dyknow", "cpp_nodelet_manager")
+        if found:
+            return (found[0], *node)
         found = find_node("nodelet", "nodelet")
         if not found:
             raise HostError("C++ nodelets need the package 'nodelet', which is not installed")

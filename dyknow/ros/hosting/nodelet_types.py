@@ -16,7 +16,7 @@ from lxml import etree
 
 from dyknow.errors import HostError
 from dyknow.locks import state_lock
-from dyknow.manager.host import NodeletKind
+from dyknow.model.graph import NodeletKind
 from dyknow.nodelet.plugins import Plugins
 from dyknow.ros.nodelets.packages import exported_files, plugin_files
 

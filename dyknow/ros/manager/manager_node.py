@@ -20,10 +20,10 @@ import rospy
 from dyknow import names
 from dyknow.errors import DyKnowError, PeerTimeout
 from dyknow.manager.claims.reconciler import StreamReconciler
-from dyknow.manager.host import NodeletKind
 from dyknow.manager.library import Library
 from dyknow.manager.manager import Manager, ManagerOptions
 from dyknow.manager.store import Store
+from dyknow.model.graph import NodeletKind
 from dyknow.nodelet.middleware import Closable
 from dyknow.ros.exit_codes import FAILED
 from dyknow.ros.hosting.children import Children
@@ -119,6 +119,7 @@ class ManagerNode(Closable):
         self._services = ManagerServices(self.manager, self._messages, self._after_change)
         self._publisher.note_change()
         self._watch.start()
+        self._host.start(self._watch.refresh_now)
 
     def close(self) -> None:
         """End on purpose, with all nodelets and nodelet managers."""
@@ -168,11 +169,11 @@ class ManagerNode(Closable):
             if state.isolated_for and self.manager.graph.find(state.isolated_for) is None:
                 self._host.retire(state.name)
 
-    def _python_managers(self) -> Sequence[str]:
+    def _announcers(self) -> Sequence[str]:
         return [
             state.name
             for state in self._host.managers()
-            if state.kind is NodeletKind.PYTHON and (state.own or state.alive)
+            if state.rewirable and (state.own or state.alive)
         ]
 
     def _on_change(self) -> None:
@@ -192,7 +193,7 @@ class ManagerNode(Closable):
     def _after_change(self) -> None:
         self._cpp.follow()
         self._host.protect(self._protected())  # first, since the next line hands them over
-        self._listener.follow(self._python_managers())
+        self._listener.follow(self._announcers())
 
     def _after_look(self) -> None:
         self._after_change()

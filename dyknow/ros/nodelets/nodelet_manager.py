@@ -32,6 +32,7 @@ from nodelet.srv import (
 from dyknow import names
 from dyknow.errors import BadParameter, DyKnowError, LimitExceeded
 from dyknow.locks import state_condition
+from dyknow.model.graph import NodeletKind
 from dyknow.nodelet.context import Context, Runtime
 from dyknow.nodelet.crash_record import CrashRecord
 from dyknow.nodelet.loader import Loader
@@ -290,7 +291,8 @@ class NodeletManager(Closable):
             and (not wanted or context.name in wanted)
         ]
         return GetCountsResponse(
-            [counts_message(proxy.name, proxy.get_statistics()) for proxy in proxies]
+            [counts_message(proxy.name, proxy.get_statistics()) for proxy in proxies],
+            NodeletKind.PYTHON.value,
         )
 
 

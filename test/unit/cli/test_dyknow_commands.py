@@ -50,6 +50,7 @@ class TestList:
             "protected": False,
             "isolated": False,
             "rewired_by_reload": False,
+            "kind": "nodelet",
             "state": "running",
             "detail": "",
             "ports": [

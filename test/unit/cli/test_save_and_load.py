@@ -12,8 +12,7 @@ from unit.cli.fake_client import FakeClient, run
 from unit.manager.world import World
 
 from dyknow.errors import ManagerUnreachable, Refused
-from dyknow.manager.host import NodeletKind
-from dyknow.model.graph import SpawnRequest
+from dyknow.model.graph import NodeletKind, SpawnRequest
 from dyknow.model.transformation import Port, Transformation
 from dyknow.wiring.plan import readers_first
 

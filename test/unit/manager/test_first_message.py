@@ -154,6 +154,7 @@ def test_where_somebody_listens_anyway_it_is_known(field: Field) -> None:
 
 def test_plain_cpp_nodelets_cannot_be_asked(field: Field) -> None:
     field.host.cpp.add("soccer/Localization")
+    field.host.stock = True
     claim = field.acquire().claim
     field.settle(5.0)
     assert details(field) == [UNKNOWN.format(claim.topic)]

@@ -24,8 +24,7 @@ from dyknow.errors import (
     UnknownTransformation,
 )
 from dyknow.guards import Guards
-from dyknow.manager.host import NodeletKind
-from dyknow.model.graph import State
+from dyknow.model.graph import NodeletKind, State
 
 
 @pytest.fixture
@@ -205,7 +204,9 @@ def test_a_nodelet_goes_to_its_neighbours_else_to_the_emptiest(world: World) -> 
     assert world.spawn("relay", "c").manager == second
     with pytest.raises(HostError, match="'/nowhere'.*known"):
         world.spawn("relay", "d", manager="/nowhere")
-    with pytest.raises(HostError, match=r"hosts python nodelets, this one is c\+\+"):
+    with pytest.raises(
+        HostError, match=r"hosts no C\+\+ nodelets: it is there for a Python nodelet"
+    ):
         world.spawn("native", "d", manager=first)
 
 
@@ -233,6 +234,67 @@ def test_a_plain_nodelet_is_wired_by_remapping_and_rewired_by_reload(world: Worl
     with pytest.raises(SpawnFailed):
         world.manager.reconfigure("/robot/n", {"image": "/third"})
     assert world.host.nodelet("/robot/n").request.remappings["/robot/image"] == "/other"
+
+
+@pytest.fixture
+def live(world: World) -> World:
+    """A world in which C++ nodelets are re-wired while they run."""
+    world.host.stock = False
+    world.host.sources["pkg/Native"] = [
+        ("image", "in", "sensor_msgs/Image"),
+        ("~out", "out", "sensor_msgs/Image"),
+        ("/tf", "in", "tf2_msgs/TFMessage"),
+    ]
+    return world
+
+
+def test_a_cpp_nodelet_is_wired_by_remapping_and_rewired_live(live: World) -> None:
+    record = live.spawn("native", "robot/n", config={"image": "/cam/image"})
+    assert (record.kind, record.rewired_by_reload) == (NodeletKind.CPP, False)
+    assert live.host.nodelet("/robot/n").request.remappings == {
+        "/robot/image": "/cam/image",
+        "/robot/n/out": "/robot/n/disconnected/out",
+    }
+    assert [(port.name, port.topic) for port in record.ports] == [
+        ("image", "/cam/image"),
+        ("~out", ""),
+        ("/tf", ""),
+    ]
+    live.host.connect("/robot/n", {"image": "/other"})
+    live.manager.look({"/robot/n"})
+    assert live.manager.graph.get("/robot/n").topics == {"image": "/other"}
+    with pytest.raises(HostError, match="not re-wired by a reload"):
+        live.manager.reconfigure("/robot/n", {"image": "/third"})
+
+
+def test_a_cpp_nodelet_comes_back_with_what_was_moved(live: World) -> None:
+    manager = live.spawn("native", "n", config={"image": "/cam/image"}).manager
+    live.host.connect("/n", {"~out": "/small", "/tf": "/other/tf"})
+    live.manager.look({"/n"})
+    live.host.kill(manager)
+    live.manager.look(set())
+    assert live.manager.graph.get("/n").state is State.RUNNING
+    ports = {port.name: port.topic for port in live.host.ports("/n")}
+    assert ports == {"image": "/cam/image", "~out": "/small", "/tf": "/other/tf"}
+
+
+def test_a_lazy_cpp_nodelet_shows_its_declared_ports(live: World) -> None:
+    live.host.lazy["pkg/Native"] = ("image",)
+    record = live.spawn("native", "n", config={"image": "/cam/image"})
+    shown = {port.name: (port.direction, port.topic) for port in record.ports}
+    assert shown["image"] == ("in", "/cam/image")
+    live.manager.look({"/n"})
+    shown = {
+        port.name: (port.direction, port.topic) for port in live.manager.graph.get("/n").ports
+    }
+    assert shown["image"] == ("in", "/cam/image")
+
+
+def test_a_cpp_nodelet_with_another_type_than_declared_is_refused(live: World) -> None:
+    live.host.sources["pkg/Native"] = [("image", "in", "std_msgs/String")]
+    with pytest.raises(SpawnFailed, match="'image' carries std_msgs/String"):
+        live.spawn("native", "n")
+    assert live.host.running == []
 
 
 def test_guards_refuse_topics_numbers_and_every_change_in_read_only_mode() -> None:

@@ -12,8 +12,8 @@ from unit.manager.hand_clock import HandClock
 from unit.manager.world import World
 
 from dyknow.errors import HostError
-from dyknow.manager.host import LoadRequest, NodeletKind
-from dyknow.model.graph import State
+from dyknow.manager.host import LoadRequest
+from dyknow.model.graph import NodeletKind, State
 
 
 @pytest.fixture

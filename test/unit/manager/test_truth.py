@@ -325,6 +325,7 @@ def loaded(lab: Field, name: str) -> List[Dict[str, str]]:
 def add_plain(lab: Field, ports: Dict[str, Tuple[str, Sequence[str]]]) -> None:
     lab.host.sources["lab/plain"] = [(name, way, IMAGE) for name, (way, _) in ports.items()]
     lab.host.cpp.add("lab/plain")
+    lab.host.stock = True
     lab.manager.add_transformation(specification("plain", "lab/plain", ports, 1, IMAGE))
 
 

@@ -140,6 +140,7 @@ class Truth(FaultyLife):
         self.field.host.sources[source] = [(name, way, TYPE) for name, (way, _) in named.items()]
         if is_plain:
             self.field.host.cpp.add(source)
+            self.field.host.stock = True
         self.witness.signed[source] = {name: tags for name, (_, tags) in named.items()}
         text = specification(label, source, named, cost, TYPE)
         if is_filled:

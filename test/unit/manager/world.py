@@ -83,6 +83,7 @@ class World:
         self.clock = clock
         self.host = FakeHost(SOURCES)
         self.host.cpp.add("pkg/Native")
+        self.host.stock = True
         self.path = path
         self.guards = guards
         self.open()

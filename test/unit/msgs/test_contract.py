@@ -123,7 +123,7 @@ SERVICES = {
             "PortStatistics[] ports",
         ),
     ),
-    "GetCounts": (("string[] nodelets",), ("NodeletCounts[] nodelets",)),
+    "GetCounts": (("string[] nodelets",), ("NodeletCounts[] nodelets", "string kind")),
     "AddTransformation": (("string specification",), (*ANSWER, "string[] labels")),
     "RemoveTransformation": (("string label",), ANSWER),
     "Spawn": (

@@ -67,7 +67,13 @@ def test_an_install_space_with_the_parts_and_without(tmp_path):
     shutil.rmtree(install)
     workspace.make("install", *(f"-D{part}=OFF" for part in PARTS))
     assert names(install / "lib/python3/dist-packages", "dyknow*") == {"dyknow", "dyknow_msgs"}
-    assert names(install / "lib/dyknow") == {"dyknow", "manager", "nodelet", "nodelet_manager"}
+    assert names(install / "lib/dyknow") == {
+        "dyknow",
+        "manager",
+        "nodelet",
+        "nodelet_manager",
+        "rewirable",
+    }
     assert names(install / "lib", "*.so") == set()
     assert list((install / "share/dyknow").rglob("soccer.[lx]*")) == []
     types = "dyknow/Relay dyknow/Sink dyknow/Source dyknow/Throttle"

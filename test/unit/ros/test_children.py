@@ -13,7 +13,7 @@ from typing import Any, Iterable, List
 import pytest
 
 from dyknow.errors import HostError
-from dyknow.manager.host import NodeletKind
+from dyknow.model.graph import NodeletKind
 from dyknow.periodic import in_background
 from dyknow.ros.hosting import child_records
 from dyknow.ros.hosting.child_records import ChildRecord

@@ -15,7 +15,8 @@ import pytest
 
 from dyknow.errors import HostError
 from dyknow.guards import Guards
-from dyknow.manager.host import LoadRequest, NodeletKind
+from dyknow.manager.host import LoadRequest
+from dyknow.model.graph import NodeletKind
 from dyknow.ros.hosting.host import RosHost
 from dyknow.ros.master import Master
 from dyknow.ros.transport.registrar import Registrar
@@ -61,7 +62,7 @@ class OneChild:
 
     def __init__(self):
         record = SimpleNamespace(name=NODELET_MANAGER, kind=NodeletKind.PYTHON, isolated_for="")
-        self._child = SimpleNamespace(record=record, incarnation="1")
+        self._child = SimpleNamespace(record=record, incarnation="1", rewirable=True)
 
     def all(self):
         return [self._child]

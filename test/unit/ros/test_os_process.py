@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 
 from dyknow.errors import StoreError
-from dyknow.manager.host import NodeletKind
+from dyknow.model.graph import NodeletKind
 from dyknow.ros import os_process
 from dyknow.ros.hosting import child_records
 from dyknow.ros.hosting.child_records import ChildRecord

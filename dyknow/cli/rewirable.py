@@ -1,0 +1,97 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""`rewirable`: runs a program of roscpp so that its ports can be connected elsewhere.
+
+It becomes the program, so signals, exit codes and output are the program's own. The library that
+makes a node re-wirable is preloaded. It goes through shells and wrappers, and takes itself out of
+the environment of the first process that is linked with libroscpp, so that the children of a node
+are as they would be without it.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+from typing import List, NoReturn, Optional, Sequence
+
+from dyknow.errors import DyKnowError
+
+#: The library in front of libroscpp.
+LIBRARY = "libdyknow_roscpp.so"
+_USAGE = "usage: rosrun dyknow rewirable COMMAND [ARGUMENT ...]"
+_ELF = b"\x7fELF"
+
+
+class CannotRun(DyKnowError):
+    """A program cannot be started."""
+
+
+def main(words: Optional[Sequence[str]] = None) -> int:
+    """Become a program; returns the exit code only if that fails.
+
+    Args:
+        words: the program and its arguments; by default the process's.
+    """
+    command = list(sys.argv[1:] if words is None else words)
+    if not command or command[0] in ("-h", "--help"):
+        print(_USAGE)
+        return 0 if command else 2
+    try:
+        become(command)
+    except CannotRun as error:
+        print(f"rewirable: {error}", file=sys.stderr)
+        return 127  # as shells say it
+
+
+def become(command: Sequence[str]) -> NoReturn:
+    """Replace this process with a program whose node is re-wirable, as far as it can be.
+
+    Args:
+        command: the program and its arguments.
+
+    Raises:
+        CannotRun: there is no such program.
+    """
+    program = shutil.which(command[0])
+    if program is None:
+        raise CannotRun(f"'{command[0]}' is no program that can be run")
+    environment = dict(os.environ)
+    library, trouble = find_library(), obstacle(program)
+    if library is None:
+        trouble = f"{LIBRARY} is not there: DyKnow was built without roscpp"
+    if trouble:
+        print(f"rewirable: '{command[0]}' runs as it is: {trouble}", file=sys.stderr, flush=True)
+    else:
+        present = environment.get("LD_PRELOAD", "").replace(":", " ").split()
+        environment["LD_PRELOAD"] = ":".join([str(library), *present])
+    try:
+        os.execve(program, list(command), environment)
+    except OSError as error:
+        raise CannotRun(f"'{program}' cannot be run: {error.strerror}") from error
+
+
+def obstacle(program: str) -> str:
+    """Say why a program cannot be made re-wirable by the library; empty if it may be.
+
+    Of a shell script it is not known what it runs.
+    """
+    with open(program, "rb") as file:
+        first = file.readline(200)
+    if first.startswith(b"#!") and b"python" in first:
+        return "it is a Python script"
+    if not first.startswith((_ELF, b"#!")):
+        return "it is no program for this machine"
+    return ""
+
+
+def find_library() -> Optional[str]:
+    """Return the path of the library in the workspaces that are set up; None if there is none."""
+    folders: List[str] = os.environ.get("CMAKE_PREFIX_PATH", "").split(os.pathsep)
+    paths = [os.path.join(folder, "lib", LIBRARY) for folder in folders if folder]
+    return next((path for path in paths if os.path.exists(path)), None)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,85 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""`rewirable` becomes the program that it is given, with or without the library."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from dyknow.cli.parser import parse
+from dyknow.cli.rewirable import LIBRARY, CannotRun, become, obstacle
+
+SHOW = "import os, sys; print(os.environ.get('LD_PRELOAD'), sys.argv[1:]); sys.exit(7)"
+
+
+def run(*words: str, library: bool = True, preloaded: str = "", tmp_path: Path) -> str:
+    """Run `rewirable` with an empty file for the library, which the linker complains of."""
+    (tmp_path / "lib").mkdir(exist_ok=True)
+    if library:
+        (tmp_path / "lib" / LIBRARY).touch()
+    environment = {**os.environ, "CMAKE_PREFIX_PATH": str(tmp_path), "LD_PRELOAD": preloaded}
+    command = [sys.executable, "-m", "dyknow.cli.rewirable", *words]
+    done = subprocess.run(
+        command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
+    return f"{done.returncode} {done.stdout}"
+
+
+def test_a_program_gets_the_library_before_others(tmp_path: Path) -> None:
+    library = tmp_path / "lib" / LIBRARY
+    answer = run(sys.executable, "-c", SHOW, "a", "_b:=c", tmp_path=tmp_path)
+    assert answer.startswith("7 ")
+    assert f"{library} ['a', '_b:=c']\n" in answer
+    other = tmp_path / "other.so"
+    answer = run(sys.executable, "-c", SHOW, preloaded=str(other), tmp_path=tmp_path)
+    assert f"{library}:{other} []\n" in answer
+
+
+def test_a_python_script_runs_as_it_is(tmp_path: Path) -> None:
+    script = tmp_path / "script"
+    script.write_text(f"#!/usr/bin/env python3\n{SHOW}")
+    script.chmod(0o755)
+    answer = run(str(script), "a", tmp_path=tmp_path)
+    assert answer == f"7 rewirable: '{script}' runs as it is: it is a Python script\n ['a']\n"
+
+
+def test_without_the_library_a_program_runs_as_it_is(tmp_path: Path) -> None:
+    answer = run(sys.executable, "-c", SHOW, library=False, tmp_path=tmp_path)
+    assert "runs as it is: libdyknow_roscpp.so is not there" in answer
+    assert answer.endswith("\n []\n")
+
+
+def test_what_is_no_program(tmp_path: Path) -> None:
+    data = tmp_path / "data"
+    data.write_text("hello")
+    data.chmod(0o755)
+    assert obstacle(str(data)) == "it is no program for this machine"
+    with pytest.raises(CannotRun, match="'/no/such' is no program that can be run"):
+        become(["/no/such"])
+    answer = run("/no/such", tmp_path=tmp_path)
+    assert answer == "127 rewirable: '/no/such' is no program that can be run\n"
+    assert run(tmp_path=tmp_path).startswith("2 usage: rosrun dyknow rewirable COMMAND")
+    shell = shutil.which("sh")
+    assert shell is not None and obstacle(shell) == ""
+
+
+def test_run_hands_all_arguments_to_the_node() -> None:
+    arguments = parse(["run", "topic_tools", "relay", "/a", "--json", "_x:=1", "__name:=b"])
+    assert (arguments.package, arguments.executable) == ("topic_tools", "relay")
+    assert arguments.words == ["/a", "--json", "_x:=1", "__name:=b"]
+
+
+def test_run_names_what_is_not_there(capsys: pytest.CaptureFixture[str]) -> None:
+    from dyknow.cli.main import main
+
+    assert main(["run", "no_such_package", "node"]) == 1
+    assert "there is no package 'no_such_package'" in capsys.readouterr().err
+    assert main(["run", "rospy", "no_such_program"]) == 1
+    assert "package 'rospy' has no program 'no_such_program'" in capsys.readouterr().err
