@@ -13,7 +13,7 @@ from dyknow_benchmark.managers import RunningManager
 from dyknow_benchmark.session import Session, executable
 
 #: What the names of a kind's nodelets begin with.
-_PREFIXES = {"dyknow": "", "nodelet": "Plain", "cpp_nodelet": "Cpp"}
+_PREFIXES = {"dyknow": "", "nodelet": "Plain", "cpp_nodelet": "Cpp", "cpp_live": "Cpp"}
 
 
 class Chains:
@@ -23,6 +23,7 @@ class Chains:
         self._session = session
         self._python: Optional[RunningManager] = None
         self._cpp: Optional[RunningManager] = None
+        self._cpp_live_manager: Optional[RunningManager] = None
         self._builders: Dict[str, Callable[[str, int, Sequence[int], str], None]] = {
             "dyknow": self._dyknow,
             "nodelet": self._nodelet,
@@ -30,6 +31,8 @@ class Chains:
             "rospy": self._rospy,
             "node": self._node,
             "cpp_nodelet": self._cpp_nodelet,
+            "cpp_live": self._cpp_live,
+            "mixed": self._mixed,
             "cpp_node": self._cpp_node,
         }
 
@@ -47,13 +50,21 @@ class Chains:
             self._cpp = RunningManager.cpp(self._session)
         return self._cpp
 
+    @property
+    def cpp_live(self) -> RunningManager:
+        """DyKnow's nodelet manager in C++, started when first needed."""
+        if self._cpp_live_manager is None:
+            self._cpp_live_manager = RunningManager.cpp_live(self._session)
+        return self._cpp_live_manager
+
     def build(
         self, kind: str, length: int, record: Sequence[int], payload: str = "time", name: str = ""
     ) -> ChainControl:
         """Set up a chain and return once messages go all the way through it.
 
         Args:
-            kind: a key of ``kinds.KINDS``.
+            kind: a key of ``kinds.KINDS``, or ``mixed``: DyKnow nodelets and C++ ones with live
+                ports by turns.
             length: number of hops.
             record: hops that report.
             payload: what is sent: ``time``, or a size of images.
@@ -98,6 +109,17 @@ class Chains:
 
     def _cpp_nodelet(self, control: str, length: int, record: Sequence[int], payload: str) -> None:
         _load_chain(self.cpp, "cpp_nodelet", control, length, record, payload)
+
+    def _cpp_live(self, control: str, length: int, record: Sequence[int], payload: str) -> None:
+        _load_chain(self.cpp_live, "cpp_live", control, length, record, payload)
+
+    def _mixed(self, control: str, length: int, record: Sequence[int], payload: str) -> None:
+        places = ((self.cpp_live, "cpp_live"), (self.python, "dyknow"))
+        for hop in range(length, 0, -1):
+            manager, kind = places[hop % 2]
+            topic = f"{control}/hop_{hop - 1}"
+            load_hop(manager, _PREFIXES[kind], control, hop, topic, hop in record, payload)
+        load_source(self.python, _PREFIXES["dyknow"], control, payload)
 
     def _function(self, control: str, length: int, record: Sequence[int], payload: str) -> None:
         self._process("function", control, payload, "--length", length, "--record", *record)

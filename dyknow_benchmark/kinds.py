@@ -15,11 +15,12 @@ KINDS: Dict[str, str] = {
     "rospy": "publishers and subscribers within one rospy process",
     "node": "rospy nodes, a process each",
     "cpp_nodelet": "C++ nodelets in the stock nodelet manager",
+    "cpp_live": "the same C++ nodelets with live ports, in DyKnow's nodelet manager",
     "cpp_node": "C++ nodes, a process each",
 }
 
 #: The kinds of the paper's figure, with function calls (the floor) and C++ beside them.
-THE_PAPERS: Sequence[str] = tuple(kind for kind in KINDS if kind != "rospy")
+THE_PAPERS: Sequence[str] = tuple(kind for kind in KINDS if kind not in ("rospy", "cpp_live"))
 
 #: What the figure calls them.
 LABELS: Dict[str, str] = {
@@ -29,5 +30,6 @@ LABELS: Dict[str, str] = {
     "rospy": "one rospy process",
     "node": "rospy nodes",
     "cpp_nodelet": "C++ nodelets",
+    "cpp_live": "C++ nodelets with live ports",
     "cpp_node": "C++ nodes",
 }

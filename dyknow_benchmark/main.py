@@ -15,6 +15,7 @@ import rospy
 from dyknow_benchmark import (
     busy,
     chain,
+    cpp_ports,
     failover,
     fan,
     footprint,
@@ -41,6 +42,7 @@ _MEASUREMENTS: Dict[str, object] = {
     "busy": busy,
     "outside": outside,
     "rewire": rewire,
+    "cpp": cpp_ports,
     "leak": leak,
     "idle": idle,
     "footprint": footprint,

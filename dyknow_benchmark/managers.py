@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Nodelet managers, DyKnow's and the stock C++ one, as processes of a measurement."""
+"""Nodelet managers, DyKnow's two and the stock C++ one, as processes of a measurement."""
 
 from __future__ import annotations
 
@@ -43,6 +43,13 @@ class RunningManager:
         """Start the stock one."""
         program = executable("nodelet", "nodelet")
         process = session.start([program, "manager", f"__name:={name[1:]}"])
+        return cls(session, name, process.pid)
+
+    @classmethod
+    def cpp_live(cls, session: Session, name: str = "/cpp_live_manager_process") -> RunningManager:
+        """Start DyKnow's in C++, whose nodelets have live ports."""
+        program = executable("dyknow", "cpp_nodelet_manager")
+        process = session.start([program, f"__name:={name[1:]}"])
         return cls(session, name, process.pid)
 
     def load(
