@@ -2,11 +2,12 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-# Builds the checkout in a catkin workspace of its own, build/ws.
+# Builds the checkout in a catkin workspace of its own, build/ws: bash tools/build.sh [NAME [TARGET or CMAKE ARGUMENT...]]
 set -euo pipefail
 
 root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
-workspace="$root/build/ws"
+name=${1:-ws}
+workspace="$root/build/$name"
 package="$workspace/src/dyknow"
 
 # The entries are linked one by one: a link to the whole checkout would contain itself, and rosrun's search follows links.
@@ -28,9 +29,9 @@ if [ -f /opt/ros/noetic/setup.bash ]; then
 fi
 cd "$workspace"
 log="$workspace/build.log"
-if ! catkin_make -DPYTHON_EXECUTABLE=/usr/bin/python3 -DCMAKE_BUILD_TYPE=Release >"$log" 2>&1; then
+if ! catkin_make -DPYTHON_EXECUTABLE=/usr/bin/python3 -DCMAKE_BUILD_TYPE=Release "${@:2}" >"$log" 2>&1; then
   cat "$log" >&2
   echo "build: failed" >&2
   exit 1
 fi
-echo "build: done, in build/ws (log: build/ws/build.log)"
+echo "build: done, in build/$name (log: build/$name/build.log)"

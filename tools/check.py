@@ -6,8 +6,8 @@
 A stage that fails fails the run, but the later stages still run, so that one run shows everything
 there is to mend. With ``--long`` it runs what takes too long for every change instead: the unit
 tests that are marked ``long``, those on Python 3.8, the others with random examples, the rostest
-suites in ``test/ros/long``, the types of the tests, and the measurement of what the unit tests
-cover.
+suites in ``test/ros/long`` (one with our C++ built with sanitizers), the types of the tests, and
+the measurement of what the unit tests cover.
 """
 
 from __future__ import annotations
@@ -65,6 +65,12 @@ def check(*argv: str) -> Callable[[], Outcome]:
         return Outcome(1, 0) if code == 0 else Outcome(0, 1, output)
 
     return stage
+
+
+def sanitized(sanitizer: str) -> Callable[[], Outcome]:
+    """A stage that builds our C++ with a sanitizer, in a workspace of its own."""
+    words = (f"ws-{sanitizer}", "cpp_nodelet_manager", "dyknow_cpp_test")
+    return check("bash", "tools/build.sh", *words, f"-DDYKNOW_SANITIZER={sanitizer}")
 
 
 def run_pytest(
@@ -195,6 +201,8 @@ STAGES: tuple[Stage, ...] = (
 LONG_STAGES: tuple[Stage, ...] = (
     ("build", check("make", "--no-print-directory", "build")),
     ("check tools", check("make", "--no-print-directory", "venv")),
+    ("build with the address sanitizer", sanitized("address")),
+    ("build with the thread sanitizer", sanitized("thread")),
     ("mypy on tests", check(str(VENV / "mypy"), "--config-file", "test/mypy.ini")),
     ("unit tests on Python 3.8", unit_tests_py38),
     ("coverage", coverage),

@@ -9,6 +9,8 @@
 #include <nodelet/nodelet.h>
 #include <ros/names.h>
 
+#include "later.h"
+#include "private_member.h"
 #include "probe.h"
 #include "process_services.h"
 #include "registry.h"
@@ -17,6 +19,33 @@
 
 namespace dyknow
 {
+
+/// Names the private weak pointer to the nodelet of a queue, see private_member.h.
+struct TrackedOf
+{
+  using Member = ros::VoidConstWPtr nodelet::detail::CallbackQueue::*;
+  friend Member pointerTo(TrackedOf);
+};
+
+template struct PrivateMember<TrackedOf, &nodelet::detail::CallbackQueue::tracked_object_>;
+
+namespace
+{
+
+constexpr std::chrono::milliseconds STEP(500);
+
+/// Keeps a queue until its nodelet is gone. A nodelet that is unloaded while a callback of it runs is destroyed
+/// at the end of that callback, and its handles then still use both of its queues; the loader has let go of
+/// the other one by then.
+void keepForNodelet(const nodelet::detail::CallbackQueuePtr& queue)
+{
+  if (!(queue.get()->*pointerTo(TrackedOf())).expired())
+  {
+    later([queue] { keepForNodelet(queue); }, Clock::now() + STEP);
+  }
+}
+
+}  // namespace
 
 std::vector<void*> nodeletHooks()
 {
@@ -76,6 +105,7 @@ void CallbackQueueManager::removeQueue(const CallbackQueuePtr& queue)
     dyknow::withdrawServices(*gone);
   }
   next(this, queue);
+  dyknow::keepForNodelet(queue);
 }
 
 }  // namespace detail

@@ -10,6 +10,8 @@
 #include <mutex>
 #include <thread>
 
+#include "deadline.h"
+
 namespace dyknow
 {
 namespace
@@ -58,7 +60,7 @@ private:
       }
       else if (const auto due = work_.begin()->first; due > Clock::now())
       {
-        changed_.wait_until(lock, due);
+        changed_.wait_until(lock, forWaiting(due));
       }
       else
       {

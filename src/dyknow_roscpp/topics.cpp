@@ -8,6 +8,7 @@
 
 #include <vector>
 
+#include "deadline.h"
 #include "private_member.h"
 #include "problems.h"
 #include "symbols.h"
@@ -47,7 +48,7 @@ ros::TopicManager* manager()
 
 WiringLock::WiringLock() : lock_(wiringMutex()) {}
 
-WiringLock::WiringLock(Clock::time_point deadline) : lock_(wiringMutex(), deadline)
+WiringLock::WiringLock(Clock::time_point deadline) : lock_(wiringMutex(), forWaiting(deadline))
 {
   if (!lock_.owns_lock())
   {

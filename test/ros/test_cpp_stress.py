@@ -1,0 +1,140 @@
+#!/usr/bin/env python3
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Random moves, loads and unloads of C++ nodelets; in the long run also with sanitizers."""
+
+from __future__ import annotations
+
+import os
+import random
+import threading
+import time
+from pathlib import Path
+
+import rospy
+import rostest
+from cpp_suite import CppManager, start
+from graph import set_config
+from nodelet.srv import NodeletUnload
+from processes import BUSY
+from telling import TellingCase
+
+SECONDS = float(os.environ.get("DYKNOW_TEST_SECONDS", 4.0))
+#: Workspaces in build/ whose nodelet managers are tried.
+WORKSPACES = os.environ.get("DYKNOW_TEST_WORKSPACES", "ws").split()
+ROOT = Path(__file__).resolve().parents[2]
+SUPPRESSIONS = ROOT / "test" / "sanitizers"
+TSAN = (
+    f"suppressions={SUPPRESSIONS}/thread.txt",
+    "exitcode=66",
+    "history_size=7",
+    "detect_deadlocks=0",  # roscpp takes its own locks in more than one order
+    "report_thread_leaks=0",  # threads of ROS run until the end of the process
+)
+MANAGER = "/stressed"
+TOPICS = ("", "/a", "/b", "/c", "~own", "not a topic")
+#: Port and parameters of each nodelet type.
+TYPES = {
+    "Source": ("out", {"count": 100000, "rate": 500.0, "latch": False}),
+    "Sink": ("in", {"mt": False, "second": True, "delay": 0.001, "queue_size": 5}),
+}
+
+
+def command(workspace: str) -> tuple[str, ...]:
+    """The nodelet manager of a workspace, with what its sanitizer is to leave out."""
+    devel = ROOT / "build" / workspace / "devel"
+    environment = {
+        "CMAKE_PREFIX_PATH": f"{devel}:{os.environ['CMAKE_PREFIX_PATH']}",
+        "LD_LIBRARY_PATH": f"{devel}/lib:{os.environ.get('LD_LIBRARY_PATH', '')}",
+        # Threads of ROS run until the end of the process, and what is global of ours is leaked.
+        "ASAN_OPTIONS": "detect_leaks=0:exitcode=66",
+        "TSAN_OPTIONS": ":".join(TSAN),
+    }
+    words = [f"{key}={value}" for key, value in environment.items()]
+    # Without a fixed layout of the memory the thread sanitizer may not find room for its own.
+    return ("env", *words, "setarch", "-R", f"{devel}/lib/dyknow/cpp_nodelet_manager")
+
+
+class Stress(threading.Thread):
+    """Does random things with one nodelet until the time is over."""
+
+    def __init__(self, manager: CppManager, name: str, seed: int, until: float) -> None:
+        super().__init__()
+        self._manager = manager
+        self._name = name
+        self._random = random.Random(seed)
+        self._until = until
+        self.moves = 0
+        self.refused = 0
+        self.trouble = ""
+
+    def run(self) -> None:
+        try:
+            while time.monotonic() < self._until and not self._manager.has_ended:
+                self._live()
+        except Exception as error:
+            self.trouble = f"{self._name}: {error!r}"
+
+    def _live(self) -> None:
+        kind = self._random.choice(sorted(TYPES))
+        port, parameters = TYPES[kind]
+        chosen = {
+            key: self._random.choice((True, False)) if isinstance(value, bool) else value
+            for key, value in parameters.items()
+        }
+        self._manager.load(kind, self._name, {f"/{port}": "/a"}, **chosen)
+        if kind == "Source":
+            start(self._name)
+        for _ in range(self._random.randrange(20)):
+            answer = set_config(self._name, **{port: self._random.choice(TOPICS)})
+            self.moves += answer.success
+            self.refused += not answer.success
+            time.sleep(self._random.choice((0.0, 0.0, 0.002, 0.05)))  # not a wait
+        if self._random.random() < 0.5:
+            mover = threading.Thread(target=self._move_on, args=(port,))
+            mover.start()
+            rospy.ServiceProxy(f"{MANAGER}/unload_nodelet", NodeletUnload)(self._name)
+            mover.join()
+        else:
+            self._manager.unload(self._name)
+
+    def _move_on(self, port: str) -> None:
+        """Move a port of a nodelet that is being unloaded."""
+        for topic in TOPICS:
+            try:
+                set_config(self._name, **{port: topic})
+            except (rospy.ServiceException, rospy.ROSException):
+                return  # it is gone
+
+
+class StressTest(TellingCase):
+    def test_random_moves_loads_and_unloads(self):
+        for workspace in WORKSPACES:
+            with self.subTest(workspace=workspace):
+                self.stress(workspace)
+
+    def stress(self, workspace: str) -> None:
+        seed = random.randrange(10**6)
+        print(f"{workspace}: seed {seed}")
+        with CppManager(MANAGER, *command(workspace)) as manager:
+            until = time.monotonic() + SECONDS
+            threads = [Stress(manager, f"/n{i}", seed + i, until) for i in range(5)]
+            for thread in threads:
+                thread.start()
+            for thread in threads:
+                thread.join(SECONDS + 60.0)
+                self.assertFalse(thread.is_alive(), manager.output)
+            moves = sum(thread.moves for thread in threads)
+            print(f"{workspace}: {moves} moves, {sum(each.refused for each in threads)} refused")
+            self.assertFalse(manager.has_ended, manager.output)
+            self.assertEqual([each.trouble for each in threads if each.trouble], [])
+            self.assertGreater(moves, 10)
+            manager.stop()
+            self.assertEqual(manager.exit_code(10.0 * BUSY), 0, manager.output)
+            self.assertNotIn("Sanitizer", manager.output)
+
+
+if __name__ == "__main__":
+    rospy.init_node("cpp_stress_test")
+    rostest.rosrun("dyknow", "cpp_stress", "__main__")
