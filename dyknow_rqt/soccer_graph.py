@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Dict, Tuple
 
-from dyknow.model.graph import State
+from dyknow.model.graph import NodeletKind, State
 from dyknow.model.transformation import Parameter
 from dyknow_rqt.simulated import SimulatedRemote
 
@@ -125,7 +125,7 @@ def soccer() -> SimulatedRemote:
     for name, label, topics in _NODELETS:
         client.spawn(label, name, topics, parameters=_GIVEN.get(name, ()))
     client.set_protection("/nao1/bottom_camera", True)
-    client.alter("/nao1/resize", rewired_by_reload=True, manager="/dyknow_nodelet_manager_cpp")
+    client.alter("/nao1/resize", kind=NodeletKind.CPP, manager="/dyknow_cpp_nodelet_manager")
     client.alter("/nao1/recorder", state=State.LOST, detail="its process is gone")
     client.alter("/field/ceiling_camera", state=State.FAILED, detail="no device /dev/video4")
     for nodelet, port, rate, lost in (

@@ -74,7 +74,7 @@ def appearances_of(snapshot: Snapshot, figure: Figure) -> Dict[str, Appearance]:
             appearance = Appearance(
                 nodelet.state,
                 nodelet.is_protected,
-                nodelet.rewired_by_reload,
+                not nodelet.kind.is_written_for_dyknow,
                 _nodelet_tip(nodelet),
             )
         appearances[vertex.key] = appearance

@@ -55,7 +55,10 @@ void Connection::addCallback(const ros::CallbackInterfacePtr& callback, std::uin
     return;
   }
   std::lock_guard<std::mutex> lock(subscription->state_lock_);
-  callback_ = callback;
+  if (callback_ != callback)  // otherwise nothing is written that other processors have in their caches
+  {
+    callback_ = callback;
+  }
   if (state_ == State::HELD)
   {
     ++held_back_;

@@ -73,6 +73,7 @@ private:
   ros::CallbackInterfacePtr callback_;  ///< roscpp's, the same for each message
   std::size_t held_back_ = 0;           ///< callbacks that have not gone to the queue
   std::size_t queued_ = 0;              ///< messages that wait
+  std::size_t skipped_ = 0;             ///< the first of them, which another connection took as well
   std::vector<std::thread::id> running_;
 };
 

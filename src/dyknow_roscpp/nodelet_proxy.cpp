@@ -9,6 +9,7 @@
 #include <algorithm>
 #include <thread>
 
+#include "deadline.h"
 #include "guards.h"
 #include "master_state.h"
 #include "names.h"
@@ -45,13 +46,18 @@ public:
     end->prepare(topic, deadline);
   }
 
-  void commit()
+  void commit(const Announcement& announce)
   {
+    bool is_announced = false;
     for (const auto& end : ends_)
     {
-      end->commit();
+      is_announced = end->commit(announce) || is_announced;
     }
     ends_.clear();
+    if (!is_announced)
+    {
+      announce();
+    }
   }
 
 private:
@@ -121,7 +127,7 @@ std::uint32_t NodeletProxy::reconfigurations() const
 
 void NodeletProxy::setConfig(const Config& config, const std::string& caller)
 {
-  const std::unique_lock<std::timed_mutex> turn(turn_lock_, TURN_PATIENCE);
+  const std::unique_lock<std::timed_mutex> turn(turn_lock_, forWaiting(Clock::now() + TURN_PATIENCE));
   if (!turn)
   {
     throw Refusal("another reconfiguration of '" + name + "' takes too long; try again");
@@ -150,6 +156,7 @@ void NodeletProxy::close()
 {
   std::lock_guard<std::mutex> lock(state_lock_);
   is_closed_ = true;
+  listener->close();
 }
 
 std::vector<NodeletProxy::Change> NodeletProxy::checked(const Config& config, const Guards& guards,
@@ -382,7 +389,13 @@ void NodeletProxy::apply(std::vector<Change> changes, const MasterState& master)
     setTopicsLocked(changes);
     ++reconfigurations_;
   }
-  preparation.commit();
+  PortTopics inputs;
+  PortTopics outputs;
+  for (const auto& each : ports())
+  {
+    (each.port->direction == Direction::IN ? inputs : outputs)[each.name] = each.port->topic();
+  }
+  preparation.commit(listener->announcement(std::move(inputs), std::move(outputs)));
   followPorts(changes, deadline);
 }
 
@@ -398,7 +411,7 @@ void NodeletProxy::followPorts(const std::vector<Change>& changes, Clock::time_p
         try
         {
           end->prepare(change.topic, deadline);
-          end->commit();
+          end->commit([] {});
         }
         catch (const std::exception& error)  // the others have moved, and stay
         {

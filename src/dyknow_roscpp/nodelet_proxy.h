@@ -47,6 +47,7 @@ public:
   const std::map<std::string, std::string> remappings;
   const Clock::time_point started = Clock::now();
   std::atomic<bool> is_offered{false};  ///< its services are
+  const std::shared_ptr<ReconfigureListener> listener = std::make_shared<ReconfigureListener>();
 
   /// The port of a name; the first call makes it.
   ///

@@ -11,6 +11,7 @@
 #include <string>
 #include <vector>
 
+#include "reconfiguration.h"
 #include "traffic.h"
 
 namespace dyknow
@@ -37,7 +38,9 @@ public:
   /// Whether as many peers outside as `expected` are connected to what was prepared.
   virtual bool isReady(std::size_t expected) const = 0;
 
-  virtual void commit() = 0;
+  /// @param announce called when the node may be told: at the switch, before the first new message is queued
+  /// @return whether it is, or will be called
+  virtual bool commit(const Announcement& announce) = 0;
   virtual void cancel() = 0;
 
   /// The topic that it is connected to; empty: none. Of an end that is not open, an empty text as well.

@@ -202,25 +202,22 @@ bool PortPublication::isReady(std::size_t expected) const
   return next.empty() || topics::subscribers(next) >= expected;
 }
 
-void PortPublication::commit()
+bool PortPublication::commit(const Announcement&)
 {
   RegistrationPtr old;
+  std::lock_guard<std::mutex> lock(message_lock_);
+  if (is_open_ && is_prepared_)
   {
-    std::lock_guard<std::mutex> lock(message_lock_);
-    if (!is_open_ || !is_prepared_)
-    {
-      return;
-    }
     is_prepared_ = false;
     notice_.reset();
     old.swap(active_);
     active_.swap(prepared_);
-    if (!old)
+    if (old)
     {
-      return;
+      withdrawLater(old);
     }
-    withdrawLater(old);
   }
+  return false;  // what the node publishes goes to the new topic already
 }
 
 void PortPublication::cancel()

@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <utility>
 
+#include "deadline.h"
 #include "later.h"
 #include "port_publication.h"
 #include "problems.h"
@@ -120,9 +121,9 @@ void PortSubscription::prepare(const std::string& topic, Clock::time_point deadl
       return;
     }
     is_prepared_ = true;
-    if (topic.empty() || (active_ && active_->topic == topic))
+    stays_ = active_ && active_->topic == topic && !waiting_;
+    if (topic.empty() || stays_)
     {
-      stays_ = !topic.empty();  // with two connections to one topic, messages would come twice
       return;
     }
     connection = prepared_ = makeConnection(topic, Connection::State::HELD);
@@ -143,41 +144,37 @@ bool PortSubscription::isReady(std::size_t) const
   return true;  // the old topic is live until the new one is
 }
 
-void PortSubscription::commit()
+bool PortSubscription::commit(const Announcement& announce)
 {
   ConnectionPtr next;
   {
     std::lock_guard<std::mutex> lock(state_lock_);
     if (!is_open_ || !is_prepared_)
     {
-      return;
+      return false;
     }
     is_prepared_ = false;
-    next.swap(prepared_);
     if (std::exchange(stays_, false))
     {
-      if (waiting_)
-      {
-        waiting_->state_ = Connection::State::CLOSED;
-        later([self = shared_from_this(), waiting = waiting_] { self->withdraw(waiting); });
-        waiting_.reset();
-      }
-      return;
+      return false;
     }
     if (waiting_)
     {
-      switchLocked(waiting_);  // an earlier move whose topic is still silent
+      switchLocked(waiting_);  // an earlier move whose topic is still silent: now it is the old one
     }
-    if (!next || next->held_back_ > 0 || !active_)
+    next.swap(prepared_);
+    announce_ = announce;
+    if (!next || next->queued_ > next->skipped_ || !active_)
     {
       switchLocked(next);
-      return;
+      return true;
     }
     next->state_ = Connection::State::WAITING;
     waiting_ = next;
   }
   const auto now = Clock::now();
   later([self = shared_from_this(), next, now] { self->switchIfDue(next, now); }, now + STEP);
+  return true;
 }
 
 void PortSubscription::cancel()
@@ -240,7 +237,9 @@ void PortSubscription::deliver(Connection& connection, ros::SubscriptionCallback
   {
     std::unique_lock<std::mutex> lock(state_lock_);
     connection.queued_ -= connection.queued_ > 0 ? 1 : 0;
-    if (connection.state_ == Connection::State::CLOSED)
+    const bool is_skipped = connection.skipped_ > 0;
+    connection.skipped_ -= is_skipped ? 1 : 0;
+    if (is_skipped || connection.state_ == Connection::State::CLOSED)
     {
       return;
     }
@@ -291,7 +290,11 @@ void PortSubscription::awaitPredecessors(std::unique_lock<std::mutex>& lock, con
     }
     return true;
   };
-  if (!options_.allow_concurrent_callbacks && !callback_ended_.wait_for(lock, LONGEST_DRAIN, is_next))
+  if (draining_.empty() || options_.allow_concurrent_callbacks)
+  {
+    return;
+  }
+  if (!callback_ended_.wait_until(lock, forWaiting(Clock::now() + LONGEST_DRAIN), is_next))
   {
     for (const auto& each : draining_)
     {
@@ -311,11 +314,19 @@ void PortSubscription::switchLocked(ConnectionPtr next)
       active_->queueCallback();
     }
     active_->state_ = Connection::State::DRAINING;
+    if (prepared_ && prepared_->topic == active_->topic)
+    {
+      prepared_->skipped_ = prepared_->queued_;  // a move back: both have taken these
+    }
     if (!isIdle(active_->queued_, {}) || !active_->running_.empty())
     {
       draining_.push_back(active_);
     }
     later([self = shared_from_this(), old = active_] { self->withdraw(old); });
+  }
+  if (announce_)
+  {
+    std::exchange(announce_, nullptr)();
   }
   if (next)
   {

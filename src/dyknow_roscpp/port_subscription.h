@@ -46,7 +46,7 @@ public:
   // End
   void prepare(const std::string& topic, Clock::time_point deadline) override;
   bool isReady(std::size_t expected) const override;
-  void commit() override;
+  bool commit(const Announcement& announce) override;
   void cancel() override;
   std::string topic() const override;
   bool isOpen() const override;
@@ -80,6 +80,7 @@ private:
   ConnectionPtr prepared_;
   bool is_prepared_ = false;
   bool stays_ = false;                  ///< what is prepared is to stay on the topic of `active_`
+  Announcement announce_;               ///< called at the next switch
   std::deque<ConnectionPtr> draining_;  ///< the oldest first
 };
 
@@ -101,7 +102,11 @@ bool Connection::take(Push push)
     return true;  // a full queue is what roscpp takes it for, and queues no callback
   }
   const bool was_full = push();
-  if (was_full)
+  if (was_full && skipped_ > 0)
+  {
+    --skipped_;  // that one has made room
+  }
+  else if (was_full)
   {
     subscription->traffic_->dropped();
   }

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ import graph
 import rospy
 from dyknow_msgs.msg import PortConfig
 from dyknow_msgs.srv import SetConfig
+from sensor_msgs.msg import CameraInfo, Image
 from std_srvs.srv import Trigger
 
 #: Where libraries of this workspace are.
@@ -22,10 +24,10 @@ LIBRARY = next(
     each / "libdyknow_roscpp.so" for each in FOLDERS if (each / "libdyknow_roscpp.so").exists()
 )
 OURS = ("rosrun", "dyknow", "cpp_nodelet_manager")
-PRELOADED = (
-    *("rosrun", "--prefix", f"env LD_PRELOAD={LIBRARY}"),
-    *("nodelet", "nodelet", "manager"),
-)
+STOCK = ("rosrun", "nodelet", "nodelet", "manager")
+#: Runs a node with the library.
+RUN = ("rosrun", "dyknow", "dyknow", "run")
+PRELOADED = (*RUN, "nodelet", "nodelet", "manager")
 #: What a sink reports when everything has come once, in order and by reference.
 FLAWLESS = {"lost": 0, "doubled": 0, "reordered": 0, "copied": 0}
 
@@ -57,6 +59,35 @@ def report(nodelet: str) -> dict[str, int]:
 def flaws(sink: str) -> dict[str, int]:
     """The part of a sink's report that is to be flawless."""
     return {key: value for key, value in report(sink).items() if key in FLAWLESS}
+
+
+class Camera:
+    """Publishes images with camera_info in a namespace until it is closed."""
+
+    def __init__(self, namespace: str, width: int) -> None:
+        self._images = rospy.Publisher(f"{namespace}/image_raw", Image, queue_size=1)
+        self._infos = rospy.Publisher(f"{namespace}/camera_info", CameraInfo, queue_size=1)
+        self._width = width
+        self._closed = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def _run(self) -> None:
+        width = self._width
+        while not self._closed.wait(0.05):
+            image = Image(
+                height=6, width=width, encoding="mono8", step=width, data=bytes(6 * width)
+            )
+            info = CameraInfo(height=6, width=width)
+            image.header.stamp = info.header.stamp = rospy.Time.now()
+            self._images.publish(image)
+            self._infos.publish(info)
+
+    def close(self) -> None:
+        self._closed.set()
+        self._thread.join()
+        self._images.unregister()
+        self._infos.unregister()
 
 
 class Mover:

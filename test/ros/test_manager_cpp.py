@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import os
 import subprocess
-import threading
 import time
 from pathlib import Path
 
@@ -17,6 +16,7 @@ import cpp_suite
 import rospkg
 import rospy
 import rostest
+from cpp_suite import Camera
 from dyknow_msgs.srv import GetStatistics
 from manager_suite import LIBRARY, ManagerCase, eventually, registrations, specification
 from processes import BUSY
@@ -62,31 +62,6 @@ _RELAY = """
 """
 
 
-class Camera:
-    """Publishes images of 8 × 6 pixels, with camera_info, in a namespace until it is closed."""
-
-    def __init__(self, namespace: str) -> None:
-        self._images = rospy.Publisher(f"{namespace}/image_raw", Image, queue_size=1)
-        self._infos = rospy.Publisher(f"{namespace}/camera_info", CameraInfo, queue_size=1)
-        self._closed = threading.Event()
-        self._thread = threading.Thread(target=self._run)
-        self._thread.start()
-
-    def _run(self) -> None:
-        while not self._closed.wait(0.05):
-            image = Image(height=6, width=8, encoding="mono8", step=8, data=bytes(48))
-            info = CameraInfo(height=6, width=8)
-            image.header.stamp = info.header.stamp = rospy.Time.now()
-            self._images.publish(image)
-            self._infos.publish(info)
-
-    def close(self) -> None:
-        self._closed.set()
-        self._thread.join()
-        self._images.unregister()
-        self._infos.unregister()
-
-
 def size_on(topic: str, timeout: float = 10.0) -> tuple[int, int]:
     image = rospy.wait_for_message(topic, Image, timeout)
     return image.width, image.height
@@ -99,7 +74,7 @@ class CppTest(ManagerCase):
         self.client.add_transformation(EXAMPLE.read_text())
         self.client.add_transformation(RELAY)
         for namespace in ("/cam", "/cam2"):
-            camera = Camera(namespace)
+            camera = Camera(namespace, 8)
             self.addCleanup(camera.close)
 
     def test_a_chain_of_both_kinds(self):
@@ -165,10 +140,14 @@ class CppTest(ManagerCase):
             return [each.transformation for each in self.client.get_graph().nodelets]
 
         eventually(lambda: "spare first" in labels(), 10.0, "it is replaced", labels)
+        after = self.client.get_statistics
+
+        def is_rewired() -> bool:
+            return after(half).reconfigurations > before.reconfigurations
+
+        eventually(is_rewired, 10.0, "the C++ part is connected to the other one")
+        self.assertGreater(after(half).uptime, before.uptime, "it was not loaded again")
         self.assertEqual(size_on(claim.topic), (4, 3))
-        after = self.client.get_statistics(half)
-        self.assertGreater(after.uptime, before.uptime, "the C++ part was re-wired, not reloaded")
-        self.assertGreater(after.reconfigurations, before.reconfigurations)
         self.client.release_stream(claim.claim_id)
 
     def test_crop_decimate_finds_camera_info_beside_its_image(self):
@@ -234,7 +213,7 @@ class StockTest(ManagerCase):
             del os.environ["LD_PRELOAD"]
         client = manager.client
         client.add_transformation(EXAMPLE.read_text())
-        camera = Camera("/cam")
+        camera = Camera("/cam", 8)
         self.addCleanup(camera.close)
         client.spawn("resize", "/resize", {"image": "/cam/image_raw", "~image": "/small"})
         self.assertEqual(size_on("/small"), (4, 3))
@@ -257,8 +236,7 @@ class ExternalTest(ManagerCase):
     """C++ nodelet managers that others started."""
 
     def test_ours_and_a_stock_one(self):
-        stock = ("rosrun", "nodelet", "nodelet", "manager")
-        for name, command in (("/ours", cpp_suite.OURS), ("/stock", stock)):
+        for name, command in (("/ours", cpp_suite.OURS), ("/stock", cpp_suite.STOCK)):
             process = cpp_suite.CppManager(name, *command)
             self.addCleanup(process.__exit__)
             process.load("image_proc/resize", f"{name}_resize", {"image": "/cam/image_raw"})

@@ -40,7 +40,7 @@ def test_scripts_run_where_a_foreign_python_comes_first(tmp_path: Path) -> None:
         )
         assert (done.returncode, done.stderr) == (0, "")
     scripts = [each for each in (installed / "lib" / "dyknow").iterdir() if is_script(each)]
-    assert len(scripts) == 7
+    assert len(scripts) == 8
     for script in scripts:
         assert b"env" not in script.read_bytes().split(b"\n")[0], script
 

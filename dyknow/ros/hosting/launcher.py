@@ -188,6 +188,8 @@ class Launcher:
             return True
         try:
             self._master.ask("lookupService", names.join(name, COUNTS))
+        except PeerTimeout:
+            return True  # as it is wherever roscpp was there to build with
         except LookupError:
             _log.warning(
                 "nodelets in %s cannot be connected while they run, and are loaded again for "

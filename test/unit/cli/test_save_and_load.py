@@ -348,3 +348,51 @@ def test_readers_come_before_writers_also_in_long_chains_and_rings() -> None:
     assert sorted(each.name for each in readers_first(ring, {"r": relay})) == [
         each.name for each in ring
     ]
+
+
+@pytest.fixture
+def live(client: FakeClient) -> FakeClient:
+    """A world in which C++ nodelets are re-wired live and use topics that nobody declared."""
+    host = client.world.host
+    host.stock = False
+    host.sources["pkg/Native"] = [
+        ("image", "in", "sensor_msgs/Image"),
+        ("~out", "out", "sensor_msgs/Image"),
+        ("/tf", "in", "tf2_msgs/TFMessage"),
+    ]
+    return client
+
+
+def test_undeclared_ports_of_a_cpp_nodelet_stay_unless_the_file_moves_them(
+    live: FakeClient, file: Path, tmp_path: Path
+) -> None:
+    run(live, f"load {file}")
+    live.world.host.connect("/n", {"/tf": "/tf"})
+    live.world.manager.look({"/n"})
+    assert run(live, f"load {file} --json").json["nodelets"]["changed"] == []
+    moved = tmp_path / "moved.xml"
+    live.world.host.connect("/n", {"/tf": "/other/tf"})
+    live.world.manager.look({"/n"})
+    run(live, f"save {moved}")
+    run(live, "destroy n")
+    outcome = run(live, f"load {moved}")
+    assert (outcome.code, outcome.err) == (0, "")
+    ports = {port.name: port.topic for port in live.get_graph().nodelet("/n").ports}
+    assert ports == {"image": "/raw", "~out": "/small", "/tf": "/other/tf"}
+
+
+def test_an_undeclared_port_that_a_cpp_nodelet_does_not_have_yet(
+    live: FakeClient, file: Path, tmp_path: Path
+) -> None:
+    run(live, f"load {file}")
+    live.world.host.connect("/n", {"/tf": "/other/tf"})
+    live.world.manager.look({"/n"})
+    moved = tmp_path / "moved.xml"
+    run(live, f"save {moved}")
+    run(live, "destroy n")
+    live.world.host.lazy["pkg/Native"] = ("/tf",)
+    outcome = run(live, f"load {moved}")
+    assert (outcome.code, outcome.err) == (0, "")
+    ports = {port.name: port.topic for port in live.get_graph().nodelet("/n").ports}
+    assert ports == {"image": "/raw", "~out": "/small"}
+    assert run(live, f"load {moved} --json").json["nodelets"]["changed"] == []

@@ -1,0 +1,125 @@
+#!/usr/bin/env python3
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""What C++ code uses topics by: image_transport, message_filters, tf2, timers, signals."""
+
+from __future__ import annotations
+
+import signal
+
+import graph
+import rospy
+import rostest
+from cpp_suite import LIBRARY, RUN, Camera, CppManager, report
+from geometry_msgs.msg import TransformStamped
+from graph import set_config, topics_of_ports
+from manager_suite import ManagerCase
+from processes import BUSY, eventually
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import CameraInfo, Image
+from std_srvs.srv import Trigger
+from tf2_msgs.msg import TFMessage
+
+LIBRARIES = (*RUN, "dyknow", "dyknow_cpp_test_node")
+
+
+class LibrariesCase:
+    """Libraries on topics go with the ports: image_transport, message_filters, tf2, timers."""
+
+    name = ""
+
+    def test_libraries(self):
+        for namespace, width in (("/cam", 8), ("/cam2", 16)):
+            camera = Camera(namespace, width)
+            self.addCleanup(camera.close)
+        ports = {
+            "camera/image": "/camera/image",
+            "camera/camera_info": "/camera/camera_info",
+            "out/image": "/out/image",
+            "out/camera_info": "/out/camera_info",
+            "left": "/left",
+            "right": "/right",
+            "/tf": "/tf",
+            "/tf_static": "/tf_static",
+        }
+        present = topics_of_ports(self.name)
+        self.assertEqual({port: present.get(port) for port in ports}, ports)
+        for namespace, width in (("/cam", 8), ("/cam2", 16)):
+            answer = set_config(self.name, **{"camera/image": f"{namespace}/image_raw"})
+            self.assertTrue(answer.success, answer.message)
+            topic = f"{namespace}/camera_info"
+            self.assertEqual(topics_of_ports(self.name)["camera/camera_info"], topic)
+            eventually(lambda w=width: report(self.name)["width"] == w, 10.0, "it sees it")
+        self.assertTrue(set_config(self.name, **{"out/image": "/shown/image"}).success)
+        self.assertEqual(rospy.wait_for_message("/shown/image", Image, 10.0).width, 16)
+        self.assertEqual(rospy.wait_for_message("/shown/camera_info", CameraInfo, 10.0).width, 16)
+        answer = set_config(self.name, left="/cam/camera_info", right="/cam/camera_info")
+        self.assertTrue(answer.success, answer.message)
+        eventually(lambda: report(self.name)["pairs"] > 2, 10.0, "pairs are made")
+        self.assertEqual(report(self.name)["transforms"], 0)
+        publisher = rospy.Publisher("/other/tf", TFMessage, queue_size=1, latch=True)
+        transform = TransformStamped(child_frame_id="base")
+        transform.header.frame_id = "map"
+        transform.header.stamp = rospy.Time.now()
+        transform.transform.rotation.w = 1.0
+        publisher.publish([transform])
+        self.assertTrue(set_config(self.name, **{"/tf": "/other/tf"}).success)
+        eventually(lambda: report(self.name)["transforms"] == 1, 10.0, "it is known")
+        publisher.unregister()
+        before = report(self.name)["ticks"]
+        eventually(lambda: report(self.name)["ticks"] > before, 5.0, "its timer goes on")
+
+
+class NodeletLibrariesTest(LibrariesCase, ManagerCase):
+    name = "/libraries"
+
+    def setUp(self):
+        self.process = CppManager("/cpp_manager")
+        self.addCleanup(self.process.__exit__)
+        self.process.load("Libraries", "/libraries")
+
+    def test_sim_time(self):
+        rospy.set_param("/use_sim_time", True)
+        try:
+            manager = CppManager("/simulated")
+            self.addCleanup(manager.__exit__)
+        finally:
+            rospy.delete_param("/use_sim_time")
+        publisher = rospy.Publisher("/clock", Clock, queue_size=10)
+        self.addCleanup(publisher.unregister)
+        manager.load("Libraries", "/late")
+        self.assertNotIn("/clock", topics_of_ports("/late"))
+        eventually(lambda: publisher.get_num_connections() > 0, 5.0, "it listens to the clock")
+        for seconds in (100.0, 101.0):
+            publisher.publish(rospy.Time.from_sec(seconds))
+        eventually(lambda: report("/late")["ticks"] > 0, 5.0, "the timer follows the clock")
+
+
+class NodeLibrariesTest(LibrariesCase, ManagerCase):
+    name = "/libraries"
+
+    def setUp(self):
+        self.process = graph.Ended(*LIBRARIES)
+        self.addCleanup(self.process.__exit__)
+        rospy.wait_for_service("/libraries/environment", 20.0 * BUSY)
+
+    def test_children_do_not_get_the_library(self):
+        environment = rospy.ServiceProxy("/libraries/environment", Trigger)().message
+        self.assertIn("PATH=", environment)
+        self.assertNotIn(LIBRARY.name, environment)
+
+    def test_signals_do_what_they_do_to_any_node(self):
+        for number, code in ((signal.SIGINT, 0), (signal.SIGTERM, -signal.SIGTERM)):
+            with graph.Ended(*LIBRARIES, "__name:=ending") as process:
+                rospy.wait_for_service("/ending/get_config", 20.0 * BUSY)
+                process.stop(number)
+                self.assertEqual(process.exit_code(5.0 * BUSY), code)
+                if number == signal.SIGINT:
+                    left = graph.registrations("/ending")
+                    self.assertEqual((left["publishers"], left["subscribers"]), ([], []))
+
+
+if __name__ == "__main__":
+    rospy.init_node("cpp_libraries_test")
+    rostest.rosrun("dyknow", "cpp_libraries", "__main__")
