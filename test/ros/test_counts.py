@@ -92,7 +92,7 @@ class CountingTest(unittest.TestCase):
                 PortCount("in", Port.IN, 1, False, math.nan),
                 PortCount("out", Port.OUT, messages, True, 0.5),
             ]
-            return GetCountsResponse([NodeletCounts(nodelet="/there", ports=ports)])
+            return GetCountsResponse(nodelets=[NodeletCounts(nodelet="/there", ports=ports)])
 
         self.offer(f"/{name}/get_counts", GetCounts, answer)
 
@@ -106,7 +106,7 @@ class CountingTest(unittest.TestCase):
             awake.wait(60.0)
             ports = [PortCount("out", Port.OUT, 3, False, math.nan)]
             return GetCountsResponse(
-                [NodeletCounts(nodelet=name, ports=ports) for name in asked[-1]]
+                nodelets=[NodeletCounts(nodelet=name, ports=ports) for name in asked[-1]]
             )
 
         self.offer(f"/{name}/get_counts", GetCounts, answer)
