@@ -16,6 +16,7 @@
 #include <ros/this_node.h>
 
 #include <algorithm>
+#include <limits>
 #include <mutex>
 #include <set>
 
@@ -153,6 +154,7 @@ bool getCounts(GetCountsEvent& event)
       port.direction = directionOf(*each.port);
       port.messages = each.port->statistics().messages;
       port.latched = each.port->latched;
+      port.age = std::numeric_limits<double>::quiet_NaN();  // not measured here
       nodelet.ports.push_back(port);
     }
     event.getResponse().nodelets.push_back(nodelet);
