@@ -142,7 +142,7 @@ class NodeTest(ManagerCase):
         process = self.run_node("rosrun", "dyknow", "rewirable", "rosnode", "list")
         self.assertEqual(process.exit_code(20.0 * BUSY), 0)
         self.assertIn("runs as it is: it is a Python script", process.output)
-        self.assertIn("/rosout", process.output)
+        self.assertIn(rospy.get_name(), process.output)
 
 
 if __name__ == "__main__":
