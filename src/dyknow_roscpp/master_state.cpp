@@ -35,12 +35,6 @@ std::string typeIn(XmlRpc::XmlRpcValue types, const std::string& topic)
 
 }  // namespace
 
-MasterState::MasterState(Clock::time_point deadline)
-  : deadline_(deadline)
-  , state_(askMaster("getSystemState", "", deadline))
-{
-}
-
 std::size_t MasterState::subscribersOf(const std::string& topic) const
 {
   return nodesOn(SUBSCRIBERS, topic).size();
@@ -65,6 +59,10 @@ std::string MasterState::datatypeOf(const std::string& topic) const
 
 std::vector<std::string> MasterState::nodesOn(int side, const std::string& topic) const
 {
+  if (!state_.valid())
+  {
+    state_ = askMaster("getSystemState", "", deadline_);
+  }
   std::vector<std::string> nodes;
   auto& topics = state_[side];
   for (int i = 0; i < topics.size(); ++i)

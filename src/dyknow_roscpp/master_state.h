@@ -15,14 +15,14 @@
 namespace dyknow
 {
 
-/// A look at the registrations of all nodes.
+/// A look at the registrations of all nodes, once it is needed: it takes the longer the more there are.
+///
+/// Every method raises Refusal if the master does not answer.
 class MasterState
 {
 public:
-  /// Asks the master. Raises Refusal if it does not answer: roscpp would hold on for ever in a registration.
-  ///
-  /// @param deadline of this question and of those that follow
-  explicit MasterState(Clock::time_point deadline);
+  /// @param deadline of its questions
+  explicit MasterState(Clock::time_point deadline) : deadline_(deadline) {}
 
   /// Nodes that subscribe to a topic.
   std::size_t subscribersOf(const std::string& topic) const;
@@ -38,7 +38,7 @@ private:
   std::string subscribedType(const std::string& node, const std::string& topic) const;
 
   const Clock::time_point deadline_;
-  mutable XmlRpc::XmlRpcValue state_;
+  mutable XmlRpc::XmlRpcValue state_;  ///< not valid before it was asked for
 };
 
 }  // namespace dyknow

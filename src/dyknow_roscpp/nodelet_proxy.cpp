@@ -133,6 +133,7 @@ void NodeletProxy::setConfig(const Config& config, const std::string& caller)
     throw Refusal("another reconfiguration of '" + name + "' takes too long; try again");
   }
   const auto deadline = Clock::now() + MASTER_PATIENCE;
+  // Asks the master: where that does not answer, roscpp would hold on for ever in a registration.
   const auto guards = Guards::current(deadline);
   guards.checkCaller(caller, "connecting ports of '" + name + "'");
   std::vector<std::string> texts;

@@ -33,9 +33,14 @@ def test_in_one_workspace_and_from_an_install_space(tmp_path):
     upon = Workspace(tmp_path / "upon", upon=[tmp_path / "one" / "install"])
     upon.add_user("by_dyknow", "dyknow")
     upon.add_user("by_messages", "dyknow_msgs")
+    upon.add_copy("dyknow_cpp_example", ROOT / "examples" / "dyknow_cpp_example")
     upon.make()
     for name in ("by_dyknow", "by_messages"):
         upon.check_user(name, "devel")
+    plugins = upon.run_in("devel", "rospack plugins --attrib=plugin nodelet")
+    assert "dyknow_cpp_example" in plugins
+    load = "import ctypes; ctypes.CDLL('devel/lib/libdyknow_cpp_example.so')"
+    upon.run_in("devel", f'/usr/bin/python3 -c "{load}"')
 
 
 @pytest.mark.long
