@@ -9,8 +9,11 @@
 #include <nodelet/nodelet.h>
 #include <ros/names.h>
 
-#include "later.h"
-#include "private_member.h"
+#include <iterator>
+#include <map>
+#include <mutex>
+#include <vector>
+
 #include "probe.h"
 #include "process_services.h"
 #include "registry.h"
@@ -20,37 +23,79 @@
 namespace dyknow
 {
 
-/// Names the private weak pointer to the nodelet of a queue, see private_member.h.
-struct TrackedOf
-{
-  using Member = ros::VoidConstWPtr nodelet::detail::CallbackQueue::*;
-  friend Member pointerTo(TrackedOf);
-};
-
-template struct PrivateMember<TrackedOf, &nodelet::detail::CallbackQueue::tracked_object_>;
-
 namespace
 {
 
-constexpr std::chrono::milliseconds STEP(500);
-
-/// Keeps a queue until its nodelet is gone. A nodelet that is unloaded while a callback of it runs is destroyed
-/// at the end of that callback, and its handles then still use both of its queues; the loader has let go of
-/// the other one by then.
-void keepForNodelet(const nodelet::detail::CallbackQueuePtr& queue)
+/// Queues of nodelets that are unloaded, each until its nodelet is destroyed.
+///
+/// A nodelet that is unloaded while a callback of it runs is destroyed at the end of that callback. Its handles
+/// then still use both of its queues, of which the loader has let go by then.
+class KeptQueues
 {
-  if (!(queue.get()->*pointerTo(TrackedOf())).expired())
+public:
+  static KeptQueues& instance()
   {
-    later([queue] { keepForNodelet(queue); }, Clock::now() + STEP);
+    static KeptQueues& kept = *new KeptQueues;  // leaked, see later.cpp
+    return kept;
   }
-}
+
+  void enter(const nodelet::Nodelet* nodelet, const std::vector<ros::CallbackQueueInterface*>& queues)
+  {
+    std::lock_guard<std::mutex> lock(state_lock_);
+    for (const auto* queue : queues)
+    {
+      nodelets_[queue] = nodelet;
+    }
+  }
+
+  /// The loader lets go of a queue.
+  void keep(const nodelet::detail::CallbackQueuePtr& queue)
+  {
+    std::lock_guard<std::mutex> lock(state_lock_);
+    if (const auto found = nodelets_.find(queue.get()); found != nodelets_.end())
+    {
+      kept_[found->second].push_back(queue);
+      nodelets_.erase(found);
+    }
+  }
+
+  /// The nodelet is destroyed.
+  void leave(const nodelet::Nodelet* nodelet)
+  {
+    std::vector<nodelet::detail::CallbackQueuePtr> gone;  // destroyed without the lock
+    std::lock_guard<std::mutex> lock(state_lock_);
+    for (auto each = nodelets_.begin(); each != nodelets_.end();)
+    {
+      each = each->second == nodelet ? nodelets_.erase(each) : std::next(each);
+    }
+    gone.swap(kept_[nodelet]);
+    kept_.erase(nodelet);
+  }
+
+private:
+  std::mutex state_lock_;
+  std::map<const ros::CallbackQueueInterface*, const nodelet::Nodelet*> nodelets_;
+  std::map<const nodelet::Nodelet*, std::vector<nodelet::detail::CallbackQueuePtr>> kept_;
+};
 
 }  // namespace
+
+/// Stands in front of nodelet::Nodelet::~Nodelet as the destructors of nodelets call it, when their own members are
+/// gone. A destructor of C++ would destroy the members that the one behind it destroys.
+void destroyNodelet(nodelet::Nodelet* nodelet) __asm__("_ZN7nodelet7NodeletD2Ev");
+
+void destroyNodelet(nodelet::Nodelet* nodelet)
+{
+  static const auto next = behind(&destroyNodelet);
+  next(nodelet);
+  KeptQueues::instance().leave(nodelet);
+}
 
 std::vector<void*> nodeletHooks()
 {
   return {
       addressOf(&nodelet::Nodelet::init),
+      reinterpret_cast<void*>(&destroyNodelet),
       addressOf(&nodelet::detail::CallbackQueue::callOne),
       addressOf(&nodelet::detail::CallbackQueueManager::removeQueue),
   };
@@ -70,6 +115,7 @@ void Nodelet::init(const std::string& name, const M_string& remapping_args, cons
     next(this, name, remapping_args, my_argv, st_queue, mt_queue);
     return;
   }
+  dyknow::KeptQueues::instance().enter(this, {st_queue, mt_queue});
   auto& registry = dyknow::Registry::instance();
   const auto proxy = registry.enter(ros::names::resolve(name), remapping_args, {st_queue, mt_queue});
   try
@@ -105,7 +151,7 @@ void CallbackQueueManager::removeQueue(const CallbackQueuePtr& queue)
     dyknow::withdrawServices(*gone);
   }
   next(this, queue);
-  dyknow::keepForNodelet(queue);
+  dyknow::KeptQueues::instance().keep(queue);
 }
 
 }  // namespace detail

@@ -282,7 +282,6 @@ class PortTest(CppCase):
             self.assertEqual(width_on("/resize/image"), width)
         eventually(lambda: not graph.nodes_on("/cam/image_raw")[1], 5.0, "nobody listens any more")
 
-
     def test_a_dynamic_reconfigure_server(self):
         camera = Camera("/cam", 8)
         self.addCleanup(camera.close)
@@ -507,11 +506,19 @@ class UnloadTest(CppCase):
     """A nodelet that is unloaded while its ports move."""
 
     def test_a_callback_that_outlives_the_unload(self):
-        """The nodelet is destroyed at its end, when the loader has let go of its queues."""
-        self.manager.load("Sink", "/sink", {"/in": "/a"}, mt=True, delay=0.5)
+        """The nodelet is destroyed at its end, when the loader has let go of its queues.
+
+        However long that takes, its handles have them.
+        """
+        self.manager.load("Sink", "/sink", {"/in": "/a"}, mt=True, delay=0.5, last_delay=1.5)
         self.manager.load("Source", "/source", {"/out": "/a"})
         start("/source")
-        eventually(lambda: report("/sink")["received"] == 1, 5.0, "the callback runs")
+        eventually(
+            lambda: report("/sink")["received"] == 1,
+            5.0,
+            "the callback runs",
+            lambda: f"{report('/sink')}\n{report('/source')}\n{graph.get_statistics('/sink')}",
+        )
         self.manager.unload("/sink")
 
         def is_gone() -> bool:

@@ -20,10 +20,15 @@ namespace dyknow_cpp_test
 /// Between two messages of one source none may be missing, unless another source's came in between.
 class Sink : public nodelet::Nodelet
 {
+public:
+  ~Sink() override { ros::WallDuration(last_delay_).sleep(); }
+
+private:
   void onInit() override
   {
     auto& private_nh = getPrivateNodeHandle();
     delay_ = private_nh.param("delay", 0.0);
+    last_delay_ = private_nh.param("last_delay", 0.0);
     auto& nh = private_nh.param("mt", false) ? getMTNodeHandle() : getNodeHandle();
     const int queue_size = private_nh.param("queue_size", 1000);
     in_ = nh.subscribe("in", queue_size, &Sink::onMessage, this);
@@ -73,7 +78,8 @@ class Sink : public nodelet::Nodelet
     return true;
   }
 
-  double delay_ = 0.0;
+  double delay_ = 0.0;       // of each callback
+  double last_delay_ = 0.0;  // of the end
   ros::Subscriber in_;
   ros::Subscriber second_;
   ros::ServiceServer report_;
