@@ -54,19 +54,24 @@ void Connection::addCallback(const ros::CallbackInterfacePtr& callback, std::uin
   {
     return;
   }
-  std::lock_guard<std::mutex> lock(subscription->state_lock_);
-  if (callback_ != callback)  // otherwise nothing is written that other processors have in their caches
+  const std::lock_guard<std::mutex> queueing(subscription->queueing_lock_);
   {
-    callback_ = callback;
+    const std::lock_guard<std::mutex> lock(subscription->state_lock_);
+    if (callback_ != callback)  // otherwise nothing is written that other processors have in their caches
+    {
+      callback_ = callback;
+    }
+    if (state_ == State::HELD)
+    {
+      ++held_back_;
+      return;
+    }
+    if (state_ == State::CLOSED || !subscription->is_open_)
+    {
+      return;
+    }
   }
-  if (state_ == State::HELD)
-  {
-    ++held_back_;
-  }
-  else if (state_ != State::CLOSED)
-  {
-    queueCallback();
-  }
+  queueCallback();
 }
 
 void Connection::queueCallback()

@@ -83,6 +83,9 @@ void PortSubscription::close()
     draining_.clear();
   }
   {
+    const std::lock_guard<std::mutex> none_is_queued(queueing_lock_);  // from now on
+  }
+  {
     const topics::WiringLock lock;
     for (const auto& each : all)
     {

@@ -26,7 +26,9 @@ namespace dyknow
 /// publisher may be on its way to the new one as well; but no longer than 0.1 s if the new topic has a
 /// publisher, and 0.5 s if it has none.
 ///
-/// Locks: the wiring lock, then roscpp's, then `state_lock_`, under which only callback queues are called.
+/// Locks: the wiring lock, then roscpp's, then `queueing_lock_`, then `state_lock_`. Under both of these only
+/// callback queues are called. The first is there for messages that come: who is woken up by their callback needs
+/// the second at once.
 class PortSubscription final : public End, public std::enable_shared_from_this<PortSubscription>
 {
 public:
@@ -69,6 +71,7 @@ private:
   const std::shared_ptr<Port> port_;
   std::shared_ptr<Traffic> traffic_;
 
+  std::mutex queueing_lock_;
   mutable std::mutex state_lock_;
   std::condition_variable callback_ended_;
   ros::SubscribeOptions options_;
