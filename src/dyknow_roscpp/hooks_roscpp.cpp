@@ -3,6 +3,7 @@
 
 /// @file The hooks: definitions of libroscpp's functions that come before its own.
 #include <ros/init.h>
+#include <ros/master.h>
 #include <ros/node_handle.h>
 #include <ros/subscription_queue.h>
 #include <ros/this_node.h>
@@ -28,6 +29,8 @@ namespace
 using AdvertiseMethod = ros::Publisher (ros::NodeHandle::*)(ros::AdvertiseOptions&);
 using SubscribeMethod = ros::Subscriber (ros::NodeHandle::*)(ros::SubscribeOptions&);
 using ResolveMethod = std::string (ros::NodeHandle::*)(const std::string&, bool) const;
+using ExecuteFunction = bool (*)(const std::string&, const XmlRpc::XmlRpcValue&, XmlRpc::XmlRpcValue&,
+                                 XmlRpc::XmlRpcValue&, bool);
 using PublishMethod = void (ros::TopicManager::*)(const std::string&,
                                                   const boost::function<ros::SerializedMessage(void)>&,
                                                   ros::SerializedMessage&);
@@ -88,6 +91,7 @@ std::vector<void*> roscppHooks()
                                                 const ros::VoidConstWPtr&, bool, ros::Time, bool*);
   return {
       reinterpret_cast<void*>(static_cast<void (*)()>(&ros::start)),
+      reinterpret_cast<void*>(static_cast<ExecuteFunction>(&ros::master::execute)),
       addressOf(static_cast<AdvertiseMethod>(&ros::NodeHandle::advertise)),
       addressOf(static_cast<SubscribeMethod>(&ros::NodeHandle::subscribe)),
       addressOf(static_cast<ResolveMethod>(&ros::NodeHandle::resolveName)),
@@ -127,6 +131,18 @@ void start()
           dyknow::offerProcessServices();
         }
       });
+}
+
+bool master::execute(const std::string& method, const XmlRpc::XmlRpcValue& request,
+                     XmlRpc::XmlRpcValue& response, XmlRpc::XmlRpcValue& payload, bool wait_for_master)
+{
+  static const auto next = dyknow::behind(static_cast<dyknow::ExecuteFunction>(&master::execute));
+  const bool is_answered = next(method, request, response, payload, wait_for_master);
+  if (is_answered)
+  {
+    dyknow::topics::noteAnswer(method, payload);
+  }
+  return is_answered;
 }
 
 Publisher NodeHandle::advertise(AdvertiseOptions& ops)

@@ -35,11 +35,6 @@ std::string typeIn(XmlRpc::XmlRpcValue types, const std::string& topic)
 
 }  // namespace
 
-std::size_t MasterState::subscribersOf(const std::string& topic) const
-{
-  return nodesOn(SUBSCRIBERS, topic).size();
-}
-
 std::string MasterState::datatypeOf(const std::string& topic) const
 {
   if (!nodesOn(PUBLISHERS, topic).empty())

@@ -24,9 +24,6 @@ public:
   /// @param deadline of its questions
   explicit MasterState(Clock::time_point deadline) : deadline_(deadline) {}
 
-  /// Nodes that subscribe to a topic.
-  std::size_t subscribersOf(const std::string& topic) const;
-
   /// Type of a topic that has a publisher or subscriber, else empty.
   ///
   /// The master's types outlive the publishers that they come from, so they count only while there is a

@@ -143,12 +143,11 @@ void NodeletProxy::setConfig(const Config& config, const std::string& caller)
     texts.push_back(topic);
   }
   guards.checkSizes(texts, config.size());
-  const MasterState master(deadline);
-  const auto changes = checked(config, guards, master);
+  const auto changes = checked(config, guards, MasterState(deadline));
   if (std::any_of(changes.begin(), changes.end(),
                   [](const auto& each) { return each.port->topic() != each.topic; }))
   {
-    apply(changes, master);
+    apply(changes);
     on_change_(name);
   }
 }
@@ -338,11 +337,11 @@ void NodeletProxy::setTopicsLocked(std::vector<Change>& changes)
   }
 }
 
-void NodeletProxy::apply(std::vector<Change> changes, const MasterState& master)
+void NodeletProxy::apply(std::vector<Change> changes)
 {
   const auto deadline = Clock::now() + PATIENCE;
   Preparation preparation;
-  std::vector<std::pair<std::shared_ptr<End>, std::size_t>> awaited;
+  std::vector<std::shared_ptr<End>> prepared;
   // Publications first: their subscribers connect meanwhile.
   for (const auto direction : {Direction::OUT, Direction::IN})
   {
@@ -366,18 +365,15 @@ void NodeletProxy::apply(std::vector<Change> changes, const MasterState& master)
         {
           throw invalidConfiguration(name, {error.what()});
         }
-        if (direction == Direction::OUT)
-        {
-          awaited.emplace_back(end, master.subscribersOf(change.topic));
-        }
+        prepared.push_back(end);
       }
     }
   }
-  const auto is_ready = [](const auto& each)
+  const auto is_ready = [](const auto& end)
   {
-    return each.first->isReady(each.second);
+    return end->isReady();
   };
-  while (Clock::now() < deadline && !std::all_of(awaited.begin(), awaited.end(), is_ready))
+  while (Clock::now() < deadline && !std::all_of(prepared.begin(), prepared.end(), is_ready))
   {
     std::this_thread::sleep_for(STEP);  // a poll: roscpp tells of a subscriber, but not of all of them
   }

@@ -82,7 +82,7 @@ private:
   std::string topicAtStart(const std::string& remapped) const;
   void checkType(const NamedPort& port, const std::string& topic, const MasterState& master,
                  std::map<std::string, std::string>& types) const;
-  void apply(std::vector<Change> changes, const MasterState& master);
+  void apply(std::vector<Change> changes);
   void setTopicsLocked(std::vector<Change>& changes);
   void followPorts(const std::vector<Change>& changes, Clock::time_point deadline);
 

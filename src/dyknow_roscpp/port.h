@@ -35,8 +35,8 @@ public:
   /// Registers on a topic (empty: on none) beside the present one. Raises an exception if that fails.
   virtual void prepare(const std::string& topic, Clock::time_point deadline) = 0;
 
-  /// Whether as many peers outside as `expected` are connected to what was prepared.
-  virtual bool isReady(std::size_t expected) const = 0;
+  /// Whether the peers that the master knows are connected to what was prepared.
+  virtual bool isReady() const = 0;
 
   /// @param announce called when the node may be told: at the switch, before the first new message is queued
   /// @return whether it is, or will be called

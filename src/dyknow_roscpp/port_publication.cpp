@@ -192,14 +192,14 @@ void PortPublication::prepare(const std::string& topic, Clock::time_point deadli
   }
 }
 
-bool PortPublication::isReady(std::size_t expected) const
+bool PortPublication::isReady() const
 {
-  std::string next;
+  RegistrationPtr next;
   {
     std::lock_guard<std::mutex> lock(message_lock_);
-    next = prepared_ ? prepared_->topic : "";
+    next = prepared_;
   }
-  return next.empty() || topics::subscribers(next) >= expected;
+  return !next || next->isHeardByAll();
 }
 
 bool PortPublication::commit(const Announcement&)

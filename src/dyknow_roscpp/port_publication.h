@@ -39,6 +39,9 @@ public:
   /// lazy nodelet would go on working for nobody.
   void disconnectAll();
 
+  /// Whether as many subscribers are connected as the master knew when it was advertised.
+  bool isHeardByAll() const;
+
   /// Whether there is a link to another process, which is still to be sent what was published.
   bool isHeardOutside() const;
 
@@ -49,6 +52,7 @@ private:
 
   const ros::SubscriberCallbacksPtr node_;
   bool is_advertised_ = false;  ///< under the wiring lock
+  std::size_t known_subscribers_ = 0;
   mutable std::mutex links_lock_;
   std::vector<ros::SubscriberLinkPtr> links_;
 };
@@ -86,7 +90,7 @@ public:
 
   // End
   void prepare(const std::string& topic, Clock::time_point deadline) override;
-  bool isReady(std::size_t expected) const override;
+  bool isReady() const override;
   bool commit(const Announcement& announce) override;
   void cancel() override;
   std::string topic() const override;

@@ -142,7 +142,7 @@ void PortSubscription::prepare(const std::string& topic, Clock::time_point deadl
   }
 }
 
-bool PortSubscription::isReady(std::size_t) const
+bool PortSubscription::isReady() const
 {
   return true;  // the old topic is live until the new one is
 }

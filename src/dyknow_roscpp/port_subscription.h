@@ -47,7 +47,7 @@ public:
 
   // End
   void prepare(const std::string& topic, Clock::time_point deadline) override;
-  bool isReady(std::size_t expected) const override;
+  bool isReady() const override;
   bool commit(const Announcement& announce) override;
   void cancel() override;
   std::string topic() const override;

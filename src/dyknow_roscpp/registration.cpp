@@ -109,7 +109,7 @@ void Registration::advertise(const topics::WiringLock& lock, ros::AdvertiseOptio
   bool is_done = false;
   try
   {
-    is_done = topics::advertise(lock, options, callbacks);
+    is_done = topics::advertise(lock, options, callbacks, &known_subscribers_);
   }
   catch (...)
   {
@@ -144,6 +144,11 @@ void Registration::disconnectAll()
   {
     queueForNode(node_->disconnect_, link);
   }
+}
+
+bool Registration::isHeardByAll() const
+{
+  return topics::subscribers(topic) >= known_subscribers_;
 }
 
 bool Registration::isHeardOutside() const

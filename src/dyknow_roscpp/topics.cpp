@@ -38,6 +38,7 @@ std::timed_mutex& wiringMutex()
 
 thread_local bool t_draining = false;
 thread_local std::vector<std::string>* t_unregistered = nullptr;
+thread_local std::size_t* t_known = nullptr;
 
 ros::TopicManager* manager()
 {
@@ -83,10 +84,24 @@ bool isDraining()
 }
 
 bool advertise(const WiringLock&, const ros::AdvertiseOptions& options,
-               const ros::SubscriberCallbacksPtr& callbacks)
+               const ros::SubscriberCallbacksPtr& callbacks, std::size_t* known)
 {
   static const auto next = behind(&ros::TopicManager::advertise);
+  struct Asking
+  {
+    explicit Asking(std::size_t* known) { t_known = known; }
+    ~Asking() { t_known = nullptr; }
+  } const asking(known);
   return next(manager(), options, callbacks);
+}
+
+void noteAnswer(const std::string& question, XmlRpc::XmlRpcValue& answer)
+{
+  if (t_known != nullptr && question == "registerPublisher" &&
+      answer.getType() == XmlRpc::XmlRpcValue::TypeArray)
+  {
+    *t_known = answer.size();
+  }
 }
 
 bool isAdvertised(const WiringLock&, const std::string& topic)

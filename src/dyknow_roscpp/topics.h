@@ -9,6 +9,7 @@
 #include <ros/common.h>
 #include <ros/serialized_message.h>
 #include <ros/subscribe_options.h>
+#include <xmlrpcpp/XmlRpcValue.h>
 
 #include <functional>
 #include <mutex>
@@ -48,8 +49,12 @@ void unsubscribeDraining(const WiringLock&, const std::string& topic,
 /// Whether this thread is in `unsubscribeDraining`.
 bool isDraining();
 
+/// @param known set to the number of subscribers that the master knows; 0 if this process is on the topic already
 bool advertise(const WiringLock&, const ros::AdvertiseOptions& options,
-               const ros::SubscriberCallbacksPtr& callbacks);
+               const ros::SubscriberCallbacksPtr& callbacks, std::size_t* known = nullptr);
+
+/// What the master answered: the one to `advertise` of this thread has the subscribers.
+void noteAnswer(const std::string& question, XmlRpc::XmlRpcValue& answer);
 
 /// Whether a publisher of this process is on a topic.
 bool isAdvertised(const WiringLock&, const std::string& topic);
