@@ -33,6 +33,7 @@ ROS_PYTHON = "/usr/bin/python3"
 STAGE_TIMEOUT = 420.0  # s
 LONG_TIMEOUT = 3600.0  # s, for a stage or suite of the long run
 IN_PARALLEL = ("-n", "2", "--dist", "worksteal")
+USES_LIBRARIES = ("dyknow_cpp_test_libraries", "dyknow_cpp_test_node")
 LAYERS_WITHOUT_ROS = ("model", "nodelet", "proxy", "manager")
 
 
@@ -201,6 +202,7 @@ STAGES: tuple[Stage, ...] = (
 LONG_STAGES: tuple[Stage, ...] = (
     ("build", check("make", "--no-print-directory", "build")),
     ("check tools", check("make", "--no-print-directory", "venv")),
+    ("build what uses libraries", check("bash", "tools/build.sh", "ws", *USES_LIBRARIES)),
     ("build with the address sanitizer", sanitized("address")),
     ("build with the thread sanitizer", sanitized("thread")),
     ("mypy on tests", check(str(VENV / "mypy"), "--config-file", "test/mypy.ini")),
