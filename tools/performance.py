@@ -35,6 +35,7 @@ COMMANDS: dict[str, Sequence[str]] = {
     "busy": ("busy",),
     "outside": ("outside",),
     "rewire": ("rewire",),
+    "cpp": ("cpp",),
     "footprint": ("footprint",),
     "model": ("model",),
     "library": ("library",),
