@@ -45,7 +45,7 @@ COMMANDS: dict[str, Sequence[str]] = {
     "leak": ("leak",),
     "idle": ("idle",),
 }
-MARKED = re.compile(r"(<!-- begin (\w+)/(\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
+MARKED = re.compile(r"(<!-- begin (\w+)/(\w+) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
 
 
 def main(names: Sequence[str]) -> int:
@@ -69,9 +69,9 @@ def main(names: Sequence[str]) -> int:
 
 def filled(mark: re.Match[str]) -> str:
     """The marked part of the page with the last results, or unchanged where there are none."""
-    begin, measurement, file, end = mark.groups()
+    begin, measurement, file, present, end = mark.groups()
     if measurement == "every":
-        header, rows = every(file)
+        header, rows = every(file, present)
         if not rows:
             return mark[0]
     elif (path := RESULTS / measurement / f"{file}.csv").exists():
@@ -88,8 +88,11 @@ def read(path: Path) -> list[list[str]]:
         return list(csv.reader(lines))
 
 
-def every(file: str) -> tuple[list[str], list[list[str]]]:
-    """The tables of that name of all measurements as one, with a column for the measurement."""
+def every(file: str, present: str) -> tuple[list[str], list[list[str]]]:
+    """The tables of that name of all measurements as one, with a column for the measurement.
+
+    Of a measurement that was not run, the lines are those that are present.
+    """
     header: list[str] = []
     rows = []
     for name in COMMANDS:
@@ -97,7 +100,15 @@ def every(file: str) -> tuple[list[str], list[list[str]]]:
         if path.exists():
             header, *found = read(path)
             rows += [[f"`{name}`", *row] for row in found]
-    return ["measurement", *header], rows
+        else:
+            rows += [row for row in cells(present) if row[0] == f"`{name}`"]
+    return ["measurement", *header], rows if header else []
+
+
+def cells(text: str) -> list[list[str]]:
+    """The lines of a table in Markdown."""
+    lines = [line for line in text.splitlines() if line.startswith("|")]
+    return [[cell.strip() for cell in line.strip("|").split(" | ")] for line in lines]
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
