@@ -26,7 +26,7 @@ from dyknow.errors import Refused
 from dyknow.model.graph import NodeletKind, State
 from dyknow.model.streams import StreamRequest
 
-EXAMPLE = Path(rospkg.RosPack().get_path("dyknow")) / "examples/transformations/image_proc.xml"
+EXAMPLES = Path(rospkg.RosPack().get_path("dyknow")) / "examples/transformations"
 CPP = "/dyknow_cpp_nodelet_manager"
 RELAY = specification("images", "dyknow_manager_test/ImageRelay", ">in out>")
 #: From one of two cameras through a relay, a C++ nodelet and another relay.
@@ -71,7 +71,7 @@ class CppTest(ManagerCase):
     def setUp(self):
         self.manager = self.started()
         self.client = self.manager.client
-        self.client.add_transformation(EXAMPLE.read_text())
+        self.client.add_transformation((EXAMPLES / "image_proc.xml").read_text())
         self.client.add_transformation(RELAY)
         for namespace in ("/cam", "/cam2"):
             camera = Camera(namespace, 8)
@@ -150,6 +150,24 @@ class CppTest(ManagerCase):
         self.assertEqual(size_on(claim.topic), (4, 3))
         self.client.release_stream(claim.claim_id)
 
+    def test_the_example_with_both_kinds(self):
+        self.client.add_transformation((EXAMPLES / "thumbnails.xml").read_text())
+        for namespace, width in (("/left", 8), ("/right", 16)):
+            camera = Camera(namespace, width)
+            self.addCleanup(camera.close)
+        claim = self.client.acquire_stream(StreamRequest("Thumbnail(room)", max_silence=5.0))
+        self.assertEqual(size_on(claim.topic)[0], 2)
+        kinds = {each.kind for each in self.client.get_graph().nodelets}
+        self.assertEqual(kinds, {NodeletKind.PYTHON, NodeletKind.CPP})
+        quarter = next(name for name in claim.spawned if "quarter" in name)
+        before = self.client.get_statistics(quarter)
+        self.client.remove_transformation("left camera")
+        eventually(lambda: size_on(claim.topic)[0] == 4, 10.0, "it sees the right camera")
+        after = self.client.get_statistics(quarter)
+        self.assertGreater(after.reconfigurations, before.reconfigurations)
+        self.assertGreater(after.uptime, before.uptime, "it was not loaded again")
+        self.client.release_stream(claim.claim_id)
+
     def test_crop_decimate_finds_camera_info_beside_its_image(self):
         config = {"camera/image_raw": "/cam/image_raw", "camera_out/image_raw": "/half/image_raw"}
         self.client.spawn("crop_decimate", "/crop", config)
@@ -212,7 +230,7 @@ class StockTest(ManagerCase):
         finally:
             del os.environ["LD_PRELOAD"]
         client = manager.client
-        client.add_transformation(EXAMPLE.read_text())
+        client.add_transformation((EXAMPLES / "image_proc.xml").read_text())
         camera = Camera("/cam", 8)
         self.addCleanup(camera.close)
         client.spawn("resize", "/resize", {"image": "/cam/image_raw", "~image": "/small"})
@@ -249,7 +267,7 @@ class ExternalTest(ManagerCase):
         eventually(
             lambda: manager.topics("/ours_resize")["~image"] == "/small", 2.0, "it is shown"
         )
-        manager.client.add_transformation(EXAMPLE.read_text())
+        manager.client.add_transformation((EXAMPLES / "image_proc.xml").read_text())
         for name in ("/ours", "/stock"):
             manager.client.spawn("resize", f"{name}_spawned", manager=name)
             found = manager.nodelet(f"{name}_spawned")
