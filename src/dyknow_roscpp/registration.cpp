@@ -9,6 +9,7 @@
 #include "port_publication.h"
 #include "private_member.h"
 #include "problems.h"
+#include "setting.h"
 
 namespace dyknow
 {
@@ -105,19 +106,8 @@ void Registration::advertise(const topics::WiringLock& lock, ros::AdvertiseOptio
       here->disconnected(peer.*pointerTo(LinkOf()));
     }
   };
-  t_joining = topics::isAdvertised(lock, topic);
-  bool is_done = false;
-  try
-  {
-    is_done = topics::advertise(lock, options, callbacks, &known_subscribers_);
-  }
-  catch (...)
-  {
-    t_joining = false;
-    throw;
-  }
-  t_joining = false;
-  if (!is_done)
+  const Setting<bool> joining(t_joining, topics::isAdvertised(lock, topic));
+  if (!topics::advertise(lock, options, callbacks, &known_subscribers_))
   {
     throw Refusal("cannot advertise '" + topic + "'");
   }

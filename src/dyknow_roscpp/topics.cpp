@@ -11,6 +11,7 @@
 #include "deadline.h"
 #include "private_member.h"
 #include "problems.h"
+#include "setting.h"
 #include "symbols.h"
 
 namespace dyknow
@@ -73,9 +74,8 @@ void unsubscribe(const WiringLock&, const std::string& topic,
 void unsubscribeDraining(const WiringLock& lock, const std::string& topic,
                          const ros::SubscriptionCallbackHelperPtr& helper)
 {
-  t_draining = true;
+  const Setting<bool> draining(t_draining, true);
   unsubscribe(lock, topic, helper);
-  t_draining = false;
 }
 
 bool isDraining()
@@ -87,11 +87,7 @@ bool advertise(const WiringLock&, const ros::AdvertiseOptions& options,
                const ros::SubscriberCallbacksPtr& callbacks, std::size_t* known)
 {
   static const auto next = behind(&ros::TopicManager::advertise);
-  struct Asking
-  {
-    explicit Asking(std::size_t* known) { t_known = known; }
-    ~Asking() { t_known = nullptr; }
-  } const asking(known);
+  const Setting<std::size_t*> asking(t_known, known);
   return next(manager(), options, callbacks);
 }
 
@@ -117,9 +113,10 @@ void unadvertise(const WiringLock&, const std::string& topic, const ros::Subscri
   static const auto unregister = reinterpret_cast<Unregister>(requireBehind(unregisterPublisherHook()));
   // roscpp asks the master while it holds the lock that every publish needs: it is asked after that.
   std::vector<std::string> unregistered;
-  t_unregistered = &unregistered;
-  next(manager(), topic, callbacks);
-  t_unregistered = nullptr;
+  {
+    const Setting<std::vector<std::string>*> noting(t_unregistered, &unregistered);
+    next(manager(), topic, callbacks);
+  }
   for (const auto& each : unregistered)
   {
     unregister(manager(), each);

@@ -6,9 +6,7 @@
 from __future__ import annotations
 
 import json
-import os
 import threading
-from pathlib import Path
 from typing import Any
 
 import graph
@@ -18,11 +16,6 @@ from dyknow_msgs.srv import SetConfig
 from sensor_msgs.msg import CameraInfo, Image
 from std_srvs.srv import Trigger
 
-#: Where libraries of this workspace are.
-FOLDERS = [Path(each) / "lib" for each in os.environ["CMAKE_PREFIX_PATH"].split(os.pathsep)]
-LIBRARY = next(
-    each / "libdyknow_roscpp.so" for each in FOLDERS if (each / "libdyknow_roscpp.so").exists()
-)
 OURS = ("rosrun", "dyknow", "cpp_nodelet_manager")
 STOCK = ("rosrun", "nodelet", "nodelet", "manager")
 #: Runs a node with the library.

@@ -11,7 +11,7 @@ import signal
 import graph
 import rospy
 import rostest
-from cpp_suite import LIBRARY, RUN, Camera, CppManager, report
+from cpp_suite import RUN, Camera, CppManager, report
 from geometry_msgs.msg import TransformStamped
 from graph import set_config, topics_of_ports
 from manager_suite import ManagerCase
@@ -20,6 +20,8 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image
 from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
+
+from dyknow.cli.rewirable import LIBRARY
 
 LIBRARIES = (*RUN, "dyknow", "dyknow_cpp_test_node")
 
@@ -107,7 +109,7 @@ class NodeLibrariesTest(LibrariesCase, ManagerCase):
     def test_children_do_not_get_the_library(self):
         environment = rospy.ServiceProxy("/libraries/environment", Trigger)().message
         self.assertIn("PATH=", environment)
-        self.assertNotIn(LIBRARY.name, environment)
+        self.assertNotIn(LIBRARY, environment)
 
     def test_signals_do_what_they_do_to_any_node(self):
         for number, code in ((signal.SIGINT, 0), (signal.SIGTERM, -signal.SIGTERM)):

@@ -14,6 +14,7 @@ import socket
 import statistics
 import threading
 import time
+from typing import Callable
 
 import graph
 import rospy
@@ -88,6 +89,16 @@ class MoveTest(CppCase):
         print(f"{self.id()}: {len(times)} moves, {median:.1f} ms (longest {longest:.0f} ms)")
         self.assertGreater(len(times), COUNT / 200)
 
+    def mover_of_both(self) -> Callable[[str], None]:
+        """Moves the ports of the sink and the source, one after the other."""
+        move_in, move_out = self.mover("/sink", "in"), self.mover("/source", "out")
+
+        def move_both(topic: str) -> None:
+            move_in(topic)
+            move_out(topic)
+
+        return move_both
+
     def test_an_out_port(self):
         self.manager.load("Sink", "/sink", {"/in": "/a", "/second": "/b"}, second=True)
         self.manager.load("Source", "/source", {"/out": "/a"}, count=COUNT, rate=RATE)
@@ -112,25 +123,13 @@ class MoveTest(CppCase):
     def test_both_ends(self):
         self.manager.load("Sink", "/sink", {"/in": "/a"})
         self.manager.load("Source", "/source", {"/out": "/a"}, count=COUNT, rate=RATE)
-        move_in, move_out = self.mover("/sink", "in"), self.mover("/source", "out")
-
-        def move_both(topic: str) -> None:
-            move_in(topic)
-            move_out(topic)
-
-        self.moves_while_sending(COUNT, "/source", step=move_both)
+        self.moves_while_sending(COUNT, "/source", step=self.mover_of_both())
         self.assert_all_arrived("/sink", COUNT)
 
     def test_a_slow_receiver_with_a_backlog(self):
         self.manager.load("Sink", "/sink", {"/in": "/a"}, delay=0.002, queue_size=COUNT)
         self.manager.load("Source", "/source", {"/out": "/a"}, count=COUNT, rate=RATE)
-        move_in, move_out = self.mover("/sink", "in"), self.mover("/source", "out")
-
-        def move_both(topic: str) -> None:
-            move_in(topic)
-            move_out(topic)
-
-        self.moves_while_sending(COUNT, "/source", step=move_both)
+        self.moves_while_sending(COUNT, "/source", step=self.mover_of_both())
         # Not from its report, which waits in its queue for all that came before.
         self.assertLess(graph.port_statistics("/sink", "in").messages, COUNT)
         self.assert_all_arrived("/sink", COUNT, 30.0)

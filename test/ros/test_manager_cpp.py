@@ -22,6 +22,7 @@ from manager_suite import LIBRARY, ManagerCase, eventually, registrations, speci
 from processes import BUSY
 from sensor_msgs.msg import CameraInfo, Image
 
+from dyknow.cli.rewirable import find_library
 from dyknow.errors import Refused
 from dyknow.model.graph import NodeletKind, State
 from dyknow.model.streams import StreamRequest
@@ -222,7 +223,7 @@ class StockTest(ManagerCase):
     """Where the library cannot stand in front of libroscpp, nodelets are loaded again."""
 
     def test_a_failing_self_check(self):
-        linked = subprocess.run(["ldd", str(cpp_suite.LIBRARY)], stdout=subprocess.PIPE, text=True)
+        linked = subprocess.run(["ldd", str(find_library())], stdout=subprocess.PIPE, text=True)
         roscpp = next(line.split()[2] for line in linked.stdout.splitlines() if "roscpp." in line)
         os.environ["LD_PRELOAD"] = roscpp  # its functions are found first then
         try:
