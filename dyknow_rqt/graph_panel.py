@@ -9,7 +9,7 @@ from typing import Iterable, Iterator, Mapping, Optional, Tuple
 
 from python_qt_binding.QtCore import QEvent, QPoint, Qt, Signal
 from python_qt_binding.QtGui import QKeySequence
-from python_qt_binding.QtWidgets import QAction, QFileDialog, QLabel, QVBoxLayout, QWidget
+from python_qt_binding.QtWidgets import QAction, QFileDialog, QVBoxLayout, QWidget
 
 from dyknow.model.graph import PortRef
 from dyknow_rqt.canvas.appearance import edge_refs, gap_of, sizes_of
@@ -27,6 +27,7 @@ from dyknow_rqt.graph_menus import GraphActions, menu_for
 from dyknow_rqt.layouter import Layouter
 from dyknow_rqt.monitor import Monitor
 from dyknow_rqt.qt_slot import qt_slot
+from dyknow_rqt.sign import Sign
 from dyknow_rqt.wiring_files import WiringFiles
 
 _KINDS = ("DOT (*.dot)", "SVG (*.svg)", "PNG (*.png)")
@@ -50,10 +51,7 @@ class GraphPanel(QWidget):
         self.view = GraphView(self.report)
         self.layouter = Layouter()
         self.files = WiringFiles(monitor, self)
-        self.sign = QLabel(self.view)
-        self.sign.setAlignment(Qt.AlignCenter)
-        self.sign.setWordWrap(True)
-        self.sign.setAttribute(Qt.WA_TransparentForMouseEvents)
+        self.sign = Sign(self.view)
         column = QVBoxLayout(self)
         column.setContentsMargins(0, 0, 0, 0)
         column.setSpacing(0)
@@ -142,24 +140,17 @@ class GraphPanel(QWidget):
     @qt_slot
     def _show_sign(self) -> None:
         monitor, text = self._monitor, ""
-        if monitor.is_linked is None:
-            text = f"Looking for {monitor.remote.manager} …"
-        elif not monitor.is_linked:
-            text = f"{monitor.remote.manager} does not answer; waiting for it"
+        status = monitor.heart.status
+        if not status.is_sound:
+            text = status.text
         elif not monitor.snapshot.nodelets:
             text = "No nodelets yet: make one in 'Create', or ask for a stream in 'Streams'"
             if not monitor.library:
                 text = "No nodelets and no transformations yet: import some in 'Library'"
         elif not self._figure.vertices:
             text = "The filters hide everything"
-        self.sign.setText(text)
-        self.sign.setVisible(bool(text))
-        self.sign.setGeometry(0, 0, self.view.width(), 60 if monitor.snapshot.nodelets else 160)
-
-    @qt_slot
-    def _follow_link(self) -> None:
-        self._show_sign()
-        self.view.setEnabled(bool(self._monitor.is_linked))
+        is_over_drawing = bool(monitor.snapshot.nodelets)
+        self.sign.show_text(text, is_warning=is_over_drawing and not status.is_sound)
 
     # Gestures
 
@@ -226,19 +217,26 @@ class GraphPanel(QWidget):
 
     # Inside
 
+    @qt_slot
+    def _grey(self) -> None:
+        """Grey what is stale."""
+        self.view.scene().set_palette(self.view.palette(), not self._monitor.is_linked)
+
     def eventFilter(self, watched: object, event: QEvent) -> bool:  # noqa: N802
         """Keep the message in the middle, and follow changes of the palette."""
         if event.type() == QEvent.Resize:
             self._show_sign()
         elif event.type() == QEvent.PaletteChange:
-            self.view.scene().set_palette(self.view.palette())
+            self._grey()
+            self._show_sign()
         return False
 
     def _listen(self) -> None:
         monitor, view, bar = self._monitor, self.view, self.bar
         monitor.changed.connect(self._take_snapshot)
         monitor.measured.connect(view.scene().set_traffic)
-        monitor.linked.connect(self._follow_link)
+        monitor.heart.told.connect(self._show_sign)
+        monitor.heart.linked.connect(self._grey)
         monitor.library_changed.connect(self._show_sign)
         monitor.history_changed.connect(bar.show_history)
         self.layouter.ready.connect(self._draw)

@@ -12,9 +12,9 @@ import sys
 from types import TracebackType
 from typing import List, Optional, Type
 
-import rospy
 from python_qt_binding.QtCore import QSettings, QTimer
 from python_qt_binding.QtWidgets import QApplication, QMainWindow
+from rosgraph import myargv
 
 from dyknow_rqt.ros_remote import RosRemote
 from dyknow_rqt.window import DyKnowWidget
@@ -48,7 +48,7 @@ class DyKnowWindow(QMainWindow):
 
 def main(argv: Optional[List[str]] = None) -> int:
     """Run the window until it is closed; returns the exit code."""
-    words = rospy.myargv(argv if argv is not None else sys.argv)
+    words = myargv(argv if argv is not None else sys.argv)
     parser = argparse.ArgumentParser(
         prog="dyknow_rqt", description="Shows the computation graph of DyKnow, and changes it."
     )
@@ -79,7 +79,4 @@ def main(argv: Optional[List[str]] = None) -> int:
     alive.start(200)
     window.show()
     widget.start()
-    code = application.exec_()
-    if rospy.core.is_initialized():
-        rospy.signal_shutdown("the window is closed")
-    return int(code)
+    return int(application.exec_())

@@ -36,6 +36,7 @@ from dyknow_rqt.graph.changes import CannotUndo, Change
 from dyknow_rqt.graph.history import UndoHistory
 from dyknow_rqt.graph.rates import Meter, in_turns
 from dyknow_rqt.graph.snapshot import PlainNode, Snapshot, plain_nodes, taken_topics
+from dyknow_rqt.heartbeat import Heartbeat
 from dyknow_rqt.qt_slot import qt_slot
 from dyknow_rqt.remote import Remote
 
@@ -71,8 +72,6 @@ class Monitor(QObject):
     measured = Signal(object)
     #: Something has become of a stream: a ``StreamEvent``.
     stream_event = Signal(object)
-    #: The manager answers, or why it does not.
-    linked = Signal(bool, str)
     #: An error, in words.
     failed = Signal(str)
     #: A change was made, in words.
@@ -94,7 +93,8 @@ class Monitor(QObject):
         self._client = remote.client
         self.snapshot = Snapshot()
         self.library: Dict[str, Transformation] = {}
-        self.is_linked: Optional[bool] = None
+        self.heart = Heartbeat(remote)
+        self.heart.linked.connect(self._follow_link)
         self.history = UndoHistory()
         self._calls = BackgroundCalls()
         self._meter = Meter()
@@ -117,6 +117,7 @@ class Monitor(QObject):
             lambda model: self._calls.deliver(lambda: self._hear(model)),
             lambda event: self._calls.deliver(lambda: self.stream_event.emit(event)),
         )
+        self.heart.start()
         self._timer.start()
         self.look()
 
@@ -124,12 +125,18 @@ class Monitor(QObject):
         """Stop; returns at once."""
         self._timer.stop()
         self._drawing.stop()
+        self.heart.close()
         self._calls.close()
         self.remote.close()
 
     def set_period(self, seconds: float) -> None:
         """Set the period, in seconds."""
         self._timer.setInterval(max(100, int(seconds * 1000)))
+
+    @property
+    def is_linked(self) -> bool:
+        """Whether the manager answers."""
+        return self.heart.status.is_current
 
     @property
     def is_changing(self) -> bool:
@@ -234,8 +241,11 @@ class Monitor(QObject):
 
         ``no_way`` is called if it was refused, but not if nothing answered.
         """
+        refusal = "" if self.is_linked else self.heart.status.text
         if self._changing:
-            self.failed.emit("another change is under way; try again when it is done")
+            refusal = "another change is under way; try again when it is done"
+        if refusal:
+            self.failed.emit(f"{change.text}: {refusal}")
             return
         self._changing = True
 
@@ -271,14 +281,13 @@ class Monitor(QObject):
         model = self.remote.graph()
         topics = {port.topic for each in model.nodelets for port in each.ports if port.topic}
         hosts = {each.node for each in model.nodelets}
-        nodes: Tuple[PlainNode, ...] = ()
-        taken: FrozenSet[str] = frozenset()
+        nodes, taken = self.snapshot.nodes, self.snapshot.taken
         try:
             publishers, subscribers = self.remote.system_state()
             nodes = plain_nodes(publishers, subscribers, topics, hosts)
             taken = taken_topics(publishers, model.nodelets, hosts)
         except (DyKnowError, LookupError):
-            pass  # the model is shown without them
+            pass  # what the master told last is shown
         statistics = []
         end = time.monotonic() + _ASKING
         for name in names:
@@ -293,9 +302,7 @@ class Monitor(QObject):
 
     def _take_look(self, looked: _Looked) -> None:
         self._looking = False
-        linked_anew = not self.is_linked
-        self._set_linked(True, "")
-        if linked_anew or looked.model.revision >= self._revision:
+        if looked.model.revision >= self._revision:
             if self._heard is not None and self._heard.revision <= looked.model.revision:
                 self._heard = None  # an older model
             self._take_model(looked.model, looked.nodes, looked.taken)
@@ -316,7 +323,7 @@ class Monitor(QObject):
         if model is None:
             return
         start = time.monotonic()
-        self._set_linked(True, "")
+        self.heart.note_word()
         self._take_model(model, self.snapshot.nodes, self.snapshot.taken)
         self._drawing.setInterval(min(1000, int((time.monotonic() - start) * 2000)))
 
@@ -346,17 +353,19 @@ class Monitor(QObject):
     def _take_failure(self, error: Exception) -> None:
         self._looking = False
         self._log_unexpected(error)
-        self._library_revision = -1
-        self._set_linked(False, _words(error))
+        self._meter.keep(())
+        self.measured.emit(self._meter.traffic)
 
     def _log_unexpected(self, error: Exception) -> None:
         if not isinstance(error, DyKnowError):
             _LOG.error("a look at the graph failed", exc_info=error)
 
-    def _set_linked(self, linked: bool, reason: str) -> None:
-        if linked != self.is_linked:
-            self.is_linked = linked
-            self.linked.emit(linked, reason)
+    @qt_slot
+    def _follow_link(self, is_linked: bool) -> None:
+        """Read everything of a manager that answers again: it may be another one."""
+        if is_linked:
+            self._revision = self._library_revision = -1
+            self.look()
 
 
 def _way_back(

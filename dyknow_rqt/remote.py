@@ -25,9 +25,11 @@ class Remote(ABC):
 
     Attributes:
         client: speaks with the manager and the proxies of its nodelets.
+        master: address of the master.
     """
 
     client: BaseManagerClient
+    master: str
 
     @property
     def manager(self) -> str:
@@ -53,3 +55,7 @@ class Remote(ABC):
     @abstractmethod
     def system_state(self) -> Tuple[Side, Side]:
         """Ask the master for the publishers and subscribers of all topics."""
+
+    @abstractmethod
+    def is_registered(self) -> bool:
+        """Ask the master whether it knows the manager, and listen to the one that it knows."""

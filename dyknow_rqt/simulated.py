@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import Callable, Dict, List, Tuple
 
+from dyknow.errors import PeerTimeout
 from dyknow.model.graph import Model
 from dyknow.model.streams import StreamEvent
 from dyknow.simulated import SimulatedManagerClient
@@ -18,12 +19,16 @@ class SimulatedRemote(Remote):
     """A simulated manager, with ordinary nodes beside it.
 
     Attributes:
+        has_master: whether the master answers.
+        is_known: whether it knows the manager.
         publishers: nodes that publish, by topic.
         subscribers: nodes that subscribe, by topic.
     """
 
     def __init__(self) -> None:
-        """Begin with nothing, with a manager that is up."""
+        """Begin with nothing, with a master and a manager that are up."""
+        self.master = "http://localhost:11311"
+        self.has_master = self.is_known = True
         self.client: SimulatedManagerClient = SimulatedManagerClient()
         self.publishers: Dict[str, List[str]] = {}
         self.subscribers: Dict[str, List[str]] = {}
@@ -47,4 +52,14 @@ class SimulatedRemote(Remote):
 
     def system_state(self) -> Tuple[Side, Side]:
         """Return the ordinary nodes only."""
+        self._ask_master()
         return sorted(self.publishers.items()), sorted(self.subscribers.items())
+
+    def is_registered(self) -> bool:
+        """Say what was set."""
+        self._ask_master()
+        return self.is_known
+
+    def _ask_master(self) -> None:
+        if not self.has_master:
+            raise PeerTimeout(f"the ROS master at {self.master}", 3.0)

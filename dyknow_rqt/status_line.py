@@ -1,17 +1,18 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The line at the bottom of the window: results, errors and questions."""
+"""The line at the bottom of the window: results, errors and questions, and who is heard."""
 
 from __future__ import annotations
 
 from typing import Any, Callable, List, Optional
 
-from python_qt_binding.QtCore import Qt, QTimer
+from python_qt_binding.QtCore import QEvent, Qt, QTimer
 from python_qt_binding.QtGui import QPalette
 from python_qt_binding.QtWidgets import QHBoxLayout, QLabel, QPushButton, QSizePolicy, QWidget
 
 from dyknow_rqt.canvas.colours import colours_of
+from dyknow_rqt.graph.contact import Status
 from dyknow_rqt.qt_slot import qt_slot
 
 _NOTE_TIME = 6000  # ms
@@ -29,6 +30,9 @@ class StatusLine(QWidget):
         self._text.setSizePolicy(QSizePolicy.Ignored, QSizePolicy.Preferred)
         self._text.setAccessibleName("Message")
         self._text.setTextFormat(Qt.PlainText)
+        self.contact = QLabel()
+        self.contact.setAccessibleName("Contact with the manager")
+        self.contact.setTextFormat(Qt.PlainText)
         self.yes = QPushButton()
         self.no = QPushButton("Cancel")
         self.dismiss = QPushButton("Dismiss")
@@ -37,6 +41,8 @@ class StatusLine(QWidget):
         row.addWidget(self._text, 1)
         for button in (self.yes, self.no, self.dismiss):
             row.addWidget(button)
+        row.addWidget(self.contact)
+        self._status: Optional[Status] = None
         self._answer: Optional[Callable[[], None]] = None
         self._timer = QTimer(self)
         self._timer.setSingleShot(True)
@@ -67,6 +73,17 @@ class StatusLine(QWidget):
             self._show(text, alarm=False)
             self._timer.start(_NOTE_TIME)
 
+    @qt_slot
+    def show_status(self, status: Status) -> None:
+        """Show who is heard, and since when."""
+        self._status = status
+        self.contact.setText(status.short if status.is_sound else f"⚠ {status.short}")
+        self.contact.setToolTip(status.text)
+        colours = colours_of(self.palette())
+        palette = QPalette(self.palette())
+        palette.setColor(QPalette.WindowText, colours.muted if status.is_sound else colours.alarm)
+        self.contact.setPalette(palette)
+
     def ask(self, question: str, yes: str, answer: Callable[[], None]) -> None:
         """Ask something; ``answer`` is called if the user agrees."""
         self._show(question, alarm=False)
@@ -83,6 +100,13 @@ class StatusLine(QWidget):
             self.clear()
         else:
             super().keyPressEvent(event)
+
+    @qt_slot
+    def changeEvent(self, event: Any) -> None:  # noqa: N802
+        """Follow changes of the palette."""
+        super().changeEvent(event)
+        if event.type() == QEvent.PaletteChange and self._status is not None:
+            self.show_status(self._status)
 
     @qt_slot
     def clear(self) -> None:

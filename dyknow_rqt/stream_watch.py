@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class StreamWatch(QObject):
-    """Reads the list after each event, each change and each look: events can be lost."""
+    """Reads the list after each event and each change, and takes what the heartbeat hears."""
 
     #: The list has changed.
     changed = Signal()
@@ -27,8 +27,9 @@ class StreamWatch(QObject):
         self._monitor = monitor
         self.streams: Tuple[StreamStatus, ...] = ()
         self._asking = self._again = False
-        for signal in (monitor.stream_event, monitor.settled, monitor.measured):
+        for signal in (monitor.stream_event, monitor.settled):
             signal.connect(self.ask)
+        monitor.heart.listed.connect(self._take)
 
     def stream(self, claim_id: str) -> Optional[StreamStatus]:
         """The claim with that id, or None."""
@@ -41,16 +42,20 @@ class StreamWatch(QObject):
             self._again = True
             return
         self._asking, self._again = True, False
-        self._monitor.ask(lambda client: client.list_streams(), self._take, self._take_none)
+        self._monitor.ask(lambda client: client.list_streams(), self._answered, self._take_none)
 
-    def _take(self, streams: Sequence[StreamStatus]) -> None:
+    def _answered(self, streams: Sequence[StreamStatus]) -> None:
         self._asking = False
-        if tuple(streams) != self.streams:
-            self.streams = tuple(streams)
-            self.changed.emit()
+        self._take(streams)
         if self._again:
             self.ask()
 
+    @qt_slot
+    def _take(self, streams: Sequence[StreamStatus]) -> None:
+        if tuple(streams) != self.streams:
+            self.streams = tuple(streams)
+            self.changed.emit()
+
     def _take_none(self, reason: str) -> None:
-        # The looks of the monitor report already that the manager does not answer.
+        # The window says already that the manager does not answer.
         self._asking = False

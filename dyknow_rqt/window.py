@@ -7,9 +7,11 @@ from __future__ import annotations
 
 from typing import Any, Dict, List, Optional
 
-from python_qt_binding.QtCore import Qt
+from python_qt_binding.QtCore import QEvent, Qt
+from python_qt_binding.QtGui import QPalette
 from python_qt_binding.QtWidgets import QSplitter, QTabWidget, QVBoxLayout, QWidget
 
+from dyknow_rqt.canvas.colours import colours_of
 from dyknow_rqt.graph_panel import GraphPanel
 from dyknow_rqt.monitor import Monitor
 from dyknow_rqt.panels.active import ActivePanel
@@ -90,6 +92,8 @@ class DyKnowWidget(QWidget):
     def _listen(self) -> None:
         self.monitor.failed.connect(self.line.report)
         self.monitor.done.connect(self.line.note)
+        self.monitor.heart.told.connect(self.line.show_status)
+        self.monitor.heart.linked.connect(self._grey)
         self.graph.failed.connect(self.line.report)
         self.graph.mended.connect(self.line.withdraw)
         self.active.chosen.connect(self._show_chosen)
@@ -100,6 +104,23 @@ class DyKnowWidget(QWidget):
         actions.destroy_wanted.connect(self.active.ask_to_destroy)
         actions.create_wanted.connect(self._begin_create)
         actions.connection_wanted.connect(self._begin_connection)
+
+    @qt_slot
+    def changeEvent(self, event: Any) -> None:  # noqa: N802
+        """Follow changes of the palette."""
+        super().changeEvent(event)
+        if event.type() == QEvent.PaletteChange:
+            self._grey()
+
+    @qt_slot
+    def _grey(self) -> None:
+        """Grey what the panels show while it may be stale."""
+        palette = QPalette()  # what is not set in it is inherited
+        if not self.monitor.is_linked:
+            muted = colours_of(self.palette()).muted
+            for role in (QPalette.Text, QPalette.WindowText, QPalette.ButtonText):
+                palette.setColor(role, muted)
+        self.tabs.setPalette(palette)
 
     @qt_slot
     def _begin_create(self, label: str) -> None:

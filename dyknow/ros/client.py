@@ -65,6 +65,13 @@ class ManagerClient(BaseManagerClient):
         self._kept_lock = state_lock("kept services")
         self._kept: Dict[str, ServiceClient] = {}
 
+    def close(self) -> None:
+        """Close the connections that are kept; later calls look up their services again."""
+        with self._kept_lock:
+            kept = list(self._kept.values())
+        for each in kept:
+            each.close()
+
     # Transformations
 
     def add_transformation(self, specification: str) -> Added:

@@ -60,6 +60,16 @@ class TcprosConnection:
         succeeded, body = self._receive(1, deadline)
         return succeeded != b"\0", body
 
+    def keep_alive(self) -> None:
+        """Notice within seconds, while nothing is received, that the other side's host is gone."""
+        for level, option, value in (
+            (socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1),
+            (socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, 5),
+            (socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, 2),
+            (socket.IPPROTO_TCP, socket.TCP_KEEPCNT, 3),
+        ):
+            self._socket.setsockopt(level, option, value)
+
     def interrupt(self) -> None:
         """End what another thread sends or receives: it raises OSError, and then closes."""
         with contextlib.suppress(OSError):

@@ -3,19 +3,31 @@
 
 """Reads a topic from one of its publishers without registering a node.
 
-A shell command need not register with the master: it asks the publisher for a connection and reads
-the messages from it.
+A shell command or a window need not register with the master: it asks the publisher for a
+connection and reads the messages from it.
 """
 
 from __future__ import annotations
 
+import logging
 import socket
+import threading
 import time
-from typing import Any, Optional
+from typing import Any, Callable, Optional
 
 from dyknow.errors import PeerTimeout
+from dyknow.periodic import attempt, in_background
 from dyknow.ros.master import Master
 from dyknow.ros.tcpros import TcprosConnection
+
+#: Seconds for a connection to be there.
+_CONNECTING = 5.0
+#: Seconds from a connection that was lost or refused to the next attempt.
+_AGAIN = 0.5
+#: Seconds to wait for a message before asking again whether to go on.
+_READING = 1.0
+
+_log = logging.getLogger("rosout.dyknow")
 
 
 class TopicReader:
@@ -48,6 +60,7 @@ class TopicReader:
         _, host, port = offer
         try:
             self._connection = TcprosConnection(host, port, _left(deadline))
+            self._connection.keep_alive()
             self._shake_hands(master.caller, topic, deadline)
         except socket.timeout as error:
             raise PeerTimeout(self._what, timeout) from error
@@ -58,23 +71,37 @@ class TopicReader:
     def __exit__(self, *unused: object) -> None:
         self.close()
 
-    def read(self, timeout: float) -> Optional[Any]:
+    def read(self, timeout: float, last_only: bool = False) -> Optional[Any]:
         """Return the next message, or None if there is none in time.
+
+        Args:
+            timeout: seconds to wait.
+            last_only: of several that have come, return the last.
 
         Raises:
             OSError: the connection broke; the publisher may be gone.
         """
-        try:
-            frame = self._connection.receive_frame(time.monotonic() + timeout)
-        except socket.timeout:
-            return None
-        return self._class().deserialize(frame)
+        frame = self._frame(time.monotonic() + timeout)
+        later = frame if last_only else None
+        while later is not None:
+            frame, later = later, self._frame(time.monotonic())
+        return None if frame is None else self._class().deserialize(frame)
+
+    def interrupt(self) -> None:
+        """End a ``read`` of another thread, which raises OSError."""
+        self._connection.interrupt()
 
     def close(self) -> None:
         """Disconnect."""
         self._connection.close()
 
     # Inside
+
+    def _frame(self, deadline: float) -> Optional[bytes]:
+        try:
+            return self._connection.receive_frame(deadline)
+        except socket.timeout:
+            return None
 
     def _shake_hands(self, caller: str, topic: str, deadline: float) -> None:
         fields = {
@@ -91,6 +118,71 @@ class TopicReader:
         except BaseException:
             self.close()
             raise
+
+
+class TopicFollower:
+    """Hands on what a topic of a node carries, over one connection after the other.
+
+    A connection that is lost is made again for as long as it takes. Of several messages that have
+    arrived meanwhile only the last is handed on if ``last_only`` says so.
+    """
+
+    def __init__(
+        self,
+        master: Master,
+        publisher: str,
+        topic: str,
+        message_class: Any,
+        hand_on: Callable[[Any], None],
+        last_only: bool = False,
+    ) -> None:
+        """Prepare; ``start`` starts the thread that calls ``hand_on`` with each message."""
+        self._open: Callable[[], TopicReader] = lambda: TopicReader(
+            master, publisher, topic, message_class, _CONNECTING
+        )
+        self._what = f"following {topic}"
+        self._hand_on = hand_on
+        self._last_only = last_only
+        self._closed = threading.Event()
+        self._reader: Optional[TopicReader] = None
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether there is a connection now."""
+        return self._reader is not None
+
+    def start(self) -> None:
+        """Begin; returns at once."""
+        in_background(self._what, self._run)
+
+    def reconnect(self) -> None:
+        """Leave the present connection; the next is to the node that has the name now."""
+        reader = self._reader
+        if reader is not None:
+            reader.interrupt()
+
+    def close(self) -> None:
+        """Disconnect, and hand on nothing more; returns at once."""
+        self._closed.set()
+        self.reconnect()
+
+    def _run(self) -> None:
+        while not self._closed.is_set():
+            attempt(self._what, self._follow)
+            self._closed.wait(_AGAIN)
+
+    def _follow(self) -> None:
+        try:
+            with self._open() as reader:
+                self._reader = reader
+                while not self._closed.is_set():
+                    message = reader.read(_READING, self._last_only)
+                    if message is not None:
+                        self._hand_on(message)
+        except (PeerTimeout, LookupError, OSError) as error:
+            _log.debug("%s: %s", self._what, error)
+        finally:
+            self._reader = None
 
 
 def _left(deadline: float) -> float:

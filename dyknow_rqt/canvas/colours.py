@@ -72,6 +72,15 @@ def colours_of(palette: QPalette) -> Colours:
     )
 
 
+def greys_of(palette: QPalette) -> Colours:
+    """The colours of a drawing that may no longer be true."""
+    colours = colours_of(palette)
+    muted, line, paper = colours.muted, colours.box_line, colours.paper
+    return colours._replace(
+        line=line, text=muted, nodelet=paper, topic=paper, box=paper, alarm=muted
+    )
+
+
 def _mix(one: QColor, other: QColor, share: float) -> QColor:
     """A colour between two, ``share`` of the way to the other."""
     parts = zip(one.getRgb()[:3], other.getRgb()[:3])

@@ -15,7 +15,7 @@ from python_qt_binding.QtWidgets import QGraphicsScene
 from dyknow.model.graph import PortRef
 from dyknow_rqt.canvas.appearance import appearances_of, edge_refs, edge_traffic, port_tip
 from dyknow_rqt.canvas.arrows import EdgeItem
-from dyknow_rqt.canvas.colours import Tone, colours_of
+from dyknow_rqt.canvas.colours import Tone, colours_of, greys_of
 from dyknow_rqt.canvas.items import BoxItem, Item, PortItem
 from dyknow_rqt.canvas.vertices import VertexItem
 from dyknow_rqt.graph.figure import Edge, Figure, Vertex, VertexKind
@@ -93,9 +93,9 @@ class GraphScene(QGraphicsScene):
             for ref, port in ((port.ref, port) for port in item.ports.values()):
                 port.setToolTip(port_tip(self._snapshot, ref, traffic.get(ref)))
 
-    def set_palette(self, palette: QPalette) -> None:
-        """Use the colours of another palette."""
-        self._colours = colours_of(palette)
+    def set_palette(self, palette: QPalette, is_stale: bool = False) -> None:
+        """Use the colours of another palette, or its greys for what is stale."""
+        self._colours = greys_of(palette) if is_stale else colours_of(palette)
         self.setBackgroundBrush(self._colours.paper)
         for item in (*self.vertices.values(), *self.edges.values(), *self._boxes.values()):
             item.set_colours(self._colours)

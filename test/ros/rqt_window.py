@@ -7,20 +7,29 @@
 from __future__ import annotations
 
 import os
+import signal
+import socket
 import sys
+import tempfile
 import time
 from typing import Callable
+from unittest import mock
 
 os.environ["QT_QPA_PLATFORM"] = "offscreen"
 
 import rospy
 import rostest
-from manager_suite import ManagerCase, Receiver, eventually
+from manager_suite import LIBRARY, ManagerCase, Receiver, eventually
 from processes import Running
 from python_qt_binding.QtTest import QTest
 from python_qt_binding.QtWidgets import QApplication
+from roslib.packages import find_node
+from telling import TellingCase
 
 from dyknow.model.graph import PortRef, SpawnRequest
+from dyknow.ros.client import ManagerClient
+from dyknow.ros.master import Master
+from dyknow_rqt.canvas.scene import GraphScene
 from dyknow_rqt.graph.changes import SpawnNodelet
 from dyknow_rqt.graph.wiring import connect, connect_topic
 from dyknow_rqt.ros_remote import RosRemote
@@ -53,7 +62,7 @@ class WindowTest(ManagerCase):
     def test_the_window_waits_for_a_manager_and_changes_its_graph(self) -> None:
         window = self.window()
         sign = window.graph.sign
-        until(lambda: "does not answer; waiting" in sign.text(), "it says that nobody is there")
+        until(lambda: sign.text() == "waiting for /dyknow_manager", "it says that nobody is there")
         manager = self.started()
         until(lambda: "No nodelets yet" in sign.text(), "the manager is found")
         until(lambda: "counter" in window.library.table.names(), "the library is shown")
@@ -93,7 +102,7 @@ class WindowTest(ManagerCase):
         window = self.window()
         until(lambda: window.monitor.is_linked, "the manager is found")
         window.monitor.set_period(60.0)  # what comes now arrives by the topic
-        until(lambda: window.monitor.remote._latest is not None, "the topic is heard")
+        until(lambda: window.monitor.remote._models.is_connected, "the topic is heard")
         manager.client.spawn("counter", "/count")
         until(lambda: "n_/count" in self.keys(window), "it is drawn")
         manager.client.set_config("/count", {"out": "/numbers"})
@@ -118,9 +127,7 @@ class WindowTest(ManagerCase):
         manager = self.started()
         manager.client.spawn("counter", "/count")
         with Running("rosrun", "dyknow", "dyknow_rqt") as process:
-            started = lambda: any(  # noqa: E731
-                "dyknow_rqt" in node for node in _subscribers("/dyknow_manager/model")
-            )
+            started = lambda: readers_of_the_model()  # noqa: E731
             eventually(lambda: started() or process.has_ended, 20.0, process.output)
             self.assertFalse(process.has_ended, process.output)
             process.stop()
@@ -129,13 +136,101 @@ class WindowTest(ManagerCase):
             self.assertNotIn("Traceback", process.output)
 
 
-def _subscribers(topic: str) -> set[str]:
-    from dyknow.ros.master import Master
+class DeadSystemTest(TellingCase):
+    """Everything that can go away does so; the master and the manager are the test's own."""
 
-    return Master(rospy.get_name()).subscribers(topic)
+    def setUp(self) -> None:
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        self.state = folder.name
+        with socket.socket() as free:
+            free.bind(("", 0))
+            self.port = str(free.getsockname()[1])
+        self.uri = f"http://localhost:{self.port}"
+        patch = mock.patch.dict(os.environ, {"ROS_MASTER_URI": self.uri})
+        patch.start()
+        self.addCleanup(patch.stop)
+
+    def start(self, *command: str) -> Running:
+        process = Running(*command)
+        self.addCleanup(process.__exit__)
+        return process
+
+    def roscore(self) -> Running:
+        return self.start("rosmaster", "--core", "-p", self.port)
+
+    def manager(self) -> Running:
+        manager = find_node("dyknow", "manager")[0]
+        return self.start(manager, f"_state_dir:={self.state}", "_orphan_timeout:=1.0")
+
+    def end(self, process: Running) -> None:
+        process.stop(signal.SIGKILL)
+        process.exit_code(10.0)
+
+    def test_the_window_says_what_is_dead_and_finds_what_comes_back(self) -> None:
+        window = DyKnowWidget(RosRemote())
+        self.addCleanup(window.shut_down)
+        window.show()
+        window.start()
+        scene, sign, contact = window.graph.view.scene(), window.graph.sign, window.line.contact
+
+        def says(words: str) -> None:
+            until(lambda: words in contact.text(), words)
+            self.assertIn(words, sign.text())
+
+        def is_drawn(name: str) -> None:
+            until(lambda: f"n_{name}" in scene.vertices and window.monitor.is_linked, name)
+
+        says(f"no ROS master at {self.uri}")
+        core = self.roscore()
+        says("waiting for /dyknow_manager")
+        manager = self.manager()
+        until(lambda: "/dyknow_manager answers since" in contact.text(), "it answers")
+        client = ManagerClient()
+        client.add_transformation(LIBRARY)
+        client.spawn("counter", "/count", {"out": "/numbers"})
+        is_drawn("/count")
+
+        manager.stop(signal.SIGSTOP)
+        says("⚠ /dyknow_manager is silent for 3 s")
+        self.assertTrue(is_grey(scene))
+        manager.stop(signal.SIGCONT)
+        until(lambda: not sign.isVisible(), "it answers again")
+        self.assertFalse(is_grey(scene))
+
+        self.end(core)
+        says(f"⚠ no ROS master at {self.uri}")
+        self.assertIn("/dyknow_manager answers", sign.text())
+        self.assertFalse(is_grey(scene))
+        self.roscore()
+        says(f"⚠ the ROS master at {self.uri} does not know /dyknow_manager")
+        self.end(manager)
+        says("⚠ /dyknow_manager is gone for")
+        self.assertTrue(is_grey(scene))
+
+        self.manager()
+        until(lambda: not sign.isVisible(), "the next manager is found")
+        client.spawn("counter", "/another", {"out": "/numbers"})
+        is_drawn("/another")
+        self.assertEqual(len(readers_of_the_model()), 1)
+        self.assertNotIn("rqt", str(Master("/test").ask("getSystemState")))
+        window.shut_down()
+        until(lambda: not readers_of_the_model(), "the window has left")
+
+
+def readers_of_the_model() -> set[int]:
+    """Ports of those who are connected to the manager's model."""
+    master = Master("/test")
+    uri = master.node("/dyknow_manager")
+    return master.connections(uri, "/dyknow_manager/model", 2.0) if uri else set()
+
+
+def is_grey(scene: GraphScene) -> bool:
+    colours = scene.vertices["n_/count"].colours
+    return colours.text == colours.muted
 
 
 if __name__ == "__main__":
     rospy.init_node("rqt_window")
     application = QApplication(sys.argv[:1])
-    rostest.rosrun("dyknow", "rqt_window", WindowTest, sys.argv)
+    rostest.rosrun("dyknow", "rqt_window", "__main__", sys.argv)

@@ -20,15 +20,6 @@ from dyknow_rqt.simulated import SimulatedRemote
 from dyknow_rqt.window import DyKnowWidget
 
 
-def test_without_a_manager_the_window_waits_for_one(qtbot, window, remote):
-    remote.client.is_up = False
-    sign = window.graph.sign
-    until(qtbot, lambda: "does not answer; waiting" in sign.text())
-    assert sign.isVisible()
-    remote.client.is_up = True
-    until(qtbot, lambda: not sign.isVisible())
-
-
 def test_a_slow_manager_does_not_hold_up_the_window(qtbot, window, remote):
     remote.client.delay = 3.0
     window.monitor.set_period(0.1)

@@ -1,0 +1,136 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""What the window hears of the master and of the manager, and since when."""
+
+from __future__ import annotations
+
+import time
+from typing import Callable, NamedTuple, Optional
+
+#: Seconds without an answer after which somebody is called silent.
+PATIENCE = 2.5
+
+
+class Status(NamedTuple):
+    """The contact at one moment, for people.
+
+    Attributes:
+        is_current: the manager answers, so what is shown is what there is.
+        is_sound: and the master answers and knows it.
+        short: what is the case, in a few words.
+        text: that, and what it means for what is shown.
+    """
+
+    is_current: bool
+    is_sound: bool
+    short: str
+    text: str
+
+
+class _Ear:
+    """When one peer was heard last, and whether it refused since."""
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        self._clock = clock
+        self._heard: Optional[float] = None
+        self._begin = clock()
+        self.is_gone = False
+
+    @property
+    def was_heard(self) -> bool:
+        return self._heard is not None
+
+    @property
+    def silence(self) -> float:
+        """Seconds since it was heard, or since the beginning."""
+        return self._clock() - (self._begin if self._heard is None else self._heard)
+
+    @property
+    def is_well(self) -> bool:
+        return self.was_heard and not self.is_gone and self.silence < PATIENCE
+
+    def hear(self) -> None:
+        self._heard, self.is_gone = self._clock(), False
+
+
+class Contact:
+    """Notes who answered, and says what that means."""
+
+    def __init__(
+        self,
+        manager: str,
+        master: str,
+        clock: Callable[[], float] = time.monotonic,
+        now: Callable[[], float] = time.time,
+    ) -> None:
+        """Begin with nothing heard.
+
+        Args:
+            manager: its name.
+            master: its address.
+            clock: seconds, steady.
+            now: seconds on the clock on the wall.
+        """
+        self._manager, self._master, self._now = manager, master, now
+        self._of_manager, self._of_master = _Ear(clock), _Ear(clock)
+        self._is_known = True
+        self._since = 0.0
+
+    def hear_manager(self) -> None:
+        """Note that the manager answered, or told something."""
+        if not self._of_manager.is_well:
+            self._since = self._now()
+        self._of_manager.hear()
+
+    def miss_manager(self, is_gone: bool) -> None:
+        """Note that it did not answer; ``is_gone`` says that no process is there to answer."""
+        self._of_manager.is_gone = is_gone
+
+    def hear_master(self, is_known: bool) -> None:
+        """Note that the master answered; ``is_known`` says whether it knows the manager."""
+        self._of_master.hear()
+        self._is_known = is_known
+
+    def miss_master(self) -> None:
+        """Note that it did not answer."""
+        self._of_master.is_gone = True
+
+    def status(self) -> Status:
+        """Say how things are now."""
+        manager, master = self._of_manager, self._of_master
+        complaints, advice = [], ""
+        if master.is_gone or master.silence >= PATIENCE:
+            complaints.append(f"no ROS master at {self._master}{_for(master)}")
+            advice = "; nothing new can be asked for"
+        elif not self._is_known and manager.is_well:
+            complaints.append(f"the ROS master at {self._master} does not know {self._manager}")
+            advice = ": a new roscore? Start the manager and its nodes again"
+        if manager.is_well:
+            if not complaints:
+                moment = time.strftime("%H:%M:%S", time.localtime(self._since))
+                fine = f"{self._manager} answers since {moment}"
+                return Status(True, True, fine, f"{fine}; ROS master at {self._master}")
+            (short,) = complaints
+            return Status(True, False, short, f"{short}; {self._manager} answers{advice}")
+        if not manager.was_heard:
+            complaints.append(f"waiting for {self._manager}")
+        elif manager.is_gone:
+            complaints.append(f"{self._manager} is gone{_for(manager)}")
+        else:
+            complaints.append(f"{self._manager} is silent{_for(manager)}")
+        words = "; ".join(complaints)
+        aged = ": what is shown is as old" if manager.was_heard else ""
+        return Status(False, False, complaints[-1 if aged else 0], words + aged)
+
+
+def _for(ear: _Ear) -> str:
+    """For how long it has been silent, if it was heard before."""
+    return f" for {_duration(ear.silence)}" if ear.was_heard else ""
+
+
+def _duration(seconds: float) -> str:
+    for unit, length in (("h", 3600), ("min", 60)):
+        if seconds >= 2 * length:
+            return f"{seconds / length:.0f} {unit}"
+    return f"{seconds:.0f} s"

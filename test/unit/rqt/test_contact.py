@@ -1,0 +1,217 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""What the window says of the master and the manager: gone, silent, strange, and back."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+from python_qt_binding.QtGui import QPalette
+from unit.rqt.hands import create, until, vertex_keys
+
+from dyknow_rqt.graph.changes import Protect
+from dyknow_rqt.graph.contact import Contact
+from dyknow_rqt.screenshots import dark_palette
+from dyknow_rqt.soccer_graph import soccer
+from dyknow_rqt.window import DyKnowWidget
+
+
+class Clock:
+    def __init__(self):
+        self.time = 100.0
+
+    def __call__(self):
+        return self.time
+
+
+@pytest.fixture
+def clock():
+    return Clock()
+
+
+@pytest.fixture
+def contact(clock):
+    return Contact("/manager", "http://robot:11311", clock, now=lambda: 0.0)
+
+
+def test_before_anything_is_heard_it_waits(contact, clock):
+    assert contact.status()[:3] == (False, False, "waiting for /manager")
+    contact.miss_master()
+    contact.miss_manager(is_gone=True)
+    clock.time += 60.0
+    text = "no ROS master at http://robot:11311; waiting for /manager"
+    assert contact.status().text == text
+
+
+def test_all_is_well(contact, clock):
+    contact.hear_master(is_known=True)
+    contact.hear_manager()
+    moment = time.strftime("%H:%M:%S", time.localtime(0.0))
+    clock.time += 2.0
+    assert contact.status() == (
+        True,
+        True,
+        f"/manager answers since {moment}",
+        f"/manager answers since {moment}; ROS master at http://robot:11311",
+    )
+
+
+@pytest.mark.parametrize(
+    ("silence", "words"), [(7.2, "7 s"), (119.0, "119 s"), (150.0, "2 min"), (9000.0, "2 h")]
+)
+def test_a_manager_that_does_not_answer_is_silent_for_so_long(contact, clock, silence, words):
+    contact.hear_manager()
+    clock.time += silence
+    contact.hear_master(is_known=True)
+    contact.miss_manager(is_gone=False)
+    status = contact.status()
+    assert not status.is_current and status.short == f"/manager is silent for {words}"
+    assert status.text == f"/manager is silent for {words}: what is shown is as old"
+
+
+def test_a_manager_without_a_process_is_gone_at_once(contact, clock):
+    contact.hear_master(is_known=True)
+    contact.hear_manager()
+    contact.miss_manager(is_gone=True)
+    clock.time += 1.0
+    assert contact.status().short == "/manager is gone for 1 s"
+    contact.hear_manager()
+    assert contact.status().is_sound
+
+
+def test_without_a_master_the_manager_is_still_heard(contact, clock):
+    contact.hear_master(is_known=True)
+    clock.time += 3.0
+    contact.hear_manager()
+    assert contact.status() == (
+        True,
+        False,
+        "no ROS master at http://robot:11311 for 3 s",
+        "no ROS master at http://robot:11311 for 3 s; /manager answers; "
+        "nothing new can be asked for",
+    )
+    contact.miss_manager(is_gone=True)
+    text = "no ROS master at http://robot:11311 for 3 s; /manager is gone for 0 s: "
+    assert contact.status().text.startswith(text)
+
+
+def test_a_master_that_does_not_know_the_manager_is_a_new_one(contact):
+    contact.hear_manager()
+    contact.hear_master(is_known=False)
+    status = contact.status()
+    assert status.is_current and not status.is_sound
+    assert "the ROS master at http://robot:11311 does not know /manager" in status.text
+    assert "a new roscore? Start the manager and its nodes again" in status.text
+
+
+# In the window
+
+
+def contact_of(window):
+    return window.line.contact.text()
+
+
+def is_grey(window):
+    """Whether drawing and tables are; both or none."""
+    drawn = window.graph.view.scene().vertices["n_/nao1/resize"].colours.text
+    listed = window.active.table.palette().color(QPalette.Text)
+    greys = [colour != window.palette().color(QPalette.Text) for colour in (drawn, listed)]
+    assert greys[0] == greys[1]
+    return greys[0]
+
+
+def rates(window):
+    arrows = window.graph.view.scene().edges.values()
+    return [arrow.traffic for arrow in arrows if arrow.traffic is not None]
+
+
+def test_a_manager_that_is_gone_is_told_greyed_and_found_again(qtbot, window, remote):
+    sign = window.graph.sign
+    until(qtbot, lambda: "/dyknow_manager answers since" in contact_of(window))
+    until(qtbot, lambda: bool(rates(window)))
+    assert not sign.isVisible() and not is_grey(window)
+    remote.client.is_up = False
+    until(qtbot, lambda: "⚠ /dyknow_manager is gone for" in contact_of(window))
+    assert sign.isVisible() and "what is shown is as old" in sign.text()
+    assert is_grey(window)
+    until(qtbot, lambda: not rates(window))
+    window.monitor.do(Protect("/field/tracker", True))
+    assert window.line.text.startswith("protect /field/tracker: /dyknow_manager is gone for")
+    remote.client.is_up = True
+    until(qtbot, lambda: "answers since" in contact_of(window))
+    assert not sign.isVisible() and not is_grey(window)
+    until(qtbot, lambda: bool(rates(window)))
+    create(qtbot, window, "/field/second")
+
+
+def test_a_manager_that_hangs_is_silent_for_longer_and_longer(qtbot, window, remote):
+    until(qtbot, lambda: window.monitor.is_linked)
+    remote.client.delay = 5.0
+    for seconds in (3, 4):
+        said = f"⚠ /dyknow_manager is silent for {seconds} s"
+        until(qtbot, lambda said=said: said in contact_of(window))
+    assert is_grey(window)
+    remote.client.delay = 0.0
+    until(qtbot, lambda: window.monitor.is_linked)
+    assert not is_grey(window)
+
+
+def test_the_master_goes_and_another_one_does_not_know_the_manager(qtbot, window, remote):
+    window.graph.bar.nodes.setChecked(True)
+    until(qtbot, lambda: "p_/team_view" in vertex_keys(window))
+    sign = window.graph.sign
+    remote.has_master = False
+    until(qtbot, lambda: "⚠ no ROS master at http://localhost:11311" in contact_of(window))
+    assert "/dyknow_manager answers; nothing new can be asked for" in sign.text()
+    assert not is_grey(window), "what the manager tells is true"
+    assert "p_/team_view" in vertex_keys(window)
+    remote.client.spawn("tracker", "/field/second")
+    until(qtbot, lambda: "n_/field/second" in vertex_keys(window))
+    remote.has_master, remote.is_known = True, False
+    until(qtbot, lambda: "does not know /dyknow_manager" in contact_of(window))
+    assert "a new roscore?" in sign.text()
+    remote.is_known = True
+    until(qtbot, lambda: not sign.isVisible())
+
+
+def test_a_window_without_anybody_says_for_whom_it_waits(qtbot):
+    remote = soccer()
+    remote.client.is_up = remote.has_master = False
+    window = DyKnowWidget(remote)
+    qtbot.addWidget(window, before_close_func=lambda w: w.shut_down())
+    window.show()
+    window.start()
+    text = "no ROS master at http://localhost:11311; waiting for /dyknow_manager"
+    until(qtbot, lambda: window.graph.sign.text() == text)
+    remote.client.is_up = remote.has_master = True
+    until(qtbot, lambda: "n_/nao1/resize" in vertex_keys(window))
+
+
+def test_warnings_are_readable_in_the_light_and_in_the_dark(qtbot, window, remote):
+    remote.client.is_up = False
+    until(qtbot, window.graph.sign.isVisible)
+    for palette in (QPalette(), dark_palette()):
+        window.setPalette(palette)
+        sign, contact = window.graph.sign, window.line.contact
+        drawn = window.graph.view.scene().vertices["n_/nao1/resize"].colours
+        background = window.palette().color(QPalette.Window)
+        for text, ground in (
+            (sign.palette().color(QPalette.WindowText), sign.palette().color(QPalette.Window)),
+            (contact.palette().color(QPalette.WindowText), background),
+            (drawn.text, drawn.nodelet),
+        ):
+            assert contrast(text, ground) >= 4.5, (text.name(), ground.name())
+
+
+def contrast(one, other):
+    """The contrast of two colours as web pages are judged, 1 to 21."""
+    lights = sorted(
+        sum(
+            share * (part / 12.92 if part <= 0.03928 else ((part + 0.055) / 1.055) ** 2.4)
+            for share, part in zip((0.2126, 0.7152, 0.0722), colour.getRgbF())
+        )
+        for colour in (one, other)
+    )
+    return (lights[1] + 0.05) / (lights[0] + 0.05)
