@@ -9,6 +9,7 @@ of the window only; everything that may block is called in the background.
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import time
 from dataclasses import dataclass
@@ -18,6 +19,7 @@ from typing import (
     Callable,
     Dict,
     FrozenSet,
+    List,
     Mapping,
     Optional,
     Tuple,
@@ -58,7 +60,7 @@ class _Looked:
     model: Model
     nodes: Tuple[PlainNode, ...]
     taken: FrozenSet[str]
-    statistics: Tuple[Tuple[str, NodeletStatistics, float], ...]
+    statistics: Tuple[Tuple[str, Optional[NodeletStatistics], float], ...]
 
 
 class Monitor(QObject):
@@ -288,15 +290,14 @@ class Monitor(QObject):
             taken = taken_topics(publishers, model.nodelets, hosts)
         except (DyKnowError, LookupError):
             pass  # what the master told last is shown
-        statistics = []
+        statistics: List[Tuple[str, Optional[NodeletStatistics], float]] = []
         end = time.monotonic() + _ASKING
         for name in names:
             if time.monotonic() > end:
                 break
-            try:
+            answer = None
+            with contextlib.suppress(DyKnowError):  # it is gone, or hangs; the model says so
                 answer = self._client.get_statistics(name)
-            except DyKnowError:
-                continue  # it is gone, or hangs; the model says so
             statistics.append((name, answer, time.monotonic()))
         return _Looked(model, nodes, taken, tuple(statistics))
 
@@ -308,7 +309,10 @@ class Monitor(QObject):
             self._take_model(looked.model, looked.nodes, looked.taken)
         self._meter.keep(each.name for each in self.snapshot.nodelets)
         for name, statistics, moment in looked.statistics:
-            self._meter.note(name, statistics, moment)
+            if statistics is None:
+                self._meter.miss(name)
+            else:
+                self._meter.note(name, statistics, moment)
         self.measured.emit(self._meter.traffic)
 
     def _hear(self, model: Model) -> None:

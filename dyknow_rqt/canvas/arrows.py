@@ -6,7 +6,8 @@
 from __future__ import annotations
 
 import math
-from typing import Any, List, Optional, Sequence
+import re
+from typing import Any, Optional, Sequence
 
 from python_qt_binding.QtCore import QPointF, QRectF, Qt
 from python_qt_binding.QtGui import (
@@ -25,11 +26,12 @@ from dyknow_rqt.canvas.appearance import RATE_SCALE
 from dyknow_rqt.canvas.colours import Colours, Tone
 from dyknow_rqt.canvas.items import PORT_RADIUS, Item
 from dyknow_rqt.graph.figure import Edge
-from dyknow_rqt.graph.geometry import Point
+from dyknow_rqt.graph.geometry import Point, Rectangle, Size
 from dyknow_rqt.graph.rates import PortRate
 from dyknow_rqt.qt_slot import qt_slot
 
 _ARROW = 8.0
+_NUMBER = re.compile(r"[\d.]+")
 
 
 class EdgeItem(Item):
@@ -43,6 +45,9 @@ class EdgeItem(Item):
         self._font = QFont(font)
         self._font.setPointSizeF(font.pointSizeF() * RATE_SCALE)
         self._path = QPainterPath()
+        self.label_area = QRectF()
+        #: Control points of the curve.
+        self.curve: Sequence[Point] = ()
         self._tip_direction = QPointF(1, 0)
         self.setFlag(QGraphicsItem.ItemIsSelectable)
         self.setAcceptHoverEvents(True)
@@ -56,6 +61,7 @@ class EdgeItem(Item):
         points[1] += at_start
         points[-1] += at_end
         points[-2] += at_end
+        self.curve = [Point(point.x(), point.y()) for point in points]
         direction = points[-1] - points[-2]
         length = math.hypot(direction.x(), direction.y()) or 1.0
         self._tip_direction = direction / length
@@ -67,13 +73,37 @@ class EdgeItem(Item):
     def set_traffic(self, traffic: Optional[PortRate]) -> None:
         """Show a rate."""
         if traffic != self.traffic:
-            self.prepareGeometryChange()
             self.traffic = traffic
             self.update()
 
+    def place_label(self, area: Optional[Rectangle]) -> None:
+        """Set the area of its label; None if there is no room for it."""
+        self.prepareGeometryChange()
+        self.label_area = QRectF() if area is None else _rectangle(area)
+
+    @property
+    def label_shape(self) -> str:
+        """Its label without the numbers: what determines the room that it needs."""
+        name = [self.edge.topic] if self.shows_name else []
+        rate = "00.0 Hz" if self.traffic is None else _NUMBER.sub("00.0", self.traffic.text)
+        return "\n".join([*name, rate])
+
+    @property
+    def label_size(self) -> Size:
+        """The room that its label needs."""
+        metrics = QFontMetricsF(self._font)
+        lines = self.label_shape.split("\n")
+        width = max(metrics.horizontalAdvance(line) for line in lines)
+        return Size(width, metrics.height() * len(lines))
+
+    @property
+    def is_dropping(self) -> bool:
+        """Whether messages are dropped at its end."""
+        return self.traffic is not None and self.traffic.drop_rate > 0
+
     @property
     def label(self) -> str:
-        """The text at its middle."""
+        """The text beside it."""
         parts = [self.edge.topic] if self.shows_name else []
         if self.traffic is not None:
             parts.append(self.traffic.text)
@@ -82,7 +112,7 @@ class EdgeItem(Item):
     def boundingRect(self) -> QRectF:  # noqa: N802
         """The curve and its label."""
         area = self._path.boundingRect().adjusted(-_ARROW, -_ARROW, _ARROW, _ARROW)
-        return area.united(self._label_area())
+        return area.united(self.label_area)
 
     def shape(self) -> QPainterPath:
         """The area in which the pointer hits it: wider than the line."""
@@ -93,7 +123,7 @@ class EdgeItem(Item):
     @qt_slot
     def paint(self, painter: QPainter, option: Any, widget: Any = None) -> None:
         """Draw it."""
-        drops = self.traffic is not None and self.traffic.drop_rate > 0
+        drops = self.is_dropping
         colour, width = self.colours.line, 1.1
         if drops:
             colour, width = self.colours.alarm, 1.6
@@ -107,10 +137,10 @@ class EdgeItem(Item):
         painter.setBrush(QBrush(colour))
         painter.setPen(Qt.NoPen)
         painter.drawPolygon(self._head())
-        if self.label:
+        if not self.label_area.isEmpty():
             painter.setFont(self._font)
             painter.setPen(self.colours.alarm if drops else self.colours.muted)
-            painter.drawText(self._label_area(), Qt.AlignCenter, self.label)
+            painter.drawText(self.label_area, Qt.AlignCenter, self.label)
 
     @qt_slot
     def hoverEnterEvent(self, event: Any) -> None:  # noqa: N802
@@ -129,17 +159,6 @@ class EdgeItem(Item):
         back = tip - along * _ARROW
         return QPolygonF([tip, back + across * _ARROW * 0.4, back - across * _ARROW * 0.4])
 
-    def _label_area(self) -> QRectF:
-        if not self.label:
-            return QRectF()
-        metrics = QFontMetricsF(self._font)
-        lines: List[str] = self.label.split("\n")
-        width = max(metrics.horizontalAdvance(line) for line in lines) + 4
-        height = metrics.height() * len(lines)
-        # Drops are written below the line, everything else above it.
-        dropping = self.traffic is not None and self.traffic.drop_rate > 0
-        upper = len(lines) - (1 if dropping else 0)
-        middle = self._path.pointAtPercent(0.5)
-        return QRectF(
-            middle.x() - width / 2, middle.y() - metrics.height() * upper - 1, width, height
-        )
+
+def _rectangle(area: Rectangle) -> QRectF:
+    return QRectF(area.left, area.top, area.right - area.left, area.bottom - area.top)

@@ -51,6 +51,7 @@ class BoxItem(Item):
     def __init__(self, group: Tuple[str, ...], colours: Colours, font: QFont) -> None:
         super().__init__(colours)
         self.group = group
+        self._name = "/" + "/".join(group)
         self._font = font
         self._area = QRectF()
         self.setZValue(-10 + len(group))
@@ -64,6 +65,13 @@ class BoxItem(Item):
         """Its area and the line around it."""
         return self._area.adjusted(-2, -2, 2, 2)
 
+    @property
+    def title_area(self) -> QRectF:
+        """The area of its name."""
+        metrics = QFontMetricsF(self._font)
+        corner = self._area.topLeft() + QPointF(8, 3)
+        return QRectF(corner, metrics.size(Qt.TextSingleLine, self._name))
+
     @qt_slot
     def paint(self, painter: QPainter, option: Any, widget: Any = None) -> None:
         """Draw it with its name at the top."""
@@ -72,11 +80,7 @@ class BoxItem(Item):
         painter.drawRect(self._area)
         painter.setFont(self._font)
         painter.setPen(self.colours.muted)
-        painter.drawText(
-            self._area.adjusted(8, 3, -8, 0),
-            Qt.AlignLeft | Qt.AlignTop,
-            "/" + "/".join(self.group),
-        )
+        painter.drawText(self.title_area, Qt.AlignLeft | Qt.AlignTop, self._name)
 
 
 class PortItem(Item):

@@ -19,7 +19,8 @@ from dyknow_rqt.canvas.colours import Tone, colours_of, greys_of
 from dyknow_rqt.canvas.items import BoxItem, Item, PortItem
 from dyknow_rqt.canvas.vertices import VertexItem
 from dyknow_rqt.graph.figure import Edge, Figure, Vertex, VertexKind
-from dyknow_rqt.graph.geometry import Layout, Size
+from dyknow_rqt.graph.geometry import Layout, Rectangle, Size
+from dyknow_rqt.graph.labels import place_labels
 from dyknow_rqt.graph.port_order import without_crossings
 from dyknow_rqt.graph.rates import PortRate
 from dyknow_rqt.graph.snapshot import Snapshot
@@ -66,6 +67,7 @@ class GraphScene(QGraphicsScene):
             arrow.set_curve(layout.curves[edge], start, end)
         for group, box in self._boxes.items():
             box.set_area(layout.boxes[group])
+        self._place_labels()
         self.setSceneRect(self.drawing_area().adjusted(-_MARGIN, -_MARGIN, _MARGIN, _MARGIN))
         self.set_snapshot(self._snapshot)
 
@@ -85,6 +87,7 @@ class GraphScene(QGraphicsScene):
     def set_traffic(self, traffic: Mapping[PortRef, PortRate]) -> None:
         """Show rates."""
         self._traffic = traffic
+        shapes = [item.label_shape for item in self.edges.values()]
         for edge, item in self.edges.items():
             item.set_traffic(edge_traffic(edge, traffic))
             tips = [port_tip(self._snapshot, ref, traffic.get(ref)) for ref in edge_refs(edge)]
@@ -92,6 +95,8 @@ class GraphScene(QGraphicsScene):
         for item in self.vertices.values():
             for ref, port in ((port.ref, port) for port in item.ports.values()):
                 port.setToolTip(port_tip(self._snapshot, ref, traffic.get(ref)))
+        if shapes != [item.label_shape for item in self.edges.values()]:
+            self._place_labels()
 
     def set_palette(self, palette: QPalette, is_stale: bool = False) -> None:
         """Use the colours of another palette, or its greys for what is stale."""
@@ -198,6 +203,17 @@ class GraphScene(QGraphicsScene):
             raise OSError(f"cannot write an image to '{path}'")
 
     # Inside
+
+    def _place_labels(self) -> None:
+        areas = [area for item in self.vertices.values() for area in item.inked]
+        areas += [box.title_area for box in self._boxes.values()]
+        places = place_labels(
+            {edge: item.curve for edge, item in self.edges.items()},
+            {edge: item.label_size for edge, item in self.edges.items()},
+            [Rectangle(*area.getCoords()) for area in areas],
+        )
+        for edge, item in self.edges.items():
+            item.place_label(places.get(edge))
 
     def _picture_area(self) -> QRectF:
         return self.drawing_area().adjusted(-_FRAME, -_FRAME, _FRAME, _FRAME)

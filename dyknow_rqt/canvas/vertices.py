@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Dict
+from typing import Any, Dict, List
 
 from python_qt_binding.QtCore import QPointF, QRectF, Qt
 from python_qt_binding.QtGui import QBrush, QFont, QFontMetricsF, QPainter, QPainterPath, QPen
@@ -16,7 +16,7 @@ from dyknow.model.graph import PortRef, State
 from dyknow.model.transformation import IN, OUT
 from dyknow_rqt.canvas.appearance import Appearance
 from dyknow_rqt.canvas.colours import Colours, Tone
-from dyknow_rqt.canvas.items import Item, PortItem
+from dyknow_rqt.canvas.items import PORT_RADIUS, Item, PortItem
 from dyknow_rqt.graph.figure import Vertex, VertexKind
 from dyknow_rqt.graph.geometry import Size
 from dyknow_rqt.qt_slot import qt_slot
@@ -81,6 +81,21 @@ class VertexItem(Item):
         """Its area, around the origin."""
         width, height = self._size
         return QRectF(-width / 2, -height / 2, width, height)
+
+    @property
+    def inked(self) -> List[QRectF]:
+        """Areas that nothing else may cover, which hold it and its ports."""
+        shares = [(1.0, 0.6), (0.8, 0.8), (0.6, 1.0)]  # around an ellipse
+        if self.vertex.kind is VertexKind.TOPIC:
+            shares = [(1.0, 1.0)]
+        width, height = self._size
+        areas = [
+            QRectF(-across * width / 2, -down * height / 2, across * width, down * height)
+            for across, down in shares
+        ]
+        dot = QRectF(-PORT_RADIUS, -PORT_RADIUS, 2 * PORT_RADIUS, 2 * PORT_RADIUS)
+        areas += [dot.translated(port.pos()) for port in self.ports.values()]
+        return [area.translated(self.pos()) for area in areas]
 
     def boundingRect(self) -> QRectF:  # noqa: N802
         """Its area, and what reaches out of it."""

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Rates of ports, from the counts of two readings of their statistics."""
+"""Rates of ports, from readings of their statistics."""
 
 from __future__ import annotations
 
@@ -12,6 +12,9 @@ from dyknow.model.graph import PortRef
 
 if TYPE_CHECKING:
     from dyknow.model.statistics import NodeletStatistics
+
+#: Seconds over which drops are counted at least.
+_STRETCH = 4.0
 
 
 @dataclass(frozen=True)
@@ -32,18 +35,20 @@ class PortRate:
 
 
 @dataclass(frozen=True)
-class _Count:
+class _Drops:
     time: float
     uptime: float
-    messages: int
     dropped: int
 
 
 class Meter:
-    """Computes rates from differences to the last counts of each port."""
+    """Keeps the rates that the proxies tell, and computes those of drops, which they only count.
+
+    Drops are counted over the last one to two stretches of ``_STRETCH`` seconds.
+    """
 
     def __init__(self) -> None:
-        self._last: Dict[PortRef, _Count] = {}
+        self._last: Dict[PortRef, Tuple[_Drops, _Drops]] = {}
         self._traffic: Dict[PortRef, PortRate] = {}
 
     def note(self, nodelet: str, statistics: NodeletStatistics, now: float) -> None:
@@ -57,31 +62,38 @@ class Meter:
         for port in statistics.ports:
             ref = PortRef(nodelet, port.port)
             if port.messages is None or port.dropped is None or port.rate is None:
-                self._last.pop(ref, None)  # messages of this port are not counted
-                self._traffic.pop(ref, None)
+                self._forget(ref)  # messages of this port are not counted
                 continue
-            count = _Count(now, statistics.uptime, port.messages, port.dropped)
-            last = self._last.get(ref)
-            rate, drops = port.rate, 0.0
-            # Counts start at zero when a nodelet is loaded again.
-            if last is not None and count.uptime >= last.uptime and now > last.time:
-                rate = (count.messages - last.messages) / (now - last.time)
-                drops = (count.dropped - last.dropped) / (now - last.time)
-            self._last[ref] = count
-            self._traffic[ref] = PortRate(
-                max(rate, 0.0), max(drops, 0.0), port.messages, port.dropped
-            )
+            count = _Drops(now, statistics.uptime, port.dropped)
+            before, begin = self._last.get(ref, (count, count))
+            if count.uptime < begin.uptime:  # loaded again: counts begin at zero
+                before = begin = count
+            elif now - begin.time >= _STRETCH:
+                before, begin = begin, count
+            self._last[ref] = before, begin
+            seconds = now - before.time
+            drops = (count.dropped - before.dropped) / seconds if seconds > 0 else 0.0
+            self._traffic[ref] = PortRate(port.rate, drops, port.messages, port.dropped)
+
+    def miss(self, nodelet: str) -> None:
+        """Note that a nodelet did not answer: what its rates are is not known."""
+        for ref in [ref for ref in self._traffic if ref.nodelet == nodelet]:
+            self._forget(ref)
 
     def keep(self, nodelets: Iterable[str]) -> None:
         """Forget all other nodelets."""
         names = set(nodelets)
-        for ref in [ref for ref in self._last if ref.nodelet not in names]:
-            del self._last[ref], self._traffic[ref]
+        for ref in [ref for ref in self._traffic if ref.nodelet not in names]:
+            self._forget(ref)
 
     @property
     def traffic(self) -> Dict[PortRef, PortRate]:
         """The rates of all ports that were measured."""
         return dict(self._traffic)
+
+    def _forget(self, ref: PortRef) -> None:
+        self._last.pop(ref, None)
+        self._traffic.pop(ref, None)
 
 
 def in_turns(names: Iterable[str], start: int, count: int) -> Tuple[Tuple[str, ...], int]:
@@ -99,4 +111,6 @@ def in_turns(names: Iterable[str], start: int, count: int) -> Tuple[Tuple[str, .
 
 
 def _number(value: float) -> str:
+    if value < 0.995:
+        return f"{value:.2f}"
     return f"{value:.1f}" if value < 99.95 else f"{value:.0f}"

@@ -213,20 +213,24 @@ def counts(uptime, messages, dropped):
     return NodeletStatistics(uptime, 0, 0, (port,))
 
 
-def test_rates_are_differences():
+def test_rates_are_those_of_the_proxies_and_drops_are_counted_over_seconds():
     meter, ref = Meter(), PortRef("/n", "out")
-    meter.note("/n", counts(10, 100, 0), 50.0)
-    assert meter.traffic[ref].rate == 7.0  # nothing to compare with: what the proxy says
-    meter.note("/n", counts(12, 160, 10), 52.0)
-    assert (meter.traffic[ref].rate, meter.traffic[ref].drop_rate) == (30.0, 5.0)
-    assert meter.traffic[ref].text == "30.0 Hz\n−5.0/s"
-    meter.note("/n", counts(1, 3, 0), 54.0)  # loaded anew
+    for second in range(12):  # 0.7 Hz that are dropped, as whole messages
+        meter.note("/n", counts(10 + second, 100 + second, 7 * second // 10), 50.0 + second)
+        assert meter.traffic[ref].rate == 7.0
+        assert second < 4 or 0.5 <= meter.traffic[ref].drop_rate <= 0.9
+    assert meter.traffic[ref].text == "7.0 Hz\n−0.71/s"
+    meter.note("/n", counts(1, 3, 0), 64.0)  # loaded again
     assert (meter.traffic[ref].rate, meter.traffic[ref].drop_rate) == (7.0, 0.0)
-    meter.note("/n", counts(2, None, None), 55.0)  # nobody counts any more
-    assert meter.traffic == {}
-    meter.note("/n", counts(3, 9, 0), 56.0)
-    meter.keep(["/other"])
-    assert meter.traffic == {}
+    assert meter.traffic[ref].text == "7.0 Hz"
+    for forget in (
+        lambda: meter.note("/n", counts(2, None, None), 65.0),  # nobody counts any more
+        lambda: meter.miss("/n"),
+        lambda: meter.keep(["/other"]),
+    ):
+        forget()
+        assert meter.traffic == {}
+        meter.note("/n", counts(3, 9, 0), 66.0)
 
 
 def test_everybody_has_a_turn():

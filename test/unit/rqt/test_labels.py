@@ -1,0 +1,88 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""The places of the labels of arrows."""
+
+from __future__ import annotations
+
+import time
+
+from hypothesis import given
+from hypothesis import strategies as some
+from unit.rqt.hands import until
+
+from dyknow_rqt.graph.figure import Edge
+from dyknow_rqt.graph.geometry import Point, Rectangle, Size
+from dyknow_rqt.graph.labels import place_labels
+
+SIZE = Size(40.0, 12.0)
+
+
+def edge(name):
+    return Edge(f"n_/{name}", "out", "t_/topic", "", "/topic")
+
+
+def straight(start, end):
+    (a, b), (c, d) = start, end
+    third, fourth = (c - a) / 3, (d - b) / 3
+    return [Point(a + n * third, b + n * fourth) for n in range(4)]
+
+
+def test_a_label_stands_above_the_middle_of_its_arrow():
+    only = edge("a")
+    places = place_labels({only: straight((0, 0), (200, 0))}, {only: SIZE}, [])
+    assert places == {only: Rectangle(80.0, -14.0, 120.0, -2.0)}
+
+
+def test_labels_of_neighbours_stand_side_by_side_or_not_at_all():
+    edges = [edge(number) for number in range(8)]
+    curves = {each: straight((0, 3.0 * n), (200, 3.0 * n)) for n, each in enumerate(edges)}
+    places = place_labels(curves, {each: SIZE for each in edges}, [Rectangle(0, -20, 90, -1)])
+    assert 1 < len(places) < len(edges)
+    assert places[edges[0]].left >= 90
+
+
+def test_a_steep_arrow_has_its_label_at_its_side():
+    only = edge("a")
+    area = place_labels({only: straight((0, 0), (0, 200))}, {only: SIZE}, [])[only]
+    assert area.right <= -2.0 or area.left >= 2.0
+
+
+PLACES = some.tuples(some.integers(-200, 200), some.integers(-200, 200))
+
+
+@given(some.lists(some.tuples(PLACES, PLACES), max_size=20))
+def test_labels_cover_nothing(ends):
+    edges = [edge(number) for number in range(len(ends))]
+    curves = {each: straight(*pair) for each, pair in zip(edges, ends)}
+    wall = Rectangle(-50.0, -50.0, 50.0, 50.0)
+    places = place_labels(curves, {each: SIZE for each in edges}, [wall])
+    areas = [*places.values(), wall]
+    for number, area in enumerate(areas):
+        assert not any(area.meets(other) for other in areas[number + 1 :])
+
+
+def test_a_thousand_labels_are_placed_at_once():
+    edges = [edge(number) for number in range(1000)]
+    curves = {
+        each: straight((n % 40 * 150, n // 40 * 60), (n % 40 * 150 + 100, n // 40 * 60 + 40))
+        for n, each in enumerate(edges)
+    }
+    start = time.monotonic()
+    places = place_labels(curves, {each: SIZE for each in edges}, [])
+    assert len(places) == 1000
+    assert time.monotonic() - start < 2.0
+
+
+def test_in_the_drawing_no_label_covers_another_or_a_vertex(qtbot, window):
+    scene = window.graph.view.scene()
+    until(qtbot, lambda: any(item.is_dropping for item in scene.edges.values()))
+    for mode in (1, 0):
+        window.graph.bar.mode.setCurrentIndex(mode)
+        until(qtbot, lambda: not window.graph._wants_tidy)
+        labels = {e: item.label_area for e, item in scene.edges.items() if item.label}
+        placed = [area for area in labels.values() if not area.isEmpty()]
+        inked = [area for item in scene.vertices.values() for area in item.inked]
+        for number, area in enumerate(placed):
+            assert not any(area.intersects(other) for other in placed[number + 1 :] + inked)
+    assert len(placed) == len(labels) > 10, "where topics are drawn, there is room for all"
