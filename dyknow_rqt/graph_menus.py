@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any, Callable, Optional
+from typing import Any, Callable, Collection, Iterable, Iterator, Sized
 
 from python_qt_binding.QtCore import QObject, Signal
 from python_qt_binding.QtGui import QGuiApplication
@@ -14,11 +14,10 @@ from python_qt_binding.QtWidgets import QMenu, QWidget
 
 from dyknow.model.graph import PortRef
 from dyknow_rqt.canvas.appearance import edge_refs
-from dyknow_rqt.canvas.arrows import EdgeItem
-from dyknow_rqt.canvas.items import Item, PortItem
-from dyknow_rqt.canvas.vertices import VertexItem
-from dyknow_rqt.graph.figure import VertexKind
+from dyknow_rqt.graph.changes import protection
+from dyknow_rqt.graph.figure import Edge, VertexKind
 from dyknow_rqt.graph.snapshot import Snapshot
+from dyknow_rqt.selection import Selection
 
 
 class GraphActions(QObject):
@@ -32,76 +31,92 @@ class GraphActions(QObject):
     destroy_wanted = Signal(object)
     #: Disconnect ports; a tuple of ``PortRef``.
     disconnect_wanted = Signal(object)
-    #: Protect a nodelet, or release it; its name.
-    protect_wanted = Signal(str, bool)
+    #: Protect nodelets, or release them; their names.
+    protect_wanted = Signal(object, bool)
     find_wanted = Signal()
     fit_wanted = Signal()
     refresh_wanted = Signal()
     tidy_wanted = Signal()
 
 
-def menu_for(
-    item: Optional[Item], snapshot: Snapshot, actions: GraphActions, parent: QWidget
+def menu_of(
+    selection: Selection, snapshot: Snapshot, actions: GraphActions, parent: QWidget
 ) -> QMenu:
-    """Make the menu of an item, or of the background."""
+    """Make the menu of all that is selected."""
     menu = QMenu(parent)
-    if isinstance(item, PortItem):
-        _add_port(menu, item.ref, snapshot, actions)
-    elif isinstance(item, EdgeItem):
-        refs = edge_refs(item.edge)
-        for ref in refs:
+    nodelets, edges = selection.nodelets, selection.edges
+    topics, nodes = selection.names(VertexKind.TOPIC), selection.names(VertexKind.NODE)
+    count = len(selection.keys)
+    if count == 1 and nodelets:
+        _add(menu, "&Connect …", partial(actions.connection_wanted.emit, nodelets[0], ""))
+    if count == 1 and edges:
+        for ref in edge_refs(edges[0]):
             _add(menu, f"&Disconnect {ref}", partial(actions.disconnect_wanted.emit, (ref,)))
-        _add_copy(menu, item.edge.topic)
-    elif isinstance(item, VertexItem):
-        _add_vertex(menu, item, snapshot, actions)
     else:
-        _add(menu, "&Create nodelet …", partial(actions.create_wanted.emit, ""))
-        _add(menu, "&Find …", actions.find_wanted.emit)
-        menu.addSeparator()
-        _add(menu, "&Fit in view", actions.fit_wanted.emit)
-        _add(menu, "&Tidy up", actions.tidy_wanted.emit)
-        _add(menu, "&Refresh", actions.refresh_wanted.emit)
+        refs = tuple(dict.fromkeys(_connected(nodelets, topics, edges, snapshot)))
+        text = "&Disconnect all ports" if count == 1 else f"&Disconnect {_count(refs, 'port')}"
+        action = _add(menu, text, partial(actions.disconnect_wanted.emit, refs))
+        action.setEnabled(bool(refs))
+    if nodelets:
+        what = "" if len(nodelets) == 1 else f" {_count(nodelets, 'nodelet')}"
+        names, on = protection(nodelets, snapshot)
+        text = f"&Protect{what}" if on else f"&Release{what} from protection"
+        _add(menu, text, partial(actions.protect_wanted.emit, names, on))
+        found = (snapshot.nodelet(name) for name in nodelets)
+        _add(menu, f"D&estroy{what} …", partial(actions.destroy_wanted.emit, nodelets)).setEnabled(
+            not any(each is not None and each.is_protected for each in found)
+        )
+    named = [*nodelets, *topics, *nodes, *(edge.topic for edge in edges)]
+    _add_copy(menu, dict.fromkeys(named))
     return menu
 
 
-def _add_vertex(menu: QMenu, item: VertexItem, snapshot: Snapshot, actions: GraphActions) -> None:
-    name = item.vertex.name
-    nodelet = snapshot.nodelet(name) if item.vertex.kind is VertexKind.NODELET else None
-    if nodelet is not None:
-        connected = tuple(PortRef(name, port.name) for port in nodelet.ports if port.topic)
-        _add(menu, "&Connect …", partial(actions.connection_wanted.emit, name, ""))
-        action = _add(
-            menu, "&Disconnect all ports", partial(actions.disconnect_wanted.emit, connected)
-        )
-        action.setEnabled(bool(connected))
-        protected = nodelet.is_protected
-        _add(
-            menu,
-            "&Release from protection" if protected else "&Protect",
-            partial(actions.protect_wanted.emit, name, not protected),
-        )
-        _add(menu, "D&estroy …", partial(actions.destroy_wanted.emit, (name,))).setEnabled(
-            not protected
-        )
-    elif item.vertex.kind is VertexKind.TOPIC:
-        topic = snapshot.topics().get(name)
-        refs = topic.sources + topic.targets if topic is not None else ()
-        action = _add(menu, "&Disconnect all ports", partial(actions.disconnect_wanted.emit, refs))
-        action.setEnabled(bool(refs))
-    _add_copy(menu, name)
+def menu_of_ground(actions: GraphActions, parent: QWidget) -> QMenu:
+    """Make the menu of the background."""
+    menu = QMenu(parent)
+    _add(menu, "&Create nodelet …", partial(actions.create_wanted.emit, ""))
+    _add(menu, "&Find …", actions.find_wanted.emit)
+    menu.addSeparator()
+    _add(menu, "&Fit in view", actions.fit_wanted.emit)
+    _add(menu, "&Tidy up", actions.tidy_wanted.emit)
+    _add(menu, "&Refresh", actions.refresh_wanted.emit)
+    return menu
 
 
-def _add_port(menu: QMenu, ref: PortRef, snapshot: Snapshot, actions: GraphActions) -> None:
-    port = snapshot.port(ref)
+def menu_of_port(
+    ref: PortRef, snapshot: Snapshot, actions: GraphActions, parent: QWidget
+) -> QMenu:
+    """Make the menu of a port."""
+    menu, port = QMenu(parent), snapshot.port(ref)
     _add(menu, "&Connect …", partial(actions.connection_wanted.emit, ref.nodelet, ref.port))
     action = _add(menu, "&Disconnect", partial(actions.disconnect_wanted.emit, (ref,)))
     action.setEnabled(port is not None and bool(port.topic))
-    _add_copy(menu, str(ref))
+    _add_copy(menu, [str(ref)])
+    return menu
 
 
-def _add_copy(menu: QMenu, text: str) -> None:
+def _connected(
+    nodelets: Iterable[str], topics: Iterable[str], edges: Iterable[Edge], snapshot: Snapshot
+) -> Iterator[PortRef]:
+    """The ports to disconnect: all of nodelets and topics, and where arrows end."""
+    for name in nodelets:
+        nodelet = snapshot.nodelet(name)
+        ports = nodelet.connections if nodelet is not None else ()
+        yield from (PortRef(name, port) for port in ports)
+    for name in topics:
+        topic = snapshot.topics().get(name)
+        yield from topic.sources + topic.targets if topic is not None else ()
+    yield from (edge_refs(edge)[0] for edge in edges)
+
+
+def _count(things: Sized, what: str) -> str:
+    return f"{len(things)} {what}{'' if len(things) == 1 else 's'}"
+
+
+def _add_copy(menu: QMenu, names: Collection[str]) -> None:
     menu.addSeparator()
-    _add(menu, "Copy &name", lambda: QGuiApplication.clipboard().setText(text))
+    text = "Copy &name" if len(names) == 1 else "Copy &names"
+    _add(menu, text, lambda: QGuiApplication.clipboard().setText("\n".join(names)))
 
 
 def _add(menu: QMenu, text: str, function: Callable[[], object]) -> Any:

@@ -5,28 +5,28 @@
 
 from __future__ import annotations
 
-from typing import Iterable, Iterator, Mapping, Optional, Tuple
+from typing import Iterator, Mapping, Optional, Tuple
 
 from python_qt_binding.QtCore import QEvent, QPoint, Qt, Signal
 from python_qt_binding.QtGui import QKeySequence
-from python_qt_binding.QtWidgets import QAction, QFileDialog, QVBoxLayout, QWidget
+from python_qt_binding.QtWidgets import QAction, QFileDialog, QMenu, QVBoxLayout, QWidget
 
 from dyknow.model.graph import PortRef
 from dyknow_rqt.canvas.appearance import edge_refs, gap_of, sizes_of
-from dyknow_rqt.canvas.items import Item
+from dyknow_rqt.canvas.items import Item, PortItem
 from dyknow_rqt.canvas.view import GraphView
-from dyknow_rqt.graph.changes import Protect
 from dyknow_rqt.graph.dot import to_dot
-from dyknow_rqt.graph.figure import Figure, VertexKind, figure_of, key_of
+from dyknow_rqt.graph.figure import Figure, figure_of
 from dyknow_rqt.graph.geometry import Layout, Size
 from dyknow_rqt.graph.snapshot import Snapshot
 from dyknow_rqt.graph.stabilise import stabilise
 from dyknow_rqt.graph.wiring import connect, connect_topic, disconnect, partners
 from dyknow_rqt.graph_bar import GraphBar
-from dyknow_rqt.graph_menus import GraphActions, menu_for
+from dyknow_rqt.graph_menus import GraphActions, menu_of, menu_of_ground, menu_of_port
 from dyknow_rqt.layouter import Layouter
 from dyknow_rqt.monitor import Monitor
 from dyknow_rqt.qt_slot import qt_slot
+from dyknow_rqt.selection import Selection
 from dyknow_rqt.sign import Sign
 from dyknow_rqt.wiring_files import WiringFiles
 
@@ -41,9 +41,12 @@ class GraphPanel(QWidget):
     #: The error no longer holds.
     mended = Signal(str)
 
-    def __init__(self, monitor: Monitor, parent: Optional[QWidget] = None) -> None:
+    def __init__(
+        self, monitor: Monitor, selection: Selection, parent: Optional[QWidget] = None
+    ) -> None:
         super().__init__(parent)
-        self._monitor = monitor
+        self._monitor, self._selection = monitor, selection
+        self._is_following = False
         self.graph_actions = GraphActions(self)
         self._figure = Figure()
         self._has_fitted = self._wants_tidy = False
@@ -104,12 +107,6 @@ class GraphPanel(QWidget):
         self.bar.search.setFocus()
         self.bar.search.selectAll()
 
-    def select_nodelets(self, names: Iterable[str]) -> None:
-        """Select nodelets and nothing else."""
-        wanted = {key_of(VertexKind.NODELET, name) for name in names}
-        for key, item in self.view.scene().vertices.items():
-            item.setSelected(key in wanted)
-
     def save(self, path: str) -> None:
         """Write the drawing in the format of the file's extension, DOT by default.
 
@@ -129,7 +126,10 @@ class GraphPanel(QWidget):
         scene = self.view.scene()
         if not self._wants_tidy:
             layout = stabilise(scene.layout, scene.figure, layout, figure, sizes)
+        self._is_following = True  # what is not drawn any more is not selected by that
         scene.show_figure(figure, layout, sizes)
+        self._selection.keep_drawn(figure)
+        self._follow_selection()
         if figure.vertices and (not self._has_fitted or self._wants_tidy):
             self._has_fitted = True
             self.view.fit()
@@ -169,12 +169,11 @@ class GraphPanel(QWidget):
     @qt_slot
     def _delete(self) -> None:
         """Disconnect the selected arrows, or else destroy the selected nodelets, after asking."""
-        scene = self.view.scene()
-        refs = tuple(dict.fromkeys(edge_refs(edge)[0] for edge in scene.selected_edges()))
+        refs = tuple(dict.fromkeys(edge_refs(edge)[0] for edge in self._selection.edges))
         if refs:
             self._disconnect(refs)
-        elif scene.selected_nodelets():
-            self.graph_actions.destroy_wanted.emit(tuple(scene.selected_nodelets()))
+        elif self._selection.nodelets:
+            self.graph_actions.destroy_wanted.emit(self._selection.nodelets)
 
     @qt_slot
     def _disconnect(self, refs: Tuple[PortRef, ...]) -> None:
@@ -182,9 +181,43 @@ class GraphPanel(QWidget):
 
     @qt_slot
     def _show_menu(self, item: Optional[Item], place: QPoint) -> None:
-        menu = menu_for(item, self._monitor.snapshot, self.graph_actions, self)
+        """Show the menu of a port, of the background, or of what is selected with the item."""
+        snapshot, actions = self._monitor.snapshot, self.graph_actions
+        if isinstance(item, PortItem):
+            self._popup(menu_of_port(item.ref, snapshot, actions, self), place)
+        elif item is None:
+            self._popup(menu_of_ground(actions, self), place)
+        else:
+            if not item.isSelected():
+                self.view.select(item)
+            self.show_menu(place)
+
+    @qt_slot
+    def show_menu(self, place: QPoint) -> None:
+        """Show the menu of what is selected."""
+        menu = menu_of(self._selection, self._monitor.snapshot, self.graph_actions, self)
+        self._popup(menu, place)
+
+    def _popup(self, menu: QMenu, place: QPoint) -> None:
         menu.setAttribute(Qt.WA_DeleteOnClose)
         menu.popup(place)
+
+    @qt_slot
+    def _take_selection(self) -> None:
+        """Take what the user has selected in the drawing."""
+        if not self._is_following:
+            scene = self.view.scene()
+            items = (*scene.vertices.items(), *scene.edges.items())
+            self._selection.choose(key for key, item in items if item.isSelected())
+
+    @qt_slot
+    def _follow_selection(self) -> None:
+        """Show what is selected."""
+        scene = self.view.scene()
+        self._is_following = True
+        for key, item in (*scene.vertices.items(), *scene.edges.items()):
+            item.setSelected(key in self._selection.keys)
+        self._is_following = False
 
     @qt_slot
     def _search(self) -> None:
@@ -239,6 +272,8 @@ class GraphPanel(QWidget):
         monitor.heart.linked.connect(self._grey)
         monitor.library_changed.connect(self._show_sign)
         monitor.history_changed.connect(bar.show_history)
+        view.scene().selectionChanged.connect(self._take_selection)
+        self._selection.changed.connect(self._follow_selection)
         self.layouter.ready.connect(self._draw)
         self.layouter.failed.connect(self.failed)
         view.drag_began.connect(self._drag_began)
@@ -263,15 +298,10 @@ class GraphPanel(QWidget):
             edit.mended.connect(self.mended)
         actions = self.graph_actions
         actions.disconnect_wanted.connect(self._disconnect)
-        actions.protect_wanted.connect(self._protect)
         actions.refresh_wanted.connect(self._refresh)
         actions.fit_wanted.connect(view.fit)
         actions.tidy_wanted.connect(self.tidy)
         actions.find_wanted.connect(self.find)
-
-    @qt_slot
-    def _protect(self, name: str, on: bool) -> None:
-        self._monitor.do(Protect(name, on))
 
     @qt_slot
     def _take_snapshot(self, snapshot: Snapshot) -> None:

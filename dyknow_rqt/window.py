@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Dict, List, Optional
+from typing import Any, Dict, Optional
 
 from python_qt_binding.QtCore import QEvent, Qt
 from python_qt_binding.QtGui import QPalette
@@ -21,7 +21,9 @@ from dyknow_rqt.panels.library import LibraryPanel
 from dyknow_rqt.panels.streams import StreamsPanel
 from dyknow_rqt.qt_slot import qt_slot
 from dyknow_rqt.remote import Remote
+from dyknow_rqt.selection import Selection
 from dyknow_rqt.status_line import StatusLine
+from dyknow_rqt.stream_watch import StreamWatch
 
 
 class DyKnowWidget(QWidget):
@@ -37,12 +39,14 @@ class DyKnowWidget(QWidget):
         self.monitor = Monitor(remote)
         self.line = StatusLine()
         self.report = self.line.report
-        self.graph = GraphPanel(self.monitor)
-        self.active = ActivePanel(self.monitor, self.line)
+        watch = StreamWatch(self.monitor)
+        self.selection = Selection(self.monitor, watch)
+        self.graph = GraphPanel(self.monitor, self.selection)
+        self.active = ActivePanel(self.monitor, self.line, self.selection)
         self.library = LibraryPanel(self.monitor, self.line)
         self.create_ = CreatePanel(self.monitor, self.line)
         self.connect_ = ConnectPanel(self.monitor, self.line)
-        self.streams = StreamsPanel(self.monitor, self.line)
+        self.streams = StreamsPanel(self.monitor, self.line, watch, self.selection)
         self.tabs = QTabWidget()
         self.tabs.setAccessibleName("Control panel")
         for title, panel in (
@@ -96,12 +100,12 @@ class DyKnowWidget(QWidget):
         self.monitor.heart.linked.connect(self._grey)
         self.graph.failed.connect(self.line.report)
         self.graph.mended.connect(self.line.withdraw)
-        self.active.chosen.connect(self._show_chosen)
-        self.streams.chosen.connect(self._show_chosen)
+        self.active.menu_wanted.connect(self.graph.show_menu)
         self.library.create_wanted.connect(self._begin_create)
         self.addActions(list(self.graph.actions_of()))
         actions = self.graph.graph_actions
         actions.destroy_wanted.connect(self.active.ask_to_destroy)
+        actions.protect_wanted.connect(self.active.set_protection)
         actions.create_wanted.connect(self._begin_create)
         actions.connection_wanted.connect(self._begin_connection)
 
@@ -131,8 +135,3 @@ class DyKnowWidget(QWidget):
     def _begin_connection(self, nodelet: str, port: str) -> None:
         self.tabs.setCurrentWidget(self.connect_)
         self.connect_.begin(nodelet, port)
-
-    @qt_slot
-    def _show_chosen(self, names: List[str]) -> None:
-        """Select in the graph the nodelets that are selected in a table."""
-        self.graph.select_nodelets(names)

@@ -145,7 +145,7 @@ class EdgeItem(Item):
     @qt_slot
     def hoverEnterEvent(self, event: Any) -> None:  # noqa: N802
         """Highlight its ends."""
-        self.scene().highlight_edge(self.edge)
+        self.scene().highlight(self.edge)
 
     @qt_slot
     def hoverLeaveEvent(self, event: Any) -> None:  # noqa: N802

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import Callable, Dict, List, Mapping, Optional, Set, Tuple
+from typing import Callable, Dict, List, Mapping, Optional, Set, Tuple, Union
 
 from python_qt_binding.QtCore import QObject, QPointF, QRectF
 from python_qt_binding.QtGui import QFont, QImage, QPainter, QPalette
@@ -48,6 +48,7 @@ class GraphScene(QGraphicsScene):
         self._snapshot = Snapshot()
         self._traffic: Mapping[PortRef, PortRate] = {}
         self.highlights = True
+        self._highlighted: Union[None, str, Edge] = None
         self.setBackgroundBrush(self._colours.paper)
 
     def show_figure(self, figure: Figure, layout: Layout, sizes: Mapping[str, Size]) -> None:
@@ -70,6 +71,8 @@ class GraphScene(QGraphicsScene):
         self._place_labels()
         self.setSceneRect(self.drawing_area().adjusted(-_MARGIN, -_MARGIN, _MARGIN, _MARGIN))
         self.set_snapshot(self._snapshot)
+        drawn = self._highlighted in self.vertices or self._highlighted in self.edges
+        self.highlight(self._highlighted if drawn else None)
 
     def set_snapshot(self, snapshot: Snapshot) -> None:
         """Show the states of the nodelets that are drawn."""
@@ -107,10 +110,19 @@ class GraphScene(QGraphicsScene):
 
     # Highlighting, searching
 
-    def highlight(self, key: Optional[str]) -> None:
-        """Highlight a vertex (red) and its neighbours: sources blue, sinks green, both teal."""
+    def highlight(self, thing: Union[None, str, Edge]) -> None:
+        """Highlight a vertex (red) and its neighbours, or an arrow and its ends, until the next.
+
+        Sources are blue, sinks green, what is both teal.
+        """
+        self._highlighted = thing
         tones: Dict[object, Tone] = {}
-        if key is not None and self.highlights:
+        if not self.highlights:
+            pass
+        elif isinstance(thing, Edge):
+            tones = {thing: Tone.SELF, thing.tail: Tone.IN, thing.head: Tone.OUT}
+        elif thing is not None:
+            key = thing
             before = {e.tail for e in self.figure.edges if e.head == key}
             after = {e.head for e in self.figure.edges if e.tail == key}
             for edge in self.figure.edges:
@@ -124,11 +136,6 @@ class GraphScene(QGraphicsScene):
             tones[key] = Tone.SELF
         self._paint_tones(tones)
 
-    def highlight_edge(self, edge: Edge) -> None:
-        """Highlight an arrow and its ends."""
-        if self.highlights:
-            self._paint_tones({edge: Tone.SELF, edge.tail: Tone.IN, edge.head: Tone.OUT})
-
     def find(self, text: str) -> List[VertexItem]:
         """Mark the vertices whose name contains a text; return them from left to right."""
         wanted = text.strip().lower()
@@ -139,19 +146,7 @@ class GraphScene(QGraphicsScene):
                 hits.append(item)
         return sorted(hits, key=lambda item: (item.x(), item.y()))
 
-    # Selection
-
-    def selected_nodelets(self) -> List[str]:
-        """Names of the nodelets that are selected, sorted."""
-        return sorted(
-            item.vertex.name
-            for item in self.vertices.values()
-            if item.isSelected() and item.vertex.kind is VertexKind.NODELET
-        )
-
-    def selected_edges(self) -> List[Edge]:
-        """Arrows that are selected, sorted."""
-        return sorted(edge for edge, item in self.edges.items() if item.isSelected())
+    # Drawing connections
 
     def offer(self, refs: Optional[Set[PortRef]]) -> None:
         """Mark the ports where a connection could end; None to mark none."""

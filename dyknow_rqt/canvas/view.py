@@ -158,6 +158,12 @@ class GraphView(QGraphicsView):
             self.topic_dropped.emit(start.ref, item.vertex.name)
 
     @qt_slot
+    def leaveEvent(self, event: Any) -> None:  # noqa: N802
+        """Nothing is under the pointer any more."""
+        super().leaveEvent(event)
+        self.scene().highlight(None)
+
+    @qt_slot
     def contextMenuEvent(self, event: Any) -> None:  # noqa: N802
         """Ask for a menu on what is under the pointer, or on what is selected."""
         if event.reason() == event.Keyboard:

@@ -10,7 +10,7 @@ as it was before the change.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Dict, List, Mapping, Tuple
+from typing import Dict, List, Mapping, Sequence, Tuple
 
 from dyknow.errors import DyKnowError
 from dyknow.model.client import BaseManagerClient
@@ -169,6 +169,17 @@ class DestroyNodelet(Change):
                 f"{self.name} cannot be made again: its transformation is not in the library"
             )
         return SpawnNodelet(nodelet.request)
+
+
+def protection(names: Sequence[str], snapshot: Snapshot) -> Tuple[List[str], bool]:
+    """Decide what a switch of the protection of nodelets does.
+
+    Returns:
+        The nodelets to protect, those that are not yet; or if all are, all of them, to release.
+    """
+    nodelets = (snapshot.nodelet(name) for name in names)
+    free = [each.name for each in nodelets if each is not None and not each.is_protected]
+    return (free, True) if free or not names else (list(names), False)
 
 
 @dataclass(frozen=True)

@@ -7,17 +7,18 @@ from __future__ import annotations
 
 from typing import Optional, Sequence
 
-from python_qt_binding.QtCore import Signal
+from python_qt_binding.QtCore import QPoint, Qt, Signal
 from python_qt_binding.QtWidgets import QHBoxLayout, QPushButton, QVBoxLayout, QWidget
 
 from dyknow.model.graph import NodeletKind, State
 from dyknow.model.transformation import IN
-from dyknow_rqt.graph.changes import DestroyNodelet, Protect
+from dyknow_rqt.graph.changes import DestroyNodelet, Protect, protection
 from dyknow_rqt.graph.snapshot import Snapshot
 from dyknow_rqt.monitor import Monitor
 from dyknow_rqt.panels.panel import Panel
 from dyknow_rqt.panels.tables import KeyedTable
 from dyknow_rqt.qt_slot import qt_slot
+from dyknow_rqt.selection import Selection
 from dyknow_rqt.status_line import StatusLine
 
 _TITLES = ("Nodelet", "Transformation", "In", "Out", "State", "Manager")
@@ -26,14 +27,20 @@ _TITLES = ("Nodelet", "Transformation", "In", "Out", "State", "Manager")
 class ActivePanel(Panel):
     """Lists nodelets; destroys and protects them."""
 
-    #: Nodelets were selected: their names.
-    chosen = Signal(object)
+    #: A context menu of the selection is wanted, at this place on the screen.
+    menu_wanted = Signal(QPoint)
 
     def __init__(
-        self, monitor: Monitor, line: StatusLine, parent: Optional[QWidget] = None
+        self,
+        monitor: Monitor,
+        line: StatusLine,
+        selection: Selection,
+        parent: Optional[QWidget] = None,
     ) -> None:
         super().__init__(monitor, line, parent)
+        self._selection = selection
         self.table = KeyedTable(_TITLES, "Active nodelets")
+        self.table.setContextMenuPolicy(Qt.CustomContextMenu)
         self.destroy = QPushButton("Des&troy …")
         self.protect = QPushButton("&Protect")
         row = QHBoxLayout()
@@ -45,8 +52,9 @@ class ActivePanel(Panel):
         column.addLayout(row)
         self.destroy.clicked.connect(self._destroy_chosen)
         self.protect.clicked.connect(self._protect_chosen)
-        self.table.selectionModel().selectionChanged.connect(self._follow_selection)
-        self.table.picked.connect(self.chosen)
+        self.table.picked.connect(selection.choose_nodelets)
+        self.table.customContextMenuRequested.connect(self._want_menu)
+        selection.changed.connect(self._follow_selection)
         monitor.changed.connect(self._show)
         self.table.on_delete(self._destroy_chosen)
         self._follow_selection()
@@ -60,16 +68,21 @@ class ActivePanel(Panel):
 
     @qt_slot
     def _destroy_chosen(self) -> None:
-        names = self.table.chosen()
-        if names:
-            self.ask_to_destroy(names)
+        if self._selection.nodelets:
+            self.ask_to_destroy(self._selection.nodelets)
 
     @qt_slot
     def _protect_chosen(self) -> None:
-        for name in self.table.chosen()[:1]:
-            nodelet = self._monitor.snapshot.nodelet(name)
-            if nodelet is not None:
-                self._monitor.do(Protect(name, not nodelet.is_protected))
+        self.set_protection(*protection(self._selection.nodelets, self._monitor.snapshot))
+
+    @qt_slot
+    def set_protection(self, names: Sequence[str], on: bool) -> None:
+        """Protect nodelets from being destroyed, or release them."""
+        self._do_in_turn([Protect(name, on) for name in names])
+
+    @qt_slot
+    def _want_menu(self, place: QPoint) -> None:
+        self.menu_wanted.emit(self.table.viewport().mapToGlobal(place))
 
     @qt_slot
     def _show(self, snapshot: Snapshot) -> None:
@@ -93,10 +106,12 @@ class ActivePanel(Panel):
 
     @qt_slot
     def _follow_selection(self) -> None:
-        names = self.table.chosen()
+        names = self._selection.nodelets
+        self.table.follow(names)
         nodelets = [self._monitor.snapshot.nodelet(name) for name in names]
         protected = [each for each in nodelets if each is not None and each.is_protected]
         self.destroy.setEnabled(bool(names) and not protected)
         self.destroy.setToolTip("Release them from protection first" if protected else "Delete")
-        self.protect.setEnabled(len(names) == 1)
-        self.protect.setText("&Release" if protected else "&Protect")
+        self.protect.setEnabled(bool(names))
+        _, on = protection(names, self._monitor.snapshot)
+        self.protect.setText("&Protect" if on else "&Release")

@@ -8,9 +8,9 @@ from __future__ import annotations
 import getpass
 import socket
 import time
-from typing import TYPE_CHECKING, Callable, Mapping, Optional, Tuple
+from typing import TYPE_CHECKING, Callable, List, Mapping, Optional, Tuple
 
-from python_qt_binding.QtCore import QStringListModel, Qt, Signal
+from python_qt_binding.QtCore import QStringListModel, Qt
 from python_qt_binding.QtGui import QFont
 from python_qt_binding.QtWidgets import (
     QCheckBox,
@@ -34,6 +34,7 @@ from dyknow_rqt.monitor import Monitor
 from dyknow_rqt.panels.panel import Panel
 from dyknow_rqt.panels.tables import KeyedTable
 from dyknow_rqt.qt_slot import qt_slot
+from dyknow_rqt.selection import Selection
 from dyknow_rqt.status_line import StatusLine
 from dyknow_rqt.stream_watch import StreamWatch
 
@@ -48,14 +49,16 @@ _EVENTS_KEPT = 500
 class StreamsPanel(Panel):
     """Previews, acquires, releases and replans streams; shows their states."""
 
-    #: A stream was selected: the names of its nodelets.
-    chosen = Signal(object)
-
     def __init__(
-        self, monitor: Monitor, line: StatusLine, parent: Optional[QWidget] = None
+        self,
+        monitor: Monitor,
+        line: StatusLine,
+        watch: StreamWatch,
+        selection: Selection,
+        parent: Optional[QWidget] = None,
     ) -> None:
         super().__init__(monitor, line, parent)
-        self.watch = StreamWatch(monitor)
+        self.watch, self._selection = watch, selection
         self.tag, self.datatype, self.exclude = QLineEdit(), QLineEdit(), QLineEdit()
         self.prefer, self.avoid = QLineEdit(), QLineEdit()
         self.tag.setPlaceholderText("FieldPosition(ball)")
@@ -140,18 +143,13 @@ class StreamsPanel(Panel):
 
     @qt_slot
     def _release(self) -> None:
-        streams = map(self.watch.stream, self.table.chosen())
-        self._do_in_turn(
-            [ReleaseStream(each.claim_id, each.tag) for each in streams if each is not None]
-        )
+        self._do_in_turn([ReleaseStream(each.claim_id, each.tag) for each in self._chosen()])
 
     @qt_slot
     def _replan(self) -> None:
         """Show the plan that is the cheapest now, and ask whether to switch to it."""
-        for claim_id in self.table.chosen()[:1]:
-            stream = self.watch.stream(claim_id)
-            if stream is not None:
-                self._ask_to_replan(stream)
+        for stream in self._chosen()[:1]:
+            self._ask_to_replan(stream)
 
     def _ask_to_replan(self, stream: StreamStatus) -> None:
         def ask(found: Replanned) -> None:
@@ -199,18 +197,17 @@ class StreamsPanel(Panel):
     def _follow(self) -> None:
         for button in (self.preview, self.acquire):
             button.setEnabled(bool(self.tag.text().strip()))
-        found = map(self.watch.stream, self.table.chosen())
-        streams = [stream for stream in found if stream is not None and not stream.state.ended]
+        self.table.follow(self._selection.claims)
+        streams = self._chosen()
         self.release.setEnabled(bool(streams))
         self.replan.setEnabled(len(streams) == 1)
 
-    @qt_slot
-    def _choose(self) -> None:
-        self._follow()
-        found = map(self.watch.stream, self.table.chosen())
-        self.chosen.emit([name for each in found if each is not None for name in each.nodelets])
-
     # Inside
+
+    def _chosen(self) -> List[StreamStatus]:
+        """The selected streams that have not ended."""
+        found = map(self.watch.stream, sorted(self._selection.claims))
+        return [stream for stream in found if stream is not None and not stream.state.ended]
 
     def _listen(self) -> None:
         self.tag.textChanged.connect(self._follow)
@@ -221,7 +218,8 @@ class StreamsPanel(Panel):
         self.release.clicked.connect(self._release)
         self.replan.clicked.connect(self._replan)
         self.ended.toggled.connect(self._show_streams)
-        self.table.picked.connect(self._choose)
+        self.table.picked.connect(self._selection.choose_claims)
+        self._selection.changed.connect(self._follow)
         self.table.on_delete(self._release)
         self.watch.changed.connect(self._show_streams)
         self._monitor.stream_event.connect(self._show_event)

@@ -160,7 +160,7 @@ class KeyedTable(QTableView):
         return [row[0][0] for row in self._rows.shown]
 
     def choose(self, names: Iterable[str], current: Optional[str] = None) -> None:
-        """Select rows by key, and make one the current row."""
+        """Select the rows of these keys and no others, and make one the current row."""
         selection = self.selectionModel()
         places = [self._rows.places[name] for name in names if name in self._rows.places]
         if current in self._rows.places:
@@ -169,8 +169,18 @@ class KeyedTable(QTableView):
             places_of_current = places[:1]
         for place in places_of_current:
             selection.setCurrentIndex(self._rows.index(place, 0), selection.NoUpdate)
+        chosen = QItemSelection()
         for place in places:
-            selection.select(self._rows.index(place, 0), selection.Select | selection.Rows)
+            index = self._rows.index(place, 0)
+            chosen.select(index, index)
+        selection.select(chosen, selection.ClearAndSelect | selection.Rows)
+
+    def follow(self, names: Iterable[str]) -> None:
+        """Select the rows of these keys and no others, as the user has done elsewhere."""
+        if set(names) != set(self.chosen()):
+            self._refilling = True
+            self.choose(names)
+            self._refilling = False
 
     @qt_slot
     def selectionChanged(self, now: QItemSelection, before: QItemSelection) -> None:  # noqa: N802
