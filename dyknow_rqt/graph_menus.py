@@ -34,6 +34,7 @@ class GraphActions(QObject):
     #: Protect nodelets, or release them; their names.
     protect_wanted = Signal(object, bool)
     find_wanted = Signal()
+    keys_wanted = Signal()
     fit_wanted = Signal()
     refresh_wanted = Signal()
     tidy_wanted = Signal()
@@ -80,6 +81,8 @@ def menu_of_ground(actions: GraphActions, parent: QWidget) -> QMenu:
     _add(menu, "&Fit in view", actions.fit_wanted.emit)
     _add(menu, "&Tidy up", actions.tidy_wanted.emit)
     _add(menu, "&Refresh", actions.refresh_wanted.emit)
+    menu.addSeparator()
+    _add(menu, "&Keys …", actions.keys_wanted.emit)
     return menu
 
 

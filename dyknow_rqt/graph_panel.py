@@ -11,10 +11,13 @@ from python_qt_binding.QtCore import QEvent, QPoint, Qt, Signal
 from python_qt_binding.QtGui import QKeySequence
 from python_qt_binding.QtWidgets import QAction, QFileDialog, QMenu, QVBoxLayout, QWidget
 
+from dyknow.errors import InvalidName
 from dyknow.model.graph import PortRef
+from dyknow.wiring.ports import CannotConnect
 from dyknow_rqt.canvas.appearance import edge_refs, gap_of, sizes_of
 from dyknow_rqt.canvas.items import Item, PortItem
-from dyknow_rqt.canvas.view import GraphView
+from dyknow_rqt.canvas.view import GraphView, Target
+from dyknow_rqt.graph.changes import Rewire
 from dyknow_rqt.graph.dot import to_dot
 from dyknow_rqt.graph.figure import Figure, figure_of
 from dyknow_rqt.graph.geometry import Layout, Size
@@ -159,12 +162,31 @@ class GraphPanel(QWidget):
         self.view.scene().offer(set(partners(self._monitor.snapshot, ref)) | {ref})
 
     @qt_slot
-    def _port_dropped(self, start: PortRef, end: PortRef) -> None:
-        self._monitor.do(connect(self._monitor.snapshot, start, end))
+    def _dragged(self, start: PortRef, target: Target) -> None:
+        """Say what the connection carries, and what happens if it ends here."""
+        port = self._monitor.snapshot.port(start)
+        datatype = port.datatype if port is not None else ""
+        lines = [f"{start}: {datatype or 'type not known yet'}"]
+        if target is not None:
+            try:
+                change = self._connection(start, target)
+            except (CannotConnect, InvalidName) as error:
+                lines = [str(error)]
+            else:
+                topics = dict.fromkeys(topic for _, topic in change.topics)
+                over = f"over {', '.join(topics)}" if topics else "is connected already"
+                lines += [change.text, over, change.replaced]
+        self.view.say("\n".join(line for line in lines if line))
 
     @qt_slot
-    def _topic_dropped(self, start: PortRef, topic: str) -> None:
-        self._monitor.do(connect_topic(self._monitor.snapshot, start, topic))
+    def _dropped(self, start: PortRef, target: Target) -> None:
+        self._monitor.do(self._connection(start, target))
+
+    def _connection(self, start: PortRef, target: Target) -> Rewire:
+        snapshot = self._monitor.snapshot
+        if isinstance(target, PortRef):
+            return connect(snapshot, start, target)
+        return connect_topic(snapshot, start, target or "")
 
     @qt_slot
     def _delete(self) -> None:
@@ -277,8 +299,8 @@ class GraphPanel(QWidget):
         self.layouter.ready.connect(self._draw)
         self.layouter.failed.connect(self.failed)
         view.drag_began.connect(self._drag_began)
-        view.port_dropped.connect(self._port_dropped)
-        view.topic_dropped.connect(self._topic_dropped)
+        view.dragged.connect(self._dragged)
+        view.dropped.connect(self._dropped)
         view.delete_pressed.connect(self._delete)
         view.menu_wanted.connect(self._show_menu)
         bar.options_changed.connect(self.redraw)

@@ -5,11 +5,20 @@
 
 from __future__ import annotations
 
+import html
 from typing import Any, Callable, List, Optional
 
 from python_qt_binding.QtCore import QEvent, Qt, QTimer
-from python_qt_binding.QtGui import QPalette
-from python_qt_binding.QtWidgets import QHBoxLayout, QLabel, QPushButton, QSizePolicy, QWidget
+from python_qt_binding.QtGui import QKeySequence, QPalette
+from python_qt_binding.QtWidgets import (
+    QAction,
+    QApplication,
+    QHBoxLayout,
+    QLabel,
+    QPushButton,
+    QSizePolicy,
+    QWidget,
+)
 
 from dyknow_rqt.canvas.colours import colours_of
 from dyknow_rqt.graph.contact import Status
@@ -28,6 +37,7 @@ class StatusLine(QWidget):
         self._text = QLabel()
         self._text.setTextInteractionFlags(Qt.TextSelectableByMouse | Qt.TextSelectableByKeyboard)
         self._text.setSizePolicy(QSizePolicy.Ignored, QSizePolicy.Preferred)
+        self._text.setWordWrap(True)
         self._text.setAccessibleName("Message")
         self._text.setTextFormat(Qt.PlainText)
         self.contact = QLabel()
@@ -42,6 +52,13 @@ class StatusLine(QWidget):
         for button in (self.yes, self.no, self.dismiss):
             row.addWidget(button)
         row.addWidget(self.contact)
+        #: Takes back what the line asks, or dismisses what it says; works in the whole window.
+        self.decline = QAction(self)
+        self.decline.setShortcut(QKeySequence(Qt.Key_Escape))
+        self.decline.setShortcutContext(Qt.WidgetWithChildrenShortcut)
+        self.decline.triggered.connect(self.clear)
+        self._asked_in: Optional[QWidget] = None
+        self._full = ""
         self._status: Optional[Status] = None
         self._answer: Optional[Callable[[], None]] = None
         self._timer = QTimer(self)
@@ -61,10 +78,11 @@ class StatusLine(QWidget):
         """Show an error: its first line in the window, all of it in the tool tip."""
         self._show(text, alarm=True)
         self.dismiss.show()
+        self.decline.setEnabled(True)
 
     def withdraw(self, text: str) -> None:
         """Remove an error that no longer holds, if the line still shows it."""
-        if self._text.toolTip() == text:
+        if self._full == text:
             self.clear()
 
     def note(self, text: str) -> None:
@@ -87,19 +105,12 @@ class StatusLine(QWidget):
     def ask(self, question: str, yes: str, answer: Callable[[], None]) -> None:
         """Ask something; ``answer`` is called if the user agrees."""
         self._show(question, alarm=False)
-        self._answer = answer
+        self._answer, self._asked_in = answer, QApplication.focusWidget()
+        self.decline.setEnabled(True)
         self.yes.setText(yes)
         self.yes.show()
         self.no.show()
         self.yes.setFocus()
-
-    @qt_slot
-    def keyPressEvent(self, event: Any) -> None:  # noqa: N802
-        """Escape declines."""
-        if event.key() == Qt.Key_Escape:
-            self.clear()
-        else:
-            super().keyPressEvent(event)
 
     @qt_slot
     def changeEvent(self, event: Any) -> None:  # noqa: N802
@@ -110,11 +121,15 @@ class StatusLine(QWidget):
 
     @qt_slot
     def clear(self) -> None:
-        """Empty the line."""
-        self._answer = None
+        """Empty the line; the focus returns to where it was before a question."""
+        if self._asked_in is not None and (self.yes.hasFocus() or self.no.hasFocus()):
+            self._asked_in.setFocus()
+        self._answer = self._asked_in = None
         self._timer.stop()
+        self._full = ""
         self._text.setText("")
         self._text.setToolTip("")
+        self.decline.setEnabled(False)
         for button in (self.yes, self.no, self.dismiss):
             button.hide()
 
@@ -130,7 +145,8 @@ class StatusLine(QWidget):
         lines = text.strip().split("\n")
         more = f"  (and {len(lines) - 1} more lines: rest the pointer here)" if lines[1:] else ""
         self._text.setText(lines[0] + more)
-        self._text.setToolTip(text)
+        self._full = text
+        self._text.setToolTip(f"<p style='white-space: pre-wrap'>{html.escape(text)}</p>")
         palette = QPalette(self.palette())
         if alarm:
             palette.setColor(QPalette.WindowText, colours_of(self.palette()).alarm)

@@ -8,11 +8,19 @@ from __future__ import annotations
 from typing import Any, Dict, Optional
 
 from python_qt_binding.QtCore import QEvent, Qt
-from python_qt_binding.QtGui import QPalette
-from python_qt_binding.QtWidgets import QSplitter, QTabWidget, QVBoxLayout, QWidget
+from python_qt_binding.QtGui import QKeySequence, QPalette
+from python_qt_binding.QtWidgets import (
+    QAbstractButton,
+    QAction,
+    QSplitter,
+    QTabWidget,
+    QVBoxLayout,
+    QWidget,
+)
 
 from dyknow_rqt.canvas.colours import colours_of
 from dyknow_rqt.graph_panel import GraphPanel
+from dyknow_rqt.keys import KeysDialog
 from dyknow_rqt.monitor import Monitor
 from dyknow_rqt.panels.active import ActivePanel
 from dyknow_rqt.panels.connect import ConnectPanel
@@ -49,6 +57,7 @@ class DyKnowWidget(QWidget):
         self.streams = StreamsPanel(self.monitor, self.line, watch, self.selection)
         self.tabs = QTabWidget()
         self.tabs.setAccessibleName("Control panel")
+        self.tabs.tabBar().setAccessibleName("Tabs of the control panel")
         for title, panel in (
             ("&Active", self.active),
             ("Li&brary", self.library),
@@ -102,12 +111,22 @@ class DyKnowWidget(QWidget):
         self.graph.mended.connect(self.line.withdraw)
         self.active.menu_wanted.connect(self.graph.show_menu)
         self.library.create_wanted.connect(self._begin_create)
-        self.addActions(list(self.graph.actions_of()))
+        self.addActions([*self.graph.actions_of(), self.line.decline, self._keys_action()])
         actions = self.graph.graph_actions
+        actions.keys_wanted.connect(self.show_keys)
         actions.destroy_wanted.connect(self.active.ask_to_destroy)
         actions.protect_wanted.connect(self.active.set_protection)
         actions.create_wanted.connect(self._begin_create)
         actions.connection_wanted.connect(self._begin_connection)
+
+    @qt_slot
+    def keyPressEvent(self, event: Any) -> None:  # noqa: N802
+        """Return presses the button that has the focus."""
+        button = self.focusWidget()
+        if event.key() in (Qt.Key_Return, Qt.Key_Enter) and isinstance(button, QAbstractButton):
+            button.click()
+        else:
+            super().keyPressEvent(event)
 
     @qt_slot
     def changeEvent(self, event: Any) -> None:  # noqa: N802
@@ -125,6 +144,20 @@ class DyKnowWidget(QWidget):
             for role in (QPalette.Text, QPalette.WindowText, QPalette.ButtonText):
                 palette.setColor(role, muted)
         self.tabs.setPalette(palette)
+
+    def _keys_action(self) -> QAction:
+        action = QAction(self)
+        action.setShortcuts([QKeySequence(key) for key in ("Shift+?", "?", "F1")])
+        action.setShortcutContext(Qt.WidgetWithChildrenShortcut)
+        action.triggered.connect(self.show_keys)
+        return action
+
+    @qt_slot
+    def show_keys(self) -> None:
+        """List the keys."""
+        dialog = KeysDialog(self)
+        dialog.setAttribute(Qt.WA_DeleteOnClose)
+        dialog.show()
 
     @qt_slot
     def _begin_create(self, label: str) -> None:

@@ -65,10 +65,11 @@ def colours_of(palette: QPalette) -> Colours:
         alarm=QColor("#ff6b61") if dark else QColor("#c62015"),
         chosen=chosen,
         paper=paper,
-        self_=QColor("#ff5c52") if dark else QColor("#e00000"),
-        in_=QColor("#6ea8ff") if dark else QColor("#0000e0"),
-        out=QColor("#5fd068") if dark else QColor("#008a00"),
-        both=QColor("#35d0c8") if dark else QColor("#008080"),
+        # These differ for every kind of colour blindness, also from the line.
+        self_=QColor("#e76129") if dark else QColor("#d52401"),
+        in_=QColor("#6d7ef7") if dark else QColor("#0018c8"),
+        out=QColor("#3cd380") if dark else QColor("#1a8060"),
+        both=QColor("#c983c8") if dark else QColor("#c906b3"),
     )
 
 

@@ -113,7 +113,7 @@ class GraphScene(QGraphicsScene):
     def highlight(self, thing: Union[None, str, Edge]) -> None:
         """Highlight a vertex (red) and its neighbours, or an arrow and its ends, until the next.
 
-        Sources are blue, sinks green, what is both teal.
+        Sources are blue, sinks green, what is both is purple.
         """
         self._highlighted = thing
         tones: Dict[object, Tone] = {}

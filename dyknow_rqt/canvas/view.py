@@ -5,11 +5,18 @@
 
 from __future__ import annotations
 
-from typing import Any, Callable, List, Optional
+from typing import Any, Callable, List, Optional, Union
 
-from python_qt_binding.QtCore import QPoint, QPointF, QRectF, Qt, Signal
-from python_qt_binding.QtGui import QPainter, QPainterPath, QPen
-from python_qt_binding.QtWidgets import QFrame, QGraphicsPathItem, QGraphicsView, QWidget
+from python_qt_binding.QtCore import QEvent, QPoint, QPointF, QRectF, Qt, Signal
+from python_qt_binding.QtGui import QPainter, QPainterPath, QPalette, QPen
+from python_qt_binding.QtWidgets import (
+    QApplication,
+    QFrame,
+    QGraphicsPathItem,
+    QGraphicsView,
+    QLabel,
+    QWidget,
+)
 
 from dyknow.model.graph import PortRef
 from dyknow_rqt.canvas.arrows import EdgeItem
@@ -18,6 +25,9 @@ from dyknow_rqt.canvas.scene import GraphScene
 from dyknow_rqt.canvas.vertices import VertexItem
 from dyknow_rqt.graph.figure import VertexKind
 from dyknow_rqt.qt_slot import qt_slot
+
+#: Where a connection may end: at a port, or at the topic of that name.
+Target = Union[None, str, PortRef]
 
 _STEP = 1.2
 #: The drawing is fitted again if it could be larger by this factor.
@@ -34,12 +44,12 @@ _ARROWS = {
 class GraphView(QGraphicsView):
     """The wheel zooms at the pointer, a drag on the background moves, one from a port connects."""
 
-    #: A connection was drawn from a port to another port.
-    port_dropped = Signal(object, object)
-    #: A connection was drawn from a port to a topic.
-    topic_dropped = Signal(object, str)
+    #: A connection was drawn from a port to another, or to the topic of that name.
+    dropped = Signal(object, object)
     #: A connection is being drawn from a port.
     drag_began = Signal(object)
+    #: It is over another port now, the topic of that name, or None.
+    dragged = Signal(object, object)
     #: The Delete key was pressed.
     delete_pressed = Signal()
     #: A context menu is wanted: the item, or None for the background, and the place on the screen.
@@ -62,6 +72,15 @@ class GraphView(QGraphicsView):
         self.is_chosen = False
         self._from: Optional[PortItem] = None
         self._band: Optional[QGraphicsPathItem] = None
+        self._target: Target = None
+        self._ground: Optional[QPoint] = None
+        self.hint = QLabel(self.viewport())
+        self.hint.setAttribute(Qt.WA_TransparentForMouseEvents)
+        self.hint.setForegroundRole(QPalette.ToolTipText)
+        self.hint.setBackgroundRole(QPalette.ToolTipBase)
+        self.hint.setAutoFillBackground(True)
+        self.hint.setMargin(4)
+        self.hint.hide()
 
     # Zoom
 
@@ -119,8 +138,8 @@ class GraphView(QGraphicsView):
         """Begin a connection on a port; anything else as usual."""
         port = self._port_at(event.pos()) if event.button() == Qt.LeftButton else None
         if port is None:
-            # A press on the background begins to move the view.
-            self.is_chosen = self.is_chosen or self._item_at(event.pos()) is None
+            is_ground = self._item_at(event.pos()) is None
+            self._ground = event.pos() if is_ground else None
             super().mousePressEvent(event)
             return
         self._from = port
@@ -129,11 +148,16 @@ class GraphView(QGraphicsView):
         self._band.setZValue(20)
         self.scene().addItem(self._band)
         self.drag_began.emit(port.ref)
+        self._tell_target(None, event.pos())
 
     @qt_slot
     def mouseMoveEvent(self, event: Any) -> None:  # noqa: N802
         """Draw the connection."""
         if self._from is None or self._band is None:
+            far = QApplication.startDragDistance()
+            if self._ground is not None and event.buttons() & Qt.LeftButton:
+                moved = (event.pos() - self._ground).manhattanLength() >= far
+                self.is_chosen = self.is_chosen or moved  # a click leaves the view as it is
             super().mouseMoveEvent(event)
             return
         start, end = self._from.scenePos(), self.mapToScene(event.pos())
@@ -141,6 +165,7 @@ class GraphView(QGraphicsView):
         reach = 50.0 if self._from.direction == "out" else -50.0
         path.cubicTo(start + QPointF(reach, 0), end - QPointF(reach, 0), end)
         self._band.setPath(path)
+        self._tell_target(self._target_at(event.pos()), event.pos())
 
     @qt_slot
     def mouseReleaseEvent(self, event: Any) -> None:  # noqa: N802
@@ -151,11 +176,9 @@ class GraphView(QGraphicsView):
             self.viewport().setCursor(Qt.ArrowCursor)
             return
         self._end_drag()
-        port, item = self._port_at(event.pos()), self._item_at(event.pos())
-        if port is not None and port is not start:
-            self.port_dropped.emit(start.ref, port.ref)
-        elif isinstance(item, VertexItem) and item.vertex.kind is VertexKind.TOPIC:
-            self.topic_dropped.emit(start.ref, item.vertex.name)
+        target = self._target_at(event.pos())
+        if target is not None and target != start.ref:
+            self.dropped.emit(start.ref, target)
 
     @qt_slot
     def leaveEvent(self, event: Any) -> None:  # noqa: N802
@@ -177,6 +200,14 @@ class GraphView(QGraphicsView):
         self.menu_wanted.emit(item, self.viewport().mapToGlobal(place))
 
     # Keys
+
+    def event(self, event: QEvent) -> bool:
+        """Keep Escape from others while a connection is drawn: it ends that."""
+        is_key = event.type() == QEvent.ShortcutOverride
+        if is_key and event.key() == Qt.Key_Escape and self._from is not None:
+            event.accept()
+            return True
+        return bool(super().event(event))
 
     @qt_slot
     def keyPressEvent(self, event: Any) -> None:  # noqa: N802
@@ -243,7 +274,36 @@ class GraphView(QGraphicsView):
         if self._band is not None:
             self.scene().removeItem(self._band)
         self._from = self._band = None
+        self.hint.hide()
         self.scene().offer(None)
+
+    def _tell_target(self, target: Target, place: QPoint) -> None:
+        """Tell over what the connection is, and keep what is said of that beside the pointer."""
+        if target != self._target or not self.hint.isVisible():
+            self._target = target
+            assert self._from is not None
+            self.dragged.emit(self._from.ref, target if target != self._from.ref else None)
+        size, room = self.hint.size(), self.viewport().size()
+        left = max(0, min(place.x() + 18, room.width() - size.width()))
+        above = place.y() - 12 - size.height()
+        self.hint.move(left, above if above >= 0 else place.y() + 24)
+
+    def say(self, text: str) -> None:
+        """Say something beside the connection that is drawn."""
+        self.hint.setText(text)
+        self.hint.setWordWrap(False)
+        width = min(self.hint.sizeHint().width(), self.viewport().width())
+        self.hint.setWordWrap(True)
+        self.hint.resize(width, self.hint.heightForWidth(width))
+        self.hint.show()
+
+    def _target_at(self, place: QPoint) -> Target:
+        port, item = self._port_at(place), self._item_at(place)
+        if port is not None:
+            return port.ref
+        if isinstance(item, VertexItem) and item.vertex.kind is VertexKind.TOPIC:
+            return item.vertex.name
+        return None
 
     def _port_at(self, place: QPoint) -> Optional[PortItem]:
         return next((item for item in self._items_at(place) if isinstance(item, PortItem)), None)

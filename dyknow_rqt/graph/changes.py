@@ -75,6 +75,13 @@ class Rewire(Change):
         """What is done."""
         return self.text_
 
+    @property
+    def replaced(self) -> str:
+        """The connections that end by it, in words; empty if there are none."""
+        ends = dict(self.expected)
+        lost = [f"{ends[ref]} at {ref}" for ref, topic in self.topics if ends.get(ref) and topic]
+        return f"replaces {', '.join(lost)}" if lost else ""
+
     def apply(self, client: BaseManagerClient) -> Change:
         """Connect one nodelet after the other; if one fails, restore those before it."""
         before = dict(self.expected)

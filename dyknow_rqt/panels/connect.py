@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import Iterable, List, Optional
 
 from python_qt_binding.QtCore import QStringListModel, Qt
@@ -21,6 +22,7 @@ from python_qt_binding.QtWidgets import (
     QWidget,
 )
 
+from dyknow.errors import InvalidName
 from dyknow.model.graph import PortRef, PortState
 from dyknow.model.transformation import IN, OUT
 from dyknow.wiring.ports import CannotConnect
@@ -90,6 +92,8 @@ class ConnectPanel(Panel):
         self.topic.setCompleter(QCompleter(self._topics, self))
         self.now = QLabel()
         self.now.setWordWrap(True)
+        self.replaced = QLabel()
+        self.replaced.setWordWrap(True)
         self.connect_topic = QPushButton("Connect")
         self.disconnect_port = QPushButton("D&isconnect")
         column = QVBoxLayout(self)
@@ -158,7 +162,12 @@ class ConnectPanel(Panel):
         self.now.setText((port.topic or "not connected") if port is not None else "–")
         self._topics.setStringList(topics_for(snapshot, ref) if ref is not None else [])
         self.disconnect_port.setEnabled(port is not None and bool(port.topic))
-        self.connect_topic.setEnabled(port is not None and bool(self.topic.text().strip()))
+        wanted = self.topic.text().strip()
+        self.replaced.setText("")
+        if ref is not None and wanted:
+            with contextlib.suppress(CannotConnect, InvalidName):  # the button says why
+                self.replaced.setText(connect_topic(snapshot, ref, wanted).replaced)
+        self.connect_topic.setEnabled(port is not None and bool(wanted))
 
     def _show_choice(self, snapshot: Snapshot) -> None:
         source, sink = self.source.ref, self.sink.ref
@@ -169,10 +178,10 @@ class ConnectPanel(Panel):
             except CannotConnect as error:
                 text = str(error)
             else:
-                ends = snapshot.port(source), snapshot.port(sink)
-                possible = any(end is not None and end.topic != text for end in ends)
-                text += "" if possible else "  (connected already)"
-        self.topic_chosen.setText(text)
+                change = connect(snapshot, source, sink)
+                possible = bool(change.topics)
+                text += f"\n{change.replaced}" if possible else "  (connected already)"
+        self.topic_chosen.setText(text.strip())
         self.connect.setEnabled(possible)
 
     def _offer(self, choice: _PortChoice, snapshot: Snapshot, fits) -> None:  # type: ignore[no-untyped-def]
@@ -202,6 +211,7 @@ class ConnectPanel(Panel):
         form.addRow("port:", self.single.port)
         form.addRow("now:", self.now)
         form.addRow("To&pic:", self.topic)
+        form.addRow("", self.replaced)
         row = QHBoxLayout()
         row.addWidget(self.connect_topic)
         row.addWidget(self.disconnect_port)

@@ -53,7 +53,6 @@ class LibraryPanel(Panel):
         self.specification = QPlainTextEdit()
         self.specification.setReadOnly(True)
         self.specification.setTabChangesFocus(True)
-        self.specification.setLineWrapMode(QPlainTextEdit.NoWrap)
         fixed = QFont("monospace", self.font().pointSize())
         fixed.setStyleHint(QFont.Monospace)
         self.specification.setFont(fixed)
@@ -82,7 +81,7 @@ class LibraryPanel(Panel):
         self.delete.clicked.connect(self._ask_to_delete)
         self.create.clicked.connect(self._want_create)
         self.table.on_delete(self._ask_to_delete)
-        self.table.doubleClicked.connect(self._want_create)
+        self.table.activated.connect(self._want_create)
         self._follow_selection()
 
     def import_file(self, path: str) -> None:

@@ -76,9 +76,11 @@ class StreamsPanel(Panel):
             completer.setFilterMode(Qt.MatchContains)
             completer.setCaseSensitivity(Qt.CaseInsensitive)
             field.setCompleter(completer)
-        self.silence = _limit("never", " s", "The stream is repaired if it is silent for longer")
-        self.rate = _limit("any rate", " Hz", "The stream is repaired if it is slower")
-        self.age = _limit("any age", " s", "The stream is repaired if its messages are older")
+        self.silence = _limit(
+            "never", " s", 0.5, "The stream is repaired if it is silent for longer"
+        )
+        self.rate = _limit("any rate", " Hz", 1.0, "The stream is repaired if it is slower")
+        self.age = _limit("any age", " s", 0.1, "The stream is repaired if its messages are older")
         self.rate.setAccessibleName("Rate at least")
         self.age.setAccessibleName("Age at most")
         self.preview, self.acquire = QPushButton("&Preview"), QPushButton("Ac&quire")
@@ -92,7 +94,6 @@ class StreamsPanel(Panel):
         self.replan, self.release = QPushButton("Replan …"), QPushButton("Release")
         self.events = _text("Events of streams")
         self.events.setMaximumBlockCount(_EVENTS_KEPT)
-        self.events.setLineWrapMode(QPlainTextEdit.WidgetWidth)
         self.events.setPlaceholderText("What becomes of streams from now on is shown here")
         self._arrange()
         self._listen()
@@ -266,9 +267,10 @@ def _names(field: QLineEdit) -> Tuple[str, ...]:
     return tuple(name for name in names if name)
 
 
-def _limit(none: str, unit: str, tip: str) -> QDoubleSpinBox:
+def _limit(none: str, unit: str, step: float, tip: str) -> QDoubleSpinBox:
     box = QDoubleSpinBox()
     box.setRange(0.0, 3600.0)
+    box.setSingleStep(step)
     box.setSuffix(unit)
     box.setSpecialValueText(none)
     box.setToolTip(tip)
@@ -286,7 +288,6 @@ def _text(name: str) -> QPlainTextEdit:
     text = QPlainTextEdit()
     text.setReadOnly(True)
     text.setTabChangesFocus(True)
-    text.setLineWrapMode(QPlainTextEdit.NoWrap)
     fixed = QFont("monospace", text.font().pointSize())
     fixed.setStyleHint(QFont.Monospace)
     text.setFont(fixed)

@@ -50,6 +50,13 @@ def drag(view, start, end):
         QApplication.sendEvent(port, event)
 
 
+def move(view, place):
+    """Move with the left button held down."""
+    where = QPointF(place), QPointF(view.viewport().mapToGlobal(place))
+    event = QMouseEvent(QEvent.MouseMove, *where, Qt.NoButton, Qt.LeftButton, Qt.NoModifier)
+    QApplication.sendEvent(view.viewport(), event)
+
+
 def create(qtbot, window, name):
     """Make a nodelet, and wait until the window knows it."""
     window.monitor.do(SpawnNodelet(SpawnRequest("tracker", name)))

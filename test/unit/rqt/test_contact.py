@@ -10,6 +10,7 @@ import time
 import pytest
 from python_qt_binding.QtGui import QPalette
 from unit.rqt.hands import create, until, vertex_keys
+from unit.rqt.seeing import contrast
 
 from dyknow_rqt.graph.changes import Protect
 from dyknow_rqt.graph.contact import Contact
@@ -203,15 +204,3 @@ def test_warnings_are_readable_in_the_light_and_in_the_dark(qtbot, window, remot
             (drawn.text, drawn.nodelet),
         ):
             assert contrast(text, ground) >= 4.5, (text.name(), ground.name())
-
-
-def contrast(one, other):
-    """The contrast of two colours as web pages are judged, 1 to 21."""
-    lights = sorted(
-        sum(
-            share * (part / 12.92 if part <= 0.03928 else ((part + 0.055) / 1.055) ** 2.4)
-            for share, part in zip((0.2126, 0.7152, 0.0722), colour.getRgbF())
-        )
-        for colour in (one, other)
-    )
-    return (lights[1] + 0.05) / (lights[0] + 0.05)

@@ -149,7 +149,8 @@ def test_connect_offers_only_what_fits(qtbot, window, remote):
     sinks = {panel.sink.nodelet.itemText(i) for i in range(panel.sink.nodelet.count())}
     assert sinks == {"/field/tracker", "/nao1/localization"}
     panel.sink.nodelet.setCurrentText("/field/tracker")
-    assert panel.topic_chosen.text() == "/field/ceiling_camera/field_position"
+    replaced = "replaces /field/ball at /field/tracker:position"
+    assert panel.topic_chosen.text() == f"/field/ceiling_camera/field_position\n{replaced}"
     click(qtbot, panel.connect)
     until(qtbot, lambda: topic(remote, TRACKER) == "/field/ceiling_camera/field_position")
     until(qtbot, lambda: "connected already" in panel.topic_chosen.text())
@@ -161,8 +162,12 @@ def test_connect_takes_a_topic_by_name(qtbot, window, remote):
     panel = window.connect_
     panel.begin("/field/tracker", "position")
     assert panel.now.text() == "/field/ball"
+    panel.topic.setText("~other")
+    assert panel.replaced.text() == "replaces /field/ball at /field/tracker:position"
+    panel.topic.clear()
     click(qtbot, panel.disconnect_port)
     until(qtbot, lambda: panel.now.text() == "not connected")
+    assert panel.replaced.text() == ""
     qtbot.keyClicks(panel.topic, "/somewhere")
     click(qtbot, panel.connect_topic)
     until(qtbot, lambda: panel.now.text() == "/somewhere")

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from python_qt_binding.QtCore import Qt
+from python_qt_binding.QtCore import QPoint, Qt
 from python_qt_binding.QtWidgets import (
     QFileDialog,
 )
@@ -17,6 +17,7 @@ from unit.rqt.hands import (
     click,
     context_menu,
     drag,
+    move,
     no_boxes,
     topic,
     until,
@@ -57,6 +58,34 @@ def test_a_drag_to_a_port_that_does_not_fit_says_why(qtbot, window, remote):
     drag(view, view.place_of(CEILING), view.place_of(HSV_IN))
     assert "'/nao1/line_detector:hsv' expects sensor_msgs/Image" in window.line.text
     assert topic(remote, CEILING) == "" and no_boxes()
+
+
+def test_a_drag_says_its_type_and_what_it_replaces(qtbot, window, remote):
+    view = window.graph.view
+    lines = view.hint.text
+    qtbot.mousePress(view.viewport(), Qt.LeftButton, Qt.NoModifier, view.place_of(CEILING))
+    assert lines() == "/field/ceiling_camera:field_position: geometry_msgs/PointStamped"
+    said = {}
+    for what, place in (
+        ("fits", view.place_of(TRACKER)),
+        ("does not", view.place_of(HSV_IN)),
+        ("topic", centre_of(view, "t_/nao1/joint_states")),
+        ("ground", QPoint(5, 5)),
+    ):
+        move(view, place)
+        said[what] = lines().split("\n")
+        assert view.viewport().rect().contains(view.hint.geometry())
+    assert said["fits"] == [
+        lines(),
+        "connect /field/ceiling_camera:field_position with /field/tracker:position",
+        "over /field/ceiling_camera/field_position",
+        "replaces /field/ball at /field/tracker:position",
+    ]
+    assert "'/nao1/line_detector:hsv' expects sensor_msgs/Image" in said["does not"][0]
+    assert "/nao1/joint_states carries sensor_msgs/JointState" in said["topic"][0]
+    assert said["ground"] == ["/field/ceiling_camera:field_position: geometry_msgs/PointStamped"]
+    qtbot.mouseRelease(view.viewport(), Qt.LeftButton, Qt.NoModifier, QPoint(5, 5))
+    assert not view.hint.isVisible() and topic(remote, CEILING) == ""
 
 
 def test_a_drag_to_a_topic_connects_to_it(qtbot, window, remote):

@@ -33,7 +33,7 @@ def test_hovering_lights_up_the_neighbours(qtbot, window):
     assert scene.vertices["n_/nao1/recorder"].tone.value == "none"
 
 
-def test_what_is_before_and_behind_is_teal(qtbot, window, remote):
+def test_what_is_before_and_behind_is_both(qtbot, window, remote):
     remote.client.set_config("/nao1/resize", {"resized": "/nao1/top_camera/yuv"})
     scene = window.graph.view.scene()
     until(qtbot, lambda: "t_/nao1/preview" in scene.vertices)
@@ -75,6 +75,15 @@ def test_a_drag_on_the_ground_moves_the_view(qtbot, window):
     drag(view, ground, ground + QPoint(60, -40))
     after = view.mapToScene(0, 0)
     assert after.x() < before.x() and after.y() > before.y()
+
+
+def test_a_click_on_the_ground_keeps_the_view_fitting(qtbot, window):
+    view = window.graph.view
+    ground = QPoint(20, view.viewport().height() - 20)
+    qtbot.mouseClick(view.viewport(), Qt.LeftButton, Qt.NoModifier, ground)
+    assert not view.is_chosen
+    drag(view, ground, ground + QPoint(60, -40))
+    assert view.is_chosen
 
 
 def test_filters_hide_and_complain(qtbot, window):

@@ -5,18 +5,25 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from python_qt_binding.QtCore import Qt
 from python_qt_binding.QtWidgets import (
+    QAbstractButton,
     QAbstractSpinBox,
     QApplication,
     QComboBox,
+    QLabel,
     QWidget,
 )
 from unit.rqt.hands import (
+    CEILING,
     description_of,
     texts_of,
     until,
 )
+
+from dyknow_rqt.keys import KEYS, KeysDialog
 
 
 def test_everything_is_reached_with_the_tab_key(qtbot, window):
@@ -49,9 +56,95 @@ def test_no_letter_is_given_twice(window):
         assert sorted(keys) == sorted(set(keys)), window.tabs.tabText(number)
 
 
-def test_escape_says_no(qtbot, window, remote):
-    window.active.ask_to_destroy(["/field/tracker"])
+def test_return_presses_what_is_focused(qtbot, window, remote):
+    window.active.table.choose(["/field/tracker"])
+    window.active.destroy.setFocus()
+    qtbot.keyClick(window.active.destroy, Qt.Key_Return)
+    assert window.line.text == "Destroy /field/tracker?"
     until(qtbot, window.line.yes.hasFocus)
-    qtbot.keyClick(window.line.yes, Qt.Key_Escape)
-    assert window.line.text == ""
+    qtbot.keyClick(window.line.yes, Qt.Key_Return)
+    until(qtbot, lambda: remote.graph().nodelet("/field/tracker") is None)
+    window.graph.bar.dead_sinks.setFocus()
+    qtbot.keyClick(window.graph.bar.dead_sinks, Qt.Key_Enter)
+    assert window.graph.bar.dead_sinks.isChecked()
+    window.tabs.setCurrentWidget(window.library)
+    window.library.table.choose(["tracker"])
+    qtbot.keyClick(window.library.table, Qt.Key_Return)
+    assert window.tabs.currentWidget() is window.create_
+    assert window.create_.label.currentText() == "tracker"
+
+
+def test_escape_takes_a_question_back_from_everywhere(qtbot, window, remote):
+    places = [
+        (window.active, window.active.table),
+        (window.library, window.library.search),
+        (window.create_, window.create_.name),
+        (window.connect_, window.connect_.source.nodelet),
+        (window.streams, window.streams.plan),
+        (window.streams, window.graph.view),
+        (window.streams, window.graph.bar.search),
+        (window.streams, window.line.yes),
+    ]
+    for tab, place in places:
+        window.tabs.setCurrentWidget(tab)
+        window.active.ask_to_destroy(["/field/tracker"])
+        until(qtbot, window.line.yes.hasFocus)
+        place.setFocus()
+        qtbot.keyClick(place, Qt.Key_Escape)
+        assert window.line.text == ""
     assert remote.graph().nodelet("/field/tracker") is not None
+
+
+def test_after_a_question_the_focus_is_where_it_was(qtbot, window):
+    for answer in (window.line.no.click, lambda: qtbot.keyClick(window.line.yes, Qt.Key_Escape)):
+        window.active.table.setFocus()
+        window.active.ask_to_destroy(["/field/tracker"])
+        window.active.ask_to_destroy(["/nao1/resize"])  # another question instead
+        until(qtbot, window.line.yes.hasFocus)
+        answer()
+        assert window.active.table.hasFocus()
+
+
+def test_escape_dismisses_an_error_but_first_ends_a_connection(qtbot, window, remote):
+    view = window.graph.view
+    window.line.report("wrong")
+    qtbot.mousePress(view.viewport(), Qt.LeftButton, Qt.NoModifier, view.place_of(CEILING))
+    assert view.hint.isVisible()
+    qtbot.keyClick(view, Qt.Key_Escape)
+    assert not view.hint.isVisible() and window.line.text == "wrong"
+    qtbot.keyClick(view, Qt.Key_Escape)
+    assert window.line.text == ""
+
+
+def test_the_keys_are_listed_in_the_window_and_in_the_documentation(qtbot, window):
+    page = (Path(__file__).parents[3] / "doc" / "gui.rst").read_text()
+    page = page[page.index("\nKeys\n") :].replace("``", "").replace("*", "")
+    for keys, what in KEYS:
+        assert keys in page and what in " ".join(page.split())
+    window.active.table.setFocus()
+    qtbot.keyClick(window.active.table, Qt.Key_Question, Qt.ShiftModifier)
+    dialog = window.findChild(KeysDialog)
+    assert dialog.isVisible()
+    texts = [label.text() for label in dialog.findChildren(QLabel)]
+    assert all(what in texts for _, what in KEYS)
+    dialog.close()
+    window.tabs.setCurrentWidget(window.streams)
+    qtbot.keyClick(window.streams.tag, Qt.Key_Question, Qt.ShiftModifier)
+    assert window.streams.tag.text() == "?", "a variable begins with it"
+
+
+def test_everything_that_takes_the_focus_has_a_name(window):
+    window.active.ask_to_destroy(["/field/tracker"])
+    buddies = {label.buddy() for label in window.findChildren(QLabel)}
+    nameless = [
+        description_of(widget)
+        for widget in window.findChildren(QWidget)
+        if widget.window() is window
+        and not widget.focusProxy()
+        and widget.focusPolicy() & Qt.TabFocus
+        and not isinstance(widget.parent(), (QAbstractSpinBox, QComboBox))
+        and not (isinstance(widget, QAbstractButton) and widget.text())
+        and not widget.accessibleName()
+        and widget not in buddies
+    ]
+    assert nameless == []

@@ -54,6 +54,8 @@ def test_what_matters_is_asked_for(qtbot, window, remote):
     panel = _ask_for(qtbot, window, "Track(ball)")
     assert (panel.request().min_rate, panel.request().max_age, panel.request().avoid) == (0, 0, ())
     panel.rate.setValue(10.0)
+    panel.age.stepUp()
+    assert panel.age.value() == 0.1
     panel.age.setValue(0.25)
     panel.prefer.setText("tracker")
     panel.avoid.setText(" bottom camera;; BallObject ")
