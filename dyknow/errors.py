@@ -18,6 +18,7 @@ was expected. ``dyknow.ros`` alone turns exceptions into answers of services.
     ├── PeerTimeout                  another process did not answer in time
     ├── Denied                       a guard forbids it: deny list, read-only mode
     ├── LimitExceeded                a request is larger than the limits allow
+    ├── NeedsProcess                 a script does what one of many in a process must not
     ├── StoreError                   the state on disk cannot be read or written
     ├── SpecificationError           all that is wrong with one specification
     ├── NodeletError
@@ -27,6 +28,7 @@ was expected. ``dyknow.ros`` alone turns exceptions into answers of services.
     │   ├── BrokenPlugin             it is declared, but cannot be used
     │   ├── BadRemapping             sources and targets do not pair up
     │   ├── LoadFailed               the nodelet's own start raised
+    │   ├── ScriptEnded              a script ended with an exit code that is not 0
     │   ├── UnloadedMeanwhile        it was unloaded before the operation was complete
     │   ├── SpawnFailed              it did not come up as specified; nothing of it is left
     │   ├── Busy                     another operation works on it
@@ -53,6 +55,7 @@ was expected. ``dyknow.ros`` alone turns exceptions into answers of services.
     │   ├── UnknownConcept           the ontology has no class of that URI
     │   ├── LabelsError              two classes, or two individuals, have the same label
     │   └── IndividualsError         labels do not tell the individuals of a class apart
+    ├── CannotRun                    a program is not there, or cannot be started
     ├── HostError                    a nodelet manager refused, or could not be reached
     │   └── HostTimeout              it, or a nodelet of it, did not answer in time
     ├── ManagerUnreachable           there is no master, no DyKnow manager, or it hangs
@@ -109,6 +112,10 @@ class NoMessageClass(DyKnowError, ValueError):
         super().__init__(
             f"'{name}' expects a message class such as std_msgs.msg.String, not {given!r}"
         )
+
+
+class CannotRun(DyKnowError):
+    """A program cannot be started."""
 
 
 class BadParameter(DyKnowError):
@@ -261,6 +268,29 @@ class LoadFailed(NodeletError):
         self.cause = cause
         super().__init__(
             name, f"cannot load '{name}' of type {type_name}: {type(cause).__name__}: {cause}"
+        )
+
+
+class ScriptEnded(NodeletError):
+    """A script ended as a program that has failed."""
+
+    def __init__(self, name: str, code: object) -> None:
+        self.code = code
+        super().__init__(name, f"script '{name}' has ended: sys.exit({code!r})")
+
+
+class NeedsProcess(DyKnowError, ImportError):
+    """A script does what cannot be done by one of many in a process.
+
+    It is an ImportError too, so that scripts which can do without a module do.
+    """
+
+    def __init__(self, name: str, what: str) -> None:
+        self.nodelet = name
+        self.what = what
+        super().__init__(
+            f"'{name}': {what} needs a process of its own; spawn it isolated, or run it with "
+            "'nodelet standalone_script'"
         )
 
 

@@ -74,6 +74,14 @@ def complete(name: str, namespace: str, private: str) -> str:
     return "/" + "/".join(filter(None, name.split("/")))
 
 
+def disconnected(node: str, port: str) -> str:
+    """The topic that a port is remapped to so that it begins disconnected.
+
+    Re-wirable nodes take it for none, and nobody else uses it.
+    """
+    return join(node, "disconnected/" + port.lstrip("~/"))
+
+
 def mark(name: str) -> int:
     """Hash a name to 64 bits: an even number above 0.
 

@@ -20,11 +20,12 @@ from dyknow.cli.nodelet_arguments import (
     Help,
     LoadNodelet,
     RunManager,
+    RunScript,
     RunStandalone,
     UsageError,
-    default_node_name,
     parse,
 )
+from dyknow.errors import CannotRun
 from dyknow.ros.exit_codes import DONE, FAILED, INTERRUPTED
 
 
@@ -74,11 +75,13 @@ def _run(command: Command, argv: Sequence[str]) -> int:
 
         print(f"type is {command.type}", flush=True)
         return run_standalone(command.type, command.my_argv, argv)
+    if isinstance(command, RunScript):
+        return run_script(command, argv)
     if isinstance(command, LoadNodelet):
         from dyknow.ros.nodelets.nodelet_client import run_load
 
         return run_load(
-            default_node_name(command.type),
+            command.default_name,
             command.type,
             command.manager,
             command.my_argv,
@@ -88,6 +91,21 @@ def _run(command: Command, argv: Sequence[str]) -> int:
     from dyknow.ros.nodelets.nodelet_client import run_unload
 
     return run_unload(command.name, command.manager, argv)
+
+
+def run_script(command: RunScript, argv: Sequence[str]) -> int:
+    """Become a script; returns the exit code only if that fails."""
+    from dyknow.cli.rewirable import become_script
+    from dyknow.ros.programs import find_script
+
+    names = [word for word in argv if ":=" in word]
+    try:
+        become_script(
+            [find_script(f"{command.package}/{command.script}"), *command.my_argv, *names]
+        )
+    except CannotRun as error:
+        print(f"nodelet: {error}", file=sys.stderr)
+        return FAILED
 
 
 def _end_at_once_when_interrupted() -> None:

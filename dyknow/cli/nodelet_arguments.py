@@ -10,25 +10,36 @@ is added between the stock arguments, and everything behind them goes to the nod
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import Sequence, Union
+
+#: The nodelet that runs scripts.
+SCRIPT_TYPE = "dyknow/Script"
 
 USAGE = """\
 usage: nodelet manager
        nodelet load PKG/CLASS MANAGER [--no-bond] [ARGUMENT ...]
+       nodelet load_script PKG SCRIPT MANAGER [--no-bond] [ARGUMENT ...]
        nodelet standalone PKG/CLASS [ARGUMENT ...]
+       nodelet standalone_script PKG SCRIPT [ARGUMENT ...]
        nodelet unload NAME MANAGER
 
   manager     run a nodelet manager, a process that hosts nodelets
   load        load a nodelet into a running manager, wait for the manager if it
               is not up yet, and unload the nodelet when this command is stopped
+  load_script load an unchanged script of rospy as a nodelet
   standalone  run one nodelet in a process of its own
+  standalone_script
+              run an unchanged script of rospy in a process of its own, with
+              ports that can be connected elsewhere while it runs
   unload      unload the nodelet NAME (/front/camera) from a manager
 
   PKG/CLASS   the nodelet's class as its package declares it, for instance
               dyknow/Relay
+  SCRIPT      a script in Python, as for rosrun
   MANAGER     the manager's node name
-  ARGUMENT    handed to the nodelet (my_argv)
+  ARGUMENT    handed to the nodelet (my_argv), or to the script
   --no-bond   do not watch each other: otherwise the nodelet is unloaded when
               this command dies, and this command ends when the manager does
 
@@ -38,6 +49,7 @@ parameter. For example:
 
   rosrun dyknow nodelet manager __name:=cameras
   rosrun dyknow nodelet load dyknow/Throttle cameras __name:=slow in:=/image _rate:=5
+  rosrun dyknow nodelet load_script rospy_tutorials talker.py cameras chatter:=/words
 """
 
 
@@ -73,6 +85,16 @@ class LoadNodelet:
     manager: str
     bond: bool
     my_argv: tuple[str, ...]
+    default_name: str
+
+
+@dataclass(frozen=True)
+class RunScript:
+    """Run a script of a package in a process of its own."""
+
+    package: str
+    script: str
+    my_argv: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -83,7 +105,7 @@ class UnloadNodelet:
     manager: str
 
 
-Command = Union[Help, RunManager, RunStandalone, LoadNodelet, UnloadNodelet]
+Command = Union[Help, RunManager, RunStandalone, RunScript, LoadNodelet, UnloadNodelet]
 
 
 def parse(arguments: Sequence[str]) -> Command:
@@ -109,8 +131,16 @@ def parse(arguments: Sequence[str]) -> Command:
         return RunStandalone(rest[0], rest[1:])
     if command == "load":
         _demand(command, rest, "PKG/CLASS", "MANAGER")
-        no_bond = rest[2:3] == ("--no-bond",)
-        return LoadNodelet(rest[0], rest[1], not no_bond, rest[3:] if no_bond else rest[2:])
+        bond, my_argv = _bond(rest[2:])
+        return LoadNodelet(rest[0], rest[1], bond, my_argv, default_node_name(rest[0]))
+    if command == "load_script":
+        _demand(command, rest, "PKG", "SCRIPT", "MANAGER")
+        bond, my_argv = _bond(rest[3:])
+        words = (f"{rest[0]}/{rest[1]}", *my_argv)
+        return LoadNodelet(SCRIPT_TYPE, rest[2], bond, words, script_node_name(rest[1]))
+    if command == "standalone_script":
+        _demand(command, rest, "PKG", "SCRIPT")
+        return RunScript(rest[0], rest[1], rest[2:])
     if command == "unload":
         _demand(command, rest, "NAME", "MANAGER")
         return UnloadNodelet(rest[0], rest[1])
@@ -120,6 +150,16 @@ def parse(arguments: Sequence[str]) -> Command:
 def default_node_name(nodelet_type: str) -> str:
     """The name of a nodelet that was given none: `pkg/Class` becomes `pkg_Class`."""
     return nodelet_type.replace("/", "_")
+
+
+def script_node_name(script: str) -> str:
+    """The name of a script that was given none: `front_camera.py` becomes `front_camera`."""
+    return re.sub(r"\W", "_", script.rpartition("/")[2].partition(".")[0])
+
+
+def _bond(words: tuple[str, ...]) -> tuple[bool, tuple[str, ...]]:
+    """Whether there is to be a bond, and the words behind the option."""
+    return (False, words[1:]) if words[:1] == ("--no-bond",) else (True, words)
 
 
 def _demand(command: str, given: Sequence[str], *names: str) -> None:

@@ -16,16 +16,15 @@ import shutil
 import sys
 from typing import List, NoReturn, Optional, Sequence
 
-from dyknow.errors import DyKnowError
+from dyknow.errors import CannotRun
+from dyknow.ros.programs import interpreter
 
 #: The library in front of libroscpp.
 LIBRARY = "libdyknow_roscpp.so"
+#: Runs scripts in Python.
+SCRIPT_HOST = "dyknow.ros.nodelets.script_process"
 _USAGE = "usage: rosrun dyknow rewirable COMMAND [ARGUMENT ...]"
 _ELF = b"\x7fELF"
-
-
-class CannotRun(DyKnowError):
-    """A program cannot be started."""
 
 
 def main(words: Optional[Sequence[str]] = None) -> int:
@@ -57,6 +56,8 @@ def become(command: Sequence[str]) -> NoReturn:
     program = shutil.which(command[0])
     if program is None:
         raise CannotRun(f"'{command[0]}' is no program that can be run")
+    if interpreter(program) is not None:
+        become_script([program, *command[1:]])
     environment = dict(os.environ)
     library, trouble = find_library(), obstacle(program)
     if library is None:
@@ -72,6 +73,22 @@ def become(command: Sequence[str]) -> NoReturn:
         raise CannotRun(f"'{program}' cannot be run: {error.strerror}") from error
 
 
+def become_script(command: Sequence[str]) -> NoReturn:
+    """Replace this process with a Python script whose node is re-wirable.
+
+    Args:
+        command: the script's path and its arguments.
+
+    Raises:
+        CannotRun: it cannot be started.
+    """
+    python = interpreter(command[0]) or [sys.executable]
+    try:
+        os.execv(python[0], [*python, "-m", SCRIPT_HOST, *command])
+    except OSError as error:
+        raise CannotRun(f"'{python[0]}' cannot be run: {error.strerror}") from error
+
+
 def obstacle(program: str) -> str:
     """Say why a program cannot be made re-wirable by the library; empty if it may be.
 
@@ -80,7 +97,7 @@ def obstacle(program: str) -> str:
     with open(program, "rb") as file:
         first = file.readline(200)
     if first.startswith(b"#!") and b"python" in first:
-        return "it is a Python script"
+        return "it is a script for another Python"
     if not first.startswith((_ELF, b"#!")):
         return "it is no program for this machine"
     return ""

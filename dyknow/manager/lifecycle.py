@@ -386,6 +386,6 @@ def _remappings(record: Record, transformation: Transformation) -> Dict[str, str
         names.resolve(port.name, names.parent(record.name), record.name): record.topics.get(
             port.name, ""
         )
-        or names.join(record.name, "disconnected/" + port.name.lstrip("~/"))
+        or names.disconnected(record.name, port.name)
         for port in transformation.ports
     }

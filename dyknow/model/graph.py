@@ -27,6 +27,7 @@ class NodeletKind(enum.Enum):
     PYTHON = "nodelet"
     CPP = "cpp_nodelet"
     CPP_NODE = "cpp_node"
+    NODE = "node"
 
     @property
     def is_written_for_dyknow(self) -> bool:

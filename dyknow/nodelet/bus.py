@@ -100,6 +100,15 @@ class Bus:
                 return str(present.datatype._type)
         return self._transport.datatype_of(topic)
 
+    def owners(self, topic: str) -> Tuple[List[str], List[str]]:
+        """Nodelets of this process that publish on a topic, and those that subscribe to it."""
+        with self._lock:
+            present = self._topics.get(topic)
+            if present is None:
+                return [], []
+            publishers = {each.owner for each in present.publications}
+            return sorted(publishers), sorted({each.owner for each in present.connections})
+
     def rewire(
         self,
         moves: Sequence[Move],

@@ -51,6 +51,8 @@ class Runtime:
     bus: Bus
     executor: Executor
     timers: TimerQueue
+    #: Runs callbacks that may block for long.
+    blocking: Executor
     clock: Clock = time.monotonic
     #: Returns what ports may not do at this moment.
     guards: Callable[[], Guards] = lambda: NO_GUARDS
@@ -62,18 +64,27 @@ class Runtime:
         executor: Executor,
         clock: Clock = time.monotonic,
         guards: Callable[[], Guards] = lambda: NO_GUARDS,
+        blocking: Optional[Executor] = None,
     ) -> Runtime:
-        """Put a runtime together."""
-        transport, timers = middleware.transport, TimerQueue(middleware.ticker)
-        bus = Bus(transport, clock)
+        """Put a runtime together; without ``blocking``, the ``executor`` runs all callbacks."""
+        transport = middleware.transport
         return cls(
-            middleware.node, middleware.services, transport, bus, executor, timers, clock, guards
+            middleware.node,
+            middleware.services,
+            transport,
+            Bus(transport, clock),
+            executor,
+            TimerQueue(middleware.ticker),
+            blocking or executor,
+            clock,
+            guards,
         )
 
     def close(self) -> None:
         """End the threads."""
         self.timers.close()
         self.executor.close()
+        self.blocking.close()
 
 
 class Context:
@@ -88,6 +99,8 @@ class Context:
     ) -> None:
         """Prepare a nodelet's share; its callbacks wait until ``start``."""
         self.runtime = runtime
+        #: Runs the strands that are made from now on.
+        self.executor = runtime.executor
         self.name = name
         self.remappings = dict(remappings or {})
         self.my_argv = tuple(my_argv)
@@ -128,7 +141,7 @@ class Context:
         """
         with self._lock:
             held = self._held and not at_once
-            strand = Strand(self.runtime.executor, f"{self.name} ({what})", held, self.mark)
+            strand = Strand(self.executor, f"{self.name} ({what})", held, self.mark)
             if self.closed:
                 strand.kill()
             self._strands.append(strand)
@@ -223,6 +236,7 @@ class Context:
         return timer
 
     def _keep(self, endpoint: Endpoint) -> None:
+        endpoint.owner = self.name
         with self._lock:
             if self.closed:
                 raise self.runtime.node.closed(f"nodelet {self.name}")

@@ -69,6 +69,11 @@ class Connection:
         """Message class of the subscription."""
         return self._subscription.datatype
 
+    @property
+    def owner(self) -> str:
+        """Name of the nodelet."""
+        return self._subscription.owner
+
     def push(self, message: Any) -> None:
         """Take a message, from any thread; beyond ``queue_size`` the oldest goes, counted."""
         with message_lock:
@@ -138,6 +143,7 @@ class Subscription:
         "datatype",
         "failed",
         "options",
+        "owner",
         "queue_size",
         "receive",
         "strand",
@@ -172,6 +178,8 @@ class Subscription:
         self.failed = failed
         self.clock = clock
         self.options = options or {}
+        #: Name of the nodelet.
+        self.owner = ""
         self.traffic = Traffic(clock)
         self.connection: Optional[Connection] = None
         self.closed = False
@@ -203,6 +211,7 @@ class Publication:
         "latch",
         "latched",
         "options",
+        "owner",
         "queue_size",
         "refusal",
         "topic",
@@ -236,6 +245,8 @@ class Publication:
         self.latch = latch
         self.queue_size = queue_size
         self.options = options or {}
+        #: Name of the nodelet.
+        self.owner = ""
         self.topic = ""
         self.traffic = Traffic(clock)
         self.latched = NOTHING

@@ -72,7 +72,7 @@ class Loader:
     def __init__(
         self,
         runtime: Runtime,
-        find_class: Callable[[str], Type[Nodelet]],
+        find_class: Callable[[str, Context], Type[Nodelet]],
         on_attach: Callable[[Context, Any], Optional[Closable]] = lambda context, thing: None,
         on_unloaded: Callable[[str], None] = lambda name: None,
     ) -> None:
@@ -80,7 +80,7 @@ class Loader:
 
         Args:
             runtime: what the nodelets share.
-            find_class: imports the class of a declared type.
+            find_class: imports the class of a declared type, for a nodelet.
             on_attach: opens what belongs to a nodelet's proxy.
             on_unloaded: called with the name after a running nodelet was unloaded.
         """
@@ -147,7 +147,7 @@ class Loader:
         context.unload = lambda: self._unload_self(name, entry)
         try:
             with self.runtime.executor.record.noting(context.mark):  # its import is its code too
-                nodelet_class = self._find_class(type_name)
+                nodelet_class = self._find_class(type_name, context)
             if context.closed:
                 raise UnloadedMeanwhile(name, "load")
             run = _Run(lambda: self._start(entry, nodelet_class), f"{name} on_init")

@@ -79,6 +79,10 @@ class OutsideSubscriber(ABC):
     def publishers(self) -> int:
         """Publishers that are connected; all of this process count as one."""
 
+    def links(self) -> Tuple[Any, ...]:
+        """Connections to other processes, as the transport describes them."""
+        return ()
+
     @abstractmethod
     def wait(self, arrived: Callable[[float], bool], seconds: float) -> None:
         """Return when messages flow from the outside publishers, or none are there, or time is up.

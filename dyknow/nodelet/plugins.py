@@ -10,17 +10,14 @@ do. Only what is declared can be loaded.
 
 from __future__ import annotations
 
-import importlib
-import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Callable, Dict, Iterable, List, Tuple, Type
+from typing import Callable, Dict, Iterable, List, Tuple
 
 from lxml import etree
 
 from dyknow.errors import BrokenPlugin, UnknownNodeletType
 from dyknow.locks import state_lock
-from dyknow.nodelet.nodelet import Nodelet
 
 BASE_CLASS = "dyknow.Nodelet"
 
@@ -125,12 +122,11 @@ class Plugins:
         with self._lock:
             return [self._classes[name] for name in sorted(self._classes)]
 
-    def load(self, name: str) -> Type[Nodelet]:
-        """Import the class that is declared as ``name``; one refresh if it is not known yet.
+    def find(self, name: str) -> PluginClass:
+        """Return what is declared as ``name``; one refresh if it is not known yet.
 
         Raises:
             UnknownNodeletType: no package declares it.
-            BrokenPlugin: it does not import, or is no Nodelet.
         """
         if name not in self._classes:
             self.refresh()
@@ -138,27 +134,4 @@ class Plugins:
             declared = self._classes.get(name)
             if declared is None:
                 raise UnknownNodeletType(name, self._classes, self._broken)
-        return _import(declared)
-
-
-def _import(declared: PluginClass) -> Type[Nodelet]:
-    what = f"nodelet type '{declared.name}' ({declared.type}, declared in '{declared.file}')"
-    module_name, _, class_name = declared.type.rpartition(".")
-    if not module_name:
-        raise BrokenPlugin(what, "expected a dotted path 'module.Class'")
-    library = str(declared.library.resolve())
-    if declared.library.is_dir() and library not in sys.path:
-        sys.path.insert(0, library)
-        importlib.invalidate_caches()
-    try:
-        module = importlib.import_module(module_name)
-    except (Exception, SystemExit) as error:  # an import runs the author's code
-        raise BrokenPlugin(
-            what, f"cannot import '{module_name}': {type(error).__name__}: {error}"
-        ) from error
-    found = getattr(module, class_name, None)
-    if found is None:
-        raise BrokenPlugin(what, f"module '{module_name}' has no class '{class_name}'")
-    if not isinstance(found, type) or not issubclass(found, Nodelet):
-        raise BrokenPlugin(what, f"'{declared.type}' does not derive from {BASE_CLASS}")
-    return found
+        return declared

@@ -21,6 +21,8 @@ class NodeHandle(PlainNodeHandle):
     """
 
     _place = "at port"
+    #: What keeps the ports.
+    proxy_class = NodeletProxy
 
     def __init__(self, node_handle: PlainNodeHandle) -> None:
         """Take the place of one of the nodelet's own handles, such as ``self.node_handle``."""
@@ -30,7 +32,7 @@ class NodeHandle(PlainNodeHandle):
                 f"not {type(node_handle).__name__}"
             )
         super().__init__(node_handle.context, node_handle.namespace, node_handle.concurrent)
-        self._proxy = NodeletProxy.of(node_handle.context)
+        self._proxy = self.proxy_class.of(node_handle.context)
 
     def get_statistics(self) -> NodeletStatistics:
         """Return what the nodelet and its ports have done since it was loaded.

@@ -183,7 +183,11 @@ class NodeletProxy:
         self.on_change()
         return subscriber
 
-    # Inside
+    # What a derived proxy may do in another way
+
+    def _find(self, name: str) -> Optional[ProxyPort]:
+        """Return the port that a change names, if there is one."""
+        return self._ports.get(name)
 
     def _declare(self, kind: Any, handle: PlainNodeHandle, name: str, datatype: Any) -> Any:
         name = names.check(name, "port name")
@@ -198,6 +202,8 @@ class NodeletProxy:
         elif port.direction != kind.direction or port.datatype._md5sum != datatype._md5sum:
             raise PortConflict(name, port.kind, f"{kind.direction}-port of type {datatype._type}")
         return port
+
+    # Inside
 
     def _place(
         self, port: ProxyPort, share: Union[PortPublisher, PortSubscriber], endpoint: Endpoint
@@ -220,7 +226,7 @@ class NodeletProxy:
             seen[name] = seen.get(name, 0) + 1
         problems.extend(DuplicatePort(name) for name, count in seen.items() if count > 1)
         for name, text in config:
-            port = self._ports.get(name)
+            port = self._find(name)
             if port is None:
                 problems.append(UnknownPort(name, self._ports))
                 continue

@@ -75,7 +75,7 @@ class NodeletHarness:
         middleware = Middleware(HarnessTransport(), self._services, self._ticker, self._node)
         self._runtime = Runtime.make(middleware, self._executor, self._ticker.now)
         self._classes: Dict[str, Type[Nodelet]] = {}
-        self._loader = Loader(self._runtime, self._classes.__getitem__)
+        self._loader = Loader(self._runtime, lambda type_name, _: self._classes[type_name])
         self._publishers: Dict[str, Publisher] = {}
         context = Context(self._runtime, "/harness")
         context.start()

@@ -8,8 +8,9 @@ from __future__ import annotations
 import argparse
 
 from dyknow.cli.command import Command
-from dyknow.cli.rewirable import CannotRun, become
+from dyknow.cli.rewirable import become
 from dyknow.cli.shell import Shell
+from dyknow.ros.programs import find_program
 
 
 def _run_arguments(parser: argparse.ArgumentParser) -> None:
@@ -24,27 +25,7 @@ def _run_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(arguments: argparse.Namespace, shell: Shell) -> None:
-    become([find_executable(arguments.package, arguments.executable), *arguments.words])
-
-
-def find_executable(package: str, executable: str) -> str:
-    """Return the path of a package's program.
-
-    Raises:
-        CannotRun: there is none, or there are several.
-    """
-    import rospkg
-    from roslib.packages import find_node
-
-    try:
-        found = sorted(set(find_node(package, executable) or []))
-    except rospkg.ResourceNotFound as error:
-        raise CannotRun(f"there is no package '{package}' on ROS_PACKAGE_PATH") from error
-    if not found:
-        raise CannotRun(f"package '{package}' has no program '{executable}'")
-    if len(found) > 1:
-        raise CannotRun(f"'{executable}' may be one of {', '.join(found)}: expected one program")
-    return str(found[0])
+    become([find_program(arguments.package, arguments.executable), *arguments.words])
 
 
 COMMANDS = (

@@ -16,7 +16,7 @@ import os
 import sys
 import traceback
 from dataclasses import dataclass
-from typing import Any, Callable, Dict, List, Optional, Sequence
+from typing import Any, Callable, Dict, List, Optional, Sequence, Type
 
 import rospy
 from dyknow_msgs.srv import GetCounts, GetCountsResponse
@@ -33,10 +33,13 @@ from dyknow import names
 from dyknow.errors import BadParameter, DyKnowError, LimitExceeded
 from dyknow.locks import state_condition
 from dyknow.model.graph import NodeletKind
+from dyknow.nodelet.class_imports import ClassImports
 from dyknow.nodelet.context import Context, Runtime
 from dyknow.nodelet.crash_record import CrashRecord
+from dyknow.nodelet.growing_pool import GrowingPool
 from dyknow.nodelet.loader import Loader
 from dyknow.nodelet.middleware import Closable
+from dyknow.nodelet.nodelet import Nodelet
 from dyknow.nodelet.plugins import Plugins
 from dyknow.nodelet.scheduler import WorkerPool
 from dyknow.proxy.proxy import NodeletProxy
@@ -50,6 +53,7 @@ from dyknow.ros.nodelets.name_watch import end_when_displaced
 from dyknow.ros.nodelets.owner import end_when_orphaned
 from dyknow.ros.nodelets.packages import plugin_files
 from dyknow.ros.nodelets.proxy_services import ProxyServices
+from dyknow.ros.scripts.libraries import importer_with_libraries
 from dyknow.ros.transport.middleware import rospy_middleware
 
 #: Seconds, at the end, for clients that end at the same time.
@@ -103,22 +107,37 @@ class Settings:
 class NodeletManager(Closable):
     """Hosts nodelets in this process; the node must be initialised."""
 
-    def __init__(self, settings: Settings) -> None:
-        """Start without nodelets and without services."""
+    def __init__(
+        self,
+        settings: Settings,
+        find_class: Optional[Callable[[str, Context], Type[Nodelet]]] = None,
+    ) -> None:
+        """Start without nodelets and without services.
+
+        Args:
+            settings: how it works.
+            find_class: returns the class of a type; by default what packages declare.
+        """
         self._workers = settings.workers
         sys.setswitchinterval(settings.switch_interval)
         self._record = _crash_record()
         pool = WorkerPool(settings.workers, settings.stuck_after, record=self._record)
         self._guards = GuardParameters()
-        self._runtime = Runtime.make(rospy_middleware(pool), pool, guards=self._guards.current)
+        self._runtime = Runtime.make(
+            rospy_middleware(pool),
+            pool,
+            guards=self._guards.current,
+            blocking=GrowingPool(self._record),
+        )
         self._bonds = Bonds(names.join(rospy.get_name(), "bond"))
         self._bonded: Dict[str, str] = {}
         self._bond_ended = state_condition("bonded nodelets")
         self.loader = Loader(
-            self._runtime, Plugins(plugin_files).load, self._attach, self._unloaded
+            self._runtime, find_class or _declared_classes(), self._attach, self._unloaded
         )
         self._announcer = Announcer(self.loader.list)
         self._services: List[Any] = []
+        self._kind = NodeletKind.PYTHON
         self._ending = False
 
     def offer(self) -> None:
@@ -135,6 +154,11 @@ class NodeletManager(Closable):
             ),  # the last: where it is, all are
         ):
             self._services.append(rospy.Service(name, service_class, handler))
+
+    def offer_counts(self, kind: NodeletKind) -> None:
+        """Offer the counts alone: the node is no nodelet manager, but one thing with ports."""
+        self._kind = kind
+        self._services.append(rospy.Service("~get_counts", GetCounts, self._get_counts))
 
     def load(
         self,
@@ -292,8 +316,13 @@ class NodeletManager(Closable):
         ]
         return GetCountsResponse(
             [counts_message(proxy.name, proxy.get_statistics()) for proxy in proxies],
-            NodeletKind.PYTHON.value,
+            self._kind.value,
         )
+
+
+def _declared_classes() -> Callable[[str, Context], Type[Nodelet]]:
+    plugins, imports = Plugins(plugin_files), ClassImports(importer_with_libraries)
+    return lambda type_name, context: imports.load(plugins.find(type_name), context)
 
 
 def _resolved(name: str) -> str:

@@ -22,7 +22,7 @@ from dyknow.errors import PeerTimeout, RemappedTopic
 from dyknow.nodelet.middleware import HERE, OutsidePublisher, OutsideSubscriber, Receive
 from dyknow.ros.master import Master
 from dyknow.ros.transport.anymsg import TypedReceiver
-from dyknow.ros.transport.intraprocess import IntraProcess
+from dyknow.ros.transport.intraprocess import IntraProcess, IntraProcessTransport
 from dyknow.ros.transport.registrar import Registrar
 
 #: Messages kept for each slow outside subscriber when the nodelet does not say how many.
@@ -211,6 +211,11 @@ class RospySubscriber(OutsideSubscriber):
     def publishers(self) -> int:
         """Publishers that are connected."""
         return len(self._implementation.connections or ())
+
+    def links(self) -> Tuple[Any, ...]:
+        """Connections of rospy."""
+        links = self._implementation.connections or ()
+        return tuple(each for each in links if not isinstance(each, IntraProcessTransport))
 
     def wait(self, arrived: Callable[[float], bool], seconds: float) -> None:
         """Wait for a first message, or until all publishers would send us one."""

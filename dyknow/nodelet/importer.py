@@ -1,0 +1,270 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Modules of one nodelet's own, beside those that the process shares.
+
+Code that is executed with ``__builtins__`` of its own imports by the ``__import__`` in there.
+Functions keep the globals that they were defined in, so every thread that runs such code, whoever
+started it, finds the same modules. An ``Importer`` is that ``__import__``: it executes copies of
+some modules, puts *views* in place of others (rospy as one nodelet is to see it), and leaves the
+rest to Python.
+"""
+
+from __future__ import annotations
+
+import builtins
+import collections
+import contextlib
+import dataclasses
+import importlib
+import importlib.util
+import sys
+import threading
+import types
+from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
+from typing import (
+    Any,
+    Callable,
+    Collection,
+    Dict,
+    Iterator,
+    Mapping,
+    MutableMapping,
+    Optional,
+    Sequence,
+    Tuple,
+    Type,
+)
+
+from dyknow.nodelet.module_files import is_standard, without_relay
+
+Module = types.ModuleType
+
+#: Subpackages that hold messages, whose classes are the same for everybody.
+_MESSAGES = ("msg", "srv")
+
+
+class View(Module):
+    """A module some of whose members are replaced; all others are the real one's."""
+
+    def __init__(self, real: Module, members: Mapping[str, Any]) -> None:
+        """Make a view.
+
+        Args:
+            real: the module.
+            members: what takes the place of its members, or stands beside them.
+        """
+        super().__init__(real.__name__, real.__doc__)
+        public = getattr(real, "__all__", None)
+        if public is None:
+            public = [name for name in vars(real) if not name.startswith("_")]
+        self.__dict__.update(members, __all__=sorted({*public, *members}), _real=real)
+        if hasattr(real, "__path__"):
+            self.__path__ = real.__path__
+
+    def __getattr__(self, name: str) -> Any:
+        """Return what the real module has."""
+        return getattr(self.__dict__["_real"], name)
+
+
+class Importer:
+    """The modules of one owner.
+
+    Attributes:
+        modules: by name: views, copies, and what they were given of the process's modules.
+        path: where modules are searched; code may change it.
+    """
+
+    def __init__(
+        self,
+        is_own: Callable[[str], bool],
+        folders: Sequence[str] = (),
+        views: Optional[Mapping[str, Callable[[], Module]]] = None,
+        blind: Collection[str] = (),
+        functions: Optional[Mapping[str, Any]] = None,
+    ) -> None:
+        """Make an importer that has its views alone.
+
+        Args:
+            is_own: whether a module is to be copied, by its top-level name; or, below a view, by
+                its full name.
+            folders: what is in them is copied; they are searched first.
+            views: makes what takes the place of modules, by name, when it is imported.
+            blind: top-level names of copies that are to see the process's modules, not the views.
+            functions: what takes the place of built-in functions.
+        """
+        self.modules: Dict[str, Module] = {}
+        self.path = [*folders, *sys.path]
+        self._folders = frozenset(folders)
+        self._hidden = frozenset(views or ())  # from modules that are blind
+        self._views = {
+            "importlib": lambda: View(importlib, {"import_module": self.import_module}),
+            "dataclasses": lambda: View(dataclasses, {"dataclass": self._dataclass}),
+            **(views or {}),
+        }
+        self._is_own = is_own
+        self._blind = frozenset(blind)
+        self._found: Dict[str, bool] = {}
+        self._found_on: Tuple[str, ...] = ()
+        self._turn = threading.RLock()  # held while modules are executed, as Python's own
+        own = {**vars(builtins), **(functions or {})}
+        self._seeing = {**own, "__import__": self._import}
+        self._unseeing = {**own, "__import__": self._import_blindly}
+
+    def prepare(self, name: str, file: str) -> Module:
+        """Make the module in which a file is to be executed by the caller."""
+        module = self.modules[name] = Module(name)
+        module.__dict__.update(__file__=file, __builtins__=self._seeing)
+        return module
+
+    def import_module(self, name: str, package: Optional[str] = None) -> Module:
+        """Import as ``importlib.import_module`` does."""
+        name = importlib.util.resolve_name(name, package) if name.startswith(".") else name
+        return self._load(name) if self._concerns(name) else importlib.import_module(name)
+
+    def everything(self) -> MutableMapping[str, Module]:
+        """What ``sys.modules`` is to its code."""
+        return collections.ChainMap(self.modules, sys.modules)
+
+    def files(self) -> Iterator[str]:
+        """List the source files of the copies."""
+        for name, module in list(self.modules.items()):
+            if name not in self._views and sys.modules.get(name) is not module:
+                yield getattr(module, "__file__", None) or ""
+
+    # Inside
+
+    def _dataclass(self, cls: Optional[Type[Any]] = None, **options: Any) -> Any:
+        """Make a dataclass, whose annotations Python looks up in a module in ``sys.modules``."""
+
+        def make(cls: Type[Any]) -> Any:
+            name = cls.__module__
+            with _lending:
+                is_lent = name in self.modules and name not in sys.modules
+                if is_lent:
+                    sys.modules[name] = self.modules[name]
+                try:
+                    return dataclasses.dataclass(**options)(cls)
+                finally:
+                    if is_lent:
+                        del sys.modules[name]
+
+        return make if cls is None else make(cls)
+
+    def _import(
+        self,
+        name: str,
+        globals: Optional[Mapping[str, Any]] = None,
+        locals: Optional[Mapping[str, Any]] = None,
+        fromlist: Optional[Sequence[str]] = (),
+        level: int = 0,
+    ) -> Module:
+        if level:
+            name = importlib.util.resolve_name("." * level + name, _package(globals or {}))
+        if not self._concerns(name):
+            return builtins.__import__(name, globals, locals, fromlist or (), 0)
+        module = self._load(name)
+        if not fromlist:
+            return self.modules[name.partition(".")[0]]
+        if hasattr(module, "__path__"):
+            wanted = getattr(module, "__all__", ()) if "*" in fromlist else fromlist
+            for item in wanted:
+                if not hasattr(module, item):
+                    with contextlib.suppress(ModuleNotFoundError):
+                        self._load(f"{name}.{item}")
+        return module
+
+    def _import_blindly(
+        self,
+        name: str,
+        globals: Optional[Mapping[str, Any]] = None,
+        locals: Optional[Mapping[str, Any]] = None,
+        fromlist: Optional[Sequence[str]] = (),
+        level: int = 0,
+    ) -> Module:
+        if not level and name.partition(".")[0] in self._hidden:
+            return builtins.__import__(name, globals, locals, fromlist or (), 0)
+        return self._import(name, globals, locals, fromlist, level)
+
+    def _concerns(self, name: str) -> bool:
+        top = name.partition(".")[0]
+        if top in self.modules or top in self._views:
+            return True
+        if self._found_on != tuple(self.path):
+            self._found_on, self._found = tuple(self.path), {}
+        if top not in self._found:
+            self._found[top] = self._is_own(top) or self._is_in_folders(top)
+        return self._found[top]
+
+    def _is_in_folders(self, top: str) -> bool:
+        shared = frozenset(sys.path) - self._folders
+        folders = [each for each in self.path if each not in shared]
+        return not is_standard(top) and PathFinder.find_spec(top, folders) is not None
+
+    def _load(self, name: str) -> Module:
+        with self._turn:
+            above, _, child = name.rpartition(".")
+            parent = self._load(above) if above and name not in self.modules else None
+            if name in self.modules:
+                return self.modules[name]
+            spec = None if name in self._views else self._spec(name, parent, child)
+            if name in self._views:
+                self.modules[name] = self._views[name]()
+            elif spec is None:
+                self.modules[name] = importlib.import_module(name)
+            else:
+                module = self.modules[name] = importlib.util.module_from_spec(spec)
+                if parent is not None:
+                    setattr(parent, child, module)  # first: modules of a package may need it
+                try:
+                    self._execute(module, spec)
+                except BaseException:
+                    self.modules.pop(name, None)
+                    if parent is not None:
+                        vars(parent).pop(child, None)
+                    raise
+            if parent is not None:
+                setattr(parent, child, self.modules[name])
+            return self.modules[name]
+
+    def _spec(self, name: str, parent: Optional[Module], child: str) -> Optional[ModuleSpec]:
+        """What to execute for a module; None if it is to be that of the process."""
+        if parent is None:
+            spec = PathFinder.find_spec(name, self.path)
+            is_ours = True
+        else:
+            spec = PathFinder.find_spec(name, getattr(parent, "__path__", ()))
+            is_ours = child not in _MESSAGES
+            if isinstance(parent, View):
+                is_ours = self._is_own(name)
+        if not is_ours:
+            return None
+        if spec is None:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+        if spec.loader is None or isinstance(spec.loader, SourceFileLoader):
+            return without_relay(spec)
+        # An extension: the process has it once, unless it is beside a script.
+        is_known = importlib.util.find_spec(name.partition(".")[0]) is not None
+        return None if is_known else spec
+
+    def _execute(self, module: Module, spec: ModuleSpec) -> None:
+        if not isinstance(spec.loader, SourceFileLoader):
+            if spec.loader is not None:
+                spec.loader.exec_module(module)
+            return
+        code = spec.loader.get_code(module.__name__)
+        assert code is not None  # a source file has code
+        is_blind = module.__name__.partition(".")[0] in self._blind
+        module.__dict__["__builtins__"] = self._unseeing if is_blind else self._seeing
+        exec(code, module.__dict__)
+
+
+def _package(namespace: Mapping[str, Any]) -> str:
+    package = namespace.get("__package__")
+    if package is not None:
+        return str(package)
+    name = str(namespace.get("__name__", ""))
+    return name if "__path__" in namespace else name.rpartition(".")[0]
+
+
+_lending = threading.RLock()

@@ -1,0 +1,175 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Where modules come from: which are Python's own, and which need a library.
+
+What catkin puts into a devel space executes the files of the source space; it is followed to
+those.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import re
+import sys
+import sysconfig
+from importlib.machinery import ModuleSpec, PathFinder
+from pathlib import Path
+from typing import Collection, Dict, FrozenSet, Iterator, List, Optional, Tuple
+
+from dyknow.locks import state_lock
+
+_RELAY = re.compile(r"^__extended_path = (['\"])(.*?)\1", re.MULTILINE)
+_SCRIPT_RELAY = re.compile(r"^python_script = (['\"])(.*?)\1$", re.MULTILINE)
+_IMPORTED = re.compile(r"^[ \t]*(?:import|from)[ \t]+([A-Za-z_]\w*)", re.MULTILINE)
+_STANDARD = tuple(os.path.join(sysconfig.get_paths()[key], "") for key in ("stdlib", "platstdlib"))
+_THIRD_PARTY = ("site-packages", "dist-packages")
+#: Folders of a package that import no library: generated messages, and what runs nowhere.
+_LEFT_OUT = frozenset(("msg", "srv", "cfg", "test", "tests", "__pycache__"))
+#: A package with more files than this is no library for ROS.
+_MOST_FILES = 100
+
+Stamp = Tuple[int, int]
+
+
+def is_standard(top: str) -> bool:
+    """Whether a top-level module is of Python itself."""
+    if top in sys.builtin_module_names:
+        return True
+    try:
+        spec = importlib.util.find_spec(top)
+    except (ImportError, ValueError):
+        return False
+    origin = spec.origin if spec is not None else None
+    if origin in ("built-in", "frozen"):
+        return True
+    if origin is None or any(part in origin.split(os.sep) for part in _THIRD_PARTY):
+        return False
+    return origin.startswith(_STANDARD)
+
+
+def without_relay(spec: ModuleSpec) -> ModuleSpec:
+    """Return where the code of a package is, if catkin's devel space only points there."""
+    for source in _sources(spec):
+        file = os.path.join(source, "__init__.py")
+        if os.path.isfile(file):
+            folders = [source, *(spec.submodule_search_locations or ())]
+            found = importlib.util.spec_from_file_location(
+                spec.name, file, submodule_search_locations=folders
+            )
+            return found or spec
+    return spec
+
+
+def script_file(path: str) -> str:
+    """Return the file that a script is; of a relay in a devel space, what that executes."""
+    real = os.path.realpath(path)
+    try:
+        with open(real, encoding="utf-8", errors="replace") as file:
+            found = _SCRIPT_RELAY.search(file.read(2000))
+    except OSError:
+        return real
+    return os.path.realpath(found.group(2)) if found else real
+
+
+def source_files(top: str, path: Optional[Collection[str]] = None) -> List[str]:
+    """List the source files of a top-level module, sorted; none if it has none in Python.
+
+    Args:
+        top: its name.
+        path: where it is searched; by default ``sys.path``.
+    """
+    spec = PathFinder.find_spec(top, None if path is None else list(path))
+    if spec is None:
+        return []
+    folders = [*_sources(spec), *(spec.submodule_search_locations or ())]
+    if not folders:
+        origin = spec.origin or ""
+        return [origin] if origin.endswith(".py") else []
+    files: List[str] = []
+    for folder in folders:
+        for here, below, names in os.walk(folder):
+            below[:] = [each for each in below if each not in _LEFT_OUT]
+            files += [os.path.join(here, name) for name in names if name.endswith(".py")]
+            if len(files) > _MOST_FILES:
+                return []
+    return sorted(files)
+
+
+def stamps(files: Collection[str]) -> Dict[str, Stamp]:
+    """Return what changes when a file is written, of each file that is there."""
+    found = {}
+    for file in files:
+        try:
+            status = os.stat(file)
+        except OSError:
+            continue
+        found[file] = (status.st_mtime_ns, status.st_size)
+    return found
+
+
+class Dependents:
+    """Which top-level modules import a library, directly or through others.
+
+    Args:
+        library: top-level name of the library.
+        apart: top-level modules that do not count, even if they import it.
+    """
+
+    def __init__(self, library: str, apart: Collection[str] = ()) -> None:
+        self._library = library
+        self._apart = frozenset(apart)
+        self._state_lock = state_lock("imports")
+        self._known: Dict[str, bool] = {}
+        self._imports: Dict[str, Tuple[Stamp, FrozenSet[str]]] = {}
+
+    def has(self, top: str) -> bool:
+        """Whether a top-level module needs the library; the library itself does not."""
+        if top == self._library or top in self._apart:
+            return False
+        if top not in self._known:
+            self._known[top] = self._looked_up(top, {})
+        return self._known[top]
+
+    def imported_by(self, files: Collection[str]) -> FrozenSet[str]:
+        """Return the top-level modules that these files import and that need the library."""
+        names = frozenset(top for file in files for top in self._imported(file))
+        return frozenset(top for top in names if self.has(top))
+
+    def _looked_up(self, top: str, seen: Dict[str, bool]) -> bool:
+        if top in self._known:
+            return self._known[top]
+        if top in seen or top == self._library or top in self._apart or is_standard(top):
+            return top == self._library
+        seen[top] = False
+        names = {name for file in source_files(top) for name in self._imported(file)} - {top}
+        return self._library in names or any(self._looked_up(name, seen) for name in names)
+
+    def _imported(self, file: str) -> FrozenSet[str]:
+        for stamp in stamps([file]).values():
+            with self._state_lock:
+                known = self._imports.get(file)
+            if known is not None and known[0] == stamp:
+                return known[1]
+            text = Path(file).read_text(encoding="utf-8", errors="replace")
+            names = frozenset(_IMPORTED.findall(text))
+            with self._state_lock:
+                self._imports[file] = (stamp, names)
+            return names
+        return frozenset()
+
+
+def _sources(spec: ModuleSpec) -> Iterator[str]:
+    """Folders in the source space that a package of a devel space points to."""
+    origin = spec.origin or ""
+    if os.path.basename(origin) != "__init__.py":
+        return
+    try:
+        text = Path(origin).read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return
+    if "generated from catkin/cmake/template" in text[:200]:
+        for found in _RELAY.finditer(text):
+            for folder in found.group(2).split(";"):
+                yield os.path.join(folder, spec.name)

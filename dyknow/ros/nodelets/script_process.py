@@ -1,0 +1,205 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""An unchanged script of rospy in a process of its own, with ports.
+
+It runs on the main thread, as ever. Its ``rospy.init_node`` makes the process a node as rospy's
+does, with the services of a proxy; until then, and for a script that never calls it, this is plain
+Python.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+import traceback
+from typing import Any, Dict, List, Optional, Sequence, Type
+
+import rosgraph.names
+import rospy
+
+from dyknow import names
+from dyknow.errors import CannotRun
+from dyknow.model.graph import NodeletKind
+from dyknow.nodelet.context import Context
+from dyknow.nodelet.nodelet import Nodelet
+from dyknow.periodic import in_background
+from dyknow.ros.nodelets.nodelet_manager import NodeletManager, Settings
+from dyknow.ros.scripts.guest import Guest
+from dyknow.ros.scripts.script import ScriptCode
+from dyknow.ros.scripts.script_ports import ScriptHandle
+from dyknow.ros.signals import on_signals
+
+#: Python's own, with which a lone script runs as ever.
+_SETTINGS = Settings(num_worker_threads=2, switch_interval=0.005)
+#: Seconds that the script's main thread has to end before its topics are withdrawn.
+_PATIENCE = 0.5
+#: Seconds for all of the end.
+_LONGEST_END = 5.0
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+def main(argv: Optional[Sequence[str]] = None) -> int:
+    """Run a script as the process's main program; returns the exit code.
+
+    Args:
+        argv: the command line: the script, then its arguments; by default the process's.
+    """
+    words = list(sys.argv[1:] if argv is None else argv)
+    try:
+        return _ScriptProcess(words).run()
+    except CannotRun as error:
+        print(error, file=sys.stderr)
+        return 2
+
+
+class _ScriptProcess:
+    """One script; the main thread runs it."""
+
+    def __init__(self, argv: List[str]) -> None:
+        self._argv = argv
+        self._guest = Guest(os.path.basename(argv[0]), threading.main_thread(), is_alone=True)
+        self._code = ScriptCode(self._guest, argv, self._init_node)
+        self._manager: Optional[NodeletManager] = None
+        self._node_args: Any = None
+        self._main_over = threading.Event()
+        self._stop_turn = threading.Lock()  # held until everything is withdrawn
+
+    def run(self) -> int:
+        """Run it to its end, and to that of the threads that it leaves."""
+        sys.modules["__main__"] = self._code.module
+        sys.argv[:] = self._argv
+        sys.path[0] = os.path.dirname(self._argv[0])
+        status = 0
+        try:
+            self._code.execute()
+        except SystemExit as end:
+            status = _status(end)
+        except BaseException as error:
+            status = 1
+            _print_error(error, vars(self._code.module)["__file__"])
+        for thread in threading.enumerate():
+            if thread is not threading.main_thread() and not thread.daemon:
+                thread.join()
+        self._main_over.set()
+        in_background("end", self._stop).join(_LONGEST_END)
+        self._guest.run_exits()
+        return status
+
+    def _init_node(
+        self,
+        name: str,
+        argv: Optional[Sequence[str]] = None,
+        anonymous: bool = False,
+        log_level: Optional[int] = None,
+        disable_rostime: bool = False,
+        disable_rosout: bool = False,
+        disable_signals: bool = False,
+        xmlrpc_port: int = 0,
+        tcpros_port: int = 0,
+    ) -> None:
+        """``rospy.init_node``, for the script."""
+        args = (name, argv, anonymous, log_level, disable_rostime, disable_signals)
+        if self._node_args is not None:
+            if self._node_args != args:
+                raise rospy.ROSException(
+                    "rospy.init_node() has already been called with different arguments: "
+                    f"{self._node_args}"
+                )
+            return
+        self._node_args = args
+        if not disable_signals:
+            self._listen_for_signals()
+        given = list(self._argv if argv is None else argv)
+        mappings = rosgraph.names.load_mappings(given)
+        renamed = {source: to for source, to in mappings.items() if not source.startswith("__")}
+        # Names are remapped by the proxy, which connects ports to any topic: not by rospy.
+        kept = [word for word in given if word.partition(":=")[0] not in renamed]
+        rospy.init_node(
+            name,
+            kept,
+            anonymous,
+            log_level,
+            disable_rostime,
+            disable_rosout,
+            True,
+            xmlrpc_port,
+            tcpros_port,
+        )
+        self._guest.name = rospy.get_name()
+        rospy.on_shutdown(self._stop)
+        self._offer(renamed)
+
+    def _offer(self, renamed: Dict[str, str]) -> None:
+        nodelet_class = self._nodelet_class()
+        self._manager = NodeletManager(_SETTINGS, lambda type_name, context: nodelet_class)
+        name = rospy.get_name()
+        space = names.parent(name)
+        sources = [names.resolve(each, space, name) for each in renamed]
+        targets = [names.resolve(each, space, name) for each in renamed.values()]
+        self._manager.load(name, "dyknow/Script", sources, targets)
+        self._manager.offer_counts(NodeletKind.NODE)
+
+    def _nodelet_class(self) -> Type[Nodelet]:
+        guest, main_over = self._guest, self._main_over
+
+        class Itself(Nodelet):
+            """Stands for the script among the nodelets: there is no other one."""
+
+            def bind(self, context: Context) -> None:
+                context.executor = context.runtime.blocking
+                super().bind(context)
+
+            def on_init(self) -> None:
+                guest.begin(ScriptHandle(self.mt_node_handle))
+
+            def on_shutdown(self) -> None:
+                guest.shut_down("unloaded")
+                main_over.wait(_PATIENCE)
+
+        return Itself
+
+    def _listen_for_signals(self) -> None:
+        """End in order when told to; handlers that the script had set are called then, too."""
+        if threading.current_thread() is not threading.main_thread():
+            return
+        handlers: Dict[int, Any] = {number: signal.getsignal(number) for number in _SIGNALS}
+        on_signals(_SIGNALS, self._stop)
+        for number, handler in handlers.items():
+            if callable(handler) and handler is not signal.default_int_handler:
+                signal.signal(number, handler)
+
+    def _stop(self) -> None:
+        """Withdraw the node; returns when it is done."""
+        with self._stop_turn:
+            manager, self._manager = self._manager, None
+            if manager is not None:
+                manager.close()
+            else:
+                self._guest.shut_down("shutdown")
+            rospy.signal_shutdown("told to end")
+
+
+def _status(end: SystemExit) -> int:
+    """The exit code of a SystemExit, as Python has it."""
+    if end.code is None:
+        return 0
+    if isinstance(end.code, int):
+        return end.code
+    print(end.code, file=sys.stderr)
+    return 1
+
+
+def _print_error(error: BaseException, file: str) -> None:
+    """Print a traceback that begins in the script."""
+    trace = error.__traceback__
+    while trace is not None and trace.tb_frame.f_code.co_filename != file:
+        trace = trace.tb_next
+    traceback.print_exception(type(error), error, trace or error.__traceback__)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,71 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""The programs of packages, and which of them are scripts in Python."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import sys
+from typing import List, Optional
+
+from dyknow.errors import CannotRun
+
+
+def find_program(package: str, executable: str) -> str:
+    """Return the path of a package's program.
+
+    Raises:
+        CannotRun: there is none, or there are several.
+    """
+    import rospkg  # here: what reads first lines alone answers without it
+    from roslib.packages import find_node
+
+    try:
+        found = sorted(set(find_node(package, executable) or []))
+    except rospkg.ResourceNotFound as error:
+        raise CannotRun(f"there is no package '{package}' on ROS_PACKAGE_PATH") from error
+    if not found:
+        raise CannotRun(f"package '{package}' has no program '{executable}'")
+    if len(found) > 1:
+        raise CannotRun(f"'{executable}' may be one of {', '.join(found)}: expected one program")
+    return str(found[0])
+
+
+def find_script(name: str) -> str:
+    """Return the path of a script that is named ``PKG/SCRIPT``, or by its path.
+
+    Raises:
+        CannotRun: there is none, or it is no script in Python.
+    """
+    package, slash, executable = name.partition("/")
+    if not slash:
+        raise CannotRun(f"'{name}' names no script: expected PACKAGE/SCRIPT or a path")
+    path = name if os.path.isabs(name) else find_program(package, executable)
+    if interpreter(path) is None:
+        raise CannotRun(f"'{path}' is no script in Python: its first line does not say so")
+    return path
+
+
+def interpreter(path: str) -> Optional[List[str]]:
+    """Return the command that a Python script is run with, by its first line; None for others.
+
+    Raises:
+        CannotRun: the file cannot be read.
+    """
+    try:
+        with open(path, "rb") as file:
+            first = file.readline(200).decode("utf-8", "replace")
+    except OSError as error:
+        raise CannotRun(f"'{path}' cannot be read: {error.strerror}") from error
+    if not first.startswith("#!") or "python" not in first or "python2" in first:
+        return None
+    words = shlex.split(first[2:])
+    while words and ("python" not in os.path.basename(words[0])):
+        words.pop(0)  # env, and its options
+    if not words:
+        return None
+    if not os.path.isabs(words[0]) or not os.path.exists(words[0]):
+        words[0] = sys.executable
+    return words

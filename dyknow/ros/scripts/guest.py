@@ -1,0 +1,243 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""What the views of one guest share: its place among the nodelets, its threads, and its end.
+
+A *guest* is code that believes itself to be a node: a script, or the libraries of rospy that a
+nodelet uses.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import logging
+import sys
+import threading
+import time
+import traceback
+import weakref
+from functools import partial
+from typing import Any, Callable, Collection, List, Optional, Set
+
+from dyknow.locks import state_lock
+from dyknow.nodelet.context import Context
+from dyknow.nodelet.handle import PlainNodeHandle
+from dyknow.periodic import in_background
+
+#: Seconds from the end of the hooks in which threads may end by themselves.
+_PATIENCE = 0.3
+#: Seconds in which they are made to end, from then on.
+_FORCE = 0.45
+_STEP = 0.02
+#: Seconds of a slice of a wait.
+_SLICE = 0.1
+#: Threads after which those that have ended are forgotten.
+_MANY = 32
+
+_log = logging.getLogger("rosout.dyknow")
+
+
+class Unloaded(SystemExit):
+    """Ends a thread of a guest that is unloaded."""
+
+
+class Guest:
+    """One guest; every method is safe from any thread.
+
+    Attributes:
+        name: what it is called in the log.
+        handle: stands for it among the nodelets; None until a script of its own process has
+            called ``rospy.init_node``.
+        is_alone: whether the process is its own.
+        copies: whether it gets and sends copies of messages.
+        closing: set when its code is to end.
+        settled: set when its main thread waits for the first time, or has ended.
+        threads: those that it started.
+        main: its main thread; None for libraries.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        main: Optional[threading.Thread] = None,
+        is_alone: bool = False,
+        copies: bool = True,
+    ) -> None:
+        """Begin without a handle."""
+        self.name = name
+        self.main = main
+        self.is_alone = is_alone
+        self.copies = copies
+        self.handle: Optional[PlainNodeHandle] = None
+        self.closing = threading.Event()
+        self.settled = threading.Event()
+        self.threads: List[threading.Thread] = []
+        #: What rospy calls at the shutdown: before it is one, and then, with a reason.
+        self.hooks: List[Callable[[], None]] = []
+        self.hooks_before: List[Callable[[str], None]] = []
+        self.hooks_after: List[Callable[[str], None]] = []
+        self.exits: List[Callable[[], Any]] = []
+        self.is_ending = False
+        self._lock = state_lock("guest")
+        self._waiting: List[Callable[[PlainNodeHandle], None]] = []
+        self._keepers: weakref.WeakSet[threading.Thread] = weakref.WeakSet()
+        self._let_go: Set[int] = set()
+        self._is_over = False
+
+    @property
+    def context(self) -> Optional[Context]:
+        """Its share of the runtime; None while it has no handle."""
+        return self.handle.context if self.handle is not None else None
+
+    def begin(self, handle: PlainNodeHandle) -> None:
+        """Begin to be a node: what was asked for until now is done."""
+        with self._lock:
+            self.handle = handle
+            waiting, self._waiting = self._waiting, []
+        for each in waiting:
+            each(handle)
+
+    def with_handle(self, do: Callable[[PlainNodeHandle], None]) -> None:
+        """Do something that needs the handle, as soon as there is one."""
+        with self._lock:
+            if self.handle is None:
+                self._waiting.append(do)
+                return
+        do(self.handle)
+
+    def unload(self) -> None:
+        """Unload the guest, from a thread of its own."""
+        if self.context is not None:
+            in_background(f"unloading {self.name}", self.context.unload)
+
+    def adopt(self, thread: threading.Thread) -> None:
+        """Know a thread that begins; it does not keep the process."""
+        if len(self.threads) > _MANY:
+            self.threads = [each for each in self.threads if each.is_alive()]
+        self.threads.append(thread)
+        if not thread.daemon:
+            self._keepers.add(thread)
+            thread.daemon = True
+
+    def join(self) -> None:
+        """Wait for the threads that would keep a process, as Python does at its end."""
+        for thread in list(self.threads):
+            if thread in self._keepers and thread is not threading.current_thread():
+                self.waits()
+                thread.join()
+
+    def pause(self, seconds: float) -> None:
+        """Sleep; less if the guest is to end.
+
+        Then its thread is let go once, so that loops which look at ``rospy.is_shutdown`` end in
+        order.
+
+        Raises:
+            Unloaded: the guest is to end, and this thread was told so before.
+        """
+        self.waits()
+        if not self.closing.wait(max(0.0, seconds)):
+            return
+        thread = threading.get_ident()
+        if thread not in self._let_go:
+            self._let_go.add(thread)
+            return
+        while self._is_over:  # it caught what was to end it: it would spin
+            time.sleep(3600)
+        raise Unloaded
+
+    def waits(self) -> None:
+        """Note that the guest waits: whoever loads it need not wait any longer."""
+        if threading.current_thread() is self.main:
+            self.settled.set()
+
+    def wait_for(self, condition: Callable[[float], bool], timeout: Optional[float]) -> bool:
+        """Wait in short slices, so that an unload ends the wait.
+
+        Args:
+            condition: waits at most so many seconds, and returns whether it came true.
+            timeout: seconds to wait at most; None for any time.
+
+        Raises:
+            Unloaded: the guest is to end.
+        """
+        self.waits()
+        end = None if timeout is None else time.monotonic() + timeout
+        while True:
+            left = _SLICE if end is None else min(_SLICE, end - time.monotonic())
+            if condition(max(0.0, left)):
+                return True
+            if end is not None and time.monotonic() >= end:
+                return False
+            if self.closing.is_set():
+                self.pause(0.0)
+
+    # The end
+
+    def shut_down(self, reason: str) -> None:
+        """Let it shut down as rospy does: hooks, the flag that loops look at, hooks."""
+        with self._lock:
+            if self.is_ending:
+                return
+            self.is_ending = True
+        for hook in list(self.hooks):
+            self._attempt(hook, "on_shutdown")
+        for before in list(self.hooks_before):
+            self._attempt(partial(before, reason), "a shutdown hook")
+        self.closing.set()
+        for after in list(self.hooks_after):
+            self._attempt(partial(after, reason), "a shutdown hook")
+
+    def end_threads(self, files: Collection[str]) -> None:
+        """End its threads: they may do so themselves, and are made to where that is safe.
+
+        A thread is made to end only while it runs code of the guest's own files: elsewhere it
+        might leave a lock held.
+
+        Args:
+            files: those of the guest's own modules.
+        """
+        began = time.monotonic()
+        me = threading.current_thread()
+        main = [] if self.main is None else [self.main]
+        mine = [each for each in [*main, *self.threads] if each is not me and each.ident]
+        for thread in mine:
+            if isinstance(thread, threading.Timer):
+                thread.cancel()
+        for thread in mine:
+            thread.join(max(0.0, began + _PATIENCE - time.monotonic()))
+        while time.monotonic() < began + _PATIENCE + _FORCE:
+            left = [each for each in mine if each.is_alive()]
+            if not left:
+                return
+            frames = sys._current_frames()
+            for thread in left:
+                frame = frames.get(thread.ident or 0)
+                if frame is not None and frame.f_code.co_filename in files:
+                    _raise_unloaded(thread)
+            time.sleep(_STEP)
+        self._is_over = True
+        frames = sys._current_frames()
+        for thread in [each for each in mine if each.is_alive()]:
+            frame = frames.get(thread.ident or 0)
+            where = "?" if frame is None else f"{frame.f_code.co_filename}:{frame.f_lineno}"
+            _log.warning(
+                "%s: thread '%s' does not end; it is at %s", self.name, thread.name, where
+            )
+
+    def run_exits(self) -> None:
+        """Call what was registered with ``atexit``."""
+        while self.exits:
+            self._attempt(self.exits.pop(), "atexit")
+
+    def _attempt(self, call: Callable[[], Any], what: str) -> None:
+        try:
+            call()
+        except BaseException:  # the boundary: the other hooks, and the unload, go on
+            _log.error("%s: %s raised\n%s", self.name, what, traceback.format_exc())
+
+
+def _raise_unloaded(thread: threading.Thread) -> None:
+    ctypes.pythonapi.PyThreadState_SetAsyncExc(
+        ctypes.c_ulong(thread.ident or 0), ctypes.py_object(Unloaded)
+    )

@@ -1,0 +1,164 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""The nodelet that an unchanged script of rospy is, and the way in which a script is run."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import traceback
+from typing import Any, Callable, Optional, Sequence
+
+import rospy
+
+from dyknow.errors import CannotRun, ScriptEnded
+from dyknow.nodelet.context import Context
+from dyknow.nodelet.middleware import Closable
+from dyknow.nodelet.module_files import script_file
+from dyknow.nodelet.nodelet import Nodelet
+from dyknow.periodic import in_background
+from dyknow.ros.programs import find_script
+from dyknow.ros.scripts.guest import Guest, Unloaded
+from dyknow.ros.scripts.guest_modules import folders_of, script_importer
+from dyknow.ros.scripts.script_ports import ScriptHandle
+
+#: Seconds in which an error of the main thread makes the load fail, unless it waits before.
+PATIENCE = 2.0
+
+_log = logging.getLogger("rosout.dyknow")
+
+
+class ScriptCode:
+    """One script, ready to be executed once for a guest.
+
+    Args:
+        guest: whom it is executed for.
+        argv: the command line, the path of the script first.
+        init_node: is called as ``rospy.init_node``.
+
+    Raises:
+        CannotRun: the file cannot be read.
+        SyntaxError: it is not Python.
+    """
+
+    def __init__(self, guest: Guest, argv: Sequence[str], init_node: Callable[..., None]) -> None:
+        self._guest = guest
+        file = script_file(argv[0])
+        folders = folders_of(file, argv[0])
+        self.importer = script_importer(guest, [file, *argv[1:]], folders, init_node)
+        self.module = self.importer.prepare("__main__", file)
+        try:
+            with open(file, "rb") as source:
+                self._code = compile(source.read(), file, "exec", dont_inherit=True)
+        except OSError as error:
+            raise CannotRun(f"'{file}' cannot be read: {error.strerror}") from error
+
+    def execute(self) -> None:
+        """Execute it, on the thread that is its main one."""
+        exec(self._code, vars(self.module))
+
+    def end(self) -> None:
+        """End what it has started."""
+        self._guest.end_threads(frozenset(self.importer.files()))
+        self._guest.run_exits()
+
+
+class Script(Nodelet):
+    """Runs a script that is written for a process of its own: ``my_argv`` is its command line.
+
+    Its first word is the script, as ``PACKAGE/SCRIPT`` or as a path. Private parameter:
+    ``~by_reference`` (false), whether it shares messages with its neighbours as nodelets do.
+    """
+
+    _guest: Optional[Guest] = None
+    _code: Optional[ScriptCode] = None
+    _error: Optional[BaseException] = None
+
+    def bind(self, context: Context) -> None:
+        """Take its place; what it runs may block, so each of its callbacks has a thread."""
+        context.executor = context.runtime.blocking
+        super().bind(context)
+
+    def on_init(self) -> None:
+        """Run it until it waits for the first time, or has ended."""
+        if not self.my_argv:
+            raise CannotRun("expected the script as the first argument: PACKAGE/SCRIPT or a path")
+        argv = [find_script(self.my_argv[0]), *self.my_argv[1:]]
+        by_reference = bool(self.private_node_handle.get_param("~by_reference", False))
+        guest = self._guest = Guest(self.name, copies=not by_reference)
+        guest.main = threading.Thread(target=self._main, name=f"{self.name} main", daemon=True)
+        self._code = ScriptCode(guest, argv, _NodeInitialiser().init_node)
+        self.context.close_with(_End(guest, self._code))
+        guest.begin(ScriptHandle(self.mt_node_handle))
+        guest.main.start()
+        guest.settled.wait(PATIENCE)
+        if self._error is not None:
+            guest.closing.set()
+            raise self._error
+
+    def on_shutdown(self) -> None:
+        """End it as the end of a process would."""
+        if self._guest is not None and self._code is not None:
+            self._guest.shut_down("unloaded")
+            self._code.end()
+
+    def _main(self) -> None:
+        guest, code = self._guest, self._code
+        assert guest is not None and code is not None
+        try:
+            with self.context.executor.record.noting(self.context.mark):
+                code.execute()
+        except SystemExit as end:
+            if end.code not in (None, 0) and not isinstance(end, Unloaded):
+                self._failed(ScriptEnded(self.name, end.code))
+        except BaseException as error:  # the boundary of the script
+            self._failed(error)
+        guest.join()
+        guest.settled.set()
+        if not guest.closing.is_set():
+            # After the load, which may not be complete yet.
+            self.context.strand.post(self._unload_ended)
+
+    def _unload_ended(self) -> None:
+        _log.info("%s: the script has ended", self.name)
+        in_background(f"unloading {self.name}", self.context.unload)
+
+    def _failed(self, error: BaseException) -> None:
+        guest = self._guest
+        assert guest is not None
+        if guest.closing.is_set():
+            return
+        if guest.settled.is_set():
+            lines = traceback.format_exception(type(error), error, error.__traceback__)
+            _log.error("%s: the script has failed\n%s", self.name, "".join(lines))
+        self._error = error
+
+
+class _End(Closable):
+    """Ends a script whose load failed, or was given up."""
+
+    def __init__(self, guest: Guest, code: ScriptCode) -> None:
+        self._guest = guest
+        self._code = code
+
+    def close(self) -> None:
+        """End what still runs, without waiting for it."""
+        if not self._guest.closing.is_set():
+            self._guest.closing.set()
+            in_background(f"end of {self._guest.name}", self._code.end)
+
+
+class _NodeInitialiser:
+    """``rospy.init_node`` where there is a node already."""
+
+    def __init__(self) -> None:
+        self._args: Any = None
+
+    def init_node(self, *args: Any, **kwds: Any) -> None:
+        """Note the call; as in rospy, another one must be the same."""
+        if self._args not in (None, (args, kwds)):
+            raise rospy.ROSException(
+                f"rospy.init_node() has already been called with different arguments: {self._args}"
+            )
+        self._args = (args, kwds)

@@ -1,0 +1,115 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""The ports of code that knows nothing of ports: the topics that it uses.
+
+A port is called as the code calls its topic, before any remapping; remappings decide where it is
+connected at the start. The rules are those of ``src/dyknow_roscpp/port_names.cpp``.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Dict, Optional, Tuple
+
+from dyknow import names
+from dyknow.errors import PortConflict
+from dyknow.model.transformation import IN, OUT
+from dyknow.nodelet.context import Context, check_message_class
+from dyknow.nodelet.handle import PlainNodeHandle
+from dyknow.proxy.handle import NodeHandle
+from dyknow.proxy.port import ProxyPort
+from dyknow.proxy.proxy import NodeletProxy
+
+#: Topics of the system, which are no ports.
+_NO_PORTS = frozenset(("/rosout", "/rosout_agg", "/clock"))
+
+
+class ScriptProxy(NodeletProxy):
+    """The proxy of a script, whose ports are the topics that it uses."""
+
+    def __init__(self, context: Context) -> None:
+        """Begin without ports."""
+        super().__init__(context)
+        self._by_label: Dict[Tuple[str, str], ProxyPort] = {}
+        #: Labels by the global names that the script was told.
+        self._noted: Dict[str, str] = {}
+
+    def note(self, name: str, resolved: str) -> None:
+        """Note what a name was resolved to: the script may say that for the topic from now on."""
+        self._noted[resolved] = self._label(name)
+
+    def _find(self, name: str) -> Optional[ProxyPort]:
+        """Find a port by its name, or by the global name that its topic has in the code."""
+        found = super()._find(name)
+        if found is None:
+            same = [p for (label, _), p in self._by_label.items() if self._origin(label) == name]
+            found = same[0] if len(same) == 1 else None
+        return found
+
+    def _declare(self, kind: Any, handle: PlainNodeHandle, name: str, datatype: Any) -> Any:
+        check_message_class(name, datatype)
+        label = self._label(names.check(name, "topic name"))
+        port = self._by_label.get((label, kind.direction))
+        if port is None:
+            topic = self._start(label)
+            if topic:
+                self._context.runtime.guards().check_topic(topic)
+            other = self._by_label.get((label, OUT if kind.direction == IN else IN))
+            if other is not None:
+                self._rename(other, f"{label}_{other.direction}")
+            suffix = f"_{kind.direction}" if other is not None else ""
+            port = self._by_label[label, kind.direction] = kind(label + suffix, datatype, topic)
+        elif port.datatype._md5sum != datatype._md5sum:
+            raise PortConflict(port.name, port.kind, f"a port of type {datatype._type}")
+        return port
+
+    def _rename(self, port: ProxyPort, name: str) -> None:
+        """Tell a port from one of the other direction."""
+        renamed = {each.name if each is not port else name: each for each in self._ports.values()}
+        port.name = name
+        self._ports = renamed
+
+    def _label(self, name: str) -> str:
+        if not name.startswith("/"):
+            return name
+        if name in self._noted:
+            return self._noted[name]
+        own = names.join(self.name, "")
+        return "~" + name[len(own) :] if name.startswith(own) else name
+
+    def _origin(self, label: str) -> str:
+        """The global name of a topic in the code, before any remapping."""
+        return names.resolve(label, names.parent(self.name), self.name)
+
+    def _start(self, label: str) -> str:
+        """The topic that a port is connected to at the start."""
+        origin = self._origin(label)
+        topic = self._context.remappings.get(origin) or self._context.runtime.node.remap(origin)
+        return "" if topic.startswith(names.disconnected(self.name, "")) else topic
+
+
+class ScriptHandle(NodeHandle):
+    """A handle that gives a script ports for its topics."""
+
+    proxy_class = ScriptProxy
+    _proxy: ScriptProxy
+
+    def tell_name(self, name: str) -> str:
+        """Make a name global for the script, which may use that as the name of a topic."""
+        resolved = self.resolve_name(name)
+        if name.strip("/~") and resolved != name:
+            self._proxy.note(name, resolved)
+        return resolved
+
+    def _make_publisher(self, name: str, datatype: Any, *args: Any, **options: Any) -> Any:
+        if self._is_port(name):
+            return super()._make_publisher(name, datatype, *args, **options)
+        return PlainNodeHandle._make_publisher(self, name, datatype, *args, **options)
+
+    def _make_subscriber(self, name: str, datatype: Any, *args: Any, **options: Any) -> Any:
+        if self._is_port(name):
+            return super()._make_subscriber(name, datatype, *args, **options)
+        return PlainNodeHandle._make_subscriber(self, name, datatype, *args, **options)
+
+    def _is_port(self, name: str) -> bool:
+        return self.resolve_name(names.check(name, "topic name")) not in _NO_PORTS
