@@ -41,6 +41,7 @@ TURNS: Tuple[str, ...] = (
     "listening to nodelet managers",
     "words of a bond",
     "output of a child",
+    "end of a script",
     "service client",
     "state file",
 )
@@ -92,6 +93,14 @@ def state_condition(name: str) -> threading.Condition:
     A wait gives up the lock of the condition, so it may be the only state lock that is held.
     """
     return threading.Condition(reentrant_state_lock(name))
+
+
+def module_lock() -> Any:
+    """Make a reentrant lock that is held while modules are executed, as Python's own is.
+
+    What modules do is not ours to order, so it takes no part in the order.
+    """
+    return threading.RLock()
 
 
 def flag_lock() -> threading.Lock:

@@ -99,6 +99,7 @@ class ClassImports:
         top = name.partition(".")[0]
         if top == _OURS:
             return importlib.import_module(name)
+        importlib.invalidate_caches()  # files may be new
         package = _package(top, library)
         importer = self._library_importer(context, package)
         if importer is not None:
@@ -131,4 +132,3 @@ def _package(top: str, library: str) -> Package:
 def _make_importable(folder: str) -> None:
     if folder not in sys.path:
         sys.path.insert(0, folder)
-        importlib.invalidate_caches()

@@ -19,7 +19,6 @@ import dataclasses
 import importlib
 import importlib.util
 import sys
-import threading
 import types
 from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from typing import (
@@ -36,6 +35,7 @@ from typing import (
     Type,
 )
 
+from dyknow.locks import module_lock
 from dyknow.nodelet.module_files import is_standard, without_relay
 
 Module = types.ModuleType
@@ -106,7 +106,7 @@ class Importer:
         self._blind = frozenset(blind)
         self._found: Dict[str, bool] = {}
         self._found_on: Tuple[str, ...] = ()
-        self._turn = threading.RLock()  # held while modules are executed, as Python's own
+        self._turn = module_lock()  # held while modules are executed, as Python's own
         own = {**vars(builtins), **(functions or {})}
         self._seeing = {**own, "__import__": self._import}
         self._unseeing = {**own, "__import__": self._import_blindly}
@@ -267,4 +267,4 @@ def _package(namespace: Mapping[str, Any]) -> str:
     return name if "__path__" in namespace else name.rpartition(".")[0]
 
 
-_lending = threading.RLock()
+_lending = module_lock()

@@ -22,6 +22,7 @@ import rospy
 
 from dyknow import names
 from dyknow.errors import CannotRun
+from dyknow.locks import turn_lock
 from dyknow.model.graph import NodeletKind
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.nodelet import Nodelet
@@ -66,7 +67,7 @@ class _ScriptProcess:
         self._manager: Optional[NodeletManager] = None
         self._node_args: Any = None
         self._main_over = threading.Event()
-        self._stop_turn = threading.Lock()  # held until everything is withdrawn
+        self._stop_turn = turn_lock("end of a script")
 
     def run(self) -> int:
         """Run it to its end, and to that of the threads that it leaves."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 from typing import Callable, Collection, List
 
-from dyknow.nodelet.importer import Importer
+from dyknow.nodelet.importer import Importer, Module
 from dyknow.nodelet.module_files import Dependents
 from dyknow.ros.scripts import process_view, rospy_view
 from dyknow.ros.scripts.guest import Guest
@@ -37,11 +37,14 @@ def script_importer(
     def itself() -> Importer:
         return importer
 
+    def timer() -> Module:
+        return importer.import_module(rospy_view.COPIED)
+
     importer = Importer(
         lambda name: name in _COPIED or DEPENDENTS.has(name),
         folders,
         {
-            **rospy_view.rospy_views(guest, init_node),
+            **rospy_view.rospy_views(guest, init_node, timer),
             **process_view.process_views(guest),
             **process_view.script_views(guest, argv, itself),
         },
@@ -62,15 +65,19 @@ def library_importer(guest: Guest, package: Collection[str], folders: List[str])
     def no_node(*args: object, **kwds: object) -> None:
         """Do nothing: the nodelet manager is a node already."""
 
-    return Importer(
+    def timer() -> Module:
+        return importer.import_module(rospy_view.COPIED)
+
+    importer = Importer(
         lambda name: name in package or name in _COPIED or DEPENDENTS.has(name),
         folders,
         views={
-            **rospy_view.rospy_views(guest, no_node),
+            **rospy_view.rospy_views(guest, no_node, timer),
             **process_view.process_views(guest),
         },
         blind=package,
     )
+    return importer
 
 
 def folders_of(script: str, given: str) -> List[str]:

@@ -113,7 +113,7 @@ def _threading(guest: Guest) -> View:
     def with_condition(base: Type[Any]) -> Type[Any]:
         def init(self: Any, *args: Any, **kwds: Any) -> None:
             base.__init__(self, *args, **kwds)
-            self._cond = Condition(threading.Lock())
+            self._cond = Condition(self._cond._lock)
 
         return type(base.__name__, (base,), {"__init__": init, "__doc__": base.__doc__})
 

@@ -34,6 +34,7 @@ from dyknow.ros.transport.anymsg import connection_header
 _SUBMODULES = ("client", "core", "names", "rostime", "service", "topics")
 #: The submodule of which a guest has a copy.
 COPIED = "rospy.timer"
+_TIMING = ("Rate", "Timer", "sleep")
 #: Functions that are those of the guest's handle.
 _OF_HANDLE = (
     "get_param get_param_cached set_param has_param delete_param search_param wait_for_service"
@@ -41,20 +42,36 @@ _OF_HANDLE = (
 _LOGS = [name for name in dir(rospy) if name.startswith("log") and name != "logout"]
 
 
-def rospy_views(guest: Guest, init_node: Callable[..., None]) -> Dict[str, Callable[[], Module]]:
+def rospy_views(
+    guest: Guest, init_node: Callable[..., None], timer: Callable[[], Module]
+) -> Dict[str, Callable[[], Module]]:
     """Return what makes the views of rospy and its submodules, by name.
 
     Args:
         guest: whose they are.
         init_node: is called as ``rospy.init_node``.
+        timer: returns the guest's copy of ``rospy.timer``.
     """
     members = _members(guest, init_node)
     views: Dict[str, Module] = {f"rospy.{n}": _submodule(n, members) for n in _SUBMODULES}
-    top = View(rospy, members)
+    top = _Rospy(members, timer)
     for name, view in views.items():
         setattr(top, name.rpartition(".")[2], view)
     views["rospy"] = top
     return {name: functools.partial(_same, view) for name, view in views.items()}
+
+
+class _Rospy(View):
+    """rospy itself, whose ``Rate``, ``Timer`` and ``sleep`` are those of the guest's copy."""
+
+    def __init__(self, members: Mapping[str, Any], timer: Callable[[], Module]) -> None:
+        super().__init__(rospy, members)
+        self.__dict__["_timer"] = timer
+
+    def __getattr__(self, name: str) -> Any:
+        if name == "timer":
+            return self.__dict__["_timer"]()
+        return getattr(self.timer if name in _TIMING else rospy, name)
 
 
 def _same(view: Module) -> Module:
@@ -127,10 +144,10 @@ def _members(guest: Guest, init_node: Callable[..., None]) -> Dict[str, Any]:
         get_mappings=get_mappings,
         get_resolved_mappings=get_mappings,
         # topics and services
-        Publisher=_bound(Publisher, guest),
-        Subscriber=_bound(Subscriber, guest),
-        Service=_bound(Service, guest),
-        ServiceProxy=_bound(ServiceProxy, guest),
+        Publisher=_bound(GuestPublisher, guest),
+        Subscriber=_bound(GuestSubscriber, guest),
+        Service=_bound(GuestService, guest),
+        ServiceProxy=_bound(GuestServiceProxy, guest),
         wait_for_message=wait_for_message,
         # time
         wallsleep=wallsleep,
@@ -150,7 +167,7 @@ def _members(guest: Guest, init_node: Callable[..., None]) -> Dict[str, Any]:
 
 def _bound(base: Type[Any], guest: Guest) -> Type[Any]:
     """A class of the guest's own, so that it can derive from it."""
-    return type(base.__name__, (base,), {"guest": guest, "__doc__": base.__doc__})
+    return type(base.__name__[len("Guest") :], (base,), {"guest": guest, "__doc__": base.__doc__})
 
 
 class _Topic:
@@ -188,7 +205,7 @@ class _Topic:
             self._end.unregister()
 
 
-class Publisher(_Topic):
+class GuestPublisher(_Topic):
     """``rospy.Publisher``, of a guest."""
 
     reg_type = "pub"
@@ -231,7 +248,7 @@ class Publisher(_Topic):
         return PublisherImpl(self._end, self.guest.context)
 
 
-class Subscriber(_Topic):
+class GuestSubscriber(_Topic):
     """``rospy.Subscriber``, of a guest."""
 
     reg_type = "sub"
@@ -278,7 +295,7 @@ class Subscriber(_Topic):
         return SubscriberImpl(self._end, self.guest.context)
 
 
-class Service:
+class GuestService:
     """``rospy.Service``, of a guest."""
 
     guest: Guest
@@ -314,7 +331,7 @@ class Service:
         self.guest.closing.wait()
 
 
-class ServiceProxy(rospy.ServiceProxy):
+class GuestServiceProxy(rospy.ServiceProxy):
     """``rospy.ServiceProxy``, of a guest."""
 
     guest: Guest

@@ -64,7 +64,7 @@ class ScriptCode:
         self._guest.run_exits()
 
 
-class Script(Nodelet):
+class ScriptNodelet(Nodelet):
     """Runs a script that is written for a process of its own: ``my_argv`` is its command line.
 
     Its first word is the script, as ``PACKAGE/SCRIPT`` or as a path. Private parameter:

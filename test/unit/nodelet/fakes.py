@@ -118,7 +118,7 @@ class World:
 
     def loader(self, **classes: Any) -> Loader:
         """A loader whose types are the keywords."""
-        return Loader(self.runtime, classes.__getitem__)
+        return Loader(self.runtime, lambda name, _: classes[name])
 
     def drain(self) -> None:
         """Run everything that can run."""

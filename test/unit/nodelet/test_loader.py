@@ -182,7 +182,7 @@ class TestFailure:
     def test_a_type_that_cannot_be_found_leaves_the_name_free(self, world, error):
         classes = [error, Idle]
 
-        def find(name):
+        def find(name, _):
             found = classes.pop(0)
             if isinstance(found, Exception):
                 raise found
@@ -267,7 +267,7 @@ class TestSlowStart:
 
     def test_can_be_unloaded_in_the_middle(self, world, gate):
         told = []
-        loader = Loader(world.runtime, lambda name: gate, on_unloaded=told.append)
+        loader = Loader(world.runtime, lambda name, _: gate, on_unloaded=told.append)
         thread, outcome = load_in_thread(loader, "/slow", "gate")
         wait_for(gate.entered)
         assert world.registrations == [("publisher", "/early")]
@@ -290,7 +290,7 @@ class TestSlowStart:
             def on_init(self):
                 started.append(self.name)
 
-        def slow_import(name):
+        def slow_import(name, _):
             entered.set()
             wait_for(opened)
             return Started
@@ -308,7 +308,7 @@ class TestSlowStart:
     def test_that_fails_after_its_unload_leaves_its_successor_alone(self, world):
         entered, opened, kinds = threading.Event(), threading.Event(), ["slow"]
 
-        def find(name):
+        def find(name, _):
             if kinds:
                 kinds.pop()
                 entered.set()
@@ -367,7 +367,7 @@ def test_loads_and_unloads_of_one_name_from_many_threads_end_clean(world):
 
 def test_close_unloads_the_newest_first(world):
     gone = []
-    loader = Loader(world.runtime, lambda name: Idle, on_unloaded=gone.append)
+    loader = Loader(world.runtime, lambda name, _: Idle, on_unloaded=gone.append)
     for name in ("/b", "/a", "/c"):
         loader.load(name, "idle")
     loader.close()

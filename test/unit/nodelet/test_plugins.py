@@ -11,6 +11,7 @@ import textwrap
 import pytest
 
 from dyknow.errors import BrokenPlugin, UnknownNodeletType
+from dyknow.nodelet.class_imports import ClassImports
 from dyknow.nodelet.nodelet import Nodelet
 from dyknow.nodelet.plugins import PluginClass, PluginFile, Plugins, read
 
@@ -143,10 +144,15 @@ def test_entities_are_not_expanded_and_files_not_included(packages, tmp_path):
     assert "secret" not in described[0].description
 
 
+def load(plugins, name):
+    """Import what is declared as a name."""
+    return ClassImports().load(plugins.find(name), None)
+
+
 class TestLoading:
     def test_a_declared_class_is_imported_from_the_package(self, packages):
         packages.add("good", GOOD.format(module="mod_good"), mod_good=MODULE)
-        found = Plugins(packages.find).load("good/Nodelet")
+        found = load(Plugins(packages.find), "good/Nodelet")
         assert issubclass(found, Nodelet)
         assert found.__name__ == "Good"
         assert packages.looks == 1
@@ -160,7 +166,7 @@ class TestLoading:
             "good", GOOD.format(module="mod_installed").replace('path="src"', 'path="gone"')
         )
         before = list(sys.path)
-        assert Plugins(packages.find).load("good/Nodelet").__name__ == "Good"
+        assert load(Plugins(packages.find), "good/Nodelet").__name__ == "Good"
         assert sys.path == before
 
     def test_an_unknown_type_is_looked_for_once_more_and_told_with_those_known(self, packages):
@@ -168,34 +174,34 @@ class TestLoading:
         packages.add("bad", "<broken")
         plugins = Plugins(packages.find)
         with pytest.raises(UnknownNodeletType) as caught:
-            plugins.load("no/Such")
+            load(plugins, "no/Such")
         assert packages.looks == 1
         text = str(caught.value)
         assert "'no/Such'" in text
         assert "declared types: good/Nodelet" in text
         assert "of package 'bad'" in text and "not well-formed" in text
         with pytest.raises(UnknownNodeletType):
-            plugins.load("no/Such")
+            load(plugins, "no/Such")
         assert packages.looks == 2
 
     def test_a_type_declared_meanwhile_is_found(self, packages):
         plugins = Plugins(packages.find)
         with pytest.raises(UnknownNodeletType):
-            plugins.load("good/Nodelet")
+            load(plugins, "good/Nodelet")
         packages.add("good", GOOD.format(module="mod_new"), mod_new=MODULE)
-        assert plugins.load("good/Nodelet").__name__ == "Good"
+        assert load(plugins, "good/Nodelet").__name__ == "Good"
 
     def test_only_declared_classes_are_imported(self, packages):
         packages.add("good", GOOD.format(module="mod_h"), mod_h=MODULE)
         for name in ("mod_h.Good", "os.system", "mod_h/Good", ""):
             with pytest.raises(UnknownNodeletType):
-                Plugins(packages.find).load(name)
+                load(Plugins(packages.find), name)
         assert "mod_h" not in sys.modules
 
     def test_known_types_are_not_read_again(self, packages):
         packages.add("good", GOOD.format(module="mod_i"), mod_i=MODULE)
         plugins = Plugins(packages.find)
-        assert plugins.load("good/Nodelet") is plugins.load("good/Nodelet")
+        assert load(plugins, "good/Nodelet") is load(plugins, "good/Nodelet")
         assert packages.looks == 1
 
     @pytest.mark.parametrize(
@@ -220,19 +226,19 @@ class TestLoading:
         packages.add("good", GOOD.format(module="mod_ok"), mod_ok=MODULE)
         plugins = Plugins(packages.find)
         with pytest.raises(BrokenPlugin) as caught:
-            plugins.load("p/X")
+            load(plugins, "p/X")
         assert reason in str(caught.value)
         assert "'p/X'" in str(caught.value)
-        assert plugins.load("good/Nodelet").__name__ == "Good"
+        assert load(plugins, "good/Nodelet").__name__ == "Good"
 
     def test_a_class_that_was_mended_can_be_loaded(self, packages):
         xml = f'<library path="src">{class_element(type_name="mod_mended.Good")}</library>'
         file = packages.add("p", xml)
         plugins = Plugins(packages.find)
         with pytest.raises(BrokenPlugin, match="ModuleNotFoundError"):
-            plugins.load("p/X")
+            load(plugins, "p/X")
         (file.directory / "src" / "mod_mended.py").write_text(MODULE)
-        assert plugins.load("p/X").__name__ == "Good"
+        assert load(plugins, "p/X").__name__ == "Good"
 
     def test_broken_packages_hide_no_others(self, packages):
         packages.add("a_broken", "<oops")
@@ -241,7 +247,7 @@ class TestLoading:
         packages.add("z_wrong", "<package/>")
         plugins = Plugins(packages.find)
         assert [each.name for each in plugins.declared()] == ["good/Nodelet"]
-        assert plugins.load("good/Nodelet").__name__ == "Good"
+        assert load(plugins, "good/Nodelet").__name__ == "Good"
 
     def test_of_two_declarations_of_one_name_the_same_wins_in_any_order(self, packages):
         for package in ("b", "a"):

@@ -60,7 +60,7 @@ def test_everything_is_unregistered_before_it_returns(world):
                 nh.Timer(1.0, print)
 
     told = []
-    loader = Loader(world.runtime, lambda name: Full, on_unloaded=told.append)
+    loader = Loader(world.runtime, lambda name, _: Full, on_unloaded=told.append)
     loader.load("/n", "full")
     assert len(world.registrations) == 4
     loader.unload("/n")

@@ -36,7 +36,7 @@ from dyknow.nodelet.plugins import Plugins
 from dyknow.ros.hosting.nodelet_types import cpp_classes
 from dyknow.ros.nodelets.packages import plugin_files
 try:
-    Plugins(plugin_files).load("none/Such")
+    Plugins(plugin_files).find("none/Such")
 except UnknownNodeletType as error:
     print(*error.known)
     print(*error.broken, *(each for each in cpp_classes() if each.startswith("dyknow")))
