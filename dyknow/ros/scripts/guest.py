@@ -37,10 +37,6 @@ _MANY = 32
 _log = logging.getLogger("rosout.dyknow")
 
 
-class Unloaded(SystemExit):
-    """Ends a thread of a guest that is unloaded."""
-
-
 class Guest:
     """One guest; every method is safe from any thread.
 
@@ -133,7 +129,7 @@ class Guest:
         order.
 
         Raises:
-            Unloaded: the guest is to end, and this thread was told so before.
+            SystemExit: the guest is to end, and this thread was told so before.
         """
         self.waits()
         if not self.closing.wait(max(0.0, seconds)):
@@ -144,7 +140,7 @@ class Guest:
             return
         while self._is_over:  # it caught what was to end it: it would spin
             time.sleep(3600)
-        raise Unloaded
+        raise SystemExit
 
     def waits(self) -> None:
         """Note that the guest waits: whoever loads it need not wait any longer."""
@@ -159,7 +155,7 @@ class Guest:
             timeout: seconds to wait at most; None for any time.
 
         Raises:
-            Unloaded: the guest is to end.
+            SystemExit: the guest is to end.
         """
         self.waits()
         end = None if timeout is None else time.monotonic() + timeout
@@ -205,7 +201,8 @@ class Guest:
             if isinstance(thread, threading.Timer):
                 thread.cancel()
         for thread in mine:
-            thread.join(max(0.0, began + _PATIENCE - time.monotonic()))
+            # Not its own ``join``, which is for the guest's threads.
+            threading.Thread.join(thread, max(0.0, began + _PATIENCE - time.monotonic()))
         while time.monotonic() < began + _PATIENCE + _FORCE:
             left = [each for each in mine if each.is_alive()]
             if not left:
@@ -214,7 +211,7 @@ class Guest:
             for thread in left:
                 frame = frames.get(thread.ident or 0)
                 if frame is not None and frame.f_code.co_filename in files:
-                    _raise_unloaded(thread)
+                    _raise_exit(thread)
             time.sleep(_STEP)
         self._is_over = True
         frames = sys._current_frames()
@@ -237,7 +234,7 @@ class Guest:
             _log.error("%s: %s raised\n%s", self.name, what, traceback.format_exc())
 
 
-def _raise_unloaded(thread: threading.Thread) -> None:
+def _raise_exit(thread: threading.Thread) -> None:
     ctypes.pythonapi.PyThreadState_SetAsyncExc(
-        ctypes.c_ulong(thread.ident or 0), ctypes.py_object(Unloaded)
+        ctypes.c_ulong(thread.ident or 0), ctypes.py_object(SystemExit)
     )

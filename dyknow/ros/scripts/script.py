@@ -19,7 +19,7 @@ from dyknow.nodelet.module_files import script_file
 from dyknow.nodelet.nodelet import Nodelet
 from dyknow.periodic import in_background
 from dyknow.ros.programs import find_script
-from dyknow.ros.scripts.guest import Guest, Unloaded
+from dyknow.ros.scripts.guest import Guest
 from dyknow.ros.scripts.guest_modules import folders_of, script_importer
 from dyknow.ros.scripts.script_ports import ScriptHandle
 
@@ -110,7 +110,7 @@ class ScriptNodelet(Nodelet):
             with self.context.executor.record.noting(self.context.mark):
                 code.execute()
         except SystemExit as end:
-            if end.code not in (None, 0) and not isinstance(end, Unloaded):
+            if end.code not in (None, 0):
                 self._failed(ScriptEnded(self.name, end.code))
         except BaseException as error:  # the boundary of the script
             self._failed(error)

@@ -1,0 +1,59 @@
+#!/usr/bin/env python3
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Does what its first argument says, as scripts that cannot share a process do."""
+
+import os
+import sys
+
+import rospy
+
+what = sys.argv[1]
+rospy.init_node("ill")
+if what == "keyboard":
+    input("go? ")
+elif what == "stdin":
+    sys.stdin.readline()
+elif what == "toolkit":
+    import tkinter.ttk  # noqa: F401
+elif what == "fork":
+    os.fork()
+elif what == "chdir":
+    os.chdir("/")
+elif what == "alarm":
+    import signal
+
+    signal.alarm(1)
+elif what == "processes":
+    from multiprocessing import Pool
+
+    Pool(2)
+elif what == "image":
+    import cv2
+
+    cv2.imshow("window", None)
+elif what == "raises":
+    raise ValueError("of its own")
+elif what == "exits":
+    sys.exit(3)
+elif what == "optional":
+    try:
+        import tkinter
+    except ImportError:
+        rospy.Service("~without", __import__("std_srvs.srv").srv.Empty, lambda request: ())
+    rospy.spin()
+elif what == "later":
+    rospy.sleep(0.1)
+    raise ValueError("later")
+elif what == "quit":
+    rospy.Timer(rospy.Duration(0.1), lambda event: rospy.signal_shutdown("enough"), oneshot=True)
+    rospy.spin()
+elif what == "_exit":
+    rospy.sleep(0.1)
+    os._exit(4)
+elif what == "crash":
+    rospy.sleep(0.1)
+    import ctypes
+
+    ctypes.string_at(0)

@@ -1,0 +1,304 @@
+#!/usr/bin/env python3
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Scripts of rospy, unchanged: as nodelets of one process, and in processes of their own."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import signal
+import sys
+import time
+from typing import Any, Iterator, List
+
+import graph  # first: it makes the test package known
+import rosgraph
+import rospy
+import rostest
+from dyknow_msgs.msg import Port
+from dyknow_msgs.srv import GetCounts
+from graph import ManagerCase, get_config, set_config, topics_of_ports
+from processes import NODELET, eventually
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+
+RUN = [sys.executable, "-m", "dyknow.cli", "run"]
+SCRIPT = "dyknow/Script"
+
+
+@contextlib.contextmanager
+def hearing(topic: str, message_class: Any = String) -> Iterator[List[Any]]:
+    """The messages that come on a topic."""
+    heard: List[Any] = []
+    subscriber = rospy.Subscriber(topic, message_class, heard.append)
+    try:
+        yield heard
+    finally:
+        subscriber.unregister()
+
+
+def comes(topic: str, text: str) -> None:
+    """Wait until a text comes on a topic."""
+    with hearing(topic) as heard:
+        eventually(
+            lambda: any(text in each.data for each in list(heard)),
+            10.0,
+            f"'{text}' comes on {topic}",
+            lambda: heard,
+        )
+
+
+class SharedTest(ManagerCase):
+    """In one nodelet manager."""
+
+    def load(self, script: str, name: str, *arguments: str, **remappings: str) -> float:
+        """Load a script; returns the seconds that it took."""
+        began = time.monotonic()
+        names = {source: target for source, target in remappings.items()}
+        self.manager.load(SCRIPT, name, names, [f"dyknow_test/{script}", *arguments])
+        return time.monotonic() - began
+
+    def unload(self, name: str) -> float:
+        began = time.monotonic()
+        self.manager.unload(name)
+        return time.monotonic() - began
+
+    def test_a_node_becomes_a_nodelet(self):
+        rospy.set_param("/robot/a/word", "one")
+        self.load("talker.py", "/robot/a")
+        names = {"/robot/words": "/b_words"}
+        self.load("talker.py", "/robot/b", "--word", "two", **names)
+        self.assertEqual(topics_of_ports("/robot/a"), {"words": "/robot/words"})
+        self.assertEqual(topics_of_ports("/robot/b"), {"words": "/b_words"})
+        comes("/robot/words", "one 1")
+        comes("/b_words", "two 2")
+        with hearing("/b_words") as heard:
+            eventually(lambda: heard, 5.0, "connected")
+            self.unload("/robot/b")
+            eventually(lambda: heard[-1].data == "good-bye", 5.0, "on_shutdown", lambda: heard)
+        state = rosgraph.Master("/tests").getSystemState()
+        self.assertNotIn("/b_words", [topic for topic, nodes in state[0] if "/manager" in nodes])
+
+    def test_it_is_connected_elsewhere_and_loses_nothing(self):
+        self.load("talker.py", "/talker")
+        with hearing("/words") as first, hearing("/second") as second:
+            eventually(lambda: first, 5.0, "heard")
+            self.assertTrue(set_config("/talker", **{"/words": "/second"}).success)
+            eventually(lambda: len(second) > 5, 5.0, "moved")
+            self.assertTrue(set_config("/talker", words="/words").success)
+            count = len(first)
+            eventually(lambda: len(first) > count + 5, 5.0, "moved back")
+            numbers = sorted(int(each.data.split()[1]) for each in [*first, *second])
+            self.assertEqual(numbers, list(range(numbers[0], numbers[0] + len(numbers))))
+
+    def test_what_the_manager_disconnects_begins_disconnected(self):
+        self.load("talker.py", "/talker", words="/talker/disconnected/words")
+        self.assertEqual(topics_of_ports("/talker"), {"words": ""})
+
+    def test_ports_bear_the_names_of_the_code(self):
+        names = {"/robot/told": "/news", "/robot/shout": "/yell"}
+        self.load("both_ways.py", "/robot/n", **names)
+        ports = {port.name: (port.direction, port.topic) for port in get_config("/robot/n")}
+        self.assertEqual(
+            ports,
+            {
+                "shout_out": (Port.OUT, "/yell"),
+                "shout_in": (Port.IN, "/yell"),
+                "~whisper": (Port.IN, "/robot/n/whisper"),
+                "/siren": (Port.IN, "/siren"),
+                "told": (Port.IN, "/news"),
+            },
+        )
+        self.assertTrue(set_config("/robot/n", **{"/robot/n/whisper": "/quiet"}).success)
+        self.assertEqual(topics_of_ports("/robot/n")["~whisper"], "/quiet")
+        refused = set_config("/robot/n", **{"/robot/shout": "/x"})
+        self.assertIn("shout_out", refused.message)
+
+    def test_neighbours_do_not_see_what_a_script_does_to_its_messages(self):
+        with hearing("/spoiler/seen", JointState) as seen:
+            self.load("spoiler.py", "/spoiler")
+            eventually(lambda: len(seen) > 50, 10.0, "messages")
+        self.assertEqual({each.name[0] for each in seen}, {"a"})
+        self.assertTrue(all(each.position[0] >= 0 for each in seen))
+
+    def test_by_reference_on_request(self):
+        with hearing("/spoiler/seen", JointState) as seen:
+            rospy.set_param("/spoiler/by_reference", True)
+            self.load("spoiler.py", "/spoiler")
+            eventually(lambda: len(seen) > 5, 10.0, "messages")
+        self.assertIn("spoilt", {each.name[0] for each in seen})
+
+    def test_libraries_work_between_two_instances(self):
+        self.load("libraries.py", "/server")
+        with hearing("/diagnostics", rospy.AnyMsg) as told:
+            eventually(lambda: told, 10.0, "diagnostics")
+        self.load("libraries.py", "/client", "/server/count")
+        comes("/client/told", "42 2.0")
+        self.assertIn("/server/count/goal", graph.registrations("/manager")["subscribers"])
+        self.unload("/client")
+        self.unload("/server")
+        left = graph.registrations("/manager")
+        self.assertEqual([t for kind in left.values() for t in kind if "/server" in t], [])
+        self.assertNotIn("/tf_static", left["publishers"] + left["subscribers"])
+
+    def test_what_cannot_share_a_process_is_refused_with_the_cure(self):
+        for what, said in (
+            ("keyboard", "input"),
+            ("stdin", "keyboard"),
+            ("toolkit", "tkinter"),
+            ("fork", "os.fork"),
+            ("chdir", "os.chdir"),
+            ("alarm", "signal.alarm"),
+            ("processes", "multiprocessing.Pool"),
+            ("raises", "of its own"),
+            ("exits", "sys.exit(3)"),
+            ("no such argument", None),
+        ):
+            with self.subTest(what):
+                if said is None:
+                    self.load("ill.py", "/ill", what)  # it ends at once, in order
+                else:
+                    with self.assertRaisesRegex(rospy.ServiceException, re.escape(said)) as caught:
+                        self.load("ill.py", "/ill", what)
+                    if "own" not in said and "exit" not in said:
+                        self.assertIn("isolated", str(caught.exception))
+                eventually(lambda: self.manager.is_free("/ill"), 5.0, "nothing is left")
+        for script in ("gone.py", "package.xml"):
+            with self.assertRaises(rospy.ServiceException) as caught:
+                self.load(script, "/ill")
+            self.assertIn(script, str(caught.exception))
+
+    def test_a_script_may_do_without_what_is_refused(self):
+        self.load("ill.py", "/ill", "optional")
+        self.assertIn("/ill/without", graph.services_of("/manager"))
+
+    def test_a_script_that_ends_or_fails_is_gone_and_its_neighbours_stay(self):
+        self.load("talker.py", "/talker")
+        for what in ("later", "quit", "_exit"):
+            with self.subTest(what):
+                self.load("ill.py", "/ill", what)
+                eventually(lambda: self.manager.list() == ["/talker"], 5.0, "it is unloaded")
+        comes("/words", "hello")
+
+    def test_endless_threads_end_within_a_second(self):
+        before = self.manager.threads()
+        self.load("endless.py", "/endless", "busy", "deaf", "sleepy", "waiting", "working")
+        self.assertLess(self.unload("/endless"), 1.5)
+        eventually(lambda: self.manager.threads() <= before + 2, 10.0, "threads have ended")
+        self.load("endless.py", "/endless", "listening")
+        self.unload("/endless")
+        self.manager.wait_for("thread 'listening' does not end")
+
+    def test_a_load_runs_the_code_of_today(self):
+        folder = self.enterContext_(temporary_script("word = 'old'"))
+        path = os.path.join(folder, "news.py")
+        for number, word in enumerate(("old", "new")):
+            write(os.path.join(folder, "news_sibling.py"), f"word = '{word}'", number)
+            self.manager.load(SCRIPT, f"/n{number}", {}, [path])
+        self.assertEqual(rospy.get_param("/n0/word"), "old")
+        self.assertEqual(rospy.get_param("/n1/word"), "new")
+
+    def enterContext_(self, context):
+        value = context.__enter__()
+        self.addCleanup(context.__exit__, None, None, None)
+        return value
+
+
+@contextlib.contextmanager
+def temporary_script(sibling: str) -> Iterator[str]:
+    """A folder with a script that tells what its sibling says."""
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = os.path.join(folder, "news.py")
+        write(
+            path,
+            "#!/usr/bin/env python3\nimport rospy, news_sibling\nrospy.init_node('news')\n"
+            "rospy.set_param('~word', news_sibling.word)\nrospy.spin()\n",
+            0,
+        )
+        yield folder
+
+
+def write(path: str, text: str, seconds: int) -> None:
+    """Write a file of another second: Python tells compiled files apart by that."""
+    with open(path, "w") as file:
+        file.write(text)
+    os.utime(path, (1e9 + seconds, 1e9 + seconds))
+
+
+class CommandTest(graph.TellingCase):
+    """With `load_script`, `standalone_script` and `run`."""
+
+    def start(self, *command: str) -> graph.Ended:
+        process = graph.Ended(*command)
+        self.addCleanup(process.__exit__)
+        return process
+
+    def test_load_script_is_bonded_as_load_is(self):
+        manager = self.start(*NODELET, "manager", "__name:=host")
+        client = self.start(
+            *NODELET, "load_script", "dyknow_test", "talker.py", "host", "--word", "w",
+            "__name:=told", "words:=/told_words", "_rate:=20",
+        )  # fmt: skip
+        comes("/told_words", "w 3")
+        self.assertEqual(rospy.get_param("/told/rate"), 20)
+        client.stop(signal.SIGKILL)
+        manager.wait_for("unloaded nodelet /told", 30.0)
+
+    def test_a_script_in_a_process_of_its_own(self):
+        node = self.start(
+            *RUN, "dyknow_test", "talker.py", "--word", "alone", "words:=/here", "_rate:=100"
+        )
+        comes("/here", "alone")
+        name = next(n for n in graph.nodes_on("/here")[0])
+        self.assertRegex(name, r"^/talker_\d+_\d+$")  # as anonymous nodes are called
+        self.assertEqual(topics_of_ports(name), {"words": "/here"})
+        self.assertEqual(rospy.get_param(f"{name}/rate"), 100)
+        counts = graph.service(f"{name}/get_counts", GetCounts)([])
+        self.assertEqual(counts.kind, "node")
+        self.assertTrue(set_config(name, words="/there").success)
+        with hearing("/there") as heard:
+            eventually(lambda: heard, 5.0, "moved")
+            node.stop()
+            eventually(lambda: heard[-1].data == "good-bye", 5.0, "on_shutdown", lambda: heard)
+        self.assertEqual(node.exit_code(20.0), 0)
+
+    def test_its_exit_code_and_errors_are_its_own(self):
+        for what, code, said in (
+            ("exits", 3, ""),
+            ("raises", 1, "ValueError: of its own"),
+            ("quit", 0, ""),
+            ("_exit", 4, ""),
+            ("crash", -signal.SIGSEGV, ""),
+        ):
+            with self.subTest(what):
+                node = self.start(*NODELET, "standalone_script", "dyknow_test", "ill.py", what)
+                self.assertEqual(node.exit_code(30.0), code)
+                self.assertIn(said, node.output)
+                self.assertNotIn("dyknow/ros", node.output)
+
+    def test_what_cannot_share_a_process_runs_alone(self):
+        for what in ("fork", "chdir", "alarm", "stdin"):
+            with self.subTest(what):
+                node = self.start(*RUN, "dyknow_test", "ill.py", what)
+                self.assertIn(node.exit_code(30.0), (0, -signal.SIGALRM))
+
+    def test_libraries_work_between_processes(self):
+        self.start(*RUN, "dyknow_test", "libraries.py", "__name:=far_server")
+        self.start(*RUN, "dyknow_test", "libraries.py", "/far_server/count", "__name:=far")
+        comes("/far/told", "42 2.0")
+        self.assertEqual(topics_of_ports("/far")["/tf_static"], "/tf_static")
+
+    def test_what_is_no_node_runs_as_ever(self):
+        script = os.path.join(os.path.dirname(os.path.abspath(__file__)), "no_such")
+        node = self.start(*RUN, "dyknow_test", script)
+        self.assertNotEqual(node.exit_code(20.0), 0)
+
+
+if __name__ == "__main__":
+    rospy.init_node("test_scripts")
+    rostest.rosrun("dyknow", "scripts", "__main__")
