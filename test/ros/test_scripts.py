@@ -11,6 +11,7 @@ import os
 import re
 import signal
 import sys
+import tempfile
 import time
 from typing import Any, Iterator, List
 
@@ -57,8 +58,7 @@ class SharedTest(ManagerCase):
     def load(self, script: str, name: str, *arguments: str, **remappings: str) -> float:
         """Load a script; returns the seconds that it took."""
         began = time.monotonic()
-        names = {source: target for source, target in remappings.items()}
-        self.manager.load(SCRIPT, name, names, [f"dyknow_test/{script}", *arguments])
+        self.manager.load(SCRIPT, name, remappings, [f"dyknow_test/{script}", *arguments])
         return time.monotonic() - began
 
     def unload(self, name: str) -> float:
@@ -193,7 +193,7 @@ class SharedTest(ManagerCase):
         self.manager.wait_for("thread 'listening' does not end")
 
     def test_a_load_runs_the_code_of_today(self):
-        folder = self.enterContext_(temporary_script("word = 'old'"))
+        folder = self.entered(temporary_script("word = 'old'"))
         path = os.path.join(folder, "news.py")
         for number, word in enumerate(("old", "new")):
             write(os.path.join(folder, "news_sibling.py"), f"word = '{word}'", number)
@@ -201,7 +201,7 @@ class SharedTest(ManagerCase):
         self.assertEqual(rospy.get_param("/n0/word"), "old")
         self.assertEqual(rospy.get_param("/n1/word"), "new")
 
-    def enterContext_(self, context):
+    def entered(self, context):
         value = context.__enter__()
         self.addCleanup(context.__exit__, None, None, None)
         return value
@@ -210,8 +210,6 @@ class SharedTest(ManagerCase):
 @contextlib.contextmanager
 def temporary_script(sibling: str) -> Iterator[str]:
     """A folder with a script that tells what its sibling says."""
-    import tempfile
-
     with tempfile.TemporaryDirectory() as folder:
         path = os.path.join(folder, "news.py")
         write(

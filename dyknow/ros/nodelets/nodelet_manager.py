@@ -16,7 +16,7 @@ import os
 import sys
 import traceback
 from dataclasses import dataclass
-from typing import Any, Callable, Dict, List, Optional, Sequence, Type
+from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Type
 
 import rospy
 from dyknow_msgs.srv import GetCounts, GetCountsResponse
@@ -155,9 +155,17 @@ class NodeletManager(Closable):
         ):
             self._services.append(rospy.Service(name, service_class, handler))
 
-    def offer_counts(self, kind: NodeletKind) -> None:
-        """Offer the counts alone: the node is no nodelet manager, but one thing with ports."""
+    def be(self, kind: NodeletKind, remappings: Mapping[str, str]) -> None:
+        """Host one thing under the name of the node, which is no nodelet manager then.
+
+        Args:
+            kind: what it is.
+            remappings: table of global names.
+        """
         self._kind = kind
+        name = rospy.get_name()
+        self.loader.load(name, kind.value, remappings)
+        self._announcer.tell(name)
         self._services.append(rospy.Service("~get_counts", GetCounts, self._get_counts))
 
     def load(

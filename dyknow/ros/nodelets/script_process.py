@@ -67,7 +67,7 @@ class _ScriptProcess:
         self._manager: Optional[NodeletManager] = None
         self._node_args: Any = None
         self._main_over = threading.Event()
-        self._stop_turn = turn_lock("end of a script")
+        self._withdrawal_turn = turn_lock("end of a script")
 
     def run(self) -> int:
         """Run it to its end, and to that of the threads that it leaves."""
@@ -131,18 +131,17 @@ class _ScriptProcess:
             tcpros_port,
         )
         self._guest.name = rospy.get_name()
-        rospy.on_shutdown(self._stop)
+        rospy.on_shutdown(self._withdraw)
         self._offer(renamed)
 
     def _offer(self, renamed: Dict[str, str]) -> None:
         nodelet_class = self._nodelet_class()
         self._manager = NodeletManager(_SETTINGS, lambda type_name, context: nodelet_class)
         name = rospy.get_name()
-        space = names.parent(name)
-        sources = [names.resolve(each, space, name) for each in renamed]
-        targets = [names.resolve(each, space, name) for each in renamed.values()]
-        self._manager.load(name, "dyknow/Script", sources, targets)
-        self._manager.offer_counts(NodeletKind.NODE)
+        remappings = names.pair_remappings(
+            name, list(renamed), list(renamed.values()), names.parent(name)
+        )
+        self._manager.be(NodeletKind.NODE, remappings)
 
     def _nodelet_class(self) -> Type[Nodelet]:
         guest, main_over = self._guest, self._main_over
@@ -174,14 +173,18 @@ class _ScriptProcess:
                 signal.signal(number, handler)
 
     def _stop(self) -> None:
-        """Withdraw the node; returns when it is done."""
-        with self._stop_turn:
+        """End the node; returns when it is done."""
+        self._withdraw()
+        rospy.signal_shutdown("told to end")
+
+    def _withdraw(self) -> None:
+        """Withdraw what the script has at the master; rosnode kill begins here."""
+        with self._withdrawal_turn:
             manager, self._manager = self._manager, None
             if manager is not None:
                 manager.close()
             else:
                 self._guest.shut_down("shutdown")
-            rospy.signal_shutdown("told to end")
 
 
 def _status(end: SystemExit) -> int:

@@ -2,7 +2,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Uses libraries of rospy: actions, transforms, a reconfigurable parameter, diagnostics, filters."""
+"""Uses libraries of rospy: actions, transforms, diagnostics, filters."""
 
 import sys
 import threading

@@ -5,6 +5,7 @@
 """Written as many are: it knows nothing of DyKnow."""
 
 import argparse
+import contextlib
 import sys
 
 import rospy
@@ -29,7 +30,5 @@ def main():
 
 
 if __name__ == "__main__":
-    try:
+    with contextlib.suppress(rospy.ROSInterruptException):
         main()
-    except rospy.ROSInterruptException:
-        pass
