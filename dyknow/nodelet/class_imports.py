@@ -36,12 +36,12 @@ class Package:
     Attributes:
         tops: their top-level names.
         folders: where they are, if that is a folder of plug-ins and not on ``sys.path``.
-        files: their source files.
+        files: their source files, by module name.
     """
 
     tops: FrozenSet[str]
     folders: List[str]
-    files: List[str]
+    files: Mapping[str, str]
 
 
 @dataclass(frozen=True)
@@ -61,13 +61,13 @@ class ClassImports:
     """Imports classes for nodelets.
 
     Args:
-        library_importer: returns an importer of a nodelet's own if its package uses libraries of
-            the middleware, else None.
+        library_importer: returns an importer of a nodelet's own if the module of that name in the
+            package uses libraries of the middleware, else None.
     """
 
     def __init__(
         self,
-        library_importer: Callable[[Context, Package], Optional[Importer]] = lambda *_: None,
+        library_importer: Callable[[Context, str, Package], Optional[Importer]] = lambda *_: None,
     ) -> None:
         self._library_importer = library_importer
         self._generations: Dict[str, _Generation] = {}
@@ -101,13 +101,13 @@ class ClassImports:
             return importlib.import_module(name)
         importlib.invalidate_caches()  # files may be new
         package = _package(top, library)
-        importer = self._library_importer(context, package)
+        importer = self._library_importer(context, name, package)
         if importer is not None:
             return importer.import_module(name)
         return self._current(top, package, name)
 
     def _current(self, top: str, package: Package, name: str) -> Module:
-        now = stamps(package.files)
+        now = stamps(package.files.values())
         generation = self._generations.get(top)
         if generation is None or generation.stamps != now:
             is_first = generation is None
@@ -124,7 +124,7 @@ def _package(top: str, library: str) -> Package:
     if os.path.isdir(library) and PathFinder.find_spec(top, [library]) is not None:
         tops = {each.partition(".")[0] for each in os.listdir(library) if each.endswith(".py")}
         tops = {top, *tops}
-        files = [file for each in sorted(tops) for file in source_files(each, [library])]
+        files = {n: f for each in sorted(tops) for n, f in source_files(each, [library]).items()}
         return Package(frozenset(tops), [library], files)
     return Package(frozenset((top,)), [], source_files(top))
 

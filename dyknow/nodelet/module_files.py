@@ -9,6 +9,8 @@ those.
 
 from __future__ import annotations
 
+import ast
+import functools
 import importlib.util
 import os
 import re
@@ -16,7 +18,7 @@ import sys
 import sysconfig
 from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
-from typing import Collection, Dict, FrozenSet, Iterator, List, Optional, Tuple
+from typing import Collection, Dict, FrozenSet, Iterator, List, Mapping, Optional, Tuple
 
 from dyknow.locks import state_lock
 
@@ -73,8 +75,8 @@ def script_file(path: str) -> str:
     return os.path.realpath(found.group(2)) if found else real
 
 
-def source_files(top: str, path: Optional[Collection[str]] = None) -> List[str]:
-    """List the source files of a top-level module, sorted; none if it has none in Python.
+def source_files(top: str, path: Optional[Collection[str]] = None) -> Dict[str, str]:
+    """Return the source files of a top-level module and of what is below it, by module name.
 
     Args:
         top: its name.
@@ -82,19 +84,60 @@ def source_files(top: str, path: Optional[Collection[str]] = None) -> List[str]:
     """
     spec = PathFinder.find_spec(top, None if path is None else list(path))
     if spec is None:
-        return []
+        return {}
     folders = [*_sources(spec), *(spec.submodule_search_locations or ())]
     if not folders:
         origin = spec.origin or ""
-        return [origin] if origin.endswith(".py") else []
-    files: List[str] = []
+        return {top: origin} if origin.endswith(".py") else {}
+    files: Dict[str, str] = {}
     for folder in folders:
         for here, below, names in os.walk(folder):
-            below[:] = [each for each in below if each not in _LEFT_OUT]
-            files += [os.path.join(here, name) for name in names if name.endswith(".py")]
+            below[:] = sorted(each for each in below if each not in _LEFT_OUT)
+            package = ".".join([top, *Path(here).relative_to(folder).parts])
+            for name in sorted(each[:-3] for each in names if each.endswith(".py")):
+                module = package if name == "__init__" else f"{package}.{name}"
+                files.setdefault(module, os.path.join(here, f"{name}.py"))
             if len(files) > _MOST_FILES:
-                return []
-    return sorted(files)
+                return {}
+    return files
+
+
+def reached_from(module: str, files: Mapping[str, str]) -> List[str]:
+    """Return the files that are executed when a module is imported, or later by its functions.
+
+    Args:
+        module: its name.
+        files: what is looked at, by module name.
+    """
+    waiting, reached = [module], {}
+    while waiting:
+        name = waiting.pop()
+        parts = name.split(".")
+        for known in (".".join(parts[:count]) for count in range(1, len(parts) + 1)):
+            if known in files and known not in reached:
+                reached[known] = files[known]
+                stamp = stamps([files[known]]).get(files[known])
+                waiting += _imported_names(files[known], known, stamp)
+    return sorted(reached.values())
+
+
+@functools.lru_cache(maxsize=1000)
+def _imported_names(file: str, module: str, stamp: Optional[Stamp]) -> List[str]:
+    """Full names of what a file imports, as it is now; some may be of classes and functions."""
+    try:
+        tree = ast.parse(Path(file).read_bytes(), file)
+    except (OSError, SyntaxError, ValueError):
+        return []
+    package = module if os.path.basename(file) == "__init__.py" else module.rpartition(".")[0]
+    names = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names += [each.name for each in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            above = package.split(".")[: len(package.split(".")) - node.level + 1]
+            base = ".".join([*(above if node.level else ()), *filter(None, [node.module])])
+            names += [f"{base}.{each.name}" for each in node.names]
+    return names
 
 
 def stamps(files: Collection[str]) -> Dict[str, Stamp]:
@@ -143,7 +186,8 @@ class Dependents:
         if top in seen or top == self._library or top in self._apart or is_standard(top):
             return top == self._library
         seen[top] = False
-        names = {name for file in source_files(top) for name in self._imported(file)} - {top}
+        files = source_files(top).values()
+        names = {name for file in files for name in self._imported(file)} - {top}
         return self._library in names or any(self._looked_up(name, seen) for name in names)
 
     def _imported(self, file: str) -> FrozenSet[str]:

@@ -12,17 +12,24 @@ from dyknow.nodelet.class_imports import Package
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.handle import PlainNodeHandle
 from dyknow.nodelet.importer import Importer
+from dyknow.nodelet.module_files import reached_from
 from dyknow.ros.scripts.guest import Guest
 from dyknow.ros.scripts.guest_modules import DEPENDENTS, library_importer
 
 
-def importer_with_libraries(context: Context, package: Package) -> Optional[Importer]:
-    """Return modules of a nodelet's own if its package uses libraries of rospy, else None.
+def importer_with_libraries(context: Context, module: str, package: Package) -> Optional[Importer]:
+    """Return modules of a nodelet's own if they use libraries of rospy, else None.
 
     The nodelet's own modules see rospy as it is. What it imports of actionlib, tf2,
     message_filters and the like acts in its name, on topics that are no ports.
+
+    Args:
+        context: the nodelet.
+        module: the module of its class.
+        package: what that comes with.
     """
-    if not DEPENDENTS.imported_by(package.files) - package.tops:
+    used = reached_from(module, package.files)
+    if not DEPENDENTS.imported_by(used) - package.tops:
         return None
     guest = Guest(context.name)
     importer = library_importer(guest, package.tops, package.folders)
