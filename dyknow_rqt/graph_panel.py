@@ -129,8 +129,11 @@ class GraphPanel(QWidget):
         scene = self.view.scene()
         if not self._wants_tidy:
             layout = stabilise(scene.layout, scene.figure, layout, figure, sizes)
-        self._is_following = True  # what is not drawn any more is not selected by that
-        scene.show_figure(figure, layout, sizes)
+        self._is_following = True  # the user has not taken back what is drawn no longer
+        try:
+            scene.show_figure(figure, layout, sizes)
+        finally:
+            self._is_following = False
         self._selection.keep_drawn(figure)
         self._follow_selection()
         if figure.vertices and (not self._has_fitted or self._wants_tidy):
@@ -166,16 +169,18 @@ class GraphPanel(QWidget):
         """Say what the connection carries, and what happens if it ends here."""
         port = self._monitor.snapshot.port(start)
         datatype = port.datatype if port is not None else ""
-        lines = [f"{start}: {datatype or 'type not known yet'}"]
+        lines = [datatype or "type not known yet"]
         if target is not None:
             try:
                 change = self._connection(start, target)
             except (CannotConnect, InvalidName) as error:
                 lines = [str(error)]
             else:
-                topics = dict.fromkeys(topic for _, topic in change.topics)
-                over = f"over {', '.join(topics)}" if topics else "is connected already"
-                lines += [change.text, over, change.replaced]
+                topics = sorted({topic for _, topic in change.topics if topic != target})
+                over = [f"over {topic}" for topic in topics]
+                if not change.topics:
+                    over = ["connected already"]
+                lines += [f"to {target}", *over, change.replaced]
         self.view.say("\n".join(line for line in lines if line))
 
     @qt_slot

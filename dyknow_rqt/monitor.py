@@ -35,6 +35,7 @@ from dyknow.model.graph import State
 from dyknow.model.transformation import Transformation
 from dyknow_rqt.background_calls import BackgroundCalls
 from dyknow_rqt.graph.changes import CannotUndo, Change
+from dyknow_rqt.graph.contact import PATIENCE
 from dyknow_rqt.graph.history import UndoHistory
 from dyknow_rqt.graph.rates import Meter, in_turns
 from dyknow_rqt.graph.snapshot import PlainNode, Snapshot, plain_nodes, taken_topics
@@ -103,6 +104,7 @@ class Monitor(QObject):
         self._revision = -1
         self._library_revision = -1
         self._turn = 0
+        self._look_began = 0.0
         self._looking = self._changing = self._reading = False
         self._timer = QTimer(self)
         self._timer.timeout.connect(self.look)
@@ -152,8 +154,11 @@ class Monitor(QObject):
     @qt_slot
     def look(self) -> None:
         """Read everything now, unless that is under way."""
-        if not self._looking:
-            self._looking = True
+        if self._looking:
+            if time.monotonic() - self._look_began > PATIENCE:
+                self._forget_rates()  # somebody does not answer
+        else:
+            self._looking, self._look_began = True, time.monotonic()
             names, self._turn = in_turns(
                 # A lost one would delay the others.
                 (n.name for n in self.snapshot.nodelets if n.state is State.RUNNING),
@@ -357,6 +362,9 @@ class Monitor(QObject):
     def _take_failure(self, error: Exception) -> None:
         self._looking = False
         self._log_unexpected(error)
+        self._forget_rates()
+
+    def _forget_rates(self) -> None:
         self._meter.keep(())
         self.measured.emit(self._meter.traffic)
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import os
 import sys
 import time
-from typing import Callable, List, Optional
+from typing import Callable, List, Optional, Sequence
 
 from python_qt_binding.QtCore import QEvent, QPointF, Qt
 from python_qt_binding.QtGui import QColor, QFontDatabase, QPalette
@@ -19,6 +19,7 @@ from python_qt_binding.QtTest import QTest
 from python_qt_binding.QtWidgets import QApplication, QStyleFactory
 
 from dyknow.model.graph import PortRef
+from dyknow_rqt.simulated import SimulatedRemote
 from dyknow_rqt.soccer_graph import soccer
 from dyknow_rqt.window import DyKnowWidget
 
@@ -64,9 +65,13 @@ def wait(condition: Callable[[], object], seconds: float, what: str) -> None:
 
 
 def main(argv: Optional[List[str]] = None) -> int:
-    """Take all pictures into the folder that is given; returns the exit code."""
+    """Take all pictures into the folder that is given; returns the exit code.
+
+    A second argument such as ``1366x768`` is the size of the window.
+    """
     words = list(argv if argv is not None else sys.argv)
     folder = words[1] if words[1:] else os.path.join("doc", "images")
+    size = [int(part) for part in (words[2] if words[2:] else "1600x760").split("x")]
     os.makedirs(folder, exist_ok=True)
     application = dressed(QApplication(words[:1]))
     light = QPalette(application.palette())
@@ -77,24 +82,25 @@ def main(argv: Optional[List[str]] = None) -> int:
         ("library", light, _pose_library),
         ("create", light, _pose_create),
         ("connect", light, _pose_connect),
+        ("gone", light, _pose_gone),
         ("dark", dark_palette(), _pose_dark),
     ):
         application.setPalette(palette)
-        _take(os.path.join(folder, f"gui_{name}.png"), pose)
+        _take(os.path.join(folder, f"gui_{name}.png"), pose, size)
         print(f"screenshots: {folder}/gui_{name}.png")
     return 0
 
 
-def _take(path: str, pose: Callable[[DyKnowWidget], None]) -> None:
+def _take(path: str, pose: Callable[[DyKnowWidget], None], size: Sequence[int]) -> None:
     widget = DyKnowWidget(soccer())
-    widget.resize(1600, 760)
+    widget.resize(*size)
     widget.show()
     widget.start()
     try:
         wait(lambda: len(widget.graph.drawn.vertices) > 15, 20.0, "the graph is drawn")
         wait(lambda: widget.monitor.library, 10.0, "the library is there")
-        pose(widget)
         wait(lambda: _has_rates(widget), 20.0, "the rates are there")
+        pose(widget)
         QTest.qWait(300)
         if not widget.grab().save(path):
             raise OSError(f"cannot write '{path}'")
@@ -155,6 +161,14 @@ def _pose_connect(widget: DyKnowWidget) -> None:
         QTest.mousePress(view.viewport(), Qt.LeftButton, Qt.NoModifier, start)
         move = _mouse_move(end)
         QApplication.sendEvent(view.viewport(), move)
+
+
+def _pose_gone(widget: DyKnowWidget) -> None:
+    """The manager has ended."""
+    remote = widget.monitor.remote
+    assert isinstance(remote, SimulatedRemote)
+    remote.client.is_up = False
+    wait(lambda: " for 2 s" in widget.graph.sign.text(), 10.0, "the manager is missed")
 
 
 def _pose_dark(widget: DyKnowWidget) -> None:

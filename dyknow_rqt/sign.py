@@ -21,6 +21,9 @@ class Sign(QLabel):
         self.setAlignment(Qt.AlignCenter)
         self.setWordWrap(True)
         self.setMargin(8)
+        # Else the roles are those of the ground.
+        self.setBackgroundRole(QPalette.Window)
+        self.setForegroundRole(QPalette.WindowText)
         self.setAttribute(Qt.WA_TransparentForMouseEvents)
         self.setAccessibleName("State of the graph")
 

@@ -123,6 +123,7 @@ class PortItem(Item):
         painter.setBrush(QBrush(colour if self.is_connected or large else self.colours.paper))
         painter.drawEllipse(QPointF(0, 0), radius, radius)
         if large:
+            painter.fillRect(self._name_area(), self.colours.paper)
             painter.setFont(self._font)
             side = Qt.AlignRight if self.direction == IN else Qt.AlignLeft
             painter.setPen(self.colours.text)

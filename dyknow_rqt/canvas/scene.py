@@ -205,7 +205,10 @@ class GraphScene(QGraphicsScene):
         places = place_labels(
             {edge: item.curve for edge, item in self.edges.items()},
             {edge: item.label_size for edge, item in self.edges.items()},
-            [Rectangle(*area.getCoords()) for area in areas],
+            [
+                *(Rectangle(*area.getCoords()) for area in areas),
+                *(side for box in self.layout.boxes.values() for side in box.sides),
+            ],
         )
         for edge, item in self.edges.items():
             item.place_label(places.get(edge))

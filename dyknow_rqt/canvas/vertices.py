@@ -34,6 +34,7 @@ class VertexItem(Item):
         self._size = Size(0, 0)
         self.found = False
         self.setAcceptHoverEvents(True)
+        self.setZValue(1)  # names of ports are read above rates
         self.setFlag(QGraphicsItem.ItemIsSelectable)
         self.setZValue(10)
 

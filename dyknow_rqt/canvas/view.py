@@ -285,8 +285,9 @@ class GraphView(QGraphicsView):
             self.dragged.emit(self._from.ref, target if target != self._from.ref else None)
         size, room = self.hint.size(), self.viewport().size()
         left = max(0, min(place.x() + 18, room.width() - size.width()))
-        above = place.y() - 12 - size.height()
-        self.hint.move(left, above if above >= 0 else place.y() + 24)
+        below = place.y() + 24
+        is_room = below + size.height() <= room.height()
+        self.hint.move(left, below if is_room else place.y() - 12 - size.height())
 
     def say(self, text: str) -> None:
         """Say something beside the connection that is drawn."""

@@ -116,11 +116,11 @@ class Contact:
         if not manager.was_heard:
             complaints.append(f"waiting for {self._manager}")
         elif manager.is_gone:
-            complaints.append(f"{self._manager} is gone{_for(manager)}")
+            complaints.append(f"{self._manager} gone{_for(manager)}")
         else:
-            complaints.append(f"{self._manager} is silent{_for(manager)}")
+            complaints.append(f"{self._manager} silent{_for(manager)}")
         words = "; ".join(complaints)
-        aged = ": what is shown is as old" if manager.was_heard else ""
+        aged = ": what is shown is that old" if manager.was_heard else ""
         return Status(False, False, complaints[-1 if aged else 0], words + aged)
 
 

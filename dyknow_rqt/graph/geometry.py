@@ -59,6 +59,17 @@ class Rectangle(NamedTuple):
             max(self.bottom, other.bottom),
         )
 
+    @property
+    def sides(self) -> Tuple[Rectangle, ...]:
+        """The lines around it."""
+        left, top, right, bottom = self
+        return (
+            Rectangle(left - 1, top, left + 1, bottom),
+            Rectangle(right - 1, top, right + 1, bottom),
+            Rectangle(left, top - 1, right, top + 1),
+            Rectangle(left, bottom - 1, right, bottom + 1),
+        )
+
     def meets(self, other: Rectangle) -> bool:
         """Whether they overlap."""
         return (

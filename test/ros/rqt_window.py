@@ -192,7 +192,7 @@ class DeadSystemTest(TellingCase):
         is_drawn("/count")
 
         manager.stop(signal.SIGSTOP)
-        says("⚠ /dyknow_manager is silent for 3 s")
+        says("⚠ /dyknow_manager silent for 3 s")
         self.assertTrue(is_grey(scene))
         manager.stop(signal.SIGCONT)
         until(lambda: not sign.isVisible(), "it answers again")
@@ -205,7 +205,7 @@ class DeadSystemTest(TellingCase):
         self.roscore()
         says(f"⚠ the ROS master at {self.uri} does not know /dyknow_manager")
         self.end(manager)
-        says("⚠ /dyknow_manager is gone for")
+        says("⚠ /dyknow_manager gone for")
         self.assertTrue(is_grey(scene))
 
         self.manager()

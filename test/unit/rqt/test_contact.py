@@ -12,6 +12,7 @@ from python_qt_binding.QtGui import QPalette
 from unit.rqt.hands import create, until, vertex_keys
 from unit.rqt.seeing import contrast
 
+from dyknow_rqt.canvas.colours import colours_of
 from dyknow_rqt.graph.changes import Protect
 from dyknow_rqt.graph.contact import Contact
 from dyknow_rqt.screenshots import dark_palette
@@ -68,8 +69,8 @@ def test_a_manager_that_does_not_answer_is_silent_for_so_long(contact, clock, si
     contact.hear_master(is_known=True)
     contact.miss_manager(is_gone=False)
     status = contact.status()
-    assert not status.is_current and status.short == f"/manager is silent for {words}"
-    assert status.text == f"/manager is silent for {words}: what is shown is as old"
+    assert not status.is_current and status.short == f"/manager silent for {words}"
+    assert status.text == f"/manager silent for {words}: what is shown is that old"
 
 
 def test_a_manager_without_a_process_is_gone_at_once(contact, clock):
@@ -77,7 +78,7 @@ def test_a_manager_without_a_process_is_gone_at_once(contact, clock):
     contact.hear_manager()
     contact.miss_manager(is_gone=True)
     clock.time += 1.0
-    assert contact.status().short == "/manager is gone for 1 s"
+    assert contact.status().short == "/manager gone for 1 s"
     contact.hear_manager()
     assert contact.status().is_sound
 
@@ -94,7 +95,7 @@ def test_without_a_master_the_manager_is_still_heard(contact, clock):
         "nothing new can be asked for",
     )
     contact.miss_manager(is_gone=True)
-    text = "no ROS master at http://robot:11311 for 3 s; /manager is gone for 0 s: "
+    text = "no ROS master at http://robot:11311 for 3 s; /manager gone for 0 s: "
     assert contact.status().text.startswith(text)
 
 
@@ -123,6 +124,11 @@ def is_grey(window):
     return greys[0]
 
 
+def corner_of(widget):
+    """The colour that is seen behind its text."""
+    return widget.grab().toImage().pixelColor(2, 2)
+
+
 def rates(window):
     arrows = window.graph.view.scene().edges.values()
     return [arrow.traffic for arrow in arrows if arrow.traffic is not None]
@@ -134,12 +140,12 @@ def test_a_manager_that_is_gone_is_told_greyed_and_found_again(qtbot, window, re
     until(qtbot, lambda: bool(rates(window)))
     assert not sign.isVisible() and not is_grey(window)
     remote.client.is_up = False
-    until(qtbot, lambda: "⚠ /dyknow_manager is gone for" in contact_of(window))
-    assert sign.isVisible() and "what is shown is as old" in sign.text()
+    until(qtbot, lambda: "⚠ /dyknow_manager gone for" in contact_of(window))
+    assert sign.isVisible() and "what is shown is that old" in sign.text()
     assert is_grey(window)
     until(qtbot, lambda: not rates(window))
     window.monitor.do(Protect("/field/tracker", True))
-    assert window.line.text.startswith("protect /field/tracker: /dyknow_manager is gone for")
+    assert window.line.text.startswith("protect /field/tracker: /dyknow_manager gone for")
     remote.client.is_up = True
     until(qtbot, lambda: "answers since" in contact_of(window))
     assert not sign.isVisible() and not is_grey(window)
@@ -149,11 +155,13 @@ def test_a_manager_that_is_gone_is_told_greyed_and_found_again(qtbot, window, re
 
 def test_a_manager_that_hangs_is_silent_for_longer_and_longer(qtbot, window, remote):
     until(qtbot, lambda: window.monitor.is_linked)
+    until(qtbot, lambda: bool(rates(window)))
     remote.client.delay = 5.0
     for seconds in (3, 4):
-        said = f"⚠ /dyknow_manager is silent for {seconds} s"
+        said = f"⚠ /dyknow_manager silent for {seconds} s"
         until(qtbot, lambda said=said: said in contact_of(window))
     assert is_grey(window)
+    until(qtbot, lambda: not rates(window))
     remote.client.delay = 0.0
     until(qtbot, lambda: window.monitor.is_linked)
     assert not is_grey(window)
@@ -192,14 +200,15 @@ def test_a_window_without_anybody_says_for_whom_it_waits(qtbot):
 
 def test_warnings_are_readable_in_the_light_and_in_the_dark(qtbot, window, remote):
     remote.client.is_up = False
-    until(qtbot, window.graph.sign.isVisible)
+    sign, contact = window.graph.sign, window.line.contact
+    until(qtbot, sign.isVisible)
     for palette in (QPalette(), dark_palette()):
         window.setPalette(palette)
-        sign, contact = window.graph.sign, window.line.contact
+        assert corner_of(sign) == colours_of(palette).alarm
         drawn = window.graph.view.scene().vertices["n_/nao1/resize"].colours
         background = window.palette().color(QPalette.Window)
         for text, ground in (
-            (sign.palette().color(QPalette.WindowText), sign.palette().color(QPalette.Window)),
+            (sign.palette().color(QPalette.WindowText), corner_of(sign)),
             (contact.palette().color(QPalette.WindowText), background),
             (drawn.text, drawn.nodelet),
         ):

@@ -64,26 +64,28 @@ def test_a_drag_says_its_type_and_what_it_replaces(qtbot, window, remote):
     view = window.graph.view
     lines = view.hint.text
     qtbot.mousePress(view.viewport(), Qt.LeftButton, Qt.NoModifier, view.place_of(CEILING))
-    assert lines() == "/field/ceiling_camera:field_position: geometry_msgs/PointStamped"
+    assert lines() == "geometry_msgs/PointStamped"
     said = {}
     for what, place in (
         ("fits", view.place_of(TRACKER)),
         ("does not", view.place_of(HSV_IN)),
-        ("topic", centre_of(view, "t_/nao1/joint_states")),
+        ("other topic", centre_of(view, "t_/nao1/joint_states")),
+        ("topic", centre_of(view, "t_/field/ball")),
         ("ground", QPoint(5, 5)),
     ):
         move(view, place)
         said[what] = lines().split("\n")
         assert view.viewport().rect().contains(view.hint.geometry())
     assert said["fits"] == [
-        lines(),
-        "connect /field/ceiling_camera:field_position with /field/tracker:position",
+        "geometry_msgs/PointStamped",
+        "to /field/tracker:position",
         "over /field/ceiling_camera/field_position",
         "replaces /field/ball at /field/tracker:position",
     ]
     assert "'/nao1/line_detector:hsv' expects sensor_msgs/Image" in said["does not"][0]
-    assert "/nao1/joint_states carries sensor_msgs/JointState" in said["topic"][0]
-    assert said["ground"] == ["/field/ceiling_camera:field_position: geometry_msgs/PointStamped"]
+    assert "/nao1/joint_states carries sensor_msgs/JointState" in said["other topic"][0]
+    assert said["topic"] == ["geometry_msgs/PointStamped", "to /field/ball"]
+    assert said["ground"] == ["geometry_msgs/PointStamped"]
     qtbot.mouseRelease(view.viewport(), Qt.LeftButton, Qt.NoModifier, QPoint(5, 5))
     assert not view.hint.isVisible() and topic(remote, CEILING) == ""
 
