@@ -41,7 +41,7 @@ was expected. ``dyknow.ros`` alone turns exceptions into answers of services.
     │   └── InvalidConfiguration     all that is wrong with one set_config
     ├── TransformationError
     │   ├── UnknownTransformation    the library has no such label
-    │   ├── NotSpawnable             the transformation is an existing topic
+    │   ├── NotSpawnable             the transformation is an existing topic or node
     │   └── InvalidParameters        all that is wrong with the parameters given to a nodelet
     ├── StreamError
     │   ├── InvalidTag               a tag is not a term
@@ -55,8 +55,8 @@ was expected. ``dyknow.ros`` alone turns exceptions into answers of services.
     │   ├── UnknownConcept           the ontology has no class of that URI
     │   ├── LabelsError              two classes, or two individuals, have the same label
     │   └── IndividualsError         labels do not tell the individuals of a class apart
-    ├── CannotRun                    a program is not there, or cannot be started
     ├── HostError                    a nodelet manager refused, or could not be reached
+    │   ├── CannotRun                a program is not there, or cannot be started
     │   └── HostTimeout              it, or a nodelet of it, did not answer in time
     ├── ManagerUnreachable           there is no master, no DyKnow manager, or it hangs
     ├── NodeletUnreachable           a nodelet is not there or does not answer
@@ -112,10 +112,6 @@ class NoMessageClass(DyKnowError, ValueError):
         super().__init__(
             f"'{name}' expects a message class such as std_msgs.msg.String, not {given!r}"
         )
-
-
-class CannotRun(DyKnowError):
-    """A program cannot be started."""
 
 
 class BadParameter(DyKnowError):
@@ -176,6 +172,10 @@ class LimitExceeded(DyKnowError):
 
 class HostError(DyKnowError):
     """A nodelet manager refused something, or could not be reached."""
+
+
+class CannotRun(HostError):
+    """A program cannot be started."""
 
 
 class HostTimeout(HostError):
@@ -392,12 +392,12 @@ class UnknownTransformation(TransformationError):
 
 
 class NotSpawnable(TransformationError):
-    """A transformation of type topic is not a nodelet."""
+    """A transformation describes what others run."""
 
-    def __init__(self, label: str, topic: str) -> None:
+    def __init__(self, label: str, what: str) -> None:
         self.label = label
         super().__init__(
-            f"transformation '{label}' is the existing topic '{topic}': "
+            f"transformation '{label}' is the existing {what}: "
             "it is used as it is and cannot be spawned"
         )
 

@@ -52,7 +52,7 @@ class SimulatedHost(FakeHost):
         for each in transformations:
             if each.type == TOPIC:
                 self.topics.add(each.source)
-            else:
+            elif not each.is_described:
                 ports = {port[0]: port for port in self.sources.get(each.source, ())}
                 ports.update((port.name, port[:3]) for port in each.ports)
                 self.sources[each.source] = tuple(ports.values())

@@ -5,7 +5,7 @@
 
 from hypothesis import strategies as st
 
-from dyknow.model.transformation import Parameter, Port, Transformation
+from dyknow.model.transformation import Parameter, Port, Program, Transformation
 
 BLANK = " \t\r\n"
 CHARACTERS = st.characters(
@@ -55,6 +55,12 @@ def _unique(items):
 
 
 costs = st.integers(0, 2**32 - 1)
+programs = st.builds(
+    lambda name, arguments: Program(*name.split("/"), tuple(arguments)).source,
+    st.sampled_from(["topic_tools/relay", "my-pkg/node.py"]),
+    st.lists(st.sampled_from(["/scan", "${X}", "a b", "it's", "", "x\ty", "<&>"]), max_size=3),
+)
+node_names = st.sampled_from(["/camera_driver", "/robot/camera"])
 transformations = st.one_of(
     st.builds(
         Transformation,
@@ -64,6 +70,30 @@ transformations = st.one_of(
         costs,
         _unique(parameters),
         _unique(ports),
+        st.booleans(),
+        st.just(""),
+    ),
+    st.builds(
+        Transformation,
+        labels,
+        programs,
+        st.just("node"),
+        costs,
+        _unique(parameters),
+        _unique(ports),
+        st.booleans(),
+        st.just(""),
+    ),
+    st.builds(
+        Transformation,
+        labels,
+        st.one_of(st.just(""), programs),
+        st.just("node"),
+        costs,
+        st.just(()),
+        _unique(ports),
+        st.just(False),
+        node_names,
     ),
     st.builds(
         Transformation,
@@ -73,5 +103,7 @@ transformations = st.one_of(
         costs,
         st.just(()),
         ports.map(lambda port: (port._replace(direction="out"),)),
+        st.just(False),
+        st.just(""),
     ),
 )

@@ -19,12 +19,13 @@ from dyknow import names
 from dyknow.cli.arguments import default_manager
 from dyknow.errors import DyKnowError
 from dyknow.model.graph import PortRef
-from dyknow.model.transformation import IN, NODELET, OUT
+from dyknow.model.transformation import IN, OUT
 from dyknow.wiring.ports import types_fit
 from dyknow.wiring.topics import topics_of
 
 if TYPE_CHECKING:
     from dyknow.model.graph import NodeletStatus
+    from dyknow.model.transformation import Transformation
     from dyknow.ros.shell_client import ShellClient
 
 #: Seconds to wait for each answer.
@@ -83,10 +84,9 @@ class _Cursor:
         own = {topic.name for topic in topics_of(self.client.get_graph().nodelets)}
         return sorted(own | set(self.client.topics()))
 
-    def labels(self, type_: str = "") -> List[str]:
-        """The labels of the library, of one type if it is given."""
-        transformations = self.client.get_model().transformations
-        return [each.label for each in transformations if not type_ or each.type == type_]
+    def transformations(self) -> Sequence[Transformation]:
+        """The library."""
+        return self.client.get_model().transformations
 
     def resolve(self, name: str) -> str:
         """Make a name global."""
@@ -158,13 +158,14 @@ def namespaces(cursor: _Cursor) -> Iterable[str]:
 @_completer
 def labels(cursor: _Cursor) -> Iterable[str]:
     """Labels of the library that the command line does not name yet."""
-    return set(cursor.labels()) - set(cursor.given("labels") or ())
+    found = {each.label for each in cursor.transformations()}
+    return found - set(cursor.given("labels") or ())
 
 
 @_completer
 def spawnable_labels(cursor: _Cursor) -> Iterable[str]:
     """Labels of transformations that nodelets can be made from."""
-    return cursor.labels(NODELET)
+    return [each.label for each in cursor.transformations() if not each.is_described]
 
 
 @_completer
@@ -201,7 +202,7 @@ def tags(cursor: _Cursor) -> Iterable[str]:
     """Tags that some transformation supplies."""
     return (
         tag
-        for each in cursor.client.get_model().transformations
+        for each in cursor.transformations()
         for port in each.ports
         if port.direction == OUT
         for tag in port.tags
@@ -222,7 +223,7 @@ def ports_of_label(cursor: _Cursor) -> Iterable[str]:
         return [f"{port}:{topic}" for topic in cursor.topics()]
     return (
         f"{port.name}:"
-        for each in cursor.client.get_model().transformations
+        for each in cursor.transformations()
         if each.label == cursor.given("label")
         for port in each.ports
     )
@@ -235,7 +236,7 @@ def parameters_of_label(cursor: _Cursor) -> Iterable[str]:
 
     return (
         f"{name}="
-        for each in cursor.client.get_model().transformations
+        for each in cursor.transformations()
         if each.label == cursor.given("label")
         for name in (*[parameter.name for parameter in each.parameters], *variables(each))
     )

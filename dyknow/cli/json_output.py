@@ -58,6 +58,8 @@ def transformation_json(transformation: Transformation) -> Json:
         "label": transformation.label,
         "type": transformation.type,
         "source": transformation.source,
+        "node": transformation.node,
+        "isolated": transformation.isolated,
         "cost": transformation.cost,
         "parameters": _parameters_json(transformation.parameters),
         "ports": [

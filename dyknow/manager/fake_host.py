@@ -35,6 +35,7 @@ from dyknow.manager.host import (
 )
 from dyknow.manager.specifications.values import value_of
 from dyknow.model.graph import NodeletKind, PortState
+from dyknow.model.transformation import NODE, Program, Transformation
 
 
 @dataclass
@@ -92,7 +93,10 @@ class FakeHost(Host):
     Attributes:
         sources: ports of each nodelet type, as (name, direction, datatype).
         cpp: types that are C++ nodelets.
-        lazy: ports of nodelet types that do not show until somebody listens to them.
+        scripts: programs that are Python scripts; others of nodes are C++ nodes.
+        ending: programs that end at their start.
+        lazy: ports of nodelet types that do not show until somebody listens to them; taking one
+            out lets it show.
         stock: whether nodelet managers for these are stock ones, which cannot re-wire them.
         topics: ordinary topics that are published.
         silent: nodelets, by name or type, and ordinary topics that send nothing.
@@ -125,6 +129,8 @@ class FakeHost(Host):
         self.clock = clock
         self.listeners: List[FakeListening] = []
         self.cpp: set[str] = set()
+        self.scripts: set[str] = set()
+        self.ending: set[str] = set()
         self.stock = False
         self.lazy: Dict[str, Collection[str]] = {}
         self.topics: set[str] = set()
@@ -149,11 +155,13 @@ class FakeHost(Host):
     # Faults and other events
 
     def kill(self, manager: str) -> None:
-        """Kill a nodelet manager, and its nodelets with it."""
+        """Kill a nodelet manager, and its nodelets with it, or a node."""
         process = self.processes[manager]
         process.nodelets.clear()
         self._hung.discard(manager)
         process.state = replace(process.state, incarnation="")
+        if process.state.kind.is_node:
+            del self.processes[manager]
 
     def crash(
         self, manager: str, running: Optional[Iterable[str]] = (), unloading: Iterable[str] = ()
@@ -202,6 +210,24 @@ class FakeHost(Host):
             self._apply(nodelet.ports, config)
             arrived.append(name)
         return arrived
+
+    def run_node(
+        self, name: str, source: str, topics: Mapping[str, str], kind: NodeletKind
+    ) -> None:
+        """Start, or restart, a node of others.
+
+        Args:
+            name: of the node.
+            source: its program, with ports in ``sources``.
+            topics: where its ports are.
+            kind: what it is.
+        """
+        self.add(name, kind)
+        nodelet = FakeNodelet(LoadRequest(name, source, kind=kind))
+        for port, direction, datatype in self.sources[source]:
+            nodelet.ports[port] = PortState(port, direction, datatype, topics.get(port, ""))
+        self.processes[name].nodelets[name] = nodelet
+        self.on_change()
 
     def add(self, manager: str, kind: NodeletKind = NodeletKind.PYTHON) -> None:
         """Start, or restart, a nodelet manager of others."""
@@ -310,8 +336,16 @@ class FakeHost(Host):
 
     # The host
 
-    def kind_of(self, source: str) -> NodeletKind:
+    def kind_of(self, transformation: Transformation) -> NodeletKind:
         """Return the kind of a declared type."""
+        source = transformation.source
+        if transformation.type == NODE:
+            program = Program.of(source)
+            if source not in self.sources:
+                raise HostError(
+                    f"package '{program.package}' has no program '{program.executable}'"
+                )
+            return NodeletKind.SCRIPT if source in self.scripts else NodeletKind.CPP_NODE
         if source not in self.sources:
             raise HostError(f"no package declares a nodelet type '{source}'")
         return NodeletKind.CPP if source in self.cpp else NodeletKind.PYTHON
@@ -334,6 +368,8 @@ class FakeHost(Host):
 
     def ensure(self, kind: NodeletKind, isolated_for: str = "") -> str:
         """Start a nodelet manager if there is none."""
+        if kind.is_node:
+            return isolated_for
         self._step("ensure", isolated_for or kind.value)
         fitting = [
             state
@@ -356,6 +392,12 @@ class FakeHost(Host):
     def load(self, manager: str, request: LoadRequest, timeout: float) -> None:
         """Load a nodelet."""
         self._step("load", request.name)
+        if request.kind.is_node:
+            if manager in self.processes and self.processes[manager].state.alive:
+                raise NameTaken(request.name)
+            if request.source in self.ending:
+                raise HostError(f"node {request.name}: it ended at its start")
+            self._start(manager, request.kind, manager)
         process = self._alive(manager)
         if request.name in process.nodelets:
             raise NameTaken(request.name)
@@ -375,6 +417,13 @@ class FakeHost(Host):
     def unload(self, manager: str, name: str) -> None:
         """Unload a nodelet."""
         self._step("unload", name)
+        process = self.processes.get(manager)
+        if process is not None and process.state.kind.is_node:
+            if not process.state.own:
+                raise HostError(f"'{name}' is a node in a process of its own")
+            del self.processes[manager]
+            self.on_change()
+            return
         if self._alive(manager).nodelets.pop(name, None) is None:
             raise HostError(f"no nodelet named '{name}' is loaded")
         self.on_change()
@@ -477,7 +526,7 @@ class FakeHost(Host):
     def _state(
         self, name: str, kind: NodeletKind, isolated_for: str = "", own: bool = True
     ) -> ManagerState:
-        rewirable = kind is NodeletKind.PYTHON or not self.stock
+        rewirable = kind is not NodeletKind.CPP or not self.stock
         incarnation = str(next(self._incarnations))
         return ManagerState(name, kind, incarnation, isolated_for, own, rewirable=rewirable)
 

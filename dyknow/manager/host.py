@@ -24,14 +24,15 @@ from typing import (
 )
 
 from dyknow.model.graph import NodeletKind, PortState
-from dyknow.model.transformation import Parameter
+from dyknow.model.transformation import Parameter, Transformation
 
 
 @dataclass(frozen=True)
 class ManagerState:
     """A nodelet manager, or a node that is re-wirable in a process of its own.
 
-    Such a node is shown as if it hosted itself, and can host nothing else.
+    Such a node is shown as if it hosted itself, and can host nothing else. Those that the host
+    started are its own.
 
     Attributes:
         name: global node name.
@@ -84,19 +85,21 @@ class Crash:
 
 @dataclass(frozen=True)
 class LoadRequest:
-    """What is needed to load a nodelet.
+    """What is needed to load a nodelet, or to start a node.
 
     Attributes:
         name: global name.
-        source: declared type, ``package/Class``.
+        source: declared type, ``package/Class``, or the program of a script or node.
         parameters: set in the nodelet's namespace before the load.
         remappings: global names, source to target.
+        kind: what it is.
     """
 
     name: str
     source: str
     parameters: Tuple[Parameter, ...] = ()
     remappings: Mapping[str, str] = field(default_factory=dict)
+    kind: NodeletKind = NodeletKind.PYTHON
 
 
 @dataclass(frozen=True)
@@ -135,11 +138,11 @@ class Host(ABC):
     """Runs nodelets. Every call has its own time limit and raises ``HostError`` beyond it."""
 
     @abstractmethod
-    def kind_of(self, source: str) -> NodeletKind:
-        """Return the kind of a declared nodelet type.
+    def kind_of(self, transformation: Transformation) -> NodeletKind:
+        """Return the kind of what is made of a transformation.
 
         Raises:
-            HostError: no package declares it.
+            HostError: no package declares the nodelet type, or has a program that can be used.
         """
 
     @abstractmethod
@@ -165,6 +168,8 @@ class Host(ABC):
     def ensure(self, kind: NodeletKind, isolated_for: str = "") -> str:
         """Return the name of a nodelet manager of that kind that is up, starting it if need be.
 
+        A node hosts itself, under its own name, and is not up before it is loaded.
+
         Args:
             kind: what it must be able to host.
             isolated_for: the nodelet that is to have it alone; empty for a shared one.
@@ -176,11 +181,11 @@ class Host(ABC):
 
     @abstractmethod
     def load(self, manager: str, request: LoadRequest, timeout: float) -> None:
-        """Set the parameters and load the nodelet."""
+        """Set the parameters and load the nodelet, or start the node."""
 
     @abstractmethod
     def unload(self, manager: str, name: str) -> None:
-        """Unload a nodelet, also one that is still being loaded.
+        """Unload a nodelet, also one that is still being loaded, or end a node.
 
         If its process dies of that, ``managers`` shows it by the time that this raises.
         """

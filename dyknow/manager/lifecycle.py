@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import logging
 from dataclasses import replace
-from typing import Callable, Dict, Iterable, List, Mapping, Optional, Tuple
+from typing import Callable, Dict, Iterable, List, Mapping, Optional, Set, Tuple
 
 from dyknow import names
 from dyknow.errors import (
@@ -24,6 +24,7 @@ from dyknow.errors import (
     UnknownPort,
 )
 from dyknow.guards import Guards
+from dyknow.locks import state_condition
 from dyknow.manager import placement
 from dyknow.manager.graph import Graph
 from dyknow.manager.host import Host, LoadRequest, ManagerState
@@ -32,8 +33,14 @@ from dyknow.manager.specifications.given import completed, names_of, set_on_load
 from dyknow.manager.specifications.tags import Subsumption
 from dyknow.manager.suspects import Suspects
 from dyknow.model.graph import PortState, SpawnRequest, State
-from dyknow.model.transformation import TOPIC, Transformation
+from dyknow.model.transformation import NODE, Transformation
+from dyknow.periodic import Clock
 
+#: Seconds without a further port after which those of a node that are missing come later: it is
+#: lazy, and makes them once somebody listens to it or sends it something.
+_SETTLED = 1.0
+#: Seconds between two questions for the ports of a node that starts.
+_STEP = 0.05
 #: Seconds to wait for a look, or another operation, to be done with a nodelet.
 PATIENCE = 5.0
 
@@ -51,6 +58,7 @@ class Lifecycle:
         spawn_timeout: float,
         suspects: Suspects,
         ontology: Subsumption,
+        clock: Clock,
     ) -> None:
         """Prepare.
 
@@ -61,6 +69,7 @@ class Lifecycle:
             spawn_timeout: seconds that a nodelet may take to come up.
             suspects: nodelets that get processes of their own.
             ontology: what is a kind of what.
+            clock: steady time.
         """
         self._host = host
         self._graph = graph
@@ -68,6 +77,8 @@ class Lifecycle:
         self._timeout = spawn_timeout
         self._suspects = suspects
         self._ontology = ontology
+        self._clock = clock
+        self._pause = state_condition("ports of nodes that start")
         #: Returns the connections of a nodelet that can be made when it is brought back.
         self.fitting: Callable[[Record], Mapping[str, str]] = lambda record: record.topics
 
@@ -89,23 +100,30 @@ class Lifecycle:
         Raises:
             DyKnowError: it did not work, and nothing is left of it.
         """
-        if transformation.type == TOPIC:
-            raise NotSpawnable(transformation.label, transformation.source)
+        if transformation.is_described:
+            what = f"node '{transformation.node}'" if transformation.node else ""
+            what = what or f"topic '{transformation.source}'"
+            raise NotSpawnable(transformation.label, what)
         count = len(self._graph.all()) + 1
         if count > self._guards.nodelets:
             raise LimitExceeded("nodelets", count, self._guards.nodelets)
         parameters = completed(transformation, request.parameters, self._ontology)
         config = self._resolved(transformation, request.name, request.config)
         with self._graph.changing(request.name, new=True, patience=PATIENCE):
-            kind = self._host.kind_of(transformation.source)
+            kind = self._host.kind_of(transformation)
             planned = Record(
                 request.name, transformation, "", claimed=claimed, parameters=parameters, kind=kind
             )
             self._suspects.know(planned)
             suspicion = "" if request.manager else self._suspects.verdict(request.name)
-            if suspicion and not request.isolated:
+            isolated = (
+                request.isolated
+                or kind.is_node
+                or (transformation.isolated and not request.manager)
+            )
+            if suspicion and not isolated:
                 _log.warning("%s is given a process of its own; %s", request.name, suspicion)
-            isolated = request.isolated or bool(suspicion)
+            isolated = isolated or bool(suspicion)
             manager = placement.choose(
                 self._host,
                 self._graph.all(),
@@ -161,7 +179,7 @@ class Lifecycle:
         starting = replace(starting, topics=self.fitting(starting))
         try:
             if record.isolated:
-                manager = self._host.ensure(record.kind, record.name)
+                manager = self._host.ensure(record.kind.host, record.name)
                 starting = replace(starting, manager=manager)
             running = self._bring_up(starting)
         except NameTaken:
@@ -308,7 +326,9 @@ class Lifecycle:
             transformation.source,
             set_on_load(transformation, record.parameters),
             {} if record.kind.is_written_for_dyknow else _remappings(record, transformation),
+            record.kind,
         )
+        deadline = self._clock.now() + self._timeout
         self._host.load(record.manager, request, self._timeout)
         state = self._state(record.manager)
         record = replace(
@@ -320,17 +340,20 @@ class Lifecycle:
         )
         if record.rewired_by_reload:
             return replace(record, ports=declared_ports(record))
-        ports = self._checked_ports(record)
+        ports = self._checked_ports(record, deadline)
         wiring = missing_connections(record, ports)
         if wiring:
             self._host.connect(record.name, wiring)
             ports = tuple(replace(port, topic=wiring.get(port.name, port.topic)) for port in ports)
         return replace(record, ports=seen_ports(record, ports))
 
-    def _checked_ports(self, record: Record) -> Tuple[PortState, ...]:
+    def _checked_ports(self, record: Record, deadline: float) -> Tuple[PortState, ...]:
         transformation = record.transformation
         assert transformation is not None
-        ports = self._host.ports(record.name)
+        if transformation.type == NODE:
+            ports = self._settled_ports(record.name, transformation, deadline)
+        else:
+            ports = self._host.ports(record.name)
         found = {port.name: port for port in ports}
         wrong = []
         for port in transformation.ports:
@@ -354,6 +377,37 @@ class Lifecycle:
             raise HostError("; ".join(wrong))
         return ports
 
+    def _settled_ports(
+        self, name: str, transformation: Transformation, deadline: float
+    ) -> Tuple[PortState, ...]:
+        """Wait for the declared ports of a node, which makes them one after the other.
+
+        Raises:
+            HostError: it has made none of them when its time is over.
+        """
+        declared = {port.name for port in transformation.ports}
+        seen: Set[str] = set()
+        since = self._clock.now()
+        while True:
+            ports = self._host.ports(name)
+            now = self._clock.now()
+            found = declared & {port.name for port in ports if port.datatype}
+            if found != seen:
+                seen, since = found, now
+            if found == declared or (found and now - since >= _SETTLED):
+                return ports
+            if now >= deadline:
+                break
+            with self._pause:
+                self._clock.wait(self._pause, _STEP)
+        if found:
+            return ports
+        own = ", ".join(sorted(port.name for port in ports)) or "none"
+        raise HostError(
+            f"it has none of the declared ports {', '.join(sorted(declared))} within "
+            f"{self._timeout:g} s; its ports: {own}"
+        )
+
     def _take_down(self, record: Record) -> None:
         self._drop(record)
         self._dispose(record)
@@ -376,7 +430,7 @@ class Lifecycle:
 
 
 def _remappings(record: Record, transformation: Transformation) -> Dict[str, str]:
-    """Return the remappings that wire a C++ nodelet from its start.
+    """Return the remappings that wire what was not written for DyKnow from its start.
 
     A port that is not remapped would use its own name as its topic. So a port that is connected to
     nothing is remapped, too, to a topic below ``NODELET/disconnected``: a re-wirable nodelet

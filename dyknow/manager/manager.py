@@ -79,7 +79,13 @@ class Manager:
         self.graph = Graph(store, clock)
         self._suspects = Suspects(clock.now)
         self.lifecycle = Lifecycle(
-            host, self.graph, guards, options.spawn_timeout, self._suspects, library.ontology
+            host,
+            self.graph,
+            guards,
+            options.spawn_timeout,
+            self._suspects,
+            library.ontology,
+            clock,
         )
         self.observer = Observer(host, self.graph, self.lifecycle, self._suspects, clock.now, run)
 

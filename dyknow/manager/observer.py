@@ -186,10 +186,11 @@ class Observer:
                 return ""
             crash = self._crashes.get(record.manager)
             cause = f" ({crash.cause})" if crash is not None else ""
-            return f"its nodelet manager has died{cause}"
+            return f"{'it' if record.kind.is_node else 'its nodelet manager'} has died{cause}"
         if record.manager in listed:
             return ""
-        return f"nodelet manager {record.manager} does not answer"
+        what = "it" if record.kind.is_node else f"nodelet manager {record.manager}"
+        return f"{what} does not answer"
 
     def _was_being_unloaded(self, record: Record) -> bool:
         """Whether a nodelet's process crashed while the nodelet was unloaded on request."""

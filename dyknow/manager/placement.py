@@ -32,6 +32,11 @@ def choose(
         HostError: the manager asked for is unknown, down, of the other kind or there for another
             nodelet alone, or a process for the nodelet alone was asked for as well.
     """
+    if asked and kind.is_node:
+        raise HostError(
+            f"a {kind.title} has a process of its own, and is in no nodelet manager such as "
+            f"'{asked}'"
+        )
     if asked and isolated_for:
         raise HostError(
             f"'{isolated_for}' cannot be isolated in nodelet manager '{asked}': "
@@ -50,20 +55,20 @@ def choose(
         if not state.alive:
             what = "does not answer" if state.away else "is not running"
             raise HostError(f"nodelet manager '{asked}' {what}")
-        if state.kind is not kind:
+        if state.kind is not kind.host:
             raise HostError(
                 f"'{asked}' hosts no {kind.title}s: it is there for a {state.kind.title}"
             )
         return asked
     if isolated_for:
-        return host.ensure(kind, isolated_for)
+        return host.ensure(kind.host, isolated_for)
     shared = [
         name
         for name, state in sorted(states.items())
-        if state.alive and state.responsive and state.kind is kind and not state.isolated_for
+        if state.alive and state.responsive and state.kind is kind.host and not state.isolated_for
     ]
     best = _nearest(list(records), shared, set(topics))
-    return best if best is not None else host.ensure(kind)
+    return best if best is not None else host.ensure(kind.host)
 
 
 def _nearest(records: List[Record], shared: List[str], topics: set[str]) -> Optional[str]:

@@ -21,8 +21,8 @@ class Record:
     Attributes:
         name: global name.
         transformation: the blueprint it was made from, whatever the library says now; None for
-            nodelets that others loaded.
-        manager: nodelet manager that hosts it.
+            nodelets that others loaded, or what the library says of a node of others.
+        manager: nodelet manager that hosts it; a node hosts itself.
         is_protected: whether it may not be destroyed.
         isolated: whether it has a process of its own.
         rewired_by_reload: whether it is a C++ nodelet in a stock nodelet manager, which is loaded
@@ -63,8 +63,13 @@ class Record:
         return bindings_of(self.parameters)
 
     @property
+    def is_spawned(self) -> bool:
+        """Whether the manager made it; else others did, and end it too."""
+        return self.transformation is not None and not self.transformation.node
+
+    @property
     def label(self) -> str:
-        """Label of the transformation, empty for nodelets that others loaded."""
+        """Label of the transformation, empty for what others run and nothing describes."""
         return self.transformation.label if self.transformation is not None else ""
 
     @cached_property
@@ -73,7 +78,7 @@ class Record:
         return NodeletStatus(
             self.name,
             self.label,
-            "" if self.kind is NodeletKind.CPP_NODE else self.manager,
+            "" if self.kind.is_node else self.manager,
             self.is_protected,
             self.isolated,
             self.rewired_by_reload,

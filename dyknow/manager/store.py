@@ -31,8 +31,9 @@ _Entry = TypeVar("_Entry")
 
 
 def pack(transformation: Transformation) -> str:
-    """Write a transformation as one line of JSON."""
-    return json.dumps(transformation, separators=(",", ":"))
+    """Write a transformation as one line of JSON; earlier versions read it if they can use it."""
+    is_plain = not (transformation.isolated or transformation.node)
+    return json.dumps(transformation[:6] if is_plain else transformation, separators=(",", ":"))
 
 
 def unpack(body: str) -> Transformation:
@@ -41,8 +42,9 @@ def unpack(body: str) -> Transformation:
     Raises:
         ValueError, TypeError: it is something else.
     """
-    label, source, kind, cost, parameters, ports = json.loads(body)
-    texts = [label, source, kind]  # checked by hand: there may be hundreds of thousands
+    label, source, kind, cost, parameters, ports, *rest = json.loads(body)
+    isolated, node = rest or (False, "")
+    texts = [label, source, kind, node]  # checked by hand: there may be hundreds of thousands
     for parameter in parameters:
         texts += parameter
     numbers: List[float] = []
@@ -54,6 +56,8 @@ def unpack(body: str) -> Transformation:
         raise TypeError(f"its cost is {cost!r}")
     if not all(type(number) is float for number in numbers):
         raise TypeError("the rate or latency of a port is no number")
+    if type(isolated) is not bool:
+        raise TypeError(f"isolated is {isolated!r}")
     return Transformation(
         label,
         source,
@@ -64,6 +68,8 @@ def unpack(body: str) -> Transformation:
             Port(name, side, datatype, tuple(tags), *stated)
             for name, side, datatype, tags, *stated in ports
         ),
+        isolated,
+        node,
     )
 
 

@@ -26,8 +26,9 @@ class NodeletKind(enum.Enum):
 
     PYTHON = "nodelet"
     CPP = "cpp_nodelet"
-    CPP_NODE = "cpp_node"
+    SCRIPT = "script"
     NODE = "node"
+    CPP_NODE = "cpp_node"
 
     @property
     def is_written_for_dyknow(self) -> bool:
@@ -35,11 +36,28 @@ class NodeletKind(enum.Enum):
         return self is NodeletKind.PYTHON
 
     @property
+    def is_node(self) -> bool:
+        """Whether it is a process of its own, without a nodelet manager: it hosts itself."""
+        return self in (NodeletKind.NODE, NodeletKind.CPP_NODE)
+
+    @property
+    def host(self) -> NodeletKind:
+        """The kind of the nodelet managers that host it: scripts run beside Python nodelets."""
+        return NodeletKind.PYTHON if self is NodeletKind.SCRIPT else self
+
+    @property
     def title(self) -> str:
         """What people call it."""
-        return {"nodelet": "Python nodelet", "cpp_nodelet": "C++ nodelet"}.get(
-            self.value, "C++ node"
-        )
+        return _TITLES[self]
+
+
+_TITLES = {
+    NodeletKind.PYTHON: "Python nodelet",
+    NodeletKind.CPP: "C++ nodelet",
+    NodeletKind.SCRIPT: "Python script",
+    NodeletKind.NODE: "Python node",
+    NodeletKind.CPP_NODE: "C++ node",
+}
 
 
 @dataclass(frozen=True)

@@ -6,12 +6,14 @@
 from __future__ import annotations
 
 import re
+import shlex
 from dataclasses import dataclass
 from decimal import Decimal
 from typing import List, NamedTuple, Tuple
 from xml.sax.saxutils import escape, quoteattr
 
 NODELET = "nodelet"
+NODE = "node"
 TOPIC = "topic"
 IN = "in"
 OUT = "out"
@@ -52,19 +54,62 @@ class Port(NamedTuple):
     latency: float = 0.0
 
 
+_PROGRAM = re.compile(r"([A-Za-z][\w-]*)/([\w.+-]+)\Z", re.ASCII)
+
+
+class Program(NamedTuple):
+    """A program of a package, with arguments, as the source of a node names it.
+
+    Attributes:
+        package: the name of a package.
+        executable: the name of a program in it.
+        arguments: what the program is given.
+    """
+
+    package: str
+    executable: str
+    arguments: Tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, source: str) -> Program:
+        """Read a source: `package/executable` and arguments, quoted as in a shell.
+
+        Raises:
+            ValueError: it is something else; the text says what is wrong.
+        """
+        first, *arguments = shlex.split(source) or [""]
+        found = _PROGRAM.match(first)
+        if found is None:
+            raise ValueError(f"'{first}' is no name of a program")
+        return cls(found.group(1), found.group(2), tuple(arguments))
+
+    @property
+    def name(self) -> str:
+        """The name, `package/executable`."""
+        return f"{self.package}/{self.executable}"
+
+    @property
+    def source(self) -> str:
+        """What `of` reads."""
+        return " ".join([self.name, *map(shlex.quote, self.arguments)])
+
+
 class Transformation(NamedTuple):
-    """A blueprint for nodelets, or an existing topic that serves as a source.
+    """A blueprint for nodelets and nodes, or a description of what others run.
 
     These are values: equal when they say the same, safe to share between threads. They are
     named tuples because a library may hold hundreds of thousands of them.
 
     Attributes:
         label: The name under which the manager keeps the transformation.
-        source: The nodelet's plugin name, `package/Class`; the topic if `type` is `topic`.
-        type: `nodelet` or `topic`.
+        source: The nodelet's plugin name, `package/Class`; of a node `package/executable`, with
+            its arguments as in a shell; the topic if `type` is `topic`.
+        type: `nodelet`, `node` or `topic`.
         cost: What a nodelet of this kind costs the planner, 0 to 2**32 - 1.
         parameters: What is set before the load, in the order written.
         ports: What can be connected, in the order written.
+        isolated: Whether a nodelet gets a process of its own, unless the spawn says where it goes.
+        node: Global name of the node of others that this describes; empty for a blueprint.
     """
 
     label: str
@@ -73,6 +118,13 @@ class Transformation(NamedTuple):
     cost: int = 1
     parameters: Tuple[Parameter, ...] = ()
     ports: Tuple[Port, ...] = ()
+    isolated: bool = False
+    node: str = ""
+
+    @property
+    def is_described(self) -> bool:
+        """Whether it describes what others run, and nothing can be made of it."""
+        return self.type == TOPIC or bool(self.node)
 
     def to_xml(self) -> str:
         """Write the transformation as canonical XML: the same text for equal transformations.
@@ -80,9 +132,12 @@ class Transformation(NamedTuple):
         Parsing the text gives back an equal transformation, provided that this one could have
         come from a text: no value begins or ends with white space, for instance.
         """
-        lines = [f'<transformation type="{self.type}" cost="{self.cost}">']
+        isolated = ' isolated="true"' if self.isolated else ""
+        node = f" node={_attribute(self.node)}" if self.node else ""
+        lines = [f'<transformation type="{self.type}" cost="{self.cost}"{isolated}{node}>']
         lines.append(f"  <label>{_text(self.label)}</label>")
-        lines.append(f"  <source>{_text(self.source)}</source>")
+        if self.source or not self.node:
+            lines.append(f"  <source>{_text(self.source)}</source>")
         _add_section(lines, "params", [_param_xml(p) for p in self.parameters])
         _add_section(lines, "ports", [_port_xml(p) for p in self.ports])
         tags = [_tag_xml(port.name, tag) for port in self.ports for tag in port.tags]

@@ -115,6 +115,8 @@ def transformation_message(transformation: Transformation) -> msg.Transformation
             for port in transformation.ports
         ],
         specification=transformation.to_xml(),
+        isolated=transformation.isolated,
+        node=transformation.node,
     )
 
 
@@ -137,6 +139,8 @@ def transformation_from(message: msg.Transformation) -> Transformation:
             )
             for each in message.ports
         ),
+        message.isolated,
+        message.node,
     )
 
 

@@ -19,6 +19,8 @@ from typing import List, Optional, Sequence
 
 #: Seconds between two looks, where the kernel does not report the end of a process.
 _PERIOD = 0.1
+#: How a process is asked to end.
+_TERMINATE = (signal.SIGTERM,)
 #: Seconds for the rest of a session to end when it is asked to.
 _REST_PATIENCE = 1.0
 
@@ -83,12 +85,19 @@ class ProcessId:
             process.end(max(0.0, deadline - time.monotonic()))
         return _reap(self.pid)
 
-    def end(self, patience: float) -> None:
-        """End it: ask it first, and force it when it has not ended after ``patience`` seconds."""
-        self.signal(signal.SIGTERM)
-        if not self.wait(patience):
-            self.signal(signal.SIGKILL)
-            self.wait()
+    def end(self, patience: float, signals: Sequence[int] = _TERMINATE) -> None:
+        """End it: ask it first, and force it when it has not ended after ``patience`` seconds.
+
+        Args:
+            patience: seconds, for all signals together.
+            signals: how it is asked, one after the other.
+        """
+        for number in signals:
+            self.signal(number)
+            if self.wait(patience / len(signals)):
+                return
+        self.signal(signal.SIGKILL)
+        self.wait()
 
     def _await_end(self, timeout: Optional[float]) -> bool:
         descriptor = _pidfd(self.pid)

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The programs of packages, and which of them are scripts in Python."""
+"""The programs of packages: where they are, and what they are."""
 
 from __future__ import annotations
 
@@ -11,6 +11,10 @@ import sys
 from typing import List, Optional
 
 from dyknow.errors import CannotRun
+from dyknow.model.graph import NodeletKind
+from dyknow.model.transformation import Program
+
+_ELF = "\x7fELF"
 
 
 def find_program(package: str, executable: str) -> str:
@@ -19,7 +23,7 @@ def find_program(package: str, executable: str) -> str:
     Raises:
         CannotRun: there is none, or there are several.
     """
-    import rospkg  # here: what reads first lines alone answers without it
+    import rospkg  # here: who asks for first lines alone does not wait for it
     from roslib.packages import find_node
 
     try:
@@ -48,24 +52,44 @@ def find_script(name: str) -> str:
     return path
 
 
+def kind_of(program: Program) -> NodeletKind:
+    """Return what a program becomes when it is spawned: a script, or a node of its own.
+
+    Raises:
+        CannotRun: it is not there, or is neither a Python script nor a binary.
+    """
+    path = find_program(program.package, program.executable)
+    if interpreter(path) is not None:
+        return NodeletKind.SCRIPT
+    if _first_line(path).startswith(_ELF):
+        return NodeletKind.CPP_NODE
+    raise CannotRun(
+        f"'{path}' is neither a Python script nor a binary; expected a node of rospy or roscpp"
+    )
+
+
 def interpreter(path: str) -> Optional[List[str]]:
     """Return the command that a Python script is run with, by its first line; None for others.
 
     Raises:
         CannotRun: the file cannot be read.
     """
-    try:
-        with open(path, "rb") as file:
-            first = file.readline(200).decode("utf-8", "replace")
-    except OSError as error:
-        raise CannotRun(f"'{path}' cannot be read: {error.strerror}") from error
+    first = _first_line(path)
     if not first.startswith("#!") or "python" not in first or "python2" in first:
         return None
     words = shlex.split(first[2:])
-    while words and ("python" not in os.path.basename(words[0])):
+    while words and "python" not in os.path.basename(words[0]):
         words.pop(0)  # env, and its options
     if not words:
         return None
     if not os.path.isabs(words[0]) or not os.path.exists(words[0]):
         words[0] = sys.executable
     return words
+
+
+def _first_line(path: str) -> str:
+    try:
+        with open(path, "rb") as file:
+            return file.readline(200).decode("latin-1")
+    except OSError as error:
+        raise CannotRun(f"'{path}' cannot be read: {error.strerror}") from error

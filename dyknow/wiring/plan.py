@@ -24,7 +24,7 @@ from dyknow.manager.specifications.findings import shorten
 from dyknow.manager.specifications.given import bindings_of, completed, set_on_load
 from dyknow.manager.specifications.values import value_of
 from dyknow.model.graph import Model, NodeletStatus, SpawnRequest
-from dyknow.model.transformation import TOPIC, Transformation
+from dyknow.model.transformation import Transformation
 from dyknow.wiring.ports import types_fit
 from dyknow.wiring.wiring import Wiring
 
@@ -243,7 +243,11 @@ def _plan_present(
             f"nodelet '{nodelet.name}' runs already, {made_from}; expected '{nodelet.label}'"
         )
         return False
-    if present.isolated != nodelet.isolated:
+    blueprint = plan.blueprints[nodelet.label]
+    is_isolated = (
+        nodelet.isolated or present.kind.is_node or (blueprint.isolated and not nodelet.manager)
+    )
+    if present.isolated != is_isolated:
         plan.problems.append(
             f"nodelet '{nodelet.name}' runs already, {'' if present.isolated else 'not '}"
             "isolated; expected the contrary"
@@ -301,10 +305,10 @@ def _otherwise_made(
 
 
 def _check_blueprint(plan: LoadPlan, nodelet: SpawnRequest, blueprint: Transformation) -> None:
-    if blueprint.type == TOPIC:
+    if blueprint.is_described:
         plan.problems.append(
-            f"nodelet '{nodelet.name}': transformation '{nodelet.label}' is an existing topic, "
-            "not a nodelet"
+            f"nodelet '{nodelet.name}': transformation '{nodelet.label}' is an existing "
+            f"{blueprint.type}, of which nothing can be made"
         )
     try:
         completed(blueprint, nodelet.parameters)

@@ -23,7 +23,7 @@ from python_qt_binding.QtWidgets import (
 
 from dyknow import names
 from dyknow.model.graph import SpawnRequest
-from dyknow.model.transformation import NODELET, Transformation
+from dyknow.model.transformation import Transformation
 from dyknow_rqt.graph.changes import SpawnNodelet
 from dyknow_rqt.graph.snapshot import Snapshot
 from dyknow_rqt.monitor import Monitor
@@ -136,7 +136,7 @@ class CreatePanel(Panel):
     def _show_library(self, library: Mapping[str, Transformation]) -> None:
         text = self.label.currentText()
         self.label.blockSignals(True)
-        labels = sorted(label for label, each in library.items() if each.type == NODELET)
+        labels = sorted(label for label, each in library.items() if not each.is_described)
         self._labels.setStringList(labels)
         self.label.setCurrentText(text)
         self.label.blockSignals(False)

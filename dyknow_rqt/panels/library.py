@@ -137,7 +137,7 @@ class LibraryPanel(Panel):
         for label in sorted(library):
             each = library[label]
             inputs = sum(port.direction == IN for port in each.ports)
-            source = f"topic {each.source}" if each.type == "topic" else each.source
+            source = f"{each.type} " * each.is_described + (each.node or each.source)
             cells = (label, source, str(inputs), str(len(each.ports) - inputs), str(each.cost))
             rows.append((cells, ""))
         self.table.show_rows(rows)
@@ -153,5 +153,5 @@ class LibraryPanel(Panel):
             self.specification.setPlainText(text)
         for button in (self.export, self.delete):
             button.setEnabled(bool(labels))
-        spawnable = len(shown) == 1 and shown[0].type != "topic"
+        spawnable = len(shown) == 1 and not shown[0].is_described
         self.create.setEnabled(spawnable)

@@ -59,7 +59,8 @@ def _long_list(transformations: Sequence[Transformation]) -> List[str]:
     for each in transformations:
         directions = [port.direction for port in each.ports]
         ins, outs = directions.count(IN), directions.count(OUT)
-        rows.append((each.label, each.type, each.source, str(each.cost), str(ins), str(outs)))
+        source = each.node or each.source
+        rows.append((each.label, each.type, source, str(each.cost), str(ins), str(outs)))
     return columns(rows, right=(3, 4, 5))
 
 

@@ -89,9 +89,10 @@ def _spawn(arguments: argparse.Namespace, shell: Shell) -> None:
         shell.show({"name": name}, [f"spawned {name}"])
         return
     connections = [f"  {port} - {topic}" for port, topic in nodelet.connections.items()]
+    where = f"in {nodelet.manager}" if nodelet.manager else "in a process of its own"
     shell.show(
         nodelet_json(nodelet),
-        [f"spawned {name} from {nodelet.transformation} in {nodelet.manager}", *connections],
+        [f"spawned {name} from {nodelet.transformation} {where}", *connections],
     )
 
 

@@ -32,7 +32,7 @@ from dyknow.manager.planning.problem import Live, New, PlanStep, Source
 from dyknow.manager.planning.supply import ANY
 from dyknow.manager.record import Record, ports_on
 from dyknow.manager.specifications.given import filling
-from dyknow.model.graph import NodeletKind, SpawnRequest, State
+from dyknow.model.graph import SpawnRequest, State
 from dyknow.model.transformation import OUT, Parameter, Transformation
 
 #: Seconds between two looks for the first message of a replacement.
@@ -281,10 +281,9 @@ class Assembly:
             wiring = {**inputs, **{port: default_topic(name, port) for port in outputs}}
             self._lock.reserve([name])
             try:
-                is_plain = self._manager.host.kind_of(transformation.source) is NodeletKind.CPP
-                request = SpawnRequest(
-                    transformation.label, name, wiring if is_plain else {}, parameters=given
-                )
+                kind = self._manager.host.kind_of(transformation)
+                config = {} if kind.is_written_for_dyknow else wiring
+                request = SpawnRequest(transformation.label, name, config, parameters=given)
                 with self._lock.pause():
                     self._transaction.spawn(transformation, request, inputs.values())
             except NameTaken:

@@ -185,7 +185,7 @@ class Network:
     # Inside
 
     def _insert(self, transformation: Transformation) -> None:
-        label, _, _, cost, _, ports = transformation
+        label, _, _, cost, _, ports, *_ = transformation
         action = self._append(label, cost)
         self._by_label[label] = action
         tagged = [port for port in ports if port.tags]

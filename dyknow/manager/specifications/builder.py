@@ -18,11 +18,21 @@ from dyknow.manager.specifications.template import Concepts
 from dyknow.manager.specifications.values import BadValue, infer_type, parse_value
 from dyknow.manager.specifications.variables import check_variables
 from dyknow.model.placeholders import fill, variables_of
-from dyknow.model.transformation import NODELET, OUT, TOPIC, Parameter, Port, Transformation
+from dyknow.model.transformation import (
+    NODE,
+    NODELET,
+    OUT,
+    TOPIC,
+    Parameter,
+    Port,
+    Program,
+    Transformation,
+)
 
 MAX_COST = 2**32 - 1
 
 _ROS_NAME = re.compile(r"[A-Za-z~/][A-Za-z0-9_/]*\Z")
+_GLOBAL_NAME = re.compile(r"(/[A-Za-z][A-Za-z0-9_]*)+\Z")
 _DATATYPE = re.compile(r"[A-Za-z][A-Za-z0-9_]*/[A-Za-z][A-Za-z0-9_]*\Z")
 #: Rates and latencies have at most six decimal places, and are no larger than this.
 _DECIMAL = re.compile(r"(?=.{1,20}\Z)\+?([0-9]+(\.[0-9]{0,6})?|\.[0-9]{1,6})\Z")
@@ -48,6 +58,7 @@ class Builder:
         self._ontology = ontology
         self._limits = limits
         self._labels: Dict[str, int] = {}
+        self._nodes: Dict[str, int] = {}
         self._good_yaml: Set[str] = set()
         self._yaml_size = 0
 
@@ -56,18 +67,26 @@ class Builder:
 
         Returns:
             The transformation, to be used only if no problem was noted; None if the draft has
-            no label or source.
+            no label, or neither a source nor a node.
         """
         self._check_label(draft)
         self._check_source(draft)
+        self._check_node(draft)
         cost = self._cost(draft)
         parameters = self._parameters(draft)
         ports = self._ports(draft)
         check_variables(draft, self._findings, self._ontology)
-        if draft.label is None or draft.source is None:
+        if draft.label is None or (draft.source is None and draft.node is None):
             return None
         return Transformation(
-            draft.label, draft.source, draft.type or NODELET, cost, parameters, ports
+            draft.label,
+            draft.source or "",
+            draft.type or NODELET,
+            cost,
+            parameters,
+            ports,
+            draft.isolated,
+            draft.node or "",
         )
 
     def _check_label(self, draft: TransformationDraft) -> None:
@@ -90,12 +109,50 @@ class Builder:
             return
         if draft.type == TOPIC:
             self._check_name("topic", draft.source, draft.source_line)
+        elif draft.type == NODE:
+            try:
+                Program.of(draft.source)
+            except ValueError as error:
+                self._findings.problem(
+                    draft.source_line,
+                    f"<source> '{shorten(draft.source)}': {shorten(str(error))}; expected the "
+                    "program of the node, package/executable, and its arguments",
+                )
         else:
             trouble, _ = _name_trouble(draft.source)
             if trouble:
                 self._findings.problem(
                     draft.source_line, f"<source> {trouble}; expected the nodelet, package/Class"
                 )
+
+    def _check_node(self, draft: TransformationDraft) -> None:
+        """Check that it describes a node that no other one describes, if it describes one."""
+        node, line = draft.node, draft.line
+        if draft.type == TOPIC and draft.isolated:
+            self._findings.warning(line, "a topic has no process; isolated has no effect")
+        if node is None:
+            return
+        if draft.type != NODE:
+            self._findings.problem(
+                line, f'node="{shorten(node)}": expected it with type="node" alone'
+            )
+        elif not _GLOBAL_NAME.match(node):
+            self._findings.problem(
+                line,
+                f'node="{shorten(node)}": expected the global name of a node that others start, '
+                "such as /robot/camera_driver",
+            )
+        elif node in self._nodes:
+            self._findings.problem(
+                line,
+                f"the node '{shorten(node)}' is described already, in line {self._nodes[node]}; "
+                "expected one transformation for it, with all of its ports",
+            )
+        elif draft.isolated:
+            self._findings.warning(
+                line, "a node that others start is as they start it; isolated has no effect"
+            )
+        self._nodes.setdefault(node, line)
 
     def _cost(self, draft: TransformationDraft) -> int:
         if not _COST.match(draft.cost) or len(draft.cost) > 20 or int(draft.cost) > MAX_COST:
@@ -126,9 +183,10 @@ class Builder:
             type_ = type_ or infer_type(text)
             self._check_value(name, type_, text, line)
             made.append(Parameter(name, type_, text))
-        if made and draft.type == TOPIC:
+        if made and (draft.type == TOPIC or draft.node is not None):
+            what = "a topic" if draft.type == TOPIC else "a node that others start"
             self._findings.warning(
-                draft.line, "a topic has no parameters; these will never be set"
+                draft.line, f"{what} has no parameters; these will never be set"
             )
         return tuple(made)
 

@@ -51,9 +51,11 @@ class TransformationDraft:
         line: The line of the start tag.
         type: The type, empty when it was left out or is not one (which was reported).
         cost: The cost as text, 1 when it was left out.
+        isolated: Whether it says that nodelets get processes of their own.
+        node: The node of others that it describes; None when it describes none.
         label: The label; None when it is missing (which was reported).
         label_line: The line of the label.
-        source: The source; None when it is missing (which was reported).
+        source: The source; None when it is missing (which was reported if it is required).
         source_line: The line of the source.
         args: The variables of the template.
         parameters: The parameters, in the order written.
@@ -67,9 +69,11 @@ class TransformationDraft:
         "args",
         "cost",
         "has_variables",
+        "isolated",
         "label",
         "label_line",
         "line",
+        "node",
         "parameters",
         "ports",
         "ports_known",
@@ -83,6 +87,8 @@ class TransformationDraft:
         self.line = line
         self.type = ""
         self.cost = "1"
+        self.isolated = False
+        self.node: Optional[str] = None
         self.label: Optional[str] = None
         self.label_line = line
         self.source: Optional[str] = None
@@ -102,6 +108,7 @@ class TransformationDraft:
     def texts(self) -> Iterator[Tuple[str, int]]:
         """The other texts in which variables are substituted, with their lines."""
         yield self.cost, self.line
+        yield self.node or "", self.line
         yield self.label or "", self.label_line
         yield self.source or "", self.source_line
         for parameter in self.parameters:
@@ -122,6 +129,8 @@ class TransformationDraft:
         made = TransformationDraft(self.line)
         made.type = self.type
         made.cost = render(self.cost)
+        made.isolated = self.isolated
+        made.node = None if self.node is None else render(self.node)
         made.label = None if self.label is None else render(self.label)
         made.label_line = self.label_line
         made.source = None if self.source is None else render(self.source)

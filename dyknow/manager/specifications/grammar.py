@@ -33,12 +33,17 @@ _TAG = Element("tag", attributes={"port": NEEDED}, holds_text=True, may_repeat=T
 TRANSFORMATION = Element(
     "transformation",
     Element("label", holds_text=True, is_required=True),
-    Element("source", holds_text=True, is_required=True),
+    Element("source", holds_text=True, is_required=True, unless="node"),
     Element("args", _ARG),
     Element("params", _PARAM),
     Element("ports", _PORT),
     Element("tags", _TAG),
-    attributes={"type": Attribute(("nodelet", "topic")), "cost": ANY},
+    attributes={
+        "type": Attribute(("nodelet", "node", "topic")),
+        "cost": ANY,
+        "isolated": Attribute(("true", "false")),
+        "node": ANY,
+    },
     may_repeat=True,
 )
 TRANSFORMATIONS = Element("transformations", TRANSFORMATION)

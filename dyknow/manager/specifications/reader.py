@@ -63,7 +63,9 @@ class SpecificationReader(XmlReader):
         self._draft = TransformationDraft(line)
         self._draft.type = attributes.get("type") or ""
         self._draft.cost = attributes.get("cost", "1") or ""
-        self.has_variables = "${" in self._draft.cost
+        self._draft.isolated = attributes.get("isolated") == "true"
+        self._draft.node = (attributes["node"] or "") if "node" in attributes else None
+        self.has_variables = "${" in self._draft.cost or "${" in (self._draft.node or "")
 
     def _end_transformation(self, _: Attributes, __: int) -> None:
         self._draft.has_variables = self.has_variables

@@ -58,6 +58,7 @@ class Element:
         attributes: the rules of its attributes, by name.
         holds_text: whether it holds text; if not, it holds only elements.
         is_required: whether it must be in its parent.
+        unless: attribute of its parent with which it need not be there; empty for none.
         may_repeat: whether it may be in its parent more than once.
     """
 
@@ -69,6 +70,7 @@ class Element:
         "may_repeat",
         "name",
         "required",
+        "unless",
     )
 
     def __init__(
@@ -78,15 +80,17 @@ class Element:
         attributes: Optional[Mapping[str, Attribute]] = None,
         holds_text: bool = False,
         is_required: bool = False,
+        unless: str = "",
         may_repeat: bool = False,
     ) -> None:
         self.name = name
         self.attributes: Mapping[str, Attribute] = attributes or {}
         self.holds_text = holds_text
         self.is_required = is_required
+        self.unless = unless
         self.may_repeat = may_repeat
         self.children = {child.name: child for child in children}
-        self.required = tuple(child.name for child in children if child.is_required)
+        self.required = tuple(child for child in children if child.is_required)
 
     @property
     def expected(self) -> str:
@@ -224,8 +228,8 @@ class XmlReader:
         if self._texts:
             self._refuse_text(rule)
         for child in rule.required:
-            if child not in seen:
-                self._findings.problem(line, f"<{name}> has no <{child}>; expected one")
+            if child.name not in seen and child.unless not in attributes:
+                self._findings.problem(line, f"<{name}> has no <{child.name}>; expected one")
         if name in self.on_end:
             self.on_end[name](attributes, line)
 

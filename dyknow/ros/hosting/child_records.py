@@ -16,12 +16,12 @@ from dyknow.ros.os_process import ProcessId
 
 @dataclass(frozen=True)
 class ChildRecord:
-    """One nodelet manager.
+    """One nodelet manager, or a node.
 
     Attributes:
         name: global node name.
-        kind: what it hosts.
-        isolated_for: the nodelet that has it alone; empty for shared ones.
+        kind: what it hosts, or is.
+        isolated_for: the nodelet that has it alone; empty for shared ones. A node has itself.
         process: the process; None before its start.
     """
 

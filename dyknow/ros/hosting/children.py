@@ -1,7 +1,9 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Nodelet managers as child processes: started, adopted, restarted when they die, and ended.
+"""Child processes: started, adopted, restarted when they die, and ended.
+
+They are nodelet managers, and nodes, each of which is there for itself alone.
 
 Who owns what: ``Children`` owns a table of names and a thread for each child. That thread alone
 starts the process and waits for its end. A child has a session of its own, so it outlives a
@@ -11,16 +13,17 @@ manager that is killed; the next one finds it in a file (``child_records``), els
 from __future__ import annotations
 
 import logging
+import signal
 import sys
 import threading
 import time
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import AbstractSet, Callable, Dict, FrozenSet, List, Optional
+from typing import AbstractSet, Callable, Dict, FrozenSet, List, Optional, Tuple
 
 from dyknow import names
 from dyknow.backoff import Backoff
-from dyknow.errors import HostError, PeerTimeout
+from dyknow.errors import HostError, NameTaken, PeerTimeout
 from dyknow.locks import state_condition, turn_lock
 from dyknow.manager.host import Crash
 from dyknow.model.graph import NodeletKind
@@ -52,7 +55,7 @@ _log = logging.getLogger("rosout.dyknow")
 
 @dataclass
 class Child:
-    """One nodelet manager; its thread writes, others read.
+    """One nodelet manager or node; its thread writes, others read.
 
     Attributes:
         record: what is known of it on disk.
@@ -64,6 +67,8 @@ class Child:
         stale: address of a dead predecessor at the master; empty if there is none.
         log: what it prints.
         rewirable: whether what it hosts has ports that can be connected elsewhere.
+        command: program and arguments of a node; empty for a nodelet manager.
+        start_timeout: seconds that it may take to offer its services.
     """
 
     record: ChildRecord
@@ -75,6 +80,14 @@ class Child:
     stale: str = ""
     log: Optional[LogTail] = None
     rewirable: bool = True
+    command: Tuple[str, ...] = ()
+    start_timeout: float = START_TIMEOUT
+
+    @property
+    def title(self) -> str:
+        """What it is, with its name."""
+        what = "node" if self.record.kind.is_node else "nodelet manager"
+        return f"{what} {self.record.name}"
 
     @property
     def incarnation(self) -> str:
@@ -84,7 +97,7 @@ class Child:
 
 
 class Children:
-    """The nodelet managers of one DyKnow manager; every method is safe from any thread."""
+    """The processes of one DyKnow manager; every method is safe from any thread."""
 
     def __init__(
         self,
@@ -178,6 +191,42 @@ class Children:
             fitting = [self._add(Child(ChildRecord(name, kind, isolated_for)))]
         return self._wait_up(fitting[0], deadline)
 
+    def check_free(self, node: str) -> None:
+        """Check that no node bears a name.
+
+        Raises:
+            NameTaken: one does.
+        """
+        with self._changed:
+            child = self._children.get(node)
+        if child is not None and not child.wanted:
+            child.gone.wait(START_TIMEOUT)
+        elif child is not None:
+            raise NameTaken(node)
+        if self._launcher.living(node) is not None:
+            raise NameTaken(node)
+
+    def start_node(self, name: str, command: Tuple[str, ...], timeout: float) -> None:
+        """Start a node, and wait until it offers its ports. It is not started again.
+
+        Args:
+            name: of the node.
+            command: program and arguments.
+            timeout: seconds that it may take.
+
+        Raises:
+            HostError: it did not come up, and was ended.
+        """
+        record = ChildRecord(name, NodeletKind.CPP_NODE, name)
+        child = self._add(Child(record, command=command, start_timeout=timeout))
+        try:
+            self._wait_up(child, time.monotonic() + timeout)
+        except HostError as error:
+            self.end(name)
+            last = self._launcher.last_line(name)
+            printed = f"; the last that it printed: {last}" if last else ""
+            raise HostError(f"{error}{printed}") from error
+
     def await_up(self, name: str, timeout: float) -> None:
         """Wait for a child that is being started; return at once for any other name."""
         with self._changed:
@@ -264,7 +313,7 @@ class Children:
             if child.up:
                 return child.record.name
         reason = child.trouble or "it does not come up"
-        raise HostError(f"nodelet manager '{child.record.name}': {reason}")
+        raise HostError(f"{child.title}: {reason}")
 
     # One thread for each child
 
@@ -277,10 +326,10 @@ class Children:
                 self._live(child)
             except (OSError, HostError, PeerTimeout, LookupError) as error:
                 child.trouble = str(error)
-                _log.error("nodelet manager %s: %s", child.record.name, error)
+                _log.error("%s: %s", child.title, error)
             except Exception as error:  # the boundary of the thread: the next start may succeed
                 child.trouble = str(error)
-                _log.exception("nodelet manager %s", child.record.name)
+                _log.exception("%s", child.title)
             if not child.wanted:
                 break
             deaths.served(child.record.name, time.monotonic() - begin)
@@ -289,7 +338,7 @@ class Children:
             with self._changed:
                 self._changed.wait_for(lambda: not child.wanted, pause)
         try:
-            self._launcher.clean_up(child.record.name)  # before its name is free
+            self._launcher.clean_up(child.record)  # before its name is free
         finally:
             with self._changed:
                 self._children.pop(child.record.name, None)
@@ -307,10 +356,10 @@ class Children:
             assert found is not None
             self._follow_until_up(child, found)
             if not child.wanted:
-                found.end(PATIENCE)
+                _end(child.record)
             status = found.wait_for_rest()
             if child.wanted:
-                _log.warning("nodelet manager %s (process %d) has died", name, found.pid)
+                _log.warning("%s (process %d) has died", child.title, found.pid)
                 self._note(self._launcher.examine(child.record.kind, name, found.pid, status))
         finally:
             with self._changed:
@@ -336,14 +385,15 @@ class Children:
             self._take_over(child, living)
             return
         child.stale = self._launcher.registered(name)
-        found, child.log = self._launcher.launch(child.record.kind, name)
+        found, child.log = self._launcher.launch(child.record.kind, name, child.command)
         with self._changed:
             child.record = replace(child.record, process=found)
         self._write()
 
     def _take_over(self, child: Child, living: ProcessId) -> None:
         """Adopt a process that an earlier manager started but did not record."""
-        if living.pid < 0 or not self._launcher.is_ours(child.record.name):
+        is_node = child.record.kind.is_node
+        if living.pid < 0 or is_node or not self._launcher.is_ours(child.record.name):
             raise HostError("another node has that name")
         with self._changed:
             child.adopted, child.stale = True, ""
@@ -355,18 +405,20 @@ class Children:
         name = child.record.name
         if child.adopted:
             child.log = self._launcher.follow(name)
-        deadline = time.monotonic() + START_TIMEOUT
-        uri = self._launcher.address(name, child.stale)
+        deadline = time.monotonic() + child.start_timeout
+        kind = child.record.kind
+        uri = self._launcher.address(kind, name, child.stale)
         while not uri:
             if not found.alive or not child.wanted:
                 child.trouble = "it ended at its start"
                 return
             if time.monotonic() > deadline and self._is_lost(child):
-                found.end(PATIENCE)
-                raise HostError(f"it has not come up within {START_TIMEOUT:g} s")
+                _end(child.record)
+                what = "offered no ports" if kind.is_node else "not come up"
+                raise HostError(f"it has {what} within {child.start_timeout:g} s")
             time.sleep(_STEP)
-            uri = self._launcher.address(name, child.stale)
-        rewirable = self._launcher.is_rewirable(child.record.kind, name)
+            uri = self._launcher.address(kind, name, child.stale)
+        rewirable = self._launcher.is_rewirable(kind, name)
         with self._changed:
             child.rewirable = rewirable
             child.up = child.wanted
@@ -388,11 +440,7 @@ class Children:
 
     def _end(self, children: List[Child]) -> None:
         records = [child.record for child in children]
-        enders = [
-            in_background(f"ending {each.name}", partial(each.process.end, PATIENCE))
-            for each in records
-            if each.process is not None
-        ]
+        enders = [in_background(f"ending {each.name}", partial(_end, each)) for each in records]
         for ender in enders:
             ender.join(2 * PATIENCE)
         for child in children:
@@ -410,3 +458,10 @@ class Children:
                 self._unwritten = True
             else:
                 self._unwritten = False
+
+
+def _end(record: ChildRecord) -> None:
+    """End a process; nodes take leave of the master on SIGINT, as roslaunch sends it."""
+    signals = (signal.SIGINT, signal.SIGTERM) if record.kind.is_node else (signal.SIGTERM,)
+    if record.process is not None:
+        record.process.end(PATIENCE, signals)

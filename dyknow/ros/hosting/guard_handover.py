@@ -90,6 +90,12 @@ class GuardHandover:
         if why is not None:
             raise HostError(f"nodelet manager '{manager}' does not have the guards yet: {why}")
 
+    def forget(self, manager: str) -> None:
+        """Forget a nodelet manager that is gone for good."""
+        with self._state_lock:
+            self._done.pop(manager, None)
+            self._failed.pop(manager, None)
+
     def withdraw(self, manager: str) -> None:
         """Take the guards off a nodelet manager, as far as the master answers."""
         with contextlib.suppress(LookupError, PeerTimeout):

@@ -47,8 +47,8 @@ from dyknow.manager.host import (
 )
 from dyknow.manager.specifications.values import value_of
 from dyknow.model.graph import NodeletKind, PortState
-from dyknow.model.transformation import Parameter
-from dyknow.ros import ages
+from dyknow.model.transformation import NODE, Parameter, Program, Transformation
+from dyknow.ros import ages, programs
 from dyknow.ros.hosting.children import Child, Children
 from dyknow.ros.hosting.count_collector import CountCollector
 from dyknow.ros.hosting.external_managers import ExternalManagers
@@ -71,6 +71,8 @@ DEATH_TIMEOUT = 2.0
 CONNECT_TIMEOUT = 4.0
 #: Seconds for a proxy to say what its ports are.
 PORTS_TIMEOUT = 2.0
+#: The nodelet that runs a Python script, which is its first argument.
+SCRIPT = "dyknow/Script"
 #: Nodelet managers that are asked at the same time.
 _ASKERS = 16
 
@@ -128,9 +130,11 @@ class RosHost(Host):
 
     # Nodelet managers
 
-    def kind_of(self, source: str) -> NodeletKind:
-        """Look the type up in the packages' exports."""
-        return self._types.kind_of(source)
+    def kind_of(self, transformation: Transformation) -> NodeletKind:
+        """Look the type up in the packages' exports, or look at the program."""
+        if transformation.type == NODE:
+            return programs.kind_of(Program.of(transformation.source))
+        return self._types.kind_of(transformation.source)
 
     def managers(self) -> List[ManagerState]:
         """List our children, the external nodelet managers and nodes; all get the guards."""
@@ -152,7 +156,9 @@ class RosHost(Host):
         return self._children.crashes()
 
     def ensure(self, kind: NodeletKind, isolated_for: str = "") -> str:
-        """Start a child if need be."""
+        """Start a child if need be; a node is one as soon as it is loaded."""
+        if kind.is_node:
+            return isolated_for
         hanging = {state.name for state in self.managers() if not state.responsive}
         name = self._children.ensure(kind, isolated_for, hanging)
         self.managers()  # hands the guards over
@@ -168,6 +174,7 @@ class RosHost(Host):
     def retire(self, manager: str) -> None:
         """End a child."""
         self._children.end(manager)
+        self._guards.forget(manager)
         self._collector.forget(manager)
         self._list_clients.forget(manager)
 
@@ -184,7 +191,10 @@ class RosHost(Host):
     # Nodelets
 
     def load(self, manager: str, request: LoadRequest, timeout: float) -> None:
-        """Set the parameters and load."""
+        """Set the parameters and load; a node is started."""
+        if request.kind.is_node:
+            self._start_node(request, timeout)
+            return
         self._children.await_up(manager, timeout)
         self._guards.check(manager)
         # A hanging manager would load the nodelet when it goes on, so it is asked this first.
@@ -197,15 +207,20 @@ class RosHost(Host):
         with self._state_lock:
             self._failures.pop(key, None)
         sources = sorted(request.remappings)
+        type_, arguments = request.source, []
+        if request.kind is NodeletKind.SCRIPT:
+            program = Program.of(request.source)
+            type_, arguments = SCRIPT, [program.name, *program.arguments]
         try:
             self._call(
                 f"{manager}/load_nodelet",
                 NodeletLoad,
                 timeout,
                 name=request.name,
-                type=request.source,
+                type=type_,
                 remap_source_args=sources,
                 remap_target_args=[request.remappings[source] for source in sources],
+                my_argv=arguments,
             )
         except PeerTimeout as error:
             with self._state_lock:
@@ -218,11 +233,14 @@ class RosHost(Host):
             raise HostError(text) from error
 
     def unload(self, manager: str, name: str) -> None:
-        """Unload, unless the load was refused.
+        """Unload, unless the load was refused; a node that we started is ended.
 
         Raises:
             HostError: it is a node in a process of its own, which is not ours to end.
         """
+        if self._child_kind(manager).is_node:
+            self.retire(manager)
+            return
         if self._nodes.has(name):
             raise HostError(
                 f"'{name}' is a node in a process of its own; end it with: rosnode kill {name}"
@@ -323,10 +341,18 @@ class RosHost(Host):
             rewirable=child.rewirable,
         )
 
+    def _child(self, name: str) -> Optional[Child]:
+        return next((each for each in self._children.all() if each.record.name == name), None)
+
+    def _child_kind(self, name: str) -> NodeletKind:
+        """What a child of ours hosts, or is; that of nodelet managers for any other name."""
+        child = self._child(name)
+        return child.record.kind if child is not None else NodeletKind.PYTHON
+
     def _incarnation(self, manager: str) -> str:
         """The process of a child of ours; empty while none is up."""
-        children = self._children.all()
-        return next((c.incarnation for c in children if c.record.name == manager), "")
+        child = self._child(manager)
+        return child.incarnation if child is not None else ""
 
     def _list_of(self, state: ManagerState) -> Optional[List[str]]:
         try:
@@ -337,8 +363,7 @@ class RosHost(Host):
             return None
 
     def _is_manager(self, name: str) -> bool:
-        children = self._children.all()
-        return self._external.find(name) is not None or name in (c.record.name for c in children)
+        return self._external.find(name) is not None or self._child(name) is not None
 
     def _listed(self, manager: str, incarnation: str = "") -> List[str]:
         node = next((each for each in self._nodes.all() if each.name == manager), None)
@@ -353,7 +378,7 @@ class RosHost(Host):
         if not current:
             raise HostError(f"nodelet manager '{manager}' is not running")
         with _host_errors(manager):
-            return self._list_clients.of(manager, current).list()
+            return self._list_clients.of(manager, current, self._child_kind(manager)).list()
 
     def _without_late(self, manager: str, listed: List[str]) -> List[str]:
         """Unload what came up after its load had been given up."""
@@ -374,6 +399,17 @@ class RosHost(Host):
             external.check()
         with _host_errors(nodelet):
             return self._call(names.join(nodelet, service), service_class, timeout, *args)
+
+    def _start_node(self, request: LoadRequest, timeout: float) -> None:
+        self._children.check_free(request.name)
+        program = Program.of(request.source)
+        path = programs.find_program(program.package, program.executable)
+        remappings = (f"{each}:={request.remappings[each]}" for each in sorted(request.remappings))
+        self._set_parameters(request.name, request.parameters)
+        command = (path, *program.arguments, *remappings)
+        self._children.start_node(request.name, command, timeout)
+        self.managers()  # hands the guards over
+        self._guards.check(request.name)
 
     def _call(
         self, service: str, service_class: Any, timeout: float, *args: Any, **kwds: Any

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Starts a nodelet manager as a process, finds one that runs, and cleans up after it."""
+"""Starts a nodelet manager or a node as a process, finds one that runs, cleans up after it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import os
 import re
 import signal
 import sys
-from typing import Any, Mapping, Optional, Tuple
+from typing import Any, Mapping, Optional, Sequence, Tuple
 
 import rosgraph
 import rospkg
@@ -26,6 +26,7 @@ from dyknow.nodelet import crash_record
 from dyknow.periodic import in_background
 from dyknow.ros import os_process
 from dyknow.ros.addresses import is_here
+from dyknow.ros.hosting.child_records import ChildRecord
 from dyknow.ros.hosting.count_collector import SERVICE as COUNTS
 from dyknow.ros.log_tail import LogTail
 from dyknow.ros.master import Master
@@ -38,11 +39,16 @@ _FAULTS = (signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL, signal.S
 #: Private parameter of a nodelet manager: the file in which it notes whose code is running.
 _CRASH_RECORD = "crash_record"
 
+#: Makes a node re-wirable; a program and its arguments follow.
+_REWIRABLE = (sys.executable, "-m", "dyknow.cli.rewirable")
+#: Bytes at the end of an output in which its last line is looked for.
+_LAST_WORDS = 2000
+
 _log = logging.getLogger("rosout.dyknow")
 
 
 class Launcher:
-    """Starts the nodelet managers of one DyKnow manager, its children."""
+    """Starts the nodelet managers and nodes of one DyKnow manager, its children."""
 
     def __init__(
         self,
@@ -57,7 +63,7 @@ class Launcher:
             master: the ROS master; its caller is the owner of the children.
             owner: lock that the owner holds while it lives.
             orphan_timeout: seconds without an owner after which they end; 0 for never.
-            parameters: further private parameters of each.
+            parameters: further private parameters of each, and of nodes.
         """
         self._master = master
         self._owner = owner
@@ -65,34 +71,50 @@ class Launcher:
         #: Private parameters on the command line of Python ones, which need them even while there
         #: is no master.
         self._care = {"owner_lock": owner.path, "orphan_timeout": orphan_timeout}
-        self._parameters = {
-            "owner": master.caller,
-            **parameters,
-        }
+        self._parameters = parameters
         host, port = rosgraph.network.parse_http_host_and_port(master.uri)
         self._log_folder = os.path.join(rospkg.get_log_dir(), f"dyknow-{host}-{port}")
         os.makedirs(self._log_folder, exist_ok=True)
 
-    def launch(self, kind: NodeletKind, name: str) -> Tuple[ProcessId, LogTail]:
-        """Start a nodelet manager.
+    def launch(
+        self, kind: NodeletKind, name: str, command: Sequence[str] = ()
+    ) -> Tuple[ProcessId, LogTail]:
+        """Start a nodelet manager, or a node.
 
         Its registration replaces what a dead one of that name left at the master.
+
+        Args:
+            kind: what it hosts, or is.
+            name: its name.
+            command: program and arguments of a node.
 
         Raises:
             OSError: the program cannot be started.
             HostError: the program is not installed.
         """
-        for key, value in self._parameters_of(name).items():
+        for key, value in self._parameters_of(kind, name).items():
             self._master.ask("setParam", names.join(name, key), value)
         output = self._output(name)
-        found = os_process.start(self._command(kind, name), output, rospkg.get_ros_home())
-        if kind is NodeletKind.CPP and self._orphan_timeout > 0:
+        program = (*_REWIRABLE, *command) if kind.is_node else self._command(kind)
+        node = (f"__name:={name.rpartition('/')[2]}", f"__ns:={names.parent(name)}")
+        found = os_process.start((*program, *node), output, rospkg.get_ros_home())
+        if kind is not NodeletKind.PYTHON and self._orphan_timeout > 0:
             self._watch(found, output + ".owner")
         return found, LogTail(output)
 
     def follow(self, name: str) -> LogTail:
         """Follow the output of one that runs already."""
         return LogTail(self._output(name), at_end=True)
+
+    def last_line(self, name: str) -> str:
+        """Return the last line that one printed; empty if it printed nothing."""
+        try:
+            with open(self._output(name), "rb") as file:
+                file.seek(max(0, os.path.getsize(file.name) - _LAST_WORDS))
+                lines = file.read().decode("utf-8", "replace").split("\n")
+        except OSError:
+            return ""
+        return next((line.strip() for line in reversed(lines) if line.strip()), "")
 
     def examine(
         self, kind: NodeletKind, name: str, pid: int, status: Optional[int]
@@ -108,7 +130,7 @@ class Launcher:
         if status is None or (status < 0 and -status not in _FAULTS):
             return None
         cause = signal.Signals(-status).name if status < 0 else f"exit code {status}"
-        if kind is NodeletKind.CPP:
+        if kind is not NodeletKind.PYTHON:
             return Crash(name, cause) if status else None
         try:
             found = crash_record.read(self._crash_record(name), pid)
@@ -120,11 +142,12 @@ class Launcher:
             return None
         return Crash(name, cause, found.running, found.unloading)
 
-    def clean_up(self, name: str) -> None:
+    def clean_up(self, child: ChildRecord) -> None:
         """Remove what an ended one left: registrations, parameters, its crash record.
 
         If another process bears its name by now, nothing is removed.
         """
+        kind, name = child.kind, child.name
         try:
             uri = self._master.node(name)
             if self.living(name) is not None:
@@ -133,11 +156,12 @@ class Launcher:
                 os.remove(self._crash_record(name))
             if uri:
                 self._master.purge(name, uri)
-            for key in (*self._parameters_of(name), *self._care):
+            care = () if kind.is_node else self._care
+            for key in (*self._parameters_of(kind, name), *care):
                 with contextlib.suppress(LookupError):
                     self._master.ask("deleteParam", names.join(name, key))
         except (LookupError, PeerTimeout) as error:
-            _log.warning("what nodelet manager %s left at the master: %s", name, error)
+            _log.warning("what %s left at the master: %s", name, error)
 
     def living(self, name: str) -> Optional[ProcessId]:
         """Return the process of a node that answers; its id is -1 on another machine."""
@@ -163,10 +187,11 @@ class Launcher:
         """Return the address that the master has of a node, dead or alive; else empty."""
         return self._master.node(name)
 
-    def address(self, name: str, stale: str) -> str:
-        """Return the address of a nodelet manager once it offers its services; else empty.
+    def address(self, kind: NodeletKind, name: str, stale: str) -> str:
+        """Return the address of a nodelet manager or node once it offers its services; else empty.
 
         Args:
+            kind: what it hosts, or is.
             name: its name.
             stale: address of a dead predecessor, which does not count.
         """
@@ -174,7 +199,8 @@ class Launcher:
             found = self._master.node(name)
             if found == stale:
                 return ""
-            self._master.ask("lookupService", f"{name}/list")
+            for service in ("get_config", COUNTS) if kind.is_node else ("list",):
+                self._master.ask("lookupService", names.join(name, service))
             return found
         except (LookupError, PeerTimeout):
             return ""
@@ -184,7 +210,7 @@ class Launcher:
 
         A C++ one that is a stock one, or whose self-check failed, does not offer their counts.
         """
-        if kind is NodeletKind.PYTHON:
+        if kind is NodeletKind.PYTHON or kind.is_node:
             return True
         try:
             self._master.ask("lookupService", names.join(name, COUNTS))
@@ -200,7 +226,7 @@ class Launcher:
         return True
 
     def _watch(self, found: ProcessId, output: str) -> None:
-        """Start a process that ends a stock nodelet manager when it is orphaned."""
+        """Start a process that ends one that knows no owner when it is orphaned."""
         lock, timeout = self._owner.path, str(self._orphan_timeout)
         command = (
             sys.executable,
@@ -213,22 +239,25 @@ class Launcher:
         watcher = os_process.start(command, output, rospkg.get_ros_home())
         in_background(f"watcher of {found.pid}", watcher.wait)
 
-    def _parameters_of(self, name: str) -> Mapping[str, Any]:
-        return {**self._parameters, _CRASH_RECORD: self._crash_record(name)}
+    def _parameters_of(self, kind: NodeletKind, name: str) -> Mapping[str, Any]:
+        if kind.is_node:
+            return self._parameters
+        own = {"owner": self._master.caller, _CRASH_RECORD: self._crash_record(name)}
+        return {**self._parameters, **own}
 
-    def _command(self, kind: NodeletKind, name: str) -> Tuple[str, ...]:
-        node = (f"__name:={name.rpartition('/')[2]}", f"__ns:={names.parent(name)}")
+    def _command(self, kind: NodeletKind) -> Tuple[str, ...]:
+        """Return the command of a nodelet manager, without its name."""
         if kind is NodeletKind.PYTHON:
             program = (sys.executable, "-m", "dyknow.cli.nodelet", "manager")
             care = (f"_{key}:={json.dumps(value)}" for key, value in self._care.items())
-            return (*program, *node, *care)
+            return (*program, *care)
         found = find_node("dyknow", "cpp_nodelet_manager")
         if found:
-            return (found[0], *node)
+            return (found[0],)
         found = find_node("nodelet", "nodelet")
         if not found:
             raise HostError("C++ nodelets need the package 'nodelet', which is not installed")
-        return (found[0], "manager", *node)
+        return (found[0], "manager")
 
     def _crash_record(self, name: str) -> str:
         return self._file(name, "running")

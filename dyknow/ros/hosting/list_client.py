@@ -1,16 +1,20 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Asks nodelet managers what they run, over connections that are kept."""
+"""Asks nodelet managers and nodes what they run, over connections that are kept."""
 
 from __future__ import annotations
 
 from typing import Dict, List, Tuple
 
+from dyknow_msgs.srv import GetCounts
 from nodelet.srv import NodeletList
 
+from dyknow import names
 from dyknow.errors import HostError, PeerTimeout
 from dyknow.locks import state_lock
+from dyknow.model.graph import NodeletKind
+from dyknow.ros.hosting.count_collector import SERVICE as COUNTS
 from dyknow.ros.master import Master
 from dyknow.ros.service_client import ServiceClient
 
@@ -19,23 +23,28 @@ TIMEOUT = 1.0
 
 
 class ListClient:
-    """Asks one process of a nodelet manager.
+    """Asks one process of a nodelet manager, or a node, which runs itself.
 
     When the connection breaks another process may have the name by now. Its list says nothing of
     the nodelets of this one, so it is not taken for an answer.
     """
 
-    def __init__(self, master: Master, name: str, reconnects: bool = True) -> None:
+    def __init__(
+        self, master: Master, name: str, reconnects: bool = True, is_node: bool = False
+    ) -> None:
         """Prepare questions.
 
         Args:
             master: where the nodelet manager is looked up.
             name: its global name.
             reconnects: whether to connect again when the connection is lost.
+            is_node: whether it is a node; that answers for as long as it runs itself.
         """
+        service, question = (COUNTS, GetCounts) if is_node else ("list", NodeletList)
         self._client = ServiceClient(
-            master, f"{name}/list", NodeletList, persistent=True, reconnects=reconnects
+            master, names.join(name, service), question, persistent=True, reconnects=reconnects
         )
+        self._node = name if is_node else ""
         self._address = ""
         #: Whether the last question was answered in time.
         self.answers = True
@@ -48,7 +57,11 @@ class ListClient:
             HostError: it is not there, or another process has its name.
         """
         try:
-            names: List[str] = self._client.call(timeout).nodelets
+            if self._node:
+                self._client.call(timeout, [self._node])
+                found = [self._node]
+            else:
+                found = self._client.call(timeout).nodelets
         except PeerTimeout:
             self.answers = False
             raise
@@ -57,7 +70,7 @@ class ListClient:
         if self._client.address != self._address:
             self._client.close()
             raise HostError("another process has that name now")
-        return sorted(names)
+        return sorted(found)
 
     def close(self) -> None:
         """Close the connection."""
@@ -73,13 +86,13 @@ class ListClients:
         self._state_lock = state_lock("list clients")
         self._clients: Dict[str, Tuple[str, ListClient]] = {}
 
-    def of(self, manager: str, incarnation: str) -> ListClient:
+    def of(self, manager: str, incarnation: str, kind: NodeletKind) -> ListClient:
         """Return the client for a process; that for an earlier one of the name is closed."""
         with self._state_lock:
             known, client = self._clients.get(manager, ("", None))
             if known == incarnation and client is not None:
                 return client
-            made = ListClient(self._master, manager)
+            made = ListClient(self._master, manager, is_node=kind.is_node)
             self._clients[manager] = (incarnation, made)
         if client is not None:
             client.close()

@@ -31,6 +31,8 @@ PERIOD = 0.5
 #: Seconds for the answer of one node.
 TIMEOUT = 0.5
 
+_KINDS = [each.value for each in NodeletKind if each.is_node]
+
 _log = logging.getLogger("rosout.dyknow")
 
 
@@ -129,22 +131,22 @@ class RewirableNodes:
                     known = self._states.get(name)
                 if known is None:
                     return []
-                return [_state(name, known.incarnation, is_responsive=False)]
+                return [_state(name, known.incarnation, known.kind, is_responsive=False)]
             except (ServiceFailed, ServiceLost):
                 self._clients.pop(name).close()
                 if is_first:
                     return []
                 continue
-            if kind != NodeletKind.CPP_NODE.value:
+            if kind not in _KINDS:
                 return []
-            return [_state(name, client.address, is_responsive=True)]
+            return [_state(name, client.address, NodeletKind(kind), is_responsive=True)]
         return []
 
 
-def _state(name: str, incarnation: str, is_responsive: bool) -> ManagerState:
+def _state(name: str, incarnation: str, kind: NodeletKind, is_responsive: bool) -> ManagerState:
     return ManagerState(
         name,
-        NodeletKind.CPP_NODE,
+        kind,
         incarnation,
         own=False,
         responsive=is_responsive,

@@ -215,6 +215,24 @@ class TestCheck:
         shape = run(nobody, f"check {xml} --ontology {owl} --json").json
         assert [each["line"] for each in shape["ontology_warnings"]] == [3, 4]
 
+    def test_programs_that_this_machine_does_not_have(self, tmp_path: Path) -> None:
+        nobody: FakeClient = None  # type: ignore[assignment]
+        xml = tmp_path / "t.xml"
+        xml.write_text(
+            '<transformations><transformation type="node"><label>a</label>'
+            "<source>topic_tools/relay words copy</source></transformation>"
+            '<transformation type="node"><label>b</label>'
+            "<source>topic_tools/relais</source></transformation>"
+            '<transformation type="node" node="/c"><label>c</label></transformation>'
+            "</transformations>"
+        )
+        outcome = run(nobody, f"check {xml}")
+        assert outcome.code == 0
+        assert outcome.lines == [
+            f"{xml}: warning: transformation 'b': package 'topic_tools' has no program 'relais'",
+            f"{xml}: 3 transformations: a, b, c",
+        ]
+
     def test_imports_and_labels_of_an_ontology(self, tmp_path: Path) -> None:
         nobody: FakeClient = None  # type: ignore[assignment]
         owl, other, xml = tmp_path / "o.ttl", tmp_path / "other.ttl", tmp_path / "t.xml"

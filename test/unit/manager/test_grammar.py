@@ -25,7 +25,7 @@ NAMES = st.sampled_from(
     ["transformations", "transformation", "label", "source", "args", "arg", "params", "param",
      "ports", "port", "tags", "tag", "other"]
 )  # fmt: skip
-_VALUES = st.sampled_from(["in", "out", "nodelet", "topic", "string", " int ", "", "x"])
+_VALUES = st.sampled_from(["in", "out", "nodelet", "node", "topic", "string", " int ", "", "x"])
 # Of numbers the schema says the range; the reader leaves that to the builder.
 _NUMBERS = st.just("2.5")
 ATTRIBUTES = st.fixed_dictionaries(
@@ -33,6 +33,8 @@ ATTRIBUTES = st.fixed_dictionaries(
     optional={
         **dict.fromkeys(["type", "name", "label", "port", "datatype", "other"], _VALUES),
         **dict.fromkeys(["rate", "latency"], _NUMBERS),
+        "isolated": st.sampled_from(["true", "false", "x"]),
+        "node": _VALUES,
     },
 )
 

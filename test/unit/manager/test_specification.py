@@ -14,7 +14,7 @@ from dyknow.errors import Problem, SpecificationError
 from dyknow.manager.specifications.ontology import load_ontology
 from dyknow.manager.specifications.specification import check, parse, parse_file
 from dyknow.manager.specifications.values import value_of
-from dyknow.model.transformation import Parameter, Port, Transformation
+from dyknow.model.transformation import Parameter, Port, Program, Transformation
 
 HERE = Path(__file__).parent
 EXAMPLES = HERE.parents[2] / "examples" / "transformations"
@@ -95,6 +95,33 @@ def test_a_topic_is_a_transformation_with_one_out_port():
     assert found.warnings == (
         Problem("x.xml", 1, "a topic has no parameters; these will never be set"),
     )
+
+
+def test_a_node_has_a_program_with_arguments():
+    text = """<transformation type="node" isolated="true"><label>copier</label>
+      <source>topic_tools/relay /scan '/a copy'</source></transformation>"""
+
+    (found,) = parse(text).transformations
+
+    assert found == Transformation(
+        "copier", "topic_tools/relay /scan '/a copy'", "node", isolated=True
+    )
+    assert Program.of(found.source) == Program("topic_tools", "relay", ("/scan", "/a copy"))
+
+
+def test_a_node_that_others_start_needs_no_source_and_takes_no_parameters():
+    text = """<transformation type="node" node="/robot/camera" isolated="true">
+      <label>camera</label><ports><port type="out">image</port></ports>
+      <params><param name="x">1</param></params></transformation>"""
+
+    found = parse(text, "x.xml")
+
+    assert found.transformations[0].node == "/robot/camera"
+    assert found.transformations[0].is_described
+    assert [warning.message for warning in found.warnings] == [
+        "a node that others start is as they start it; isolated has no effect",
+        "a node that others start has no parameters; these will never be set",
+    ]
 
 
 def test_no_transformation_at_all_is_no_error():

@@ -31,7 +31,11 @@ def test_a_transformation_survives_the_way_through_xml(transformation):
     assert parse(transformation.to_xml()).transformations == (transformation,)
 
 
-@given(st.lists(transformations, max_size=5, unique_by=lambda t: t.label))
+@given(
+    st.lists(
+        transformations, max_size=5, unique_by=(lambda t: t.label, lambda t: t.node or t.label)
+    )
+)
 def test_many_transformations_survive_together(many):
     text = "<transformations>" + "".join(t.to_xml() for t in many) + "</transformations>"
 

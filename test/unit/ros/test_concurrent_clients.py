@@ -14,6 +14,7 @@ from nodelet.srv import NodeletList
 from unit.ros.small_graph import SmallManager, SmallMaster, small_graph
 
 from dyknow.errors import HostError
+from dyknow.model.graph import NodeletKind
 from dyknow.ros.hosting.external_managers import ExternalManager
 from dyknow.ros.hosting.list_client import ListClients
 from dyknow.ros.master import Master
@@ -21,6 +22,7 @@ from dyknow.ros.service_client import ServiceClient
 
 pytestmark = pytest.mark.usefixtures("impatient_interpreter")
 
+KIND = NodeletKind.PYTHON
 NAME = "/far"
 SECONDS = 1.0
 PATIENCE = 30.0
@@ -81,7 +83,7 @@ def test_a_client_that_is_replaced_while_it_is_asked_refuses_or_answers(
 
     def ask() -> None:
         try:
-            answers.append(clients.of(NAME, str(next(numbers) // 20)).list(PATIENCE))
+            answers.append(clients.of(NAME, str(next(numbers) // 20), KIND).list(PATIENCE))
         except HostError:
             return
 

@@ -1,0 +1,3 @@
+#!/bin/sh
+# Neither rospy nor roscpp.
+echo hello

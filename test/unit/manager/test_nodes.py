@@ -1,0 +1,217 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Nodes and scripts that the manager makes: spawned, restored, isolated, destroyed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from unit.manager.hand_clock import HandClock
+from unit.manager.world import World
+
+from dyknow.errors import HostError, NameTaken, SpawnFailed
+from dyknow.model.graph import NodeletKind, State
+from dyknow.model.transformation import Parameter
+
+COPIER = "topic_tools/relay words copy"
+SCRIPT = "pkg/filter.py"
+PORTS = [("words", "in", "std_msgs/String"), ("copy", "out", "std_msgs/String")]
+NODES = f"""
+<transformations>
+  <transformation type="node">
+    <label>copier</label>
+    <source>{COPIER}</source>
+    <params><param name="rate">5</param></params>
+    <ports><port type="in">words</port><port type="out">copy</port></ports>
+  </transformation>
+  <transformation type="node">
+    <label>script</label>
+    <source>{SCRIPT}</source>
+    <ports><port type="in">words</port><port type="out">copy</port></ports>
+  </transformation>
+  <transformation type="node" isolated="true">
+    <label>lone script</label>
+    <source>{SCRIPT}</source>
+    <ports><port type="in">words</port><port type="out">copy</port></ports>
+  </transformation>
+  <transformation isolated="true">
+    <label>lone camera</label>
+    <source>pkg/Camera</source>
+  </transformation>
+  <transformation type="node">
+    <label>absent</label>
+    <source>pkg/absent</source>
+  </transformation>
+  <transformation type="node">
+    <label>misnamed</label>
+    <source>{COPIER}</source>
+    <ports><port type="in">sentences</port></ports>
+  </transformation>
+</transformations>
+"""
+
+
+@pytest.fixture
+def world(tmp_path: Path) -> World:
+    world = World(str(tmp_path / "state.sqlite3"), clock=HandClock())
+    world.host.sources.update({COPIER: PORTS, SCRIPT: PORTS})
+    world.host.scripts.add(SCRIPT)
+    world.manager.add_transformation(NODES)
+    return world
+
+
+def test_a_node_is_a_process_of_its_own(world: World) -> None:
+    made = world.spawn("copier", "/robot/copier", config={"words": "/a"})
+
+    status = made.status
+    assert (status.kind, status.manager, status.isolated) == (NodeletKind.CPP_NODE, "", True)
+    assert world.host.nodelet("/robot/copier").request.remappings == {
+        "/robot/words": "/a",
+        "/robot/copy": "/robot/copier/disconnected/copy",
+    }
+    assert status.connections == {"words": "/a"}
+    assert world.host.parameters == {"/robot/copier/rate": 5}
+    assert world.spawn("copier", "/second").manager == "/second"
+    world.manager.destroy("/robot/copier")
+    assert world.host.running == ["/second"]
+    assert world.host.parameters == {"/second/rate": 5}
+
+
+def test_a_node_that_dies_comes_back_as_it_was(world: World) -> None:
+    world.spawn("copier", "/copier", config={"words": "/a"}, parameters=(rate(7),))
+    world.host.connect("/copier", {"copy": "/b"})
+    world.manager.look({"/copier"})
+
+    world.host.kill("/copier")
+    world.manager.look()
+
+    record = world.manager.graph.get("/copier")
+    assert (record.state, record.status.connections) == (
+        State.RUNNING,
+        {"words": "/a", "copy": "/b"},
+    )
+    assert world.host.nodelet("/copier").request.remappings["/copy"] == "/b"
+    assert world.host.parameters == {"/copier/rate": 7}
+
+
+def test_a_node_that_cannot_come_back_says_why(world: World) -> None:
+    world.spawn("copier", "/copier")
+    world.host.ending.add(COPIER)
+    world.host.kill("/copier")
+    world.manager.look()
+
+    record = world.manager.graph.get("/copier")
+    assert record.state is State.FAILED
+    assert "it ended at its start" in record.detail
+
+
+def test_a_node_that_runs_is_adopted_by_the_next_manager(world: World) -> None:
+    before = world.spawn("copier", "/copier", config={"words": "/a"})
+    world.host.calls.clear()
+
+    world.kill_manager()
+
+    assert world.manager.graph.get("/copier").status == before.status
+    assert ("load", "/copier") not in world.host.calls
+
+
+def test_a_node_that_died_meanwhile_is_restored_by_the_next_manager(world: World) -> None:
+    world.spawn("copier", "/copier", config={"words": "/a"}, parameters=(rate(7),))
+    world.host.kill("/copier")
+    world.kill_manager()
+
+    record = world.manager.graph.get("/copier")
+    assert (record.state, record.status.connections) == (State.RUNNING, {"words": "/a"})
+    assert record.parameters == (rate(7),)
+
+
+def rate(value: int) -> Parameter:
+    return Parameter("rate", "int", str(value))
+
+
+def test_a_script_runs_beside_nodelets(world: World) -> None:
+    camera = world.spawn("camera", "/camera")
+    made = world.spawn("script", "/filter", config={"words": "/a"})
+
+    assert (made.kind, made.manager, made.isolated) == (
+        NodeletKind.SCRIPT,
+        camera.manager,
+        False,
+    )
+    request = world.host.nodelet("/filter").request
+    assert (request.source, request.kind) == (SCRIPT, NodeletKind.SCRIPT)
+    assert request.remappings == {"/words": "/a", "/copy": "/filter/disconnected/copy"}
+
+    world.host.kill(made.manager)
+    world.manager.look()
+    assert world.states() == {"/camera": "RUNNING", "/filter": "RUNNING"}
+    assert world.manager.graph.get("/filter").kind is NodeletKind.SCRIPT
+
+
+@pytest.mark.parametrize("label", ["lone script", "lone camera"])
+def test_a_transformation_may_ask_for_a_process_of_its_own(world: World, label: str) -> None:
+    shared = world.spawn("camera", "/camera").manager
+    alone = world.spawn(label, "/alone")
+    told = world.spawn(label, "/told", manager=shared)
+
+    assert alone.isolated
+    assert world.host.processes[alone.manager].state.isolated_for == "/alone"
+    assert (told.isolated, told.manager) == (False, shared)
+
+
+def test_what_is_no_program_is_refused(world: World) -> None:
+    with pytest.raises(HostError, match="package 'pkg' has no program 'absent'"):
+        world.spawn("absent", "/x")
+    assert "/x" not in world.states()
+
+
+def test_a_node_goes_into_no_nodelet_manager(world: World) -> None:
+    shared = world.spawn("camera", "/camera").manager
+    with pytest.raises(HostError, match=r"a C\+\+ node has a process of its own"):
+        world.spawn("copier", "/copier", manager=shared)
+
+
+def test_the_name_of_another_node_is_taken(world: World) -> None:
+    world.host.run_node("/copier", COPIER, {}, NodeletKind.CPP_NODE)
+    with pytest.raises(NameTaken):
+        world.spawn("copier", "/copier")
+    assert world.host.running == ["/copier"]
+    world.manager.look()
+    assert world.manager.graph.get("/copier").label == ""
+
+
+def test_a_node_that_ends_at_its_start_leaves_nothing(world: World) -> None:
+    world.host.ending.add(COPIER)
+    with pytest.raises(SpawnFailed, match="it ended at its start"):
+        world.spawn("copier", "/copier")
+    assert world.states() == {}
+    assert world.host.parameters == {}
+
+
+def test_ports_that_come_late_are_waited_for(world: World) -> None:
+    world.host.lazy[COPIER] = {"words", "copy"}
+
+    def appear(operation: str, _: str) -> None:
+        if operation == "ports" and world.clock.now() >= 4.0:
+            world.host.lazy[COPIER] = set()
+
+    world.host.fail = appear
+    made = world.spawn("copier", "/copier", config={"words": "/a"})
+    assert 4.0 <= world.clock.now() < 4.5
+    assert [port.datatype for port in made.ports] == ["std_msgs/String"] * 2
+
+
+def test_a_lazy_port_is_not_waited_for_once_the_others_are_there(world: World) -> None:
+    world.host.lazy[COPIER] = {"copy"}
+    made = world.spawn("copier", "/copier", config={"words": "/a", "copy": "/b"})
+    assert 1.0 <= world.clock.now() < 2.0
+    assert made.status.connections == {"words": "/a", "copy": "/b"}
+
+
+def test_a_node_without_any_of_its_ports_is_refused(world: World) -> None:
+    with pytest.raises(SpawnFailed, match="none of the declared ports sentences .* copy, words"):
+        world.spawn("misnamed", "/copier")
+    assert world.host.running == []
+    assert world.clock.now() >= 10.0
