@@ -54,6 +54,8 @@ MESSAGES = {
         "Parameter[] parameters",
         "Port[] ports",
         "string specification",
+        "bool isolated",
+        "string node",
     ),
     "Nodelet": (
         "uint8 STARTING=0",
