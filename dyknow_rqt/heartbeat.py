@@ -31,7 +31,7 @@ class Heartbeat(QObject):
 
     #: A ``Status``.
     told = Signal(object)
-    #: The manager answers again, or no longer.
+    #: The manager, or another one of its name, answers from now on; or none does.
     linked = Signal(bool)
     #: The claims of the manager: a sequence of ``StreamStatus``.
     listed = Signal(object)
@@ -43,6 +43,7 @@ class Heartbeat(QObject):
         self.status = self._contact.status()
         self._calls = BackgroundCalls(2)
         self._asked: Set[str] = set()
+        self._address = ""
         self._timer = QTimer(self)
         self._timer.setInterval(_PERIOD)
         self._timer.timeout.connect(self._beat)
@@ -70,7 +71,7 @@ class Heartbeat(QObject):
             self._calls.run(self._remote.client.list_streams, self._hear, self._miss)
         if "master" not in self._asked:
             self._asked.add("master")
-            self._calls.run(self._remote.is_registered, self._hear_master, self._miss_master)
+            self._calls.run(self._remote.find_manager, self._hear_master, self._miss_master)
 
     def _hear(self, streams: Sequence[StreamStatus]) -> None:
         self._asked.discard("manager")
@@ -84,10 +85,13 @@ class Heartbeat(QObject):
         self._contact.miss_manager(is_gone=not isinstance(error, PeerTimeout))
         self._tell()
 
-    def _hear_master(self, is_known: bool) -> None:
+    def _hear_master(self, address: str) -> None:
         self._asked.discard("master")
-        self._contact.hear_master(is_known)
+        self._contact.hear_master(is_known=bool(address))
         self._tell()
+        if address and address != self._address:
+            self._address = address
+            self.linked.emit(self.status.is_current)
 
     def _miss_master(self, error: Exception) -> None:
         self._asked.discard("master")

@@ -77,6 +77,8 @@ class Monitor(QObject):
     stream_event = Signal(object)
     #: An error, in words.
     failed = Signal(str)
+    #: A change is being made, in words.
+    begun = Signal(str)
     #: A change was made, in words.
     done = Signal(str)
     #: A change has succeeded or failed.
@@ -253,8 +255,10 @@ class Monitor(QObject):
             refusal = "another change is under way; try again when it is done"
         if refusal:
             self.failed.emit(f"{change.text}: {refusal}")
+            self.settled.emit()
             return
         self._changing = True
+        self.begun.emit(f"{change.text} …")
 
         def made(done: Change) -> None:
             self._changing = False
@@ -378,6 +382,8 @@ class Monitor(QObject):
         if is_linked:
             self._revision = self._library_revision = -1
             self.look()
+        else:
+            self._forget_rates()
 
 
 def _way_back(

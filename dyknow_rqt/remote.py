@@ -57,5 +57,9 @@ class Remote(ABC):
         """Ask the master for the publishers and subscribers of all topics."""
 
     @abstractmethod
-    def is_registered(self) -> bool:
-        """Ask the master whether it knows the manager, and listen to the one that it knows."""
+    def find_manager(self) -> str:
+        """Ask the master for the manager's address, and turn to the manager that is there.
+
+        Returns:
+            The address; empty if the master does not know the manager.
+        """

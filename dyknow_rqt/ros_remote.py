@@ -81,18 +81,18 @@ class RosRemote(Remote):
         publishers, subscribers, _ = self._master.ask("getSystemState")
         return publishers, subscribers
 
-    def is_registered(self) -> bool:
-        """Look up the manager; if another process has its name now, turn to that one."""
+    def find_manager(self) -> str:
+        """Look up a service of the manager."""
         try:
             address = str(self._master.ask("lookupService", self._service))
         except LookupError:
-            return False
+            return ""
         if self._address not in ("", address):
             self.client.close()
             self._models.reconnect()
             self._events.reconnect()
         self._address = address
-        return True
+        return address
 
     # Inside
 

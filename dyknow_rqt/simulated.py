@@ -20,7 +20,7 @@ class SimulatedRemote(Remote):
 
     Attributes:
         has_master: whether the master answers.
-        is_known: whether it knows the manager.
+        address: that of the manager at the master; empty if the master does not know it.
         publishers: nodes that publish, by topic.
         subscribers: nodes that subscribe, by topic.
     """
@@ -28,7 +28,8 @@ class SimulatedRemote(Remote):
     def __init__(self) -> None:
         """Begin with nothing, with a master and a manager that are up."""
         self.master = "http://localhost:11311"
-        self.has_master = self.is_known = True
+        self.has_master = True
+        self.address = "rosrpc://localhost:40001"
         self.client: SimulatedManagerClient = SimulatedManagerClient()
         self.publishers: Dict[str, List[str]] = {}
         self.subscribers: Dict[str, List[str]] = {}
@@ -55,10 +56,10 @@ class SimulatedRemote(Remote):
         self._ask_master()
         return sorted(self.publishers.items()), sorted(self.subscribers.items())
 
-    def is_registered(self) -> bool:
-        """Say what was set."""
+    def find_manager(self) -> str:
+        """Return the address."""
         self._ask_master()
-        return self.is_known
+        return self.address
 
     def _ask_master(self) -> None:
         if not self.has_master:

@@ -85,6 +85,11 @@ class StatusLine(QWidget):
         if self._full == text:
             self.clear()
 
+    def begin(self, text: str) -> None:
+        """Show what is being done."""
+        if self._answer is None:
+            self._show(text, alarm=False)
+
     def note(self, text: str) -> None:
         """Show for a while what was done."""
         if self._answer is None:

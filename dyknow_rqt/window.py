@@ -104,6 +104,7 @@ class DyKnowWidget(QWidget):
 
     def _listen(self) -> None:
         self.monitor.failed.connect(self.line.report)
+        self.monitor.begun.connect(self.line.begin)
         self.monitor.done.connect(self.line.note)
         self.monitor.heart.told.connect(self.line.show_status)
         self.monitor.heart.linked.connect(self._grey)

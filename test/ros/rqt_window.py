@@ -120,8 +120,8 @@ class WindowTest(ManagerCase):
         window = self.window()
         until(lambda: window.monitor.library, "the library is there")
         window.monitor.do(SpawnNodelet(SpawnRequest("fails", "/never")))
-        until(lambda: window.line.text, "something is said")
-        self.assertIn("create /never: cannot spawn '/never'", window.line.text)
+        words = "create /never: cannot spawn '/never'"
+        until(lambda: words in window.line.text, words)
 
     def test_the_own_window_starts_and_ends_on_request(self) -> None:
         manager = self.started()

@@ -144,6 +144,10 @@ def test_a_manager_that_is_gone_is_told_greyed_and_found_again(qtbot, window, re
     assert sign.isVisible() and "what is shown is that old" in sign.text()
     assert is_grey(window)
     until(qtbot, lambda: not rates(window))
+    window.create_.begin("tracker")
+    window.create_.create.click()
+    assert window.line.text.startswith("create /tracker: /dyknow_manager gone for")
+    assert window.create_.create.isEnabled() and window.create_.create.text() == "Create"
     window.monitor.do(Protect("/field/tracker", True))
     assert window.line.text.startswith("protect /field/tracker: /dyknow_manager gone for")
     remote.client.is_up = True
@@ -178,11 +182,33 @@ def test_the_master_goes_and_another_one_does_not_know_the_manager(qtbot, window
     assert "p_/team_view" in vertex_keys(window)
     remote.client.spawn("tracker", "/field/second")
     until(qtbot, lambda: "n_/field/second" in vertex_keys(window))
-    remote.has_master, remote.is_known = True, False
+    remote.has_master, remote.address = True, ""
     until(qtbot, lambda: "does not know /dyknow_manager" in contact_of(window))
     assert "a new roscore?" in sign.text()
-    remote.is_known = True
+    remote.address = "rosrpc://localhost:40002"
     until(qtbot, lambda: not sign.isVisible())
+
+
+def test_another_manager_of_the_name_is_read_from_the_beginning(qtbot, window, remote):
+    remote.client.remove_transformation("recorder")
+    until(qtbot, lambda: "recorder" not in window.library.table.names())
+    other = soccer()
+    other.client.remove_transformation("tracker")
+    other.client.destroy("/field/tracker")
+    revisions = [each.client.get_model().library_revision for each in (remote, other)]
+    assert revisions[0] == revisions[1], "that alone does not tell them apart"
+    remote.client.core, remote.client.host = other.client.core, other.client.host
+    remote.address = "rosrpc://localhost:40002"
+    until(qtbot, lambda: "n_/field/tracker" not in vertex_keys(window))
+    until(qtbot, lambda: "tracker" not in window.library.table.names())
+    assert "recorder" in window.library.table.names()
+
+
+def test_what_takes_long_is_said(qtbot, window, remote):
+    remote.client.delay = 1.0
+    window.monitor.do(Protect("/field/tracker", True))
+    assert window.line.text == "protect /field/tracker …"
+    until(qtbot, lambda: window.line.text == "done: protect /field/tracker")
 
 
 def test_a_window_without_anybody_says_for_whom_it_waits(qtbot):

@@ -75,8 +75,7 @@ def test_a_refused_import_shows_the_words_of_the_manager(qtbot, window, tmp_path
     path = tmp_path / "bad.xml"
     path.write_text("<transformation>\n<label>x</label>\n<sauce>p/C</sauce></transformation>")
     window.library.import_file(str(path))
-    until(qtbot, lambda: bool(window.line.text))
-    assert window.line.text.startswith("import bad.xml: specification:")
+    until(qtbot, lambda: window.line.text.startswith("import bad.xml: specification:"))
     assert no_boxes()
     click(qtbot, window.line.dismiss)
     assert window.line.text == ""
