@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import html
 from typing import Any, Callable, List, Optional
 
@@ -128,7 +129,8 @@ class StatusLine(QWidget):
     def clear(self) -> None:
         """Empty the line; the focus returns to where it was before a question."""
         if self._asked_in is not None and (self.yes.hasFocus() or self.no.hasFocus()):
-            self._asked_in.setFocus()
+            with contextlib.suppress(RuntimeError):  # it has been deleted
+                self._asked_in.setFocus()
         self._answer = self._asked_in = None
         self._timer.stop()
         self._full = ""

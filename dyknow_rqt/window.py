@@ -106,6 +106,7 @@ class DyKnowWidget(QWidget):
         self.monitor.failed.connect(self.line.report)
         self.monitor.begun.connect(self.line.begin)
         self.monitor.done.connect(self.line.note)
+        self.line.show_status(self.monitor.heart.status)
         self.monitor.heart.told.connect(self.line.show_status)
         self.monitor.heart.linked.connect(self._grey)
         self.graph.failed.connect(self.line.report)
@@ -158,7 +159,7 @@ class DyKnowWidget(QWidget):
         """List the keys."""
         dialog = KeysDialog(self)
         dialog.setAttribute(Qt.WA_DeleteOnClose)
-        dialog.show()
+        dialog.open()
 
     @qt_slot
     def _begin_create(self, label: str) -> None:

@@ -21,6 +21,8 @@ from dyknow_rqt.qt_slot import qt_slot
 from dyknow_rqt.selection import Selection
 from dyknow_rqt.status_line import StatusLine
 
+#: The most nodelets that are named in a question; of more, only the tool tip has the names.
+_NAMED = 5
 _TITLES = ("Nodelet", "Transformation", "In", "Out", "State", "Manager")
 
 
@@ -62,9 +64,11 @@ class ActivePanel(Panel):
     @qt_slot
     def ask_to_destroy(self, names: Sequence[str]) -> None:
         """Ask whether to destroy nodelets, and destroy them on agreement."""
-        what = names[0] if len(names) == 1 else f"{len(names)} nodelets ({', '.join(names)})"
         changes = [DestroyNodelet(name) for name in names]
-        self._line.ask(f"Destroy {what}?", "Destroy", lambda: self._do_in_turn(changes))
+        question = f"Destroy {', '.join(names)}?"
+        if len(names) > _NAMED:
+            question = "\n".join([f"Destroy {len(names)} nodelets?", *names])
+        self._line.ask(question, "Destroy", lambda: self._do_in_turn(changes))
 
     @qt_slot
     def _destroy_chosen(self) -> None:

@@ -217,6 +217,7 @@ def test_a_window_without_anybody_says_for_whom_it_waits(qtbot):
     window = DyKnowWidget(remote)
     qtbot.addWidget(window, before_close_func=lambda w: w.shut_down())
     window.show()
+    assert contact_of(window) == "⚠ waiting for /dyknow_manager"
     window.start()
     text = "no ROS master at http://localhost:11311; waiting for /dyknow_manager"
     until(qtbot, lambda: window.graph.sign.text() == text)

@@ -95,6 +95,14 @@ def test_escape_takes_a_question_back_from_everywhere(qtbot, window, remote):
     assert remote.graph().nodelet("/field/tracker") is not None
 
 
+def test_a_question_about_many_is_short(qtbot, window, remote):
+    names = [each.name for each in remote.graph().nodelets]
+    window.active.ask_to_destroy(names)
+    assert window.line.text.startswith("Destroy 10 nodelets?")
+    label = next(each for each in window.line.findChildren(QLabel) if "Destroy" in each.text())
+    assert all(name in label.toolTip() for name in names)
+
+
 def test_after_a_question_the_focus_is_where_it_was(qtbot, window):
     for answer in (window.line.no.click, lambda: qtbot.keyClick(window.line.yes, Qt.Key_Escape)):
         window.active.table.setFocus()

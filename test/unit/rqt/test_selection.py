@@ -101,7 +101,7 @@ def test_the_menu_is_for_all_that_is_selected(qtbot, window, remote):
     until(qtbot, lambda: not window.monitor.is_changing)
     until(qtbot, lambda: not window.monitor.snapshot.nodelet(THREE[-1]).is_protected)
     context_menu(qtbot, window, vertices["n_/nao1/resize"])["D&estroy 3 nodelets …"].trigger()
-    assert window.line.text == f"Destroy 3 nodelets ({', '.join(THREE)})?"
+    assert window.line.text == f"Destroy {', '.join(THREE)}?"
     window.line.yes.click()
     until(qtbot, lambda: not set(THREE) & {each.name for each in remote.graph().nodelets})
 
