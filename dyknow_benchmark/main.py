@@ -29,6 +29,7 @@ from dyknow_benchmark import (
     recover,
     rewire,
     throughput,
+    window,
 )
 from dyknow_benchmark.results import Results, obstacle
 from dyknow_benchmark.session import MeasurementFailed, interruptible
@@ -51,6 +52,7 @@ _MEASUREMENTS: Dict[str, object] = {
     "plan": plan,
     "recover": recover,
     "failover": failover,
+    "window": window,
 }
 
 TARGET_NOT_MET, FAILED, INTERRUPTED = 1, 2, 130

@@ -34,12 +34,17 @@ RELAYS = """
 
 def start(session: Session) -> ManagerClient:
     """Start a manager with the shipped source and relay in its library."""
-    # Its nodelet managers end soon after it, even if it is killed.
-    session.start([executable("dyknow", "manager"), "_orphan_timeout:=2"])
+    start_manager(session)
     rospy.wait_for_service(f"{MANAGER}/get_model", 60.0)
     client = ManagerClient(MANAGER)
     client.add_transformation(RELAYS)
     return client
+
+
+def start_manager(session: Session) -> None:
+    """Start the process of a manager, which goes on where one that was killed ended."""
+    # Its nodelet managers end soon after it, even if it is killed.
+    session.start([executable("dyknow", "manager"), "_orphan_timeout:=2"])
 
 
 def model_service() -> rospy.ServiceProxy:

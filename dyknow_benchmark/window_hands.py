@@ -1,0 +1,248 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Uses the window as hands do, and takes the time of every turn. Imported only where Qt is."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+import signal
+import statistics
+import threading
+import time
+from dataclasses import replace
+from typing import Callable, Iterator, List, NamedTuple, Sequence
+
+from python_qt_binding.QtCore import QTimer
+from python_qt_binding.QtTest import QTest
+from python_qt_binding.QtWidgets import QApplication
+
+from dyknow.model.client import BaseManagerClient
+from dyknow.model.graph import Model, State
+from dyknow_benchmark import progress, system
+from dyknow_benchmark.session import MeasurementFailed, Session
+from dyknow_rqt.canvas.view import GraphView
+from dyknow_rqt.ros_remote import RosRemote
+from dyknow_rqt.simulated import SimulatedRemote
+from dyknow_rqt.window import DyKnowWidget
+
+#: Seconds between two nodelets that come back in the simulated manager.
+_PACE = 0.01
+_PATIENCE = 180.0
+#: Frames of each movement.
+_FRAMES = 60
+_RELAY = (
+    "<transformation><label>relay</label><source>dyknow/Relay</source><ports>"
+    '<port type="in">in</port><port type="out">out</port></ports></transformation>'
+)
+
+
+class Row(NamedTuple):
+    """A row of the table: what was done, and its gaps."""
+
+    manager: str
+    nodelets: int
+    what: str
+    frames: int
+    fps: float
+    median_ms: float
+    longest_ms: float
+
+    @property
+    def is_moved(self) -> bool:
+        """Whether a hand moved the view: each frame is drawn anew."""
+        return self.what.startswith(("zoom", "pan", "point"))
+
+
+@contextlib.contextmanager
+def application() -> Iterator[None]:
+    """An application without a screen."""
+    application = QApplication.instance() or QApplication(["benchmark"])
+    yield
+    application.processEvents()
+
+
+class _Returning(SimulatedRemote):
+    """A simulated manager whose nodelets are lost and come back one after the other."""
+
+    def __init__(self, count: int) -> None:
+        super().__init__()
+        self.client.add_transformation(_RELAY)
+        spawn_tree(self.client, count)
+        self._model = self.client.get_graph()
+        self._lock = threading.Lock()
+
+    def graph(self) -> Model:
+        """Answer with what was told last."""
+        with self._lock:
+            return self._model
+
+    def come_back(self) -> None:
+        """Restart the nodelets: none has ports at first, then one after the other runs again."""
+        running = self._model.nodelets
+        nodelets = [replace(each, state=State.STARTING, ports=()) for each in running]
+        self._tell(nodelets)
+        for number, each in enumerate(running):
+            time.sleep(_PACE)
+            nodelets[number] = each
+            self._tell(nodelets)
+
+    def _tell(self, nodelets: Sequence[object]) -> None:
+        with self._lock:
+            model = self._model
+            self._model = replace(model, revision=model.revision + 1, nodelets=tuple(nodelets))  # type: ignore[arg-type]
+        self.client.on_model(self._model)
+
+
+def spawn_tree(client: BaseManagerClient, count: int) -> None:
+    """Spawn relays, ten in a namespace: each leads to two of them, a namespace to five others."""
+    for number in progress.steps(range(count), "spawning", count, "nodelet"):
+        group, place = divmod(number, 10)
+        topics = {"out": f"/part{group}/stream{place}"}
+        if number:
+            source = (group, (place - 1) // 2) if place else ((group - 1) // 5, 9)
+            topics["in"] = "/part{}/stream{}".format(*source)
+        client.spawn("relay", f"/part{group}/nodelet{place}", topics)
+
+
+def simulated(count: int) -> List[Row]:
+    """Open a window on a simulated manager, let its nodelets come back, and move the view."""
+    remote = _Returning(count)
+    with _window(DyKnowWidget(remote)) as window:
+        rows = [Row("simulated", count, "open", *_gaps(lambda: _is_whole(window, count)))]
+        thread = threading.Thread(target=remote.come_back, daemon=True)
+        thread.start()
+        gaps = _gaps(lambda: not thread.is_alive() and _is_whole(window, count))
+        rows.append(Row("simulated", count, "nodelets come back", *gaps))
+        rows += [Row("simulated", count, *moved) for moved in _moves(window)]
+    return rows
+
+
+def real(count: int) -> List[Row]:
+    """Open a window on a real manager, kill what hosts its nodelets, and see them come back."""
+    rows = []
+    with Session() as session:
+        client = system.start(session)
+        spawn_tree(client, count)
+        with _window(DyKnowWidget(RosRemote(system.MANAGER))) as window:
+            gaps = _gaps(lambda: _is_whole(window, count))
+            rows.append(Row("real", count, "open", *gaps))
+            for what, nodes in (
+                ("nodelet manager killed", [system.NODELET_MANAGER]),
+                ("both managers killed", [system.MANAGER, system.NODELET_MANAGER]),
+            ):
+                for pid in [system.pid(node) for node in nodes]:
+                    os.kill(pid, signal.SIGKILL)
+                if system.MANAGER in nodes:
+                    system.start_manager(session)
+                gaps = _gaps(_is_whole_again(window, count))
+                rows.append(Row("real", count, what, *gaps))
+            rows += [Row("real", count, *moved) for moved in _moves(window)]
+    return rows
+
+
+@contextlib.contextmanager
+def _window(widget: DyKnowWidget) -> Iterator[DyKnowWidget]:
+    widget.resize(1366, 768)
+    widget.show()
+    widget.start()
+    try:
+        yield widget
+    finally:
+        widget.shut_down()
+        widget.close()
+        widget.deleteLater()
+        QTest.qWait(50)
+
+
+def _is_whole(window: DyKnowWidget, count: int) -> bool:
+    """Whether all nodelets run and are drawn so."""
+    vertices = window.graph.view.scene().vertices
+    nodelets = window.monitor.snapshot.nodelets
+    return (
+        len(nodelets) == count
+        and all(each.state is State.RUNNING for each in nodelets)
+        and all(f"n_{each.name}" in vertices for each in nodelets)
+        and all(vertices[f"n_{each.name}"].appearance.state is each.state for each in nodelets)
+    )
+
+
+def _until(condition: Callable[[], bool], what: str) -> None:
+    end = time.monotonic() + _PATIENCE
+    while not condition():
+        if time.monotonic() > end:
+            raise MeasurementFailed(f"waited {_PATIENCE:g} s for {what}")
+        QTest.qWait(20)
+
+
+def _is_whole_again(window: DyKnowWidget, count: int) -> Callable[[], bool]:
+    """Return a question: whether nodelets that were gone when it was asked before are back."""
+    answers = [True]
+
+    def is_whole_again() -> bool:
+        answers.append(_is_whole(window, count))
+        return answers[-1] and not all(answers)
+
+    return is_whole_again
+
+
+def _gaps(is_done: Callable[[], bool]) -> Sequence[object]:
+    """Let the window run until something holds and a little longer; take the gaps of its turns."""
+    ticks = [time.monotonic()]
+    timer = QTimer()
+    timer.timeout.connect(lambda: ticks.append(time.monotonic()))
+    timer.start(5)
+    _until(is_done, "the window to show all nodelets")
+    QTest.qWait(500)
+    timer.stop()
+    return _summary(ticks)
+
+
+def _moves(window: DyKnowWidget) -> Iterator[Sequence[object]]:
+    """Zoom from the whole to one nodelet and back, move about, point at one after the other."""
+    view = window.graph.view
+    view.fit()
+    view.setTransformationAnchor(view.AnchorViewCenter)
+    items = sorted(view.scene().vertices.items())
+    middle = items[len(items) // 2][1].pos()
+    step = max(1.0 / view.zoom, 2.0) ** (1 / _FRAMES)
+
+    def zoom(factor: float) -> None:
+        view.zoom_by(factor)
+        view.centerOn(middle)
+
+    yield "zoom in", *_frames(window, lambda: zoom(step))
+    yield "zoom out", *_frames(window, lambda: zoom(1 / step))
+    for scale in (0.1, 0.3, 0.6):
+        zoom(scale / view.zoom)
+        yield f"pan at {scale:.0%}", *_frames(window, lambda: _drag(view))
+    keys = itertools.cycle(key for key, _ in items)
+    zoom(0.3 / view.zoom)
+    yield "point at nodelets", *_frames(window, lambda: view.scene().highlight(next(keys)))
+
+
+def _frames(window: DyKnowWidget, move: Callable[[], None]) -> Sequence[object]:
+    """Move again and again, and take the time of every frame."""
+    view = window.graph.view
+    QTest.qWait(300)
+    ticks = [time.monotonic()]
+    for _ in range(_FRAMES):
+        move()
+        QApplication.processEvents()
+        view.viewport().repaint()  # what is left to draw
+        ticks.append(time.monotonic())
+    return _summary(ticks)
+
+
+def _drag(view: GraphView) -> None:
+    """Move the view as a hand does in a sixtieth of a second."""
+    bar = view.horizontalScrollBar()
+    bar.setValue(bar.value() + 20)
+
+
+def _summary(ticks: Sequence[float]) -> Sequence[object]:
+    gaps = [1e3 * (after - before) for before, after in zip(ticks, ticks[1:])]
+    whole = ticks[-1] - ticks[0]
+    return len(gaps), len(gaps) / whole, statistics.median(gaps), max(gaps)
