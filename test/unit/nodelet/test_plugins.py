@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import sys
 import textwrap
+from typing import cast
 
 import pytest
 
 from dyknow.errors import BrokenPlugin, UnknownNodeletType
 from dyknow.nodelet.class_imports import ClassImports
+from dyknow.nodelet.context import Context
 from dyknow.nodelet.nodelet import Nodelet
 from dyknow.nodelet.plugins import PluginClass, PluginFile, Plugins, read
 
@@ -146,7 +148,7 @@ def test_entities_are_not_expanded_and_files_not_included(packages, tmp_path):
 
 def load(plugins, name):
     """Import what is declared as a name."""
-    return ClassImports().load(plugins.find(name), None)
+    return ClassImports().load(plugins.find(name), cast(Context, None))
 
 
 class TestLoading:
