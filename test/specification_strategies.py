@@ -56,8 +56,8 @@ def _unique(items):
 
 costs = st.integers(0, 2**32 - 1)
 programs = st.builds(
-    lambda name, arguments: Program(*name.split("/"), tuple(arguments)).source,
-    st.sampled_from(["topic_tools/relay", "my-pkg/node.py"]),
+    lambda name, arguments: Program(name[0], name[1], tuple(arguments)).source,
+    st.sampled_from([("topic_tools", "relay"), ("my-pkg", "node.py")]),
     st.lists(st.sampled_from(["/scan", "${X}", "a b", "it's", "", "x\ty", "<&>"]), max_size=3),
 )
 node_names = st.sampled_from(["/camera_driver", "/robot/camera"])
