@@ -30,6 +30,7 @@ class Chains:
             "function": self._function,
             "rospy": self._rospy,
             "node": self._node,
+            "script": self._script,
             "cpp_nodelet": self._cpp_nodelet,
             "cpp_live": self._cpp_live,
             "mixed": self._mixed,
@@ -131,6 +132,22 @@ class Chains:
         for hop in range(length, 0, -1):
             self._process("hop", control, payload, "--hop", hop, "--record", *record)
         self._process("source", control, payload)
+
+    def _script(self, control: str, length: int, record: Sequence[int], payload: str) -> None:
+        for hop in range(length, 0, -1):
+            self.load_script(control, "hop", payload, hop, record)
+        self.load_script(control, "source", payload)
+
+    def load_script(
+        self, control: str, part: str, payload: str, hop: int = 0, record: Sequence[int] = ()
+    ) -> None:
+        """Load a part of a chain that is a script: a hop, with its number, or the source."""
+        options = ["--control", control, "--payload", payload, "--hop", str(hop), "--record"]
+        self.python.load(
+            f"{control}/{part}_{hop}",
+            "dyknow/Script",
+            my_argv=["dyknow/benchmark_node", part, *options, *map(str, record)],
+        )
 
     def _process(self, part: str, control: str, payload: str, *options: object) -> None:
         self._session.start(

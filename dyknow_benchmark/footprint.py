@@ -61,14 +61,14 @@ def _measure(session: Session, chains: Chains, kind: str, parts: int) -> Sequenc
     host = []
     if kind in _NODELETS:
         host = [chains.cpp.pid if kind == "cpp_nodelet" else chains.python.pid]
-    held = _held(host)
+    before_it = held(host)
     chains.build(kind, parts, [parts], name="_counted")
     started = [pid for pid in session.pids if pid not in before]
-    kib, threads = (now - then for now, then in zip(_held(host + started), held))
+    kib, threads = (now - then for now, then in zip(held(host + started), before_it))
     return (kind, parts + 1, kib / (parts + 1), threads / (parts + 1), len(started))
 
 
-def _held(pids: Iterable[int]) -> Tuple[int, int]:
+def held(pids: Iterable[int]) -> Tuple[int, int]:
     """Memory (KiB) and threads of processes, in all."""
     kib = threads = 0
     for pid in pids:

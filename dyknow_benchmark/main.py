@@ -28,6 +28,7 @@ from dyknow_benchmark import (
     plan,
     recover,
     rewire,
+    scripts,
     throughput,
     window,
 )
@@ -44,6 +45,7 @@ _MEASUREMENTS: Dict[str, object] = {
     "outside": outside,
     "rewire": rewire,
     "cpp": cpp_ports,
+    "scripts": scripts,
     "leak": leak,
     "idle": idle,
     "footprint": footprint,

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import sys
-from typing import Any, Dict, Mapping, Optional
+from typing import Any, Dict, Mapping, Optional, Sequence
 
 import rospy
 from nodelet.srv import NodeletList, NodeletLoad, NodeletUnload
@@ -58,13 +58,14 @@ class RunningManager:
         type_name: str,
         remappings: Optional[Mapping[str, str]] = None,
         parameters: Optional[Dict[str, Any]] = None,
+        my_argv: Sequence[str] = (),
     ) -> None:
         """Set a nodelet's private parameters and load it; all names are global."""
         if parameters:
             rospy.set_param(name, parameters)
         pairs = dict(remappings or {})
         try:
-            self._load(name, type_name, list(pairs), list(pairs.values()), [], "")
+            self._load(name, type_name, list(pairs), list(pairs.values()), list(my_argv), "")
         except rospy.ServiceException as error:
             raise MeasurementFailed(f"cannot load {name} of type {type_name}: {error}") from error
 

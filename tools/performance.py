@@ -36,6 +36,7 @@ COMMANDS: dict[str, Sequence[str]] = {
     "outside": ("outside",),
     "rewire": ("rewire",),
     "cpp": ("cpp",),
+    "scripts": ("scripts",),
     "footprint": ("footprint",),
     "model": ("model",),
     "library": ("library",),

@@ -46,6 +46,7 @@ class Guest:
             called ``rospy.init_node``.
         is_alone: whether the process is its own.
         copies: whether it gets and sends copies of messages.
+        argv: its command line, the program first; it may change that.
         closing: set when its code is to end.
         settled: set when its main thread waits for the first time, or has ended.
         threads: those that it started.
@@ -64,6 +65,7 @@ class Guest:
         self.main = main
         self.is_alone = is_alone
         self.copies = copies
+        self.argv: List[str] = sys.argv
         self.handle: Optional[PlainNodeHandle] = None
         self.closing = threading.Event()
         self.settled = threading.Event()

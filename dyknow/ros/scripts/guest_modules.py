@@ -22,14 +22,11 @@ DEPENDENTS = Dependents(
 _COPIED = process_view.COPIED | {rospy_view.COPIED}
 
 
-def script_importer(
-    guest: Guest, argv: List[str], folders: List[str], init_node: Callable[..., None]
-) -> Importer:
+def script_importer(guest: Guest, folders: List[str], init_node: Callable[..., None]) -> Importer:
     """Make the importer of a script.
 
     Args:
         guest: the script.
-        argv: its command line, the program first.
         folders: where its siblings are.
         init_node: is called as ``rospy.init_node``.
     """
@@ -46,7 +43,7 @@ def script_importer(
         {
             **rospy_view.rospy_views(guest, init_node, timer),
             **process_view.process_views(guest),
-            **process_view.script_views(guest, argv, itself),
+            **process_view.script_views(guest, itself),
         },
         functions=process_view.functions(guest),
     )

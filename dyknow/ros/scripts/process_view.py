@@ -18,7 +18,7 @@ import signal
 import sys
 import threading
 import time
-from typing import Any, Callable, Dict, List, NoReturn, Optional, Type
+from typing import Any, Callable, Dict, NoReturn, Optional, Type
 
 from dyknow.errors import NeedsProcess
 from dyknow.nodelet.importer import Importer, Module, View
@@ -51,15 +51,14 @@ def process_views(guest: Guest) -> Views:
     return views
 
 
-def script_views(guest: Guest, argv: List[str], importer: Callable[[], Importer]) -> Views:
+def script_views(guest: Guest, importer: Callable[[], Importer]) -> Views:
     """Return what makes the further views of a script, by name.
 
     Args:
         guest: whose they are.
-        argv: its command line, the program first.
         importer: returns what has its modules.
     """
-    views: Views = {"sys": lambda: _sys(guest, argv, importer())}
+    views: Views = {"sys": lambda: _sys(guest, importer())}
     if not guest.is_alone:
         views.update(_refusing(guest))
         views["os"] = lambda: _partly_refused(guest, "os", _exit=sys.exit, kill=_kill(guest))
@@ -74,8 +73,12 @@ def functions(guest: Guest) -> Dict[str, Any]:
     return {"input": _refusal(guest, "input()"), "exit": sys.exit, "quit": sys.exit}
 
 
-def _sys(guest: Guest, argv: List[str], importer: Importer) -> View:
-    own: Dict[str, Any] = {"argv": argv, "path": importer.path, "modules": importer.everything()}
+def _sys(guest: Guest, importer: Importer) -> View:
+    own: Dict[str, Any] = {
+        "argv": guest.argv,
+        "path": importer.path,
+        "modules": importer.everything(),
+    }
     if not guest.is_alone:
         own["stdin"] = _NoKeyboard(guest)
     return View(sys, own)

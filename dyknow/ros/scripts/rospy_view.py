@@ -134,6 +134,7 @@ def _members(guest: Guest, init_node: Callable[..., None]) -> Dict[str, Any]:
     members.update({name: logger(name) for name in _LOGS})
     members.update(
         init_node=init_node,
+        myargv=lambda argv=None: rospy.myargv(guest.argv if argv is None else argv),
         is_initialized=lambda: guest.handle is not None,
         # names
         get_name=lambda: handle().get_name(),

@@ -46,7 +46,8 @@ class ScriptCode:
         self._guest = guest
         file = script_file(argv[0])
         folders = folders_of(file, argv[0])
-        self.importer = script_importer(guest, [file, *argv[1:]], folders, init_node)
+        guest.argv = [file, *argv[1:]]
+        self.importer = script_importer(guest, folders, init_node)
         self.module = self.importer.prepare("__main__", file)
         try:
             with open(file, "rb") as source:
