@@ -124,6 +124,7 @@ class Lifecycle:
             if suspicion and not isolated:
                 _log.warning("%s is given a process of its own; %s", request.name, suspicion)
             isolated = isolated or bool(suspicion)
+            kind = kind.alone if isolated else kind
             manager = placement.choose(
                 self._host,
                 self._graph.all(),
@@ -134,6 +135,7 @@ class Lifecycle:
             )
             record = replace(
                 planned,
+                kind=kind,
                 manager=manager,
                 is_protected=request.is_protected,
                 isolated=isolated,
@@ -172,7 +174,7 @@ class Lifecycle:
         if suspicion and not record.isolated:
             _log.warning("%s is given a process of its own; %s", record.name, suspicion)
             # Without the name of the process that it leaves, which does not end with it.
-            record = replace(record, isolated=True, manager="")
+            record = replace(record, isolated=True, manager="", kind=record.kind.alone)
         record = replace(record, suspicion=suspicion or record.suspicion)
         starting = replace(record, state=State.STARTING, detail=record.suspicion)
         self._graph.put(starting)  # from now on it counts where it will be

@@ -46,6 +46,11 @@ class NodeletKind(enum.Enum):
         return NodeletKind.PYTHON if self is NodeletKind.SCRIPT else self
 
     @property
+    def alone(self) -> NodeletKind:
+        """The kind of the same in a process of its own: a script runs as the node that it is."""
+        return NodeletKind.NODE if self is NodeletKind.SCRIPT else self
+
+    @property
     def title(self) -> str:
         """What people call it."""
         return _TITLES[self]

@@ -206,10 +206,13 @@ class Children:
         if self._launcher.living(node) is not None:
             raise NameTaken(node)
 
-    def start_node(self, name: str, command: Tuple[str, ...], timeout: float) -> None:
+    def start_node(
+        self, kind: NodeletKind, name: str, command: Tuple[str, ...], timeout: float
+    ) -> None:
         """Start a node, and wait until it offers its ports. It is not started again.
 
         Args:
+            kind: what it is.
             name: of the node.
             command: program and arguments.
             timeout: seconds that it may take.
@@ -217,7 +220,7 @@ class Children:
         Raises:
             HostError: it did not come up, and was ended.
         """
-        record = ChildRecord(name, NodeletKind.CPP_NODE, name)
+        record = ChildRecord(name, kind, name)
         child = self._add(Child(record, command=command, start_timeout=timeout))
         try:
             self._wait_up(child, time.monotonic() + timeout)

@@ -407,7 +407,7 @@ class RosHost(Host):
         remappings = (f"{each}:={request.remappings[each]}" for each in sorted(request.remappings))
         self._set_parameters(request.name, request.parameters)
         command = (path, *program.arguments, *remappings)
-        self._children.start_node(request.name, command, timeout)
+        self._children.start_node(request.kind, request.name, command, timeout)
         self.managers()  # hands the guards over
         self._guards.check(request.name)
 

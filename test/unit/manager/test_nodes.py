@@ -150,6 +150,18 @@ def test_a_script_runs_beside_nodelets(world: World) -> None:
     assert world.manager.graph.get("/filter").kind is NodeletKind.SCRIPT
 
 
+def test_a_script_in_a_process_of_its_own_is_a_node(world: World) -> None:
+    made = world.spawn("lone script", "/alone", config={"words": "/a"})
+    assert (made.kind, made.manager, made.status.manager) == (NodeletKind.NODE, "/alone", "")
+
+    world.host.kill("/alone")
+    world.manager.look()
+    assert world.states() == {"/alone": "RUNNING"}
+    assert world.manager.graph.get("/alone").status.connections == {"words": "/a"}
+    world.manager.destroy("/alone")
+    assert "/alone" not in world.host.processes
+
+
 @pytest.mark.parametrize("label", ["lone script", "lone camera"])
 def test_a_transformation_may_ask_for_a_process_of_its_own(world: World, label: str) -> None:
     shared = world.spawn("camera", "/camera").manager
