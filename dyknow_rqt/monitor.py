@@ -316,13 +316,12 @@ class Monitor(QObject):
             if self._heard is not None and self._heard.revision <= looked.model.revision:
                 self._heard = None  # an older model
             self._take_model(looked.model, looked.nodes, looked.taken)
-        self._meter.keep(each.name for each in self.snapshot.nodelets)
         for name, statistics, moment in looked.statistics:
             if statistics is None:
                 self._meter.miss(name)
             else:
                 self._meter.note(name, statistics, moment)
-        self.measured.emit(self._meter.traffic)
+        self._tell_rates()
 
     def _hear(self, model: Model) -> None:
         """Delay a model until the one before it has been drawn, and for the same time again."""
@@ -348,6 +347,7 @@ class Monitor(QObject):
         if snapshot != self.snapshot:
             self.snapshot = snapshot
             self.changed.emit(snapshot)
+            self._tell_rates()
         if model.library_revision != self._library_revision:
             self.read_library()
 
@@ -370,6 +370,12 @@ class Monitor(QObject):
 
     def _forget_rates(self) -> None:
         self._meter.keep(())
+        self.measured.emit(self._meter.traffic)
+
+    def _tell_rates(self) -> None:
+        """Tell the rates of the nodelets that run."""
+        nodelets = self.snapshot.nodelets
+        self._meter.keep(each.name for each in nodelets if each.state is State.RUNNING)
         self.measured.emit(self._meter.traffic)
 
     def _log_unexpected(self, error: Exception) -> None:

@@ -15,6 +15,9 @@ if TYPE_CHECKING:
 
 #: Seconds over which drops are counted at least.
 _STRETCH = 4.0
+#: Messages that are overdue, and seconds without one, before a stream is called silent.
+_OVERDUE = 4.0
+_SILENCE = 2.0
 
 
 @dataclass(frozen=True)
@@ -35,20 +38,24 @@ class PortRate:
 
 
 @dataclass(frozen=True)
-class _Drops:
+class _Count:
     time: float
     uptime: float
+    messages: int
     dropped: int
 
 
 class Meter:
     """Keeps the rates that the proxies tell, and computes those of drops, which they only count.
 
-    Drops are counted over the last one to two stretches of ``_STRETCH`` seconds.
+    Drops are counted over the last one to two stretches of ``_STRETCH`` seconds. What a proxy
+    tells falls slowly once no messages come; here it is 0 as soon as several are overdue.
     """
 
     def __init__(self) -> None:
-        self._last: Dict[PortRef, Tuple[_Drops, _Drops]] = {}
+        self._last: Dict[PortRef, Tuple[_Count, _Count]] = {}
+        #: The first readings of the present numbers of messages.
+        self._moved: Dict[PortRef, _Count] = {}
         self._traffic: Dict[PortRef, PortRate] = {}
 
     def note(self, nodelet: str, statistics: NodeletStatistics, now: float) -> None:
@@ -64,7 +71,7 @@ class Meter:
             if port.messages is None or port.dropped is None or port.rate is None:
                 self._forget(ref)  # messages of this port are not counted
                 continue
-            count = _Drops(now, statistics.uptime, port.dropped)
+            count = _Count(now, statistics.uptime, port.messages, port.dropped)
             before, begin = self._last.get(ref, (count, count))
             if count.uptime < begin.uptime:  # loaded again: counts begin at zero
                 before = begin = count
@@ -73,7 +80,13 @@ class Meter:
             self._last[ref] = before, begin
             seconds = now - before.time
             drops = (count.dropped - before.dropped) / seconds if seconds > 0 else 0.0
-            self._traffic[ref] = PortRate(port.rate, drops, port.messages, port.dropped)
+            moved = self._moved.get(ref, count)
+            if moved.messages != count.messages:
+                moved = count
+            self._moved[ref] = moved
+            is_silent = (now - moved.time) * port.rate > _OVERDUE and now - moved.time > _SILENCE
+            rate = 0.0 if is_silent else port.rate
+            self._traffic[ref] = PortRate(rate, drops, port.messages, port.dropped)
 
     def miss(self, nodelet: str) -> None:
         """Note that a nodelet did not answer: what its rates are is not known."""
@@ -93,6 +106,7 @@ class Meter:
 
     def _forget(self, ref: PortRef) -> None:
         self._last.pop(ref, None)
+        self._moved.pop(ref, None)
         self._traffic.pop(ref, None)
 
 
@@ -111,6 +125,8 @@ def in_turns(names: Iterable[str], start: int, count: int) -> Tuple[Tuple[str, .
 
 
 def _number(value: float) -> str:
+    if value == 0:
+        return "0"
     if value < 0.995:
         return f"{value:.2f}"
     return f"{value:.1f}" if value < 99.95 else f"{value:.0f}"

@@ -233,6 +233,19 @@ def test_rates_are_those_of_the_proxies_and_drops_are_counted_over_seconds():
         meter.note("/n", counts(3, 9, 0), 66.0)
 
 
+def test_a_stream_whose_messages_are_overdue_has_no_rate():
+    meter, ref = Meter(), PortRef("/n", "out")
+    for second, messages, rate in (
+        *((0, 100, 7.0), (1, 107, 7.0), (2, 107, 7.0), (3, 107, 7.0)),  # may still be late
+        *((4, 107, 0.0), (60, 107, 0.0), (61, 108, 7.0)),
+    ):
+        meter.note("/n", counts(10 + second, messages, 0), 50.0 + second)
+        assert meter.traffic[ref].rate == (7.0 if rate else 0.0), second
+    assert meter.traffic[ref].text == "7.0 Hz"
+    meter.note("/n", counts(80, 108, 0), 120.0)
+    assert meter.traffic[ref].text == "0 Hz"
+
+
 def test_everybody_has_a_turn():
     assert in_turns([], 3, 2) == ((), 0)
     turn, asked = 0, []

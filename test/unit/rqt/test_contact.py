@@ -12,6 +12,7 @@ from python_qt_binding.QtGui import QPalette
 from unit.rqt.hands import create, until, vertex_keys
 from unit.rqt.seeing import contrast
 
+from dyknow.model.graph import State
 from dyknow_rqt.canvas.colours import colours_of
 from dyknow_rqt.graph.changes import Protect
 from dyknow_rqt.graph.contact import Contact
@@ -155,6 +156,15 @@ def test_a_manager_that_is_gone_is_told_greyed_and_found_again(qtbot, window, re
     assert not sign.isVisible() and not is_grey(window)
     until(qtbot, lambda: bool(rates(window)))
     create(qtbot, window, "/field/second")
+
+
+def test_a_nodelet_that_is_lost_has_no_rate(qtbot, window, remote):
+    edges = window.graph.view.scene().edges
+    arrow = next(edge for edge in edges if edge.tail == "n_/nao1/resize")
+    until(qtbot, lambda: edges[arrow].traffic is not None)
+    window.monitor.set_period(60.0)
+    remote.client.alter("/nao1/resize", state=State.LOST)
+    until(qtbot, lambda: edges[arrow].traffic is None)
 
 
 def test_a_manager_that_hangs_is_silent_for_longer_and_longer(qtbot, window, remote):
