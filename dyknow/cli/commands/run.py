@@ -32,9 +32,9 @@ COMMANDS = (
     Command(
         "run",
         "run a node so that its ports can be connected elsewhere",
-        "Runs a program of a package as rosrun does. A node of roscpp or rospy then has ports that "
-        "can be connected elsewhere while it runs, and is shown with the nodelets. Anything else "
-        "runs as it is, and says so. In a launch file the same is done by "
+        "Runs a program of a package as rosrun does. A node of roscpp or rospy then has ports "
+        "that can be connected elsewhere while it runs, and is shown with the nodelets. Anything "
+        "else runs as it is, and says so. In a launch file the same is done by "
         'launch-prefix="rosrun dyknow rewirable".',
         "dyknow run topic_tools relay /scan /copy __name:=copier\n"
         "dyknow run rospy_tutorials talker.py chatter:=/words\n"

@@ -109,13 +109,21 @@ class Guest:
             in_background(f"unloading {self.name}", self.context.unload)
 
     def adopt(self, thread: threading.Thread) -> None:
-        """Know a thread that begins; it does not keep the process."""
+        """Know a thread that is about to begin; it does not keep the process."""
         if len(self.threads) > _MANY:
             self.threads = [each for each in self.threads if each.is_alive()]
         self.threads.append(thread)
         if not thread.daemon:
             self._keepers.add(thread)
             thread.daemon = True
+        run, context = thread.run, self.context
+        if context is not None:
+
+            def noted() -> None:
+                with context.executor.record.noting(context.mark):
+                    run()
+
+            thread.run = noted  # type: ignore[method-assign]
 
     def join(self) -> None:
         """Wait for the threads that would keep a process, as Python does at its end."""
