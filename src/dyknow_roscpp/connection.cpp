@@ -8,15 +8,22 @@
 namespace dyknow
 {
 
-Connection::Connection(std::weak_ptr<PortSubscription> subscription,
-                       ros::SubscriptionCallbackHelperPtr original, ros::CallbackQueueInterface* queue,
-                       std::string topic, State state)
-  : topic(std::move(topic))
-  , subscription_(std::move(subscription))
-  , original_(std::move(original))
-  , queue_(queue)
+Connection::Connection(std::shared_ptr<PortSubscription> subscription, const ros::SubscribeOptions& options,
+                       std::string topic, std::uint32_t number, State state)
+  : subscription_(std::move(subscription))
+  , original_(options.helper)
+  , type_(original_->getTypeInfo())
+  , queue_(options.callback_queue)
+  , queue_size_(options.queue_size)
+  , number_(number)
   , state_(state)
+  , topic(std::move(topic))
 {
+}
+
+bool Connection::take(QueuedMessage&& message)
+{
+  return subscription_->take(std::move(message));
 }
 
 ros::VoidConstPtr Connection::deserialize(const ros::SubscriptionCallbackHelperDeserializeParams& params)
@@ -26,15 +33,12 @@ ros::VoidConstPtr Connection::deserialize(const ros::SubscriptionCallbackHelperD
 
 void Connection::call(ros::SubscriptionCallbackHelperCallParams& params)
 {
-  if (const auto subscription = subscription_.lock())
-  {
-    subscription->deliver(*this, params);
-  }
+  original_->call(params);
 }
 
 const std::type_info& Connection::getTypeInfo()
 {
-  return original_->getTypeInfo();
+  return type_;
 }
 
 bool Connection::isConst()
@@ -47,37 +51,9 @@ bool Connection::hasHeader()
   return original_->hasHeader();
 }
 
-void Connection::addCallback(const ros::CallbackInterfacePtr& callback, std::uint64_t)
+ros::CallbackInterface::CallResult Connection::call()
 {
-  const auto subscription = subscription_.lock();
-  if (!subscription)
-  {
-    return;
-  }
-  const std::lock_guard<std::mutex> queueing(subscription->queueing_lock_);
-  {
-    const std::lock_guard<std::mutex> lock(subscription->state_lock_);
-    if (callback_ != callback)  // otherwise nothing is written that other processors have in their caches
-    {
-      callback_ = callback;
-    }
-    if (state_ == State::HELD)
-    {
-      ++held_back_;
-      return;
-    }
-    if (state_ == State::CLOSED || !subscription->is_open_)
-    {
-      return;
-    }
-  }
-  queueCallback();
-}
-
-void Connection::queueCallback()
-{
-  // An id of our own: roscpp's is the address of an object that is gone while we still drain.
-  queue_->addCallback(callback_, reinterpret_cast<std::uint64_t>(this));
+  return subscription_->deliver(*this);
 }
 
 }  // namespace dyknow

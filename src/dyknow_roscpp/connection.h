@@ -6,41 +6,60 @@
 #define DYKNOW_ROSCPP_CONNECTION_H
 
 #include <ros/callback_queue_interface.h>
+#include <ros/message_deserializer.h>
+#include <ros/subscribe_options.h>
 #include <ros/subscription_callback_helper.h>
+#include <ros/time.h>
 
 #include <cstdint>
+#include <list>
 #include <memory>
 #include <string>
-#include <thread>
-#include <vector>
 
 namespace dyknow
 {
 
+class Connection;
 class PortSubscription;
 
-/// What roscpp takes for the callback of a subscription and for the callback queue that it goes to.
+using ConnectionPtr = boost::shared_ptr<Connection>;
+
+/// A message that waits for its callback.
+struct QueuedMessage
+{
+  ConnectionPtr connection;
+  ros::MessageDeserializerPtr deserializer;
+  ros::Time receipt_time;
+  bool has_other_receivers;  ///< a callback that changes the message gets a copy
+};
+
+/// What roscpp takes for the callback of a subscription, and for the callback queue that it goes to.
 ///
-/// roscpp clears the queue of a subscription when it ends. A connection of our own for each topic lets the
-/// old topic's messages be delivered after that: `removeByID` does nothing, and the hook of
-/// `SubscriptionQueue::clear` keeps the messages.
-class Connection final : public ros::SubscriptionCallbackHelper, public ros::CallbackQueueInterface
+/// roscpp has a queue of messages for each topic, and clears it when the subscription ends. Here all messages
+/// go into one queue of the port's subscription, which outlives its connections: what came from the old topic
+/// is delivered before what comes from the new one. A connection is also the callback that is queued for each
+/// of its messages.
+class Connection final : public ros::SubscriptionCallbackHelper,
+                         public ros::CallbackQueueInterface,
+                         public ros::CallbackInterface
 {
 public:
   /// A connection goes from one state to the next, or leaves some out.
   enum class State
   {
-    HELD,      ///< the move is not decided: messages are queued, callbacks are kept back
-    WAITING,   ///< moving: its first message switches the subscription over to it
-    OPEN,      ///< delivers
-    DRAINING,  ///< takes no more, and delivers what it holds
-    CLOSED     ///< delivers nothing any more
+    HELD,     ///< the move is not decided: its messages are kept back
+    WAITING,  ///< moving: its first message switches the subscription over to it
+    OPEN,     ///< its messages are queued
+    CLOSED    ///< takes no more
   };
 
-  Connection(std::weak_ptr<PortSubscription> subscription, ros::SubscriptionCallbackHelperPtr original,
-             ros::CallbackQueueInterface* queue, std::string topic, State state);
+  /// @param subscription lets go of the connection when it is closed, otherwise each would keep the other
+  /// @param number tells which one of the subscription's connections was made first
+  Connection(std::shared_ptr<PortSubscription> subscription, const ros::SubscribeOptions& options,
+             std::string topic, std::uint32_t number, State state);
 
-  const std::string topic;
+  /// Takes a message of it; returns what PortSubscription::take does.
+  bool take(QueuedMessage&& message);
 
   // ros::SubscriptionCallbackHelper
   ros::VoidConstPtr deserialize(const ros::SubscriptionCallbackHelperDeserializeParams& params) override;
@@ -49,35 +68,32 @@ public:
   bool isConst() override;
   bool hasHeader() override;
 
-  // ros::CallbackQueueInterface
-  void addCallback(const ros::CallbackInterfacePtr& callback, std::uint64_t) override;
+  // ros::CallbackQueueInterface: the subscription has queued a callback when it took the message
+  void addCallback(const ros::CallbackInterfacePtr&, std::uint64_t) override {}
   void removeByID(std::uint64_t) override {}
 
-  /// Takes a message in place of roscpp's queue; `push` does what roscpp would have done and returns whether
-  /// the queue was full. Returns true if roscpp must not queue a callback.
-  template <class Push>
-  bool take(Push push);
+  // ros::CallbackInterface
+  CallResult call() override;
 
 private:
   friend class PortSubscription;
 
-  /// Queues one more callback for a message of it.
-  void queueCallback();
-
-  const std::weak_ptr<PortSubscription> subscription_;
+  // What every message touches comes first: it is seldom in the processor's caches any more.
+  const std::shared_ptr<PortSubscription> subscription_;
   const ros::SubscriptionCallbackHelperPtr original_;
+  const std::type_info& type_;
   ros::CallbackQueueInterface* const queue_;
+  const std::uint32_t queue_size_;  ///< 0: any number of messages
+  const std::uint32_t number_;
 
-  // All that follows is guarded by the lock of the subscription.
+  // Guarded by the lock of the subscription.
   State state_;
-  ros::CallbackInterfacePtr callback_;  ///< roscpp's, the same for each message
-  std::size_t held_back_ = 0;           ///< callbacks that have not gone to the queue
-  std::size_t queued_ = 0;              ///< messages that wait
-  std::size_t skipped_ = 0;             ///< the first of them, which another connection took as well
-  std::vector<std::thread::id> running_;
-};
+  std::uint32_t queued_ = 0;  ///< messages that wait
+  std::list<QueuedMessage> held_;
 
-using ConnectionPtr = boost::shared_ptr<Connection>;
+public:
+  const std::string topic;
+};
 
 }  // namespace dyknow
 

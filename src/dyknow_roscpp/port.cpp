@@ -47,7 +47,7 @@ std::string Port::datatype() const
   return datatype_;
 }
 
-std::shared_ptr<Traffic> Port::join(const std::shared_ptr<End>& end, const std::string& datatype)
+Traffic Port::join(const std::shared_ptr<End>& end, const std::string& datatype)
 {
   std::lock_guard<std::mutex> lock(state_lock_);
   if (datatype_.empty() || datatype_ == "*")
@@ -63,11 +63,11 @@ std::shared_ptr<Traffic> Port::join(const std::shared_ptr<End>& end, const std::
       return share.traffic;
     }
   }
-  shares_.push_back({end.get(), end, std::make_shared<Traffic>()});
-  return shares_.back().traffic;
+  shares_.push_back({end.get(), end, Traffic()});
+  return Traffic();
 }
 
-void Port::leave(const End* end)
+void Port::leave(const End* end, const Traffic& traffic)
 {
   std::lock_guard<std::mutex> lock(state_lock_);
   for (auto& share : shares_)
@@ -76,6 +76,7 @@ void Port::leave(const End* end)
     {
       share.key = nullptr;
       share.end.reset();
+      share.traffic = traffic;
     }
   }
 }
@@ -96,11 +97,16 @@ std::vector<std::shared_ptr<End>> Port::ends() const
 
 Traffic::Snapshot Port::statistics() const
 {
-  std::lock_guard<std::mutex> lock(state_lock_);
-  Traffic::Snapshot sum;
-  for (const auto& share : shares_)
+  std::vector<Share> shares;
   {
-    const auto each = share.traffic->snapshot();
+    std::lock_guard<std::mutex> lock(state_lock_);
+    shares = shares_;
+  }
+  Traffic::Snapshot sum;
+  for (const auto& share : shares)
+  {
+    const auto end = share.end.lock();
+    const auto each = (end ? end->traffic() : share.traffic).snapshot();
     if (each.messages > sum.messages)
     {
       sum.messages = each.messages;

@@ -48,6 +48,9 @@ public:
 
   /// Whether its node holds it.
   virtual bool isOpen() const = 0;
+
+  /// What went through it.
+  virtual Traffic traffic() const = 0;
 };
 
 /// How a port is called.
@@ -80,8 +83,8 @@ public:
   std::string datatype() const;
 
   /// Lets an end share the port; returns its counts, which go on where those of an end that has left stopped.
-  std::shared_ptr<Traffic> join(const std::shared_ptr<End>& end, const std::string& datatype);
-  void leave(const End* end);
+  Traffic join(const std::shared_ptr<End>& end, const std::string& datatype);
+  void leave(const End* end, const Traffic& traffic);
   std::vector<std::shared_ptr<End>> ends() const;
 
   /// What went through all that share the port.
@@ -92,7 +95,7 @@ private:
   {
     const End* key;
     std::weak_ptr<End> end;
-    std::shared_ptr<Traffic> traffic;
+    Traffic traffic;  ///< of the end that has left
   };
 
   mutable std::mutex state_lock_;

@@ -59,10 +59,12 @@ PortPublication::PortPublication(std::shared_ptr<Port> port) : port_(std::move(p
 
 bool PortPublication::open(const ros::AdvertiseOptions& options, const ros::SubscriberCallbacksPtr& callbacks)
 {
-  traffic_ = port_->join(shared_from_this(), options.datatype);
+  const Traffic before = port_->join(shared_from_this(), options.datatype);
   RegistrationPtr first;
   {
     std::lock_guard<std::mutex> lock(message_lock_);
+    traffic_ = before;
+    is_latched_ = options.latch;
     options_ = options;
     options_.tracked_object.reset();  // the node's callbacks hold it weakly
     node_ = callbacks;
@@ -84,7 +86,6 @@ bool PortPublication::open(const ros::AdvertiseOptions& options, const ros::Subs
 
 void PortPublication::close()
 {
-  port_->leave(this);
   std::vector<RegistrationPtr> all;
   {
     std::lock_guard<std::mutex> lock(message_lock_);
@@ -100,6 +101,7 @@ void PortPublication::close()
       }
     }
   }
+  port_->leave(this, traffic());
   if (!node_)
   {
     return;
@@ -124,23 +126,18 @@ void PortPublication::publish(const boost::function<ros::SerializedMessage()>& s
   std::lock_guard<std::mutex> lock(message_lock_);
   if (active_)
   {
-    traffic_->sent();
-    topics::publish(active_->topic, serialise, message);
+    traffic_.sent();
+    active_->publish(serialise, message);
   }
   else
   {
-    traffic_->dropped();
-    if (options_.latch)
+    traffic_.dropped();
+    if (is_latched_)
     {
-      // ros::Publisher keeps it for those to come, and expects it as roscpp leaves it.
-      const ros::SerializedMessage serialised = serialise();
-      message.buf = serialised.buf;
-      message.num_bytes = serialised.num_bytes;
-      message.message_start = serialised.message_start;
-      message.message.reset();
+      message = serialise();  // ros::Publisher keeps it for those to come
     }
   }
-  if (options_.latch)
+  if (is_latched_)
   {
     port_->latched = true;
   }
@@ -151,7 +148,7 @@ void PortPublication::incrementSequence()
   std::lock_guard<std::mutex> lock(message_lock_);
   if (active_)
   {
-    topics::incrementSequence(active_->topic);
+    active_->incrementSequence();
   }
 }
 
@@ -251,6 +248,12 @@ bool PortPublication::isOpen() const
 {
   std::lock_guard<std::mutex> lock(message_lock_);
   return is_open_;
+}
+
+Traffic PortPublication::traffic() const
+{
+  std::lock_guard<std::mutex> lock(message_lock_);
+  return traffic_;
 }
 
 bool PortPublication::isActive(const RegistrationPtr& registration) const

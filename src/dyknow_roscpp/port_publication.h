@@ -35,6 +35,10 @@ public:
   void advertise(const topics::WiringLock& lock, ros::AdvertiseOptions options);
   void unadvertise(const topics::WiringLock& lock);
 
+  /// Once it is advertised.
+  void publish(const boost::function<ros::SerializedMessage()>& serialise, ros::SerializedMessage& message);
+  void incrementSequence();
+
   /// Calls the node's disconnect callback for each link: roscpp does not when a publisher unadvertises, and a
   /// lazy nodelet would go on working for nobody.
   void disconnectAll();
@@ -51,7 +55,8 @@ private:
   void queueForNode(const ros::SubscriberStatusCallback& callback, const ros::SubscriberLinkPtr& link) const;
 
   const ros::SubscriberCallbacksPtr node_;
-  bool is_advertised_ = false;  ///< under the wiring lock
+  ros::PublicationPtr publication_;  ///< roscpp's, of all publishers of this process that are on the topic
+  bool is_advertised_ = false;       ///< under the wiring lock
   std::size_t known_subscribers_ = 0;
   mutable std::mutex links_lock_;
   std::vector<ros::SubscriberLinkPtr> links_;
@@ -95,6 +100,7 @@ public:
   void cancel() override;
   std::string topic() const override;
   bool isOpen() const override;
+  Traffic traffic() const override;
 
 private:
   /// Whether it has not been moved away meanwhile.
@@ -103,14 +109,16 @@ private:
   /// it.
   void withdrawLater(const RegistrationPtr& old);
 
+  // What every message touches, side by side: it is seldom in the processor's caches any more.
+  mutable std::mutex message_lock_;  ///< held while a message is published
+  RegistrationPtr active_;
+  bool is_open_ = false;
+  bool is_latched_ = false;
+  Traffic traffic_;
+
   const std::shared_ptr<Port> port_;
-  std::shared_ptr<Traffic> traffic_;
   ros::AdvertiseOptions options_;
   ros::SubscriberCallbacksPtr node_;
-
-  mutable std::mutex message_lock_;  ///< held while a message is published
-  bool is_open_ = false;
-  RegistrationPtr active_;
   RegistrationPtr prepared_;
   std::shared_ptr<void> notice_;  ///< that it moves to the topic of `prepared_`, for `isAnyMovingTo`
   bool is_prepared_ = false;

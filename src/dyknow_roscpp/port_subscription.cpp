@@ -6,7 +6,6 @@
 #include <algorithm>
 #include <utility>
 
-#include "deadline.h"
 #include "later.h"
 #include "port_publication.h"
 #include "problems.h"
@@ -22,15 +21,6 @@ constexpr std::chrono::milliseconds CONNECTED_PATIENCE(100);
 constexpr std::chrono::milliseconds PATIENCE(500);
 /// How often it is looked whether a publisher has come.
 constexpr std::chrono::milliseconds STEP(5);
-/// How long a callback of the new topic waits at most for those of the old one, on other threads.
-constexpr std::chrono::seconds LONGEST_DRAIN(1);
-
-bool isIdle(std::size_t queued, const std::vector<std::thread::id>& running)
-{
-  const auto here = std::this_thread::get_id();
-  return queued == 0 &&
-         std::all_of(running.begin(), running.end(), [here](auto each) { return each == here; });
-}
 
 }  // namespace
 
@@ -38,10 +28,11 @@ PortSubscription::PortSubscription(std::shared_ptr<Port> port) : port_(std::move
 
 bool PortSubscription::open(const ros::SubscribeOptions& options)
 {
-  traffic_ = port_->join(shared_from_this(), options.datatype);
+  const Traffic before = port_->join(shared_from_this(), options.datatype);
   ConnectionPtr first;
   {
     std::lock_guard<std::mutex> lock(state_lock_);
+    traffic_ = before;
     options_ = options;
     options_.tracked_object.reset();
     is_tracked_ = static_cast<bool>(options.tracked_object);
@@ -52,7 +43,7 @@ bool PortSubscription::open(const ros::SubscribeOptions& options)
     {
       return true;
     }
-    first = active_ = makeConnection(topic, Connection::State::OPEN);
+    first = active_ = makeConnectionLocked(topic, Connection::State::OPEN);
   }
   const topics::WiringLock lock;
   return !isActive(first) || registerConnection(lock, first);
@@ -60,28 +51,23 @@ bool PortSubscription::open(const ros::SubscribeOptions& options)
 
 void PortSubscription::close()
 {
-  port_->leave(this);
   std::vector<ConnectionPtr> all;
+  std::list<QueuedMessage> left;  // destroyed without the lock
   {
     std::lock_guard<std::mutex> lock(state_lock_);
     is_open_ = false;
-    all.assign(draining_.begin(), draining_.end());
-    for (const auto& each : {active_, waiting_, prepared_})
+    for (auto* each : {&active_, &waiting_, &prepared_})
     {
-      if (each)
+      if (*each)
       {
-        all.push_back(each);
+        (*each)->state_ = Connection::State::CLOSED;
+        left.splice(left.end(), (*each)->held_);
+        all.push_back(std::move(*each));
       }
     }
-    for (const auto& each : all)
-    {
-      each->state_ = Connection::State::CLOSED;
-    }
-    active_.reset();
-    waiting_.reset();
-    prepared_.reset();
-    draining_.clear();
+    left.splice(left.end(), queue_);
   }
+  port_->leave(this, traffic());
   {
     const std::lock_guard<std::mutex> none_is_queued(queueing_lock_);  // from now on
   }
@@ -89,23 +75,110 @@ void PortSubscription::close()
     const topics::WiringLock lock;
     for (const auto& each : all)
     {
-      // It would wait for a running callback in SubscriptionQueue::clear: we wait below, without the lock.
-      topics::unsubscribeDraining(lock, each->topic, each);
+      topics::unsubscribe(lock, each->topic, each);
     }
   }
-  for (const auto& each : all)
+  if (options_.callback_queue == nullptr)
   {
-    each->queue_->removeByID(reinterpret_cast<std::uint64_t>(each.get()));
+    return;  // it was never open
   }
+  options_.callback_queue->removeByID(callbackId());
   if (options_.allow_concurrent_callbacks)
   {
     return;  // roscpp waits for none of them either
   }
   std::unique_lock<std::mutex> lock(state_lock_);
-  for (const auto& each : all)
+  callback_ended_.wait(lock, [this] { return !isRunningElsewhereLocked(); });
+}
+
+bool PortSubscription::take(QueuedMessage&& message)
+{
+  Connection& connection = *message.connection;
+  const ros::CallbackInterfacePtr callback = message.connection;
+  std::list<QueuedMessage> lost;  // destroyed without the lock
+  const std::lock_guard<std::mutex> queueing(queueing_lock_);
   {
-    callback_ended_.wait(lock, [&each] { return isIdle(0, each->running_); });
+    const std::lock_guard<std::mutex> lock(state_lock_);
+    if (connection.state_ == Connection::State::WAITING)
+    {
+      switchLocked(waiting_);
+    }
+    if (connection.state_ == Connection::State::CLOSED)
+    {
+      return true;
+    }
+    const bool is_held = connection.state_ == Connection::State::HELD;
+    auto& messages = is_held ? connection.held_ : queue_;
+    messages.push_back(std::move(message));
+    if (connection.queue_size_ > 0 && connection.queued_ == connection.queue_size_)
+    {
+      const auto oldest = std::find_if(messages.begin(), messages.end(), [&connection](const auto& each)
+                                       { return each.connection.get() == &connection; });
+      lost.splice(lost.end(), messages, oldest);
+      traffic_.dropped();
+      return true;
+    }
+    ++connection.queued_;
+    if (is_held)
+    {
+      return false;
+    }
   }
+  connection.queue_->addCallback(callback, callbackId());
+  return false;
+}
+
+ros::CallbackInterface::CallResult PortSubscription::deliver(const Connection& latest)
+{
+  std::list<QueuedMessage> taken;
+  ros::VoidConstPtr tracked;
+  const auto start = Clock::now();
+  {
+    std::lock_guard<std::mutex> lock(state_lock_);
+    if (queue_.empty() || queue_.front().connection->number_ > latest.number_)
+    {
+      return ros::CallbackInterface::Invalid;
+    }
+    if (isRunningElsewhereLocked() && !options_.allow_concurrent_callbacks)
+    {
+      return ros::CallbackInterface::TryAgain;
+    }
+    if (is_tracked_ && !(tracked = tracked_.lock()))
+    {
+      return ros::CallbackInterface::Invalid;
+    }
+    taken.splice(taken.end(), queue_, queue_.begin());
+    --taken.front().connection->queued_;
+    running_.push_back(std::this_thread::get_id());
+    traffic_.received(start);
+  }
+  struct Running
+  {
+    ~Running()
+    {
+      const auto took = Clock::now() - start;
+      std::lock_guard<std::mutex> lock(self.state_lock_);
+      self.traffic_.processed(took);
+      auto& running = self.running_;
+      running.erase(std::find(running.begin(), running.end(), std::this_thread::get_id()));
+      if (!self.is_open_)
+      {
+        self.callback_ended_.notify_all();
+      }
+    }
+    PortSubscription& self;
+    const Clock::time_point start;
+  } running{*this, start};
+  const auto& message = taken.front();
+  if (const ros::VoidConstPtr content = message.deserializer->deserialize())  // else roscpp has logged why
+  {
+    ros::SubscriptionCallbackHelperCallParams params;
+    params.event = ros::MessageEvent<void const>(content, message.deserializer->getConnectionHeader(),
+                                                 message.receipt_time, message.has_other_receivers,
+                                                 ros::MessageEvent<void const>::CreateFunction());
+    message.connection->original_->call(params);
+  }
+  return ros::CallbackInterface::Success;
 }
 
 std::size_t PortSubscription::publishers() const
@@ -129,7 +202,7 @@ void PortSubscription::prepare(const std::string& topic, Clock::time_point deadl
     {
       return;
     }
-    connection = prepared_ = makeConnection(topic, Connection::State::HELD);
+    connection = prepared_ = makeConnectionLocked(topic, Connection::State::HELD);
   }
   const topics::WiringLock lock(deadline);
   if (!isOpen())
@@ -167,7 +240,7 @@ bool PortSubscription::commit(const Announcement& announce)
     }
     next.swap(prepared_);
     announce_ = announce;
-    if (!next || next->queued_ > next->skipped_ || !active_)
+    if (!next || next->queued_ > 0 || !active_)
     {
       switchLocked(next);
       return true;
@@ -183,6 +256,7 @@ bool PortSubscription::commit(const Announcement& announce)
 void PortSubscription::cancel()
 {
   ConnectionPtr cancelled;
+  std::list<QueuedMessage> held;  // destroyed without the lock
   {
     std::lock_guard<std::mutex> lock(state_lock_);
     is_prepared_ = stays_ = false;
@@ -192,6 +266,7 @@ void PortSubscription::cancel()
       return;
     }
     cancelled->state_ = Connection::State::CLOSED;
+    held.swap(cancelled->held_);
   }
   const topics::WiringLock lock;
   topics::unsubscribe(lock, cancelled->topic, cancelled);
@@ -209,16 +284,21 @@ bool PortSubscription::isOpen() const
   return is_open_;
 }
 
+Traffic PortSubscription::traffic() const
+{
+  std::lock_guard<std::mutex> lock(state_lock_);
+  return traffic_;
+}
+
 bool PortSubscription::isActive(const ConnectionPtr& connection) const
 {
   std::lock_guard<std::mutex> lock(state_lock_);
   return active_ == connection;
 }
 
-ConnectionPtr PortSubscription::makeConnection(const std::string& topic, Connection::State state)
+ConnectionPtr PortSubscription::makeConnectionLocked(const std::string& topic, Connection::State state)
 {
-  return boost::make_shared<Connection>(weak_from_this(), options_.helper, options_.callback_queue, topic,
-                                        state);
+  return boost::make_shared<Connection>(shared_from_this(), options_, topic, ++connections_, state);
 }
 
 bool PortSubscription::registerConnection(const topics::WiringLock& lock, const ConnectionPtr& connection)
@@ -234,76 +314,18 @@ bool PortSubscription::registerConnection(const topics::WiringLock& lock, const 
   return topics::subscribe(lock, options);
 }
 
-void PortSubscription::deliver(Connection& connection, ros::SubscriptionCallbackHelperCallParams& params)
+void PortSubscription::queueCallbacks(const ConnectionPtr& connection, std::uint32_t count)
 {
-  const auto here = std::this_thread::get_id();
+  for (; count > 0; --count)
   {
-    std::unique_lock<std::mutex> lock(state_lock_);
-    connection.queued_ -= connection.queued_ > 0 ? 1 : 0;
-    const bool is_skipped = connection.skipped_ > 0;
-    connection.skipped_ -= is_skipped ? 1 : 0;
-    if (is_skipped || connection.state_ == Connection::State::CLOSED)
-    {
-      return;
-    }
-    connection.running_.push_back(here);
-    awaitPredecessors(lock, connection);
+    connection->queue_->addCallback(connection, callbackId());
   }
-  struct End
-  {
-    ~End()
-    {
-      const auto now = Clock::now();
-      self.traffic_->received(start, now - start);
-      std::lock_guard<std::mutex> lock(self.state_lock_);
-      auto& running = connection.running_;
-      running.erase(std::find(running.begin(), running.end(), std::this_thread::get_id()));
-      if (connection.state_ == Connection::State::DRAINING && connection.queued_ == 0 && running.empty())
-      {
-        auto& draining = self.draining_;
-        draining.erase(std::remove_if(draining.begin(), draining.end(),
-                                      [this](const auto& each) { return each.get() == &connection; }),
-                       draining.end());
-      }
-      self.callback_ended_.notify_all();
-    }
-    PortSubscription& self;
-    Connection& connection;
-    Clock::time_point start;
-  } end{*this, connection, Clock::now()};
-  connection.original_->call(params);
 }
 
-void PortSubscription::awaitPredecessors(std::unique_lock<std::mutex>& lock, const Connection& connection)
+bool PortSubscription::isRunningElsewhereLocked() const
 {
-  // Only with several threads on one callback queue can a callback of the new topic come before the last of
-  // the old one. Deserialisation that fails makes the count of queued messages too high: hence the limit.
-  const auto is_next = [this, &connection]
-  {
-    for (const auto& each : draining_)
-    {
-      if (each.get() == &connection)
-      {
-        return true;
-      }
-      if (!isIdle(each->queued_, each->running_))
-      {
-        return false;
-      }
-    }
-    return true;
-  };
-  if (draining_.empty() || options_.allow_concurrent_callbacks)
-  {
-    return;
-  }
-  if (!callback_ended_.wait_until(lock, forWaiting(Clock::now() + LONGEST_DRAIN), is_next))
-  {
-    for (const auto& each : draining_)
-    {
-      each->queued_ = 0;
-    }
-  }
+  const auto here = std::this_thread::get_id();
+  return std::any_of(running_.begin(), running_.end(), [here](auto each) { return each != here; });
 }
 
 void PortSubscription::switchLocked(ConnectionPtr next)
@@ -311,21 +333,15 @@ void PortSubscription::switchLocked(ConnectionPtr next)
   if (active_)
   {
     // A queue that was disabled has lost callbacks, as nodelet's loader does during onInit: without them, the
-    // last messages would never be delivered. A callback without a message does nothing.
-    for (std::size_t i = 0; i < active_->queued_ && active_->callback_; ++i)
-    {
-      active_->queueCallback();
-    }
-    active_->state_ = Connection::State::DRAINING;
+    // last messages would come after the announcement. A callback without a message does nothing.
+    queueCallbacks(active_, active_->queued_);
+    active_->state_ = Connection::State::CLOSED;
     if (prepared_ && prepared_->topic == active_->topic)
     {
-      prepared_->skipped_ = prepared_->queued_;  // a move back: both have taken these
+      prepared_->held_.clear();  // a move back: both have taken these
+      prepared_->queued_ = 0;
     }
-    if (!isIdle(active_->queued_, {}) || !active_->running_.empty())
-    {
-      draining_.push_back(active_);
-    }
-    later([self = shared_from_this(), old = active_] { self->withdraw(old); });
+    later([old = active_] { withdraw(old); });
   }
   if (announce_)
   {
@@ -334,10 +350,8 @@ void PortSubscription::switchLocked(ConnectionPtr next)
   if (next)
   {
     next->state_ = Connection::State::OPEN;
-    for (; next->held_back_ > 0; --next->held_back_)
-    {
-      next->queueCallback();
-    }
+    queue_.splice(queue_.end(), next->held_);
+    queueCallbacks(next, next->queued_);
   }
   active_ = next;
   waiting_.reset();
@@ -370,7 +384,7 @@ void PortSubscription::switchIfDue(const ConnectionPtr& next, Clock::time_point 
 void PortSubscription::withdraw(const ConnectionPtr& connection)
 {
   const topics::WiringLock lock;
-  topics::unsubscribeDraining(lock, connection->topic, connection);
+  topics::unsubscribe(lock, connection->topic, connection);
 }
 
 }  // namespace dyknow

@@ -7,11 +7,15 @@
 
 #include <ros/subscribe_options.h>
 
+#include <boost/container/small_vector.hpp>
+
 #include <condition_variable>
-#include <deque>
+#include <list>
 #include <memory>
 #include <mutex>
 #include <string>
+#include <thread>
+#include <vector>
 
 #include "connection.h"
 #include "port.h"
@@ -27,8 +31,8 @@ namespace dyknow
 /// publisher, and 0.5 s if it has none.
 ///
 /// Locks: the wiring lock, then roscpp's, then `queueing_lock_`, then `state_lock_`. Under both of these only
-/// callback queues are called. The first is there for messages that come: who is woken up by their callback needs
-/// the second at once.
+/// callback queues are called. The first is there for messages that come: who is woken up by their callback
+/// needs the second at once.
 class PortSubscription final : public End, public std::enable_shared_from_this<PortSubscription>
 {
 public:
@@ -39,6 +43,14 @@ public:
 
   /// The node lets go. As in roscpp, no callback runs any more on another thread when this returns.
   void close();
+
+  /// Queues a message and a callback for it; returns whether one was lost: the oldest of a full queue, or this
+  /// one if its connection is closed.
+  bool take(QueuedMessage&& message);
+
+  /// Calls the node with the next message, unless that is of a later connection than `latest`: callbacks are
+  /// queued in reserve, and no message may come before the announcement of its connection.
+  ros::CallbackInterface::CallResult deliver(const Connection& latest);
 
   /// Publishers that are connected.
   std::size_t publishers() const;
@@ -52,73 +64,44 @@ public:
   void cancel() override;
   std::string topic() const override;
   bool isOpen() const override;
+  Traffic traffic() const override;
 
 private:
-  friend class Connection;
-
   /// Whether it has not been moved away meanwhile.
   bool isActive(const ConnectionPtr& connection) const;
-  ConnectionPtr makeConnection(const std::string& topic, Connection::State state);
+  ConnectionPtr makeConnectionLocked(const std::string& topic, Connection::State state);
   /// Whether roscpp took it; false as well if the node has let go of what it tracks.
   bool registerConnection(const topics::WiringLock& lock, const ConnectionPtr& connection);
-  void deliver(Connection& connection, ros::SubscriptionCallbackHelperCallParams& params);
-  void awaitPredecessors(std::unique_lock<std::mutex>& lock, const Connection& connection);
+  /// Queues callbacks for messages of a connection.
+  void queueCallbacks(const ConnectionPtr& connection, std::uint32_t count);
+  std::uint64_t callbackId() const { return reinterpret_cast<std::uint64_t>(this); }
+  bool isRunningElsewhereLocked() const;
   /// Delivers from `next` (null: from nothing) after what is queued.
   void switchLocked(ConnectionPtr next);
   void switchIfDue(const ConnectionPtr& next, Clock::time_point committed);
-  void withdraw(const ConnectionPtr& connection);
+  static void withdraw(const ConnectionPtr& connection);
+
+  // What every message touches, side by side: it is seldom in the processor's caches any more.
+  alignas(64) std::mutex queueing_lock_;
+  mutable std::mutex state_lock_;
+  std::list<QueuedMessage> queue_;                              ///< of one connection after the other
+  boost::container::small_vector<std::thread::id, 1> running_;  ///< threads that run a callback
+  bool is_open_ = false;
+  bool is_tracked_ = false;
+  Traffic traffic_;
 
   const std::shared_ptr<Port> port_;
-  std::shared_ptr<Traffic> traffic_;
-
-  std::mutex queueing_lock_;
-  mutable std::mutex state_lock_;
-  std::condition_variable callback_ended_;
+  std::condition_variable callback_ended_;  ///< told when it is not open any more
   ros::SubscribeOptions options_;
   ros::VoidConstWPtr tracked_;  // held weakly: the node's object must be able to die
-  bool is_tracked_ = false;
-  bool is_open_ = false;
+  std::uint32_t connections_ = 0;  ///< how many were made
   ConnectionPtr active_;
   ConnectionPtr waiting_;
   ConnectionPtr prepared_;
   bool is_prepared_ = false;
-  bool stays_ = false;                  ///< what is prepared is to stay on the topic of `active_`
-  Announcement announce_;               ///< called at the next switch
-  std::deque<ConnectionPtr> draining_;  ///< the oldest first
+  bool stays_ = false;     ///< what is prepared is to stay on the topic of `active_`
+  Announcement announce_;  ///< called at the next switch
 };
-
-template <class Push>
-bool Connection::take(Push push)
-{
-  const auto subscription = subscription_.lock();
-  if (!subscription)
-  {
-    return true;
-  }
-  std::lock_guard<std::mutex> lock(subscription->state_lock_);
-  if (state_ == State::WAITING)
-  {
-    subscription->switchLocked(subscription->waiting_);
-  }
-  if (state_ != State::OPEN && state_ != State::HELD)
-  {
-    return true;  // a full queue is what roscpp takes it for, and queues no callback
-  }
-  const bool was_full = push();
-  if (was_full && skipped_ > 0)
-  {
-    --skipped_;  // that one has made room
-  }
-  else if (was_full)
-  {
-    subscription->traffic_->dropped();
-  }
-  else
-  {
-    ++queued_;
-  }
-  return was_full;
-}
 
 }  // namespace dyknow
 

@@ -12,13 +12,13 @@
 #include <ros/callback_queue.h>
 #include <ros/service_manager.h>
 #include <ros/single_subscriber_publisher.h>
-#include <ros/spinner.h>
 #include <ros/this_node.h>
 
 #include <algorithm>
 #include <limits>
 #include <mutex>
 #include <set>
+#include <thread>
 
 #include "guards.h"
 #include "names.h"
@@ -36,6 +36,8 @@ constexpr int THREADS = 4;
 /// In which changes that follow one that was told are collected.
 constexpr std::chrono::milliseconds WINDOW(20);
 constexpr int QUEUE_SIZE = 1000;
+/// Where a node with live ports tells its name; a nodelet manager is found otherwise.
+constexpr char NODES[] = "/dyknow/rewirable_nodes";
 /// Characters of one text in the log.
 constexpr std::size_t LONGEST_LOG = 4096;
 
@@ -185,6 +187,10 @@ public:
                               [proxy](SetConfigEvent& event) { return setConfig(*proxy, event); });
     advertise<GetStatisticsEvent>(proxy->name + "/get_statistics", [proxy](GetStatisticsEvent& event)
                                   { return getStatistics(*proxy, event); });
+    if (proxy->name == ros::this_node::getName())
+    {
+      advertise(NODES, &Services::tellName);  // last: who hears of it asks at once
+    }
   }
 
   void withdraw(const NodeletProxy& proxy)
@@ -206,20 +212,35 @@ public:
   }
 
 private:
-  Services() : changes_(names::join(ros::this_node::getName(), "changes")), spinner_(THREADS, &queue_)
+  Services() : changes_(names::join(ros::this_node::getName(), "changes"))
   {
-    const ros::SubscriberStatusCallback greet = &Services::tellEverything;
+    advertise(changes_, &Services::tellEverything);
+    advertise<GetCountsEvent>(names::join(ros::this_node::getName(), "get_counts"), getCounts);
+    for (int i = 0; i < THREADS; ++i)
+    {
+      // No ros::AsyncSpinner: it has a ros::NodeHandle, and wakes up ten times a second.
+      std::thread(&Services::serve, this).detach();
+    }
+  }
+
+  void serve()
+  {
+    for (;;)
+    {
+      queue_.callOne(ros::WallDuration(std::chrono::duration<double>(std::chrono::hours(1)).count()));
+    }
+  }
+
+  /// Begins to publish a topic; `greet` is called with everybody who begins to listen.
+  void advertise(const std::string& topic, const ros::SubscriberStatusCallback& greet)
+  {
     const ros::SubscriberStatusCallback none;
     const auto options = ros::AdvertiseOptions::create<dyknow_msgs::NodeletChanges>(
-        changes_, QUEUE_SIZE, greet, none, ros::VoidConstPtr(), &queue_);
-    {
-      const topics::WiringLock lock;
-      topics::advertise(
-          lock, options,
-          boost::make_shared<ros::SubscriberCallbacks>(greet, none, ros::VoidConstPtr(), &queue_));
-    }
-    advertise<GetCountsEvent>(names::join(ros::this_node::getName(), "get_counts"), getCounts);
-    spinner_.start();
+        topic, QUEUE_SIZE, greet, none, ros::VoidConstPtr(), &queue_);
+    const topics::WiringLock lock;
+    topics::advertise(
+        lock, options,
+        boost::make_shared<ros::SubscriberCallbacks>(greet, none, ros::VoidConstPtr(), &queue_));
   }
 
   template <class Event, class Answer>
@@ -245,6 +266,13 @@ private:
     }
   }
 
+  static void tellName(const ros::SingleSubscriberPublisher& newcomer)
+  {
+    dyknow_msgs::NodeletChanges message;
+    message.nodelets.push_back(ros::this_node::getName());
+    newcomer.publish(message);
+  }
+
   void tell()
   {
     dyknow_msgs::NodeletChanges message;
@@ -260,7 +288,6 @@ private:
 
   const std::string changes_;
   ros::CallbackQueue queue_;
-  ros::AsyncSpinner spinner_;
   std::mutex state_lock_;
   std::set<std::string> changed_;
   Clock::time_point told_;

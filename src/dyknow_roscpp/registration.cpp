@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 
 #include <ros/callback_queue_interface.h>
+#include <ros/publication.h>
 #include <ros/single_subscriber_publisher.h>
 
 #include <algorithm>
@@ -107,11 +108,12 @@ void Registration::advertise(const topics::WiringLock& lock, ros::AdvertiseOptio
     }
   };
   const Setting<bool> joining(t_joining, topics::isAdvertised(lock, topic));
-  if (!topics::advertise(lock, options, callbacks, &known_subscribers_))
+  is_advertised_ = topics::advertise(lock, options, callbacks, &known_subscribers_);
+  publication_ = topics::publication(lock, topic);
+  if (!is_advertised_ || !publication_)  // there is none any more when ROS shuts down
   {
     throw Refusal("cannot advertise '" + topic + "'");
   }
-  is_advertised_ = true;
 }
 
 void Registration::unadvertise(const topics::WiringLock& lock)
@@ -121,6 +123,17 @@ void Registration::unadvertise(const topics::WiringLock& lock)
     is_advertised_ = false;
     topics::unadvertise(lock, topic, callbacks);
   }
+}
+
+void Registration::publish(const boost::function<ros::SerializedMessage()>& serialise,
+                           ros::SerializedMessage& message)
+{
+  topics::publish(*publication_, serialise, message);
+}
+
+void Registration::incrementSequence()
+{
+  publication_->incrementSequence();
 }
 
 void Registration::disconnectAll()

@@ -6,6 +6,9 @@
 #include <ros/names.h>
 #include <ros/this_node.h>
 
+#include <charconv>
+#include <cstring>
+
 #include "process_services.h"
 
 namespace dyknow
@@ -14,6 +17,40 @@ namespace
 {
 
 thread_local const ros::CallbackQueueInterface* t_running = nullptr;
+
+/// What makes a topic the key of a handle, with a number behind it.
+constexpr char MARK[] = "/__dyknow";
+
+/// The number of a key; 0 if it is none.
+std::uint64_t numberOf(const std::string& key)
+{
+  const std::size_t mark = key.rfind(MARK);
+  std::uint64_t number = 0;
+  if (mark != std::string::npos)
+  {
+    std::from_chars(key.data() + mark + std::strlen(MARK), key.data() + key.size(), number);
+  }
+  return number;
+}
+
+/// What a table has for a key; null if nothing.
+template <class End>
+std::shared_ptr<End> find(const boost::container::flat_map<std::uint64_t, std::shared_ptr<End>>& table,
+                          const std::string& key)
+{
+  const auto found = table.find(numberOf(key));
+  return found == table.end() ? nullptr : found->second;
+}
+
+/// Same, and takes it out.
+template <class End>
+std::shared_ptr<End> extract(boost::container::flat_map<std::uint64_t, std::shared_ptr<End>>& table,
+                             const std::string& key)
+{
+  auto found = find(table, key);
+  table.erase(numberOf(key));
+  return found;
+}
 
 }  // namespace
 
@@ -120,33 +157,31 @@ std::string Registry::datatypeOf(const std::string& topic) const
 std::string Registry::makeKey(const std::string& topic)
 {
   std::unique_lock<std::shared_mutex> lock(state_lock_);
-  return topic + "/__dyknow" + std::to_string(++last_key_);
+  return topic + MARK + std::to_string(++last_number_);
 }
 
 void Registry::add(const std::string& key, std::shared_ptr<PortSubscription> subscription)
 {
   std::unique_lock<std::shared_mutex> lock(state_lock_);
-  subscriptions_[key] = std::move(subscription);
+  subscriptions_[numberOf(key)] = std::move(subscription);
 }
 
 void Registry::add(const std::string& key, std::shared_ptr<PortPublication> publication)
 {
   std::unique_lock<std::shared_mutex> lock(state_lock_);
-  publications_[key] = std::move(publication);
+  publications_[numberOf(key)] = std::move(publication);
 }
 
 std::shared_ptr<PortSubscription> Registry::subscription(const std::string& key) const
 {
   std::shared_lock<std::shared_mutex> lock(state_lock_);
-  const auto found = subscriptions_.find(key);
-  return found == subscriptions_.end() ? nullptr : found->second;
+  return find(subscriptions_, key);
 }
 
 std::shared_ptr<PortPublication> Registry::publication(const std::string& key) const
 {
   std::shared_lock<std::shared_mutex> lock(state_lock_);
-  const auto found = publications_.find(key);
-  return found == publications_.end() ? nullptr : found->second;
+  return find(publications_, key);
 }
 
 void Registry::remove(const std::string& key)
@@ -154,17 +189,8 @@ void Registry::remove(const std::string& key)
   std::shared_ptr<PortSubscription> subscription;  // destroyed without the lock
   std::shared_ptr<PortPublication> publication;
   std::unique_lock<std::shared_mutex> lock(state_lock_);
-  if (const auto found = subscriptions_.find(key); found != subscriptions_.end())
-  {
-    subscription.swap(found->second);
-    subscriptions_.erase(found);
-  }
-  if (const auto found = publications_.find(key); found != publications_.end())
-  {
-    publication.swap(found->second);
-    publications_.erase(found);
-  }
-  lock.unlock();
+  subscription = extract(subscriptions_, key);
+  publication = extract(publications_, key);
 }
 
 RunningQueue::RunningQueue(const ros::CallbackQueueInterface* queue) : before_(t_running)

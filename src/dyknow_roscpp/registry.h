@@ -5,6 +5,7 @@
 #ifndef DYKNOW_ROSCPP_REGISTRY_H
 #define DYKNOW_ROSCPP_REGISTRY_H
 
+#include <boost/container/flat_map.hpp>
 #include <ros/callback_queue_interface.h>
 #include <ros/node_handle.h>
 
@@ -12,7 +13,6 @@
 #include <memory>
 #include <shared_mutex>
 #include <string>
-#include <unordered_map>
 #include <vector>
 
 #include "nodelet_proxy.h"
@@ -68,9 +68,10 @@ private:
   mutable std::shared_mutex state_lock_;
   std::map<const ros::CallbackQueueInterface*, std::string> queues_;
   std::map<std::string, std::shared_ptr<NodeletProxy>> owners_;
-  std::unordered_map<std::string, std::shared_ptr<PortSubscription>> subscriptions_;
-  std::unordered_map<std::string, std::shared_ptr<PortPublication>> publications_;
-  std::uint64_t last_key_ = 0;
+  // By the number that ends the key: every message is looked up, and these arrays are short.
+  boost::container::flat_map<std::uint64_t, std::shared_ptr<PortSubscription>> subscriptions_;
+  boost::container::flat_map<std::uint64_t, std::shared_ptr<PortPublication>> publications_;
+  std::uint64_t last_number_ = 0;
 };
 
 /// Says, while it lives, that this thread works for the nodelet of a queue.

@@ -3,6 +3,7 @@
 
 #include "topics.h"
 
+#include <ros/poll_manager.h>
 #include <ros/publication.h>
 #include <ros/topic_manager.h>
 
@@ -37,7 +38,6 @@ std::timed_mutex& wiringMutex()
   return mutex;
 }
 
-thread_local bool t_draining = false;
 thread_local std::vector<std::string>* t_unregistered = nullptr;
 thread_local std::size_t* t_known = nullptr;
 
@@ -71,18 +71,6 @@ void unsubscribe(const WiringLock&, const std::string& topic,
   next(manager(), topic, helper);
 }
 
-void unsubscribeDraining(const WiringLock& lock, const std::string& topic,
-                         const ros::SubscriptionCallbackHelperPtr& helper)
-{
-  const Setting<bool> draining(t_draining, true);
-  unsubscribe(lock, topic, helper);
-}
-
-bool isDraining()
-{
-  return t_draining;
-}
-
 bool advertise(const WiringLock&, const ros::AdvertiseOptions& options,
                const ros::SubscriberCallbacksPtr& callbacks, std::size_t* known)
 {
@@ -102,8 +90,13 @@ void noteAnswer(const std::string& question, XmlRpc::XmlRpcValue& answer)
 
 bool isAdvertised(const WiringLock&, const std::string& topic)
 {
-  const ros::PublicationPtr publication = manager()->lookupPublication(topic);
-  return publication && publication->getNumCallbacks() > 0;
+  const ros::PublicationPtr found = manager()->lookupPublication(topic);
+  return found && found->getNumCallbacks() > 0;
+}
+
+ros::PublicationPtr publication(const WiringLock&, const std::string& topic)
+{
+  return manager()->lookupPublication(topic);
 }
 
 void unadvertise(const WiringLock&, const std::string& topic, const ros::SubscriberCallbacksPtr& callbacks)
@@ -145,6 +138,40 @@ void publish(const std::string& topic, const boost::function<ros::SerializedMess
       const std::string&, const boost::function<ros::SerializedMessage(void)>&, ros::SerializedMessage&);
   static const auto next = behind(static_cast<Publish>(&ros::TopicManager::publish));
   next(manager(), topic, serialise, message);
+}
+
+void publish(ros::Publication& publication, const boost::function<ros::SerializedMessage()>& serialise,
+             ros::SerializedMessage& message)
+{
+  if (!publication.hasSubscribers() && !publication.isLatching())
+  {
+    publication.incrementSequence();
+    return;
+  }
+  // Subscribers of this process that take the same type get the pointer, all others bytes.
+  bool is_shared = false;
+  bool is_serialised = message.type_info == nullptr || !message.message;
+  if (!is_serialised)
+  {
+    publication.getPublishTypes(is_serialised, is_shared, *message.type_info);
+  }
+  if (!is_shared)
+  {
+    message.message.reset();
+    message.type_info = nullptr;
+  }
+  if (is_serialised || publication.isLatching())
+  {
+    const ros::SerializedMessage serialised = serialise();
+    message.buf = serialised.buf;
+    message.num_bytes = serialised.num_bytes;
+    message.message_start = serialised.message_start;
+  }
+  publication.publish(message);
+  if (is_serialised)
+  {
+    ros::PollManager::instance()->getPollSet().signal();  // roscpp's thread sends what is queued
+  }
 }
 
 std::size_t subscribers(const std::string& topic)

@@ -7,6 +7,7 @@
 
 #include <ros/advertise_options.h>
 #include <ros/common.h>
+#include <ros/forwards.h>
 #include <ros/serialized_message.h>
 #include <ros/subscribe_options.h>
 #include <xmlrpcpp/XmlRpcValue.h>
@@ -42,13 +43,6 @@ bool subscribe(const WiringLock&, const ros::SubscribeOptions& options);
 void unsubscribe(const WiringLock&, const std::string& topic,
                  const ros::SubscriptionCallbackHelperPtr& helper);
 
-/// Same, but what is in the helper's queue is still delivered.
-void unsubscribeDraining(const WiringLock&, const std::string& topic,
-                         const ros::SubscriptionCallbackHelperPtr& helper);
-
-/// Whether this thread is in `unsubscribeDraining`.
-bool isDraining();
-
 /// @param known set to the number of subscribers that the master knows; 0 if this process is on the topic already
 bool advertise(const WiringLock&, const ros::AdvertiseOptions& options,
                const ros::SubscriberCallbacksPtr& callbacks, std::size_t* known = nullptr);
@@ -67,7 +61,14 @@ void* unregisterPublisherHook();
 /// Puts off what `unadvertise` of this thread has to tell the master; false if it is not in there.
 bool putOffUnregistration(const std::string& topic);
 
+/// What roscpp has for a topic that a publisher of this process is on; null if none is.
+ros::PublicationPtr publication(const WiringLock&, const std::string& topic);
+
 void publish(const std::string& topic, const boost::function<ros::SerializedMessage()>& serialise,
+             ros::SerializedMessage& message);
+
+/// Same, without roscpp's search: it compares the name with those of all topics of the process.
+void publish(ros::Publication& publication, const boost::function<ros::SerializedMessage()>& serialise,
              ros::SerializedMessage& message);
 std::size_t subscribers(const std::string& topic);
 std::size_t publishers(const std::string& topic);

@@ -22,28 +22,27 @@ double seconds(Clock::duration duration)
 
 void Traffic::sent()
 {
-  const auto now = Clock::now();
-  std::lock_guard<std::mutex> lock(state_lock_);
+  count(Clock::now());
+}
+
+void Traffic::received(Clock::time_point now)
+{
   count(now);
 }
 
-void Traffic::received(Clock::time_point start, Clock::duration took)
+void Traffic::processed(Clock::duration took)
 {
-  std::lock_guard<std::mutex> lock(state_lock_);
   counts_.busy += took;
   counts_.longest = std::max(counts_.longest, took);
-  count(start);
 }
 
 void Traffic::dropped()
 {
-  std::lock_guard<std::mutex> lock(state_lock_);
   ++counts_.dropped;
 }
 
 Traffic::Snapshot Traffic::snapshot() const
 {
-  std::lock_guard<std::mutex> lock(state_lock_);
   Snapshot found = counts_;
   found.rate = rate();
   return found;

@@ -7,14 +7,15 @@
 
 #include <chrono>
 #include <cstdint>
-#include <mutex>
 
 namespace dyknow
 {
 
 using Clock = std::chrono::steady_clock;
 
-/// Running counts, those that `dyknow.nodelet.traffic` keeps in Python. Every method is safe from any thread.
+/// Running counts, those that `dyknow.nodelet.traffic` keeps in Python. The lock of the end guards them.
+///
+/// What every message touches comes first: it is seldom in the processor's caches any more.
 class Traffic
 {
 public:
@@ -22,17 +23,20 @@ public:
   struct Snapshot
   {
     std::uint64_t messages = 0;
-    std::uint64_t dropped = 0;
-    double rate = 0.0;  ///< Hz over the last messages; 0 for less than two, falling while none come
     Clock::duration busy{0};
     Clock::duration longest{0};
+    std::uint64_t dropped = 0;
+    double rate = 0.0;  ///< Hz over the last messages; 0 for less than two, falling while none come
   };
 
   /// Counts one message that goes out now.
   void sent();
 
-  /// Counts one message whose callback began at `start` and took so long.
-  void received(Clock::time_point start, Clock::duration took);
+  /// Counts one message whose callback begins.
+  void received(Clock::time_point now);
+
+  /// The callback of a message that was counted took so long.
+  void processed(Clock::duration took);
 
   /// Counts one message that a full queue refused, or that was published while disconnected.
   void dropped();
@@ -50,9 +54,8 @@ private:
   void count(Clock::time_point now);
   double rate() const;
 
-  mutable std::mutex state_lock_;
-  Snapshot counts_;
   Clock::time_point last_;
+  Snapshot counts_;
   Mark begin_;
   Mark before_;
 };
