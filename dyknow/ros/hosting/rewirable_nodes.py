@@ -3,17 +3,22 @@
 
 """Nodes in processes of their own that are re-wirable, whoever started them.
 
-Who owns what: ``RewirableNodes`` owns a table of the nodes, and a thread that alone looks for
-them. The ROS master knows the nodes that offer the counts of their ports and the ports themselves.
-The process is asked what it is: nodelet managers offer counts too. One that does not answer stays
-in the table until its connection is lost; it holds up one look by ``TIMEOUT``, once.
+Each tells its name to everybody who begins to listen to one topic, so it does not matter which
+side begins first, and the ROS master is asked nothing. From then on the node itself is asked, over
+a connection that is kept, whether it is there.
+
+Who owns what: ``RewirableNodes`` owns a table of the nodes, and a thread that alone asks them. One
+that does not answer stays in the table until its connection is lost; it holds up one round by
+``TIMEOUT``, once.
 """
 
 from __future__ import annotations
 
 import logging
-from typing import Callable, Dict, List, Set
+from typing import Callable, Dict, List, Optional
 
+import rospy
+from dyknow_msgs.msg import NodeletChanges
 from dyknow_msgs.srv import GetCounts
 
 from dyknow import names
@@ -24,10 +29,14 @@ from dyknow.model.graph import NodeletKind
 from dyknow.periodic import PeriodicWorker
 from dyknow.ros.hosting.count_collector import SERVICE as COUNTS
 from dyknow.ros.master import Master
+from dyknow.ros.nodelets.announcements import NODES_TOPIC
 from dyknow.ros.service_client import ServiceClient, ServiceFailed, ServiceLost
 
-#: Seconds between two looks.
+#: Seconds between two rounds of questions.
 PERIOD = 0.5
+#: How often a node is asked that is not there. Should it come back later, rospy connects again and
+#: hears of it again.
+ATTEMPTS = 20
 #: Seconds for the answer of one node.
 TIMEOUT = 0.5
 
@@ -50,16 +59,23 @@ class RewirableNodes:
         self._is_known = is_known
         self._clients: Dict[str, ServiceClient] = {}  # of the thread
         self._state_lock = state_lock("re-wirable nodes")
+        self._attempts: Dict[str, int] = {}  # that are left, by name
         self._states: Dict[str, ManagerState] = {}
-        #: Called after a look that found a change.
+        #: Called after a round that found a change.
         self.on_change: Callable[[], object] = lambda: None
         #: Called with the name of a node that is gone.
         self.on_end: Callable[[str], None] = lambda name: None
-        self._worker = PeriodicWorker("looking for re-wirable nodes", self.look, PERIOD)
+        self._subscriber: Optional[rospy.Subscriber] = None
+        self._worker = PeriodicWorker(
+            "looking for re-wirable nodes",
+            self.look,
+            lambda: PERIOD if self._attempts else None,
+        )
 
     def start(self) -> None:
-        """Look for nodes from now on."""
+        """Listen for nodes from now on."""
         self._worker.start()
+        self._subscriber = rospy.Subscriber(NODES_TOPIC, NodeletChanges, self._told)
 
     def all(self) -> List[ManagerState]:
         """Return each node, by name, as a process that hosts itself."""
@@ -72,16 +88,21 @@ class RewirableNodes:
             return name in self._states
 
     def look(self) -> None:
-        """Look once."""
-        try:
-            present = self._offering()
-        except PeerTimeout:
-            return  # a master that is away says nothing of the nodes
+        """Ask all nodes once."""
         with self._state_lock:
-            before = dict(self._states)
-        found = {name: state for name in sorted(present) for state in self._ask(name)}
-        for name in [name for name in self._clients if name not in present]:
-            self._clients.pop(name).close()
+            before, told = dict(self._states), sorted(self._attempts)
+        found: Dict[str, ManagerState] = {}
+        for name in told:
+            try:
+                state = None if self._is_known(name) else self._ask(name)
+            except PeerTimeout:
+                if name in before:
+                    known = before[name]
+                    found[name] = _state(name, known.incarnation, known.kind, is_responsive=False)
+                continue
+            self._note(name, state is not None)
+            if state is not None:
+                found[name] = state
         with self._state_lock:
             self._states = found
         for name in sorted(set(before) - set(found)):
@@ -93,30 +114,34 @@ class RewirableNodes:
             self.on_change()
 
     def close(self) -> None:
-        """Look no more."""
+        """Listen and ask no more."""
+        if self._subscriber is not None:
+            self._subscriber.unregister()
         self._worker.close(TIMEOUT)
         for client in list(self._clients.values()):
             client.close()
 
     # Inside
 
-    def _offering(self) -> Set[str]:
-        """Nodes that offer both the counts and the configuration of their ports themselves."""
-        _, _, services = self._master.ask("getSystemState")
-        providers = dict(services)
-        candidates = {nodes[0] for service, nodes in services if service.endswith("/" + COUNTS)}
-        return {
-            node
-            for node in candidates
-            if all(
-                providers.get(names.join(node, service)) == [node]
-                for service in (COUNTS, "get_config")
-            )
-            and not self._is_known(node)
-        }
+    def _told(self, message: NodeletChanges) -> None:
+        """Hear of nodes, on rospy's threads."""
+        with self._state_lock:
+            self._attempts.update(dict.fromkeys(message.nodelets, ATTEMPTS))
+        self._worker.wake()
 
-    def _ask(self, name: str) -> List[ManagerState]:
-        """Return the node as it is now; nothing if it is none, or has ended."""
+    def _note(self, name: str, is_there: bool) -> None:
+        """Forget a node that was not there too often."""
+        with self._state_lock:
+            self._attempts[name] = ATTEMPTS if is_there else self._attempts[name] - 1
+            if self._attempts[name] == 0:
+                del self._attempts[name]
+
+    def _ask(self, name: str) -> Optional[ManagerState]:
+        """Return the node as it is now; None if it is none, or has ended.
+
+        Raises:
+            PeerTimeout: it does not answer.
+        """
         for _ in range(2):  # a second time if another process may have its name by now
             client = self._clients.get(name)
             if client is None:
@@ -126,21 +151,16 @@ class RewirableNodes:
             is_first = not client.address
             try:
                 kind = client.call(TIMEOUT, [name]).kind
-            except PeerTimeout:
-                with self._state_lock:
-                    known = self._states.get(name)
-                if known is None:
-                    return []
-                return [_state(name, known.incarnation, known.kind, is_responsive=False)]
             except (ServiceFailed, ServiceLost):
                 self._clients.pop(name).close()
                 if is_first:
-                    return []
+                    return None
                 continue
             if kind not in _KINDS:
-                return []
-            return [_state(name, client.address, NodeletKind(kind), is_responsive=True)]
-        return []
+                self._clients.pop(name).close()
+                return None
+            return _state(name, client.address, NodeletKind(kind), is_responsive=True)
+        return None
 
 
 def _state(name: str, incarnation: str, kind: NodeletKind, is_responsive: bool) -> ManagerState:

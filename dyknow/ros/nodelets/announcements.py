@@ -6,11 +6,14 @@
 A name says that the nodelet was loaded or unloaded, or that its ports or their topics changed;
 it does not say how they are now. Names that come in quick succession are told once, in one
 message.
+
+A node with ports that is no nodelet manager tells its own name on one topic that all of them
+share, to everybody who begins to listen. So it is found without a question to the ROS master.
 """
 
 from __future__ import annotations
 
-from typing import Any, Callable, Dict, Iterable, List, Set
+from typing import Any, Callable, Dict, Iterable, List, Optional, Set
 
 import rospy
 from dyknow_msgs.msg import NodeletChanges
@@ -19,6 +22,8 @@ from dyknow.locks import state_lock, turn_lock
 from dyknow.periodic import PeriodicWorker
 
 TOPIC = "changes"
+#: Of the nodes with ports that are no nodelet managers.
+NODES_TOPIC = "/dyknow/rewirable_nodes"
 #: Seconds in which changes that follow one that was told are collected.
 _WINDOW = 0.02
 _QUEUE_SIZE = 1000
@@ -42,6 +47,7 @@ class Announcer:
             subscriber_listener=_Newcomers(self),
             queue_size=_QUEUE_SIZE,
         )
+        self._node_publisher: Optional[rospy.Publisher] = None
         self._worker = PeriodicWorker("announcing changes", self._announce, pause=_WINDOW)
         self._worker.start()
 
@@ -57,10 +63,19 @@ class Announcer:
         if names:
             publish(NodeletChanges(names))
 
+    def tell_of_node(self) -> None:
+        """Announce this process as a node with ports, whose services are there."""
+        self._node_publisher = rospy.Publisher(
+            NODES_TOPIC, NodeletChanges, latch=True, queue_size=1
+        )
+        self._node_publisher.publish(NodeletChanges([rospy.get_name()]))
+
     def close(self) -> None:
-        """Withdraw the topic."""
+        """Withdraw the topics."""
         self._worker.close()
         self._publisher.unregister()
+        if self._node_publisher is not None:
+            self._node_publisher.unregister()
 
     def _announce(self) -> None:
         with self._lock:

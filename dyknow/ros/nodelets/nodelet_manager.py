@@ -167,6 +167,7 @@ class NodeletManager(Closable):
         self.loader.load(name, kind.value, remappings)
         self._announcer.tell(name)
         self._services.append(rospy.Service("~get_counts", GetCounts, self._get_counts))
+        self._announcer.tell_of_node()  # last: who hears of it asks at once
 
     def load(
         self,
