@@ -24,6 +24,27 @@ LIBRARY = "libdyknow_roscpp.so"
 #: Runs scripts in Python.
 SCRIPT_HOST = "dyknow.ros.nodelets.script_process"
 _USAGE = "usage: rosrun dyknow rewirable COMMAND [ARGUMENT ...]"
+_HELP = f"""{_USAGE}
+
+Runs a program of ROS, unchanged, so that its topics can be connected elsewhere while it runs.
+Signals, output and exit code are its own.
+
+  program with roscpp            has live ports: {LIBRARY} is preloaded
+  Python script with rospy       has live ports: DyKnow's host of scripts runs it
+  shell script, gdb, nice, ...   a program with roscpp that it starts has live ports
+  anything else                  runs as it is, and a line on stderr says why
+
+In a launch file it is the prefix of a node:
+
+  <node pkg="topic_tools" type="relay" name="copier" args="/scan /copy"
+        launch-prefix="rosrun dyknow rewirable"/>
+
+On the command line 'dyknow run PKG EXECUTABLE' does the same, and finds the program as rosrun
+does:
+
+  dyknow run topic_tools relay /scan /copy __name:=copier
+  dyknow connect /other_scan copier:/scan
+"""
 _ELF = b"\x7fELF"
 
 
@@ -34,9 +55,12 @@ def main(words: Optional[Sequence[str]] = None) -> int:
         words: the program and its arguments; by default the process's.
     """
     command = list(sys.argv[1:] if words is None else words)
-    if not command or command[0] in ("-h", "--help"):
-        print(_USAGE)
-        return 0 if command else 2
+    if not command:
+        print(_USAGE, file=sys.stderr)
+        return 2
+    if command[0] in ("-h", "--help"):
+        print(_HELP, end="")
+        return 0
     try:
         become(command)
     except CannotRun as error:

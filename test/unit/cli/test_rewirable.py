@@ -73,6 +73,7 @@ def test_what_is_no_program(tmp_path: Path) -> None:
     answer = run("/no/such", tmp_path=tmp_path)
     assert answer == "127 rewirable: '/no/such' is no program that can be run\n"
     assert run(tmp_path=tmp_path).startswith("2 usage: rosrun dyknow rewirable COMMAND")
+    assert 'launch-prefix="rosrun dyknow rewirable"' in run("--help", tmp_path=tmp_path)
     shell = shutil.which("sh")
     assert shell is not None and obstacle(shell) == ""
 
