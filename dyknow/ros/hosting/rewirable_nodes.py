@@ -93,8 +93,10 @@ class RewirableNodes:
             before, told = dict(self._states), sorted(self._attempts)
         found: Dict[str, ManagerState] = {}
         for name in told:
+            if self._is_known(name):
+                continue
             try:
-                state = None if self._is_known(name) else self._ask(name)
+                state = self._ask(name)
             except PeerTimeout:
                 if name in before:
                     known = before[name]
