@@ -130,14 +130,14 @@ class Graph:
                 self._busy.discard(name)
                 self._changed.notify_all()
 
-    def put(self, *records: Record, durable: bool = True) -> None:
-        """Show records, all in one step, after they were written if they are ``durable``."""
+    def put(self, *records: Record) -> None:
+        """Show records, all in one step, after those of what the manager made were written."""
         with self._turn:
             new = [each for each in records if self.find(each.name) != each]
             if not new:
                 return
-            if durable:
-                for record in new:
+            for record in new:
+                if record.is_spawned:
                     self._store.put_nodelet(record)
             self._reserve()
             with self._changed:

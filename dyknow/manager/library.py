@@ -6,9 +6,9 @@
 from __future__ import annotations
 
 import logging
-from typing import TYPE_CHECKING, Dict, List, Optional, Sequence
+from typing import TYPE_CHECKING, Dict, List, Mapping, Optional, Sequence
 
-from dyknow.errors import LimitExceeded, UnknownTransformation
+from dyknow.errors import LimitExceeded, Problem, SpecificationError, UnknownTransformation
 from dyknow.locks import state_lock, turn_lock
 from dyknow.manager.specifications.findings import listed
 from dyknow.manager.specifications.limits import DEFAULT_LIMITS, SpecificationLimits
@@ -60,7 +60,8 @@ class Library:
         }
         self.revision = store.number("library_revision")
         self._topics: List[Transformation] = []
-        self._topics_at = -1
+        self._nodes: Dict[str, Transformation] = {}
+        self._described_at = -1
         self._follow_schema()
 
     def __len__(self) -> int:
@@ -75,11 +76,14 @@ class Library:
     def topics(self) -> List[Transformation]:
         """Return the transformations of type topic, by label."""
         with self._state_lock:
-            if self._topics_at != self.revision:
-                found = [each for each in self._by_label.values() if each.type == TOPIC]
-                self._topics = sorted(found, key=lambda each: each.label)
-                self._topics_at = self.revision
+            self._find_described()
             return self._topics
+
+    def of_node(self, name: str) -> Optional[Transformation]:
+        """Return what describes a node of others; None if nothing does."""
+        with self._state_lock:
+            self._find_described()
+            return self._nodes.get(name)
 
     def get(self, label: str) -> Transformation:
         """Return the transformation of that label.
@@ -102,12 +106,14 @@ class Library:
             file_name: where it comes from, for messages.
 
         Raises:
-            SpecificationError: the text is wrong; nothing was added.
+            SpecificationError: the text is wrong, or describes a node that another transformation
+                describes; nothing was added.
             LimitExceeded: the library would grow beyond its limit; nothing was added.
         """
         specifications = parse(text, file_name, self._concepts, self._limits)
         new = {each.label: each for each in specifications.transformations}
         with self._turn:
+            self._check_nodes(new, file_name)
             count = len(self._by_label.keys() | new.keys())
             if count > self._limits.transformations:
                 raise LimitExceeded("transformations", count, self._limits.transformations)
@@ -130,6 +136,32 @@ class Library:
                 del self._by_label[label]
                 self.revision += 1
         return found
+
+    def _find_described(self) -> None:
+        """Find what describes topics and nodes, once for each revision; under the lock."""
+        if self._described_at == self.revision:
+            return
+        found = [each for each in self._by_label.values() if each.is_described]
+        found.sort(key=lambda each: each.label)
+        self._topics = [each for each in found if each.type == TOPIC]
+        self._nodes = {each.node: each for each in reversed(found) if each.node}
+        self._described_at = self.revision
+
+    def _check_nodes(self, new: Mapping[str, Transformation], file_name: str) -> None:
+        """Check that no node is described twice."""
+        present = [(each, self.of_node(each.node)) for each in new.values() if each.node]
+        problems = [
+            Problem(
+                file_name,
+                0,
+                f"transformation '{each.label}': the node '{each.node}' is described by "
+                f"'{other.label}' already; remove that first",
+            )
+            for each, other in present
+            if other is not None and other.label not in new
+        ]
+        if problems:
+            raise SpecificationError(problems)
 
     def _follow_schema(self) -> None:
         """Say which transformations of an older store mean something else from now on."""

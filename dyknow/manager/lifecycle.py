@@ -421,7 +421,7 @@ class Lifecycle:
             _log.debug("%s: %s", record.name, error)
 
     def _dispose(self, record: Record) -> None:
-        if record.transformation is not None:
+        if record.is_spawned and record.transformation is not None:
             declared = [each.name for each in record.transformation.parameters]
             self._host.forget(record.name, [*declared, *names_of(record.parameters)])
         if record.isolated:

@@ -87,7 +87,9 @@ class Manager:
             library.ontology,
             clock,
         )
-        self.observer = Observer(host, self.graph, self.lifecycle, self._suspects, clock.now, run)
+        self.observer = Observer(
+            host, self.graph, self.lifecycle, self._suspects, library.of_node, clock.now, run
+        )
 
     @property
     def on_change(self) -> Callable[[], None]:
@@ -110,7 +112,7 @@ class Manager:
     def end(self) -> None:
         """End on purpose: the nodelets that this manager made are destroyed and forgotten."""
         for record in self.graph.all():
-            if record.transformation is not None:
+            if record.is_spawned:
                 self.lifecycle.clear(record)
         self.store.end()
 
@@ -201,7 +203,7 @@ class Manager:
         self.guards.check_writable(f"changing the protection of '{name}'")
         self.graph.get(name)
         with self.graph.changing(name, patience=PATIENCE) as record:
-            if record is None or record.transformation is None:
+            if record is None or not record.is_spawned:
                 raise HostError(f"nodelet '{name}' was not spawned by this manager")
             self.graph.put(replace(record, is_protected=is_protected))
 

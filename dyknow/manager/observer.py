@@ -14,7 +14,7 @@ import contextlib
 import logging
 import time
 from dataclasses import replace
-from typing import Callable, Dict, Iterable, Mapping, Set, Tuple
+from typing import Callable, Dict, Iterable, Mapping, Optional, Set, Tuple
 
 from dyknow import names
 from dyknow.backoff import Backoff
@@ -32,6 +32,7 @@ from dyknow.manager.record import (
 )
 from dyknow.manager.suspects import Suspects
 from dyknow.model.graph import State
+from dyknow.model.transformation import Transformation
 
 #: Seconds of the first pause between two attempts to bring back one nodelet. It is short, since a
 #: stream is interrupted meanwhile.
@@ -54,6 +55,7 @@ class Observer:
         graph: Graph,
         lifecycle: Lifecycle,
         suspects: Suspects,
+        described: Callable[[str], Optional[Transformation]] = lambda name: None,
         clock: Callable[[], float] = time.monotonic,
         run: Callable[[Callable[[], None]], None] = at_once,
     ) -> None:
@@ -64,6 +66,7 @@ class Observer:
             graph: the picture of what runs.
             lifecycle: brings nodelets back.
             suspects: accused of crashes.
+            described: returns what the library says of a node of others.
             clock: steady time, in seconds.
             run: does the work of bringing nodelets back; a look does not wait for it.
         """
@@ -71,6 +74,7 @@ class Observer:
         self._graph = graph
         self._lifecycle = lifecycle
         self._suspects = suspects
+        self._described = described
         self._turn = turn_lock("look at nodelet managers")
         self._backoff = Backoff(clock, _FIRST_PAUSE)
         self._run = run
@@ -118,6 +122,7 @@ class Observer:
                 (record, by_name.get(record.manager))
                 for record in self._graph.all()
                 if record.name in changed
+                or self._description(record) != record.transformation
                 or not _as_it_was(record, by_name.get(record.manager), listed)
             ]
             self._lose(doubtful, listed)
@@ -182,7 +187,7 @@ class Observer:
         if record.transformation is None or record.unwanted or (state and state.unseen):
             return ""  # until its host was looked for, it is as it was
         if _has_died(record, state, listed):
-            if self._was_being_unloaded(record):
+            if self._was_being_unloaded(record) or not record.is_spawned:
                 return ""
             crash = self._crashes.get(record.manager)
             cause = f" ({crash.cause})" if crash is not None else ""
@@ -225,7 +230,9 @@ class Observer:
             self._follow(record, state, record.name in changed)
         elif state is not None and state.unseen:
             return  # until its host was looked for, it is as it was
-        elif record.transformation is None:
+        elif record.transformation is None or (
+            not record.is_spawned and _has_died(record, state, listed)
+        ):
             self._graph.remove(record.name)
         elif record.unwanted:
             if alive or state is None or not state.away:
@@ -247,11 +254,19 @@ class Observer:
 
     def _follow(self, record: Record, state: ManagerState | None, closely: bool) -> None:
         incarnation = state.incarnation if state is not None else record.incarnation
-        came_back = record.state is not State.RUNNING or record.incarnation != incarnation
+        description = self._description(record)
+        is_new = description != record.transformation
+        came_back = (
+            is_new or record.state is not State.RUNNING or record.incarnation != incarnation
+        )
         if record.state is State.STARTING and not self._complete(record):
             return
         record = replace(
-            record, state=State.RUNNING, detail=record.suspicion, incarnation=incarnation
+            record,
+            transformation=description,
+            state=State.RUNNING,
+            detail=record.suspicion,
+            incarnation=incarnation,
         )
         if (closely or came_back) and not record.rewired_by_reload:
             try:
@@ -265,7 +280,7 @@ class Observer:
                 record = replace(record, topics=topics_of(record))
         if not record.ports:  # it cannot be asked, so it is taken to be as it should be
             record = replace(record, ports=declared_ports(record))
-        self._graph.put(record, durable=record.transformation is not None)
+        self._graph.put(record)
 
     def _complete(self, record: Record) -> bool:
         """Finish bringing a nodelet back, which an earlier life of the manager had begun."""
@@ -332,7 +347,7 @@ class Observer:
         try:
             with self._graph.changing(name, new=True):
                 if name in self._host.list(state.name):  # and not gone since the look began
-                    self._graph.put(self._foreign(name, state), durable=False)
+                    self._graph.put(self._foreign(name, state))
         except (Busy, NameTaken, HostError):
             return
 
@@ -341,7 +356,16 @@ class Observer:
             ports = self._host.ports(name)
         except HostError:
             ports = ()  # in a stock C++ nodelet manager it has no proxy
-        return Record(name, None, state.name, state=State.RUNNING, ports=ports, kind=state.kind)
+        record = Record(name, None, state.name, state=State.RUNNING, kind=state.kind)
+        record = replace(record, transformation=self._description(record))
+        record = replace(record, ports=seen_ports(record, ports), incarnation=state.incarnation)
+        return replace(record, topics=topics_of(record))
+
+    def _description(self, record: Record) -> Optional[Transformation]:
+        """Return what a nodelet was made from or, of a node of others, what describes it."""
+        if record.is_spawned or not record.kind.is_node:
+            return record.transformation
+        return self._described(record.name)
 
     def _is_unlisted(self, record: Record) -> bool:
         """Whether the process of a nodelet runs on without it.

@@ -68,6 +68,11 @@ class Record:
         return self.transformation is not None and not self.transformation.node
 
     @property
+    def is_described(self) -> bool:
+        """Whether it is a node of others of which the library says what it is."""
+        return self.transformation is not None and bool(self.transformation.node)
+
+    @property
     def label(self) -> str:
         """Label of the transformation, empty for what others run and nothing describes."""
         return self.transformation.label if self.transformation is not None else ""

@@ -24,7 +24,7 @@ from dyknow.manager.specifications.findings import shorten
 from dyknow.manager.specifications.given import bindings_of, completed, set_on_load
 from dyknow.manager.specifications.values import value_of
 from dyknow.model.graph import Model, NodeletStatus, SpawnRequest
-from dyknow.model.transformation import Transformation
+from dyknow.model.transformation import TOPIC, Transformation
 from dyknow.wiring.ports import types_fit
 from dyknow.wiring.wiring import Wiring
 
@@ -144,8 +144,8 @@ def plan_load(
                 f"transformation '{nodelet.label}'"
             )
             continue
-        _check_blueprint(plan, nodelet, blueprint)
         present = snapshot.nodelet(nodelet.name)
+        _check_blueprint(plan, nodelet, blueprint, present is not None)
         if present is None:
             plan.spawned.append(nodelet)
         elif not _plan_present(plan, nodelet, present, replace, stored):
@@ -244,21 +244,19 @@ def _plan_present(
         )
         return False
     blueprint = plan.blueprints[nodelet.label]
-    is_isolated = (
-        nodelet.isolated or present.kind.is_node or (blueprint.isolated and not nodelet.manager)
-    )
-    if present.isolated != is_isolated:
+    is_isolated = nodelet.isolated or (blueprint.isolated and not nodelet.manager)
+    if present.isolated != is_isolated and not present.kind.is_node:
         plan.problems.append(
             f"nodelet '{nodelet.name}' runs already, {'' if present.isolated else 'not '}"
             "isolated; expected the contrary"
         )
         return False
-    is_replaced = nodelet.label in (each.label for each in plan.replaced)
+    is_replaced = nodelet.label in (each.label for each in plan.replaced) and not blueprint.node
     outdated: Tuple[str, ...] = ()
     if not is_replaced:
-        outdated = _otherwise_made(plan.blueprints[nodelet.label], nodelet, present, stored)
-    declared = frozenset(port.name for port in plan.blueprints[nodelet.label].ports)
-    if not replace or not (is_replaced or outdated):
+        outdated = _otherwise_made(blueprint, nodelet, present, stored)
+    declared = frozenset(port.name for port in blueprint.ports)
+    if not replace or blueprint.node or not (is_replaced or outdated):
         plan.kept.append(Kept(nodelet, present, outdated, declared))
         return False
     if present.is_protected:
@@ -304,11 +302,17 @@ def _otherwise_made(
     return tuple(found)
 
 
-def _check_blueprint(plan: LoadPlan, nodelet: SpawnRequest, blueprint: Transformation) -> None:
-    if blueprint.is_described:
+def _check_blueprint(
+    plan: LoadPlan, nodelet: SpawnRequest, blueprint: Transformation, is_present: bool
+) -> None:
+    if blueprint.node and not is_present:
         plan.problems.append(
-            f"nodelet '{nodelet.name}': transformation '{nodelet.label}' is an existing "
-            f"{blueprint.type}, of which nothing can be made"
+            f"nodelet '{nodelet.name}': it is a node that others start, and does not run"
+        )
+    elif blueprint.type == TOPIC:
+        plan.problems.append(
+            f"nodelet '{nodelet.name}': transformation '{nodelet.label}' is an existing topic, "
+            "not a nodelet"
         )
     try:
         completed(blueprint, nodelet.parameters)

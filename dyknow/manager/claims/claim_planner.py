@@ -71,7 +71,7 @@ class ClaimPlanner:
         self._ontology = ontology
         self._planner = Planner(ontology)
         self._known: Dict[str, Transformation] = {}
-        self._known_revision = -1
+        self._known_at: Tuple[int, FrozenSet[str]] = (-1, NO_LABELS)
         self._looked = float("-inf")
         #: Failures of transformations, by label.
         self.failures = Backoff(context.clock, _FIRST_PAUSE)
@@ -124,7 +124,8 @@ class ClaimPlanner:
     def own(self, claim: Claim) -> List[OwnNodelet]:
         """Healthy nodelets that can be connected elsewhere for a claim, the preferred ones first.
 
-        These are the claim's own nodelets and those that no claim needs. Parts that other claims
+        These are the claim's own nodelets and those that no claim needs, and nodes of others that
+        the library describes. Parts that other claims
         share are among them, unless these claims exclude what this one does not, or have other
         wishes; they have to go on supplying the same.
         """
@@ -139,7 +140,7 @@ class ClaimPlanner:
             users = [each for each in sharing if name in each.wiring]
             if (
                 record is not None
-                and record.claimed
+                and (record.claimed or record.is_described)
                 and record.state is State.RUNNING
                 and name not in unfit
                 and record.transformation == self._current(record.label)
@@ -225,15 +226,17 @@ class ClaimPlanner:
         """Plan a claim's stream as if the nodelets that it alone needs did not exist."""
         self._update()
         own, together = self._saved(claim), self._together(claim)
+        present = [each for each in self.own(claim) if self._known[each.label].node]
         exclude = frozenset(claim.request.exclude)
         without = frozenset(own) | self._monitor.quality.unfit(together)
         streams = self._without_relays(self._streams(exclude, without))
-        paused = self._paused(together) - frozenset(own.values())
+        paused = self._paused(together) - frozenset(own.values()) | self._engaged(present)
         demand = demand_of(together)
         return self._planner.plan(
             demand,
             streams,
             exclude,
+            {each.label: each.kept for each in present},
             paused=paused,
             wishes=wishes_of(claim),
             feeders=self._feeders(claim, streams),
@@ -295,7 +298,9 @@ class ClaimPlanner:
         return {
             each.name: each.label
             for each in self.own(claim)
-            if each.name in claim.wiring and each.name not in kept
+            if each.name in claim.wiring
+            and each.name not in kept
+            and not self._known[each.label].node
         }
 
     def _plan(
@@ -315,17 +320,39 @@ class ClaimPlanner:
         streams = self._without_relays(streams)
         free = {each.label: each.kept for each in reversed(own)}
         budget = max(claim.request.budget for claim in claims) or BUDGET
-        answer = self._planner.plan(
-            demand,
-            streams,
-            exclude,
-            free,
-            paused - free.keys(),
-            budget,
-            wishes_of(claims[0]),
-            self._feeders(claims[0], streams),
+        feeders = self._feeders(claims[0], streams)
+        paused |= self._engaged(own)
+        while True:
+            answer = self._planner.plan(
+                demand,
+                streams,
+                exclude,
+                free,
+                paused - free.keys(),
+                budget,
+                wishes_of(claims[0]),
+                feeders,
+            )
+            if isinstance(answer, NoPlan):
+                return answer
+            divided = self._divided(answer, own)
+            if not divided:
+                return self.with_own(answer, own)
+            paused |= divided
+            free = {label: free[label] for label in free.keys() - divided}
+
+    def _engaged(self, own: Iterable[OwnNodelet]) -> FrozenSet[str]:
+        """Labels of the nodes of others that run, but can be connected as they are alone."""
+        _, described = self._known_at
+        return described - {each.label for each in own}
+
+    def _divided(self, plan: Plan, own: Sequence[OwnNodelet]) -> FrozenSet[str]:
+        """Labels of nodes of others that a plan needs more than once: no further one is made."""
+        used = self.assigned(plan, own)
+        steps = [step for step in plan.steps if instance_of(step) not in used]
+        return frozenset(
+            step.action.label for step in steps if self._known[step.action.label].node
         )
-        return answer if isinstance(answer, NoPlan) else self.with_own(answer, own)
 
     def _feeders(self, claim: Claim, streams: Iterable[TaggedStream]) -> Dict[str, FrozenSet[str]]:
         """Labels of what feeds each nodelet of streams, where the claim has wishes about it."""
@@ -407,11 +434,17 @@ class ClaimPlanner:
         library = self._manager.library
         if self._planner.waste > max(_WASTE, len(self._planner)):
             self._planner = Planner(self._ontology)
-            self._known, self._known_revision = {}, -1
-        if self._known_revision == library.revision:
+            self._known, self._known_at = {}, (-1, NO_LABELS)
+        records = self._manager.graph.all()
+        nodes = frozenset(
+            each.label for each in records if each.is_described and each.state is State.RUNNING
+        )
+        if self._known_at == (library.revision, nodes):
             return
-        self._known_revision = library.revision
-        present = {each.label: each for each in library.all()}
+        self._known_at = library.revision, nodes
+        present = {
+            each.label: each for each in library.all() if not each.node or each.label in nodes
+        }
         for label in [label for label in self._known if label not in present]:
             self._planner.remove(label)
         known = self._known

@@ -273,10 +273,7 @@ class Connector:
         with self._graph.changing(name) as record:
             if record is not None and record.state is State.RUNNING:
                 record = replace(record, ports=seen_ports(record, ports))
-                self._graph.put(
-                    replace(record, topics=topics_of(record)),
-                    durable=record.transformation is not None,
-                )
+                self._graph.put(replace(record, topics=topics_of(record)))
 
     def _note_answer(self, name: str) -> None:
         """A nodelet answered: its connections are known once none can arrive late any more."""

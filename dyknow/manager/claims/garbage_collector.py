@@ -141,7 +141,11 @@ class GarbageCollector:
                 for port in record.ports
                 if port.direction == OUT
                 and goals.get(port.topic, record.name) != record.name
-                and (record.claimed or (record.name, port.name, port.topic) in self._replaced)
+                and (
+                    record.claimed
+                    or (record.is_described and goals[port.topic])
+                    or (record.name, port.name, port.topic) in self._replaced
+                )
             ]
             self._disconnect(record, ports)
 

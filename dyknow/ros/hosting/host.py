@@ -119,6 +119,10 @@ class RosHost(Host):
         #: By nodelet manager and nodelet.
         self._failures: Dict[Tuple[str, str], _Failure] = {}
 
+    def look_for_nodes(self) -> None:
+        """Look once for re-wirable nodes, before the look begins that goes on."""
+        self._nodes.look()
+
     def start(self, on_change: Callable[[], object]) -> None:
         """Begin to look for re-wirable nodes.
 

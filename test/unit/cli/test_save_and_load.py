@@ -13,7 +13,7 @@ from unit.manager.world import World
 
 from dyknow.errors import ManagerUnreachable, Refused
 from dyknow.model.graph import NodeletKind, SpawnRequest
-from dyknow.model.transformation import Port, Transformation
+from dyknow.model.transformation import Parameter, Port, Transformation
 from dyknow.wiring.plan import readers_first
 
 
@@ -396,3 +396,44 @@ def test_an_undeclared_port_that_a_cpp_nodelet_does_not_have_yet(
     ports = {port.name: port.topic for port in live.get_graph().nodelet("/n").ports}
     assert ports == {"image": "/raw", "~out": "/small"}
     assert run(live, f"load {moved} --json").json["nodelets"]["changed"] == []
+
+
+NODES = """<transformations>
+  <transformation type="node"><label>copier</label><source>topic_tools/relay words copy</source>
+    <ports><port type="in">words</port><port type="out">copy</port></ports></transformation>
+  <transformation type="node" node="/driver"><label>driver</label>
+    <ports><port type="in">words</port><port type="out">copy</port></ports></transformation>
+</transformations>"""
+
+
+def with_nodes() -> FakeClient:
+    client = FakeClient(World())
+    client.world.host.sources["topic_tools/relay words copy"] = [
+        ("words", "in", "std_msgs/String"),
+        ("copy", "out", "std_msgs/String"),
+    ]
+    client.world.manager.add_transformation(NODES)
+    return client
+
+
+def test_nodes_are_saved_with_their_parameters_and_those_of_others_are_connected(
+    tmp_path: Path,
+) -> None:
+    file, source = tmp_path / "w.xml", "topic_tools/relay words copy"
+    client = with_nodes()
+    client.world.host.run_node("/driver", source, {"words": "/a"}, NodeletKind.CPP_NODE)
+    client.world.manager.look()
+    given = (Parameter("rate", "int", "5"),)
+    client.world.spawn("copier", "/copier", config={"words": "/a"}, parameters=given)
+    assert run(client, f"save {file}").err == ""
+
+    other = with_nodes()
+    absent = run(other, f"load {file}")
+    assert absent.code == 1
+    assert "nodelet '/driver': it is a node that others start, and does not run" in absent.err
+    other.world.host.run_node("/driver", source, {"words": "/b"}, NodeletKind.CPP_NODE)
+    other.world.manager.look()
+    assert run(other, f"load {file}").code == 0
+    assert graph(other) == graph(client)
+    assert other.world.manager.graph.get("/copier").parameters == given
+    assert run(other, f"load {file} --replace").code == 0

@@ -42,17 +42,17 @@ def test_no_revision_that_was_shown_comes_again(
         graph = Graph(store)
         for number in range(5):
             shown.append(graph.revision)
-            graph.put(replace(RUNNING, detail=str(number)), durable=False)
+            graph.put(replace(RUNNING, detail=str(number)))
         shown.append(graph.revision)
         store.close()
     assert shown == sorted(set(shown))
 
 
 def test_what_does_not_change_a_record_is_no_change(graph: Graph) -> None:
-    graph.put(RUNNING, durable=False)
+    graph.put(RUNNING)
     revision, changes = graph.revision, []
     graph.on_change = lambda: changes.append("change")
-    graph.put(replace(RUNNING), durable=False)
+    graph.put(replace(RUNNING))
     graph.remove("/b")
     assert (graph.revision, changes) == (revision, [])
 
@@ -61,19 +61,19 @@ def test_a_life_ends_when_it_is_lost_and_begins_when_it_comes_up(
     graph: Graph, clock: HandClock
 ) -> None:
     assert graph.lifetime("/a") == 0.0
-    graph.put(RUNNING, durable=False)
+    graph.put(RUNNING)
     clock.time += 5.0
     assert graph.lifetime("/a") == 5.0
-    graph.put(LOST, durable=False)
+    graph.put(LOST)
     clock.time += 100.0
-    graph.put(replace(LOST, state=State.STARTING), durable=False)
+    graph.put(replace(LOST, state=State.STARTING))
     assert graph.lifetime("/a") == 5.0, "the last life, while there is no other"
-    graph.put(RUNNING, durable=False)
+    graph.put(RUNNING)
     clock.time += 1.0
     assert graph.lifetime("/a") == 1.0
-    graph.put(replace(RUNNING, detail="a change"), durable=False)
+    graph.put(replace(RUNNING, detail="a change"))
     assert graph.lifetime("/a") == 1.0
-    graph.put(replace(RUNNING, incarnation="2"), durable=False)
+    graph.put(replace(RUNNING, incarnation="2"))
     assert graph.lifetime("/a") == 0.0, "another process"
 
 
@@ -89,7 +89,7 @@ def test_a_name_is_busy_until_the_operation_ends(graph: Graph, clock: HandClock)
             pass
     assert clock.time == 5.0
     assert not graph.is_busy("/a")
-    graph.put(RUNNING, durable=False)
+    graph.put(RUNNING)
     with pytest.raises(NameTaken), graph.changing("/a", new=True):
         pass
     with graph.changing("/a") as record:

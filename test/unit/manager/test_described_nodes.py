@@ -1,0 +1,255 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Nodes that others start, and that the library describes: they supply and demand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Dict, Mapping
+
+import pytest
+from unit.manager.field import IMAGE, POINT, Field
+
+from dyknow.errors import HostError, NoPlanFound, NotSpawnable, SpecificationError
+from dyknow.model.graph import NodeletKind, SpawnRequest, State
+from dyknow.model.streams import ClaimState
+
+CAMERA = """<transformation type="node" node="/robot/camera"><label>driver</label>
+  <ports><port type="out">image</port></ports>
+  <tags><tag port="image">YUV(field)</tag></tags></transformation>"""
+LOCALIZATION = """<transformation type="node" node="/robot/where"><label>where</label>
+  <ports><port type="in">ball</port><port type="out">position</port></ports>
+  <tags><tag port="ball">RelativePosition(ball)</tag>
+  <tag port="position">FieldPosition(ball)</tag></tags></transformation>"""
+PROGRAMS = {
+    "robot/camera": [("image", "out", IMAGE), ("camera_info", "out", "sensor_msgs/CameraInfo")],
+    "robot/where": [("ball", "in", POINT), ("position", "out", POINT)],
+    "robot/smooth": [("in", "in", IMAGE), ("out", "out", IMAGE)],
+}
+
+
+class Robot(Field):
+    """The field, beside nodes that others start."""
+
+    def run(self, name: str, program: str, topics: Mapping[str, str]) -> None:
+        kind = NodeletKind.CPP_NODE if program == "robot/camera" else NodeletKind.NODE
+        self.host.run_node(name, program, topics, kind)
+        self.by_hand[name] = True
+        self.manager.look()
+
+    def run_camera(self) -> None:
+        self.run("/robot/camera", "robot/camera", {"image": "/image", "camera_info": "/info"})
+
+    def end(self, name: str) -> None:
+        self.host.kill(name)
+        del self.by_hand[name]
+
+    def topics(self, name: str) -> Dict[str, str]:
+        return self.manager.graph.get(name).status.connections
+
+
+@pytest.fixture
+def robot(tmp_path: Path) -> Robot:
+    robot = Robot(str(tmp_path / "state.db"))
+    robot.host.sources.update(PROGRAMS)
+    return robot
+
+
+def test_a_node_bears_the_label_and_tags_that_describe_it(robot: Robot) -> None:
+    robot.run_camera()
+    assert robot.manager.graph.get("/robot/camera").label == ""
+
+    robot.manager.add_transformation(CAMERA)
+    robot.manager.look()
+    status = robot.manager.graph.get("/robot/camera").status
+    assert (status.transformation, status.kind, status.manager) == (
+        "driver",
+        NodeletKind.CPP_NODE,
+        "",
+    )
+    assert {port.name: port.tags for port in status.ports} == {
+        "image": ("YUV(field)",),
+        "camera_info": (),
+    }
+
+    robot.manager.add_transformation(CAMERA.replace("YUV(field)", "Raw(field)"))
+    robot.manager.look()
+    port = robot.manager.graph.get("/robot/camera").status.port("image")
+    assert port is not None and port.tags == ("Raw(field)",)
+
+    robot.manager.remove_transformation("driver")
+    robot.manager.look()
+    assert robot.manager.graph.get("/robot/camera").label == ""
+    robot.end("/robot/camera")
+    robot.manager.look()
+    assert robot.manager.graph.find("/robot/camera") is None
+
+
+def test_it_is_neither_spawned_nor_destroyed_nor_kept_on_disk(robot: Robot) -> None:
+    robot.manager.add_transformation(CAMERA)
+    with pytest.raises(NotSpawnable, match="'driver' is the existing node '/robot/camera'"):
+        robot.manager.spawn(SpawnRequest("driver", "/mine"))
+    robot.run_camera()
+    with pytest.raises(HostError, match="is a node in a process of its own"):
+        robot.manager.destroy("/robot/camera")
+    with pytest.raises(HostError, match="was not spawned by this manager"):
+        robot.manager.set_protection("/robot/camera", True)
+    assert robot.store.nodelets() == []
+    robot.manager.end()
+    assert robot.host.running == ["/robot/camera"]
+
+
+def test_a_node_is_described_once(robot: Robot) -> None:
+    robot.manager.add_transformation(CAMERA)
+    with pytest.raises(SpecificationError, match="is described by 'driver' already; remove"):
+        robot.manager.add_transformation(CAMERA.replace("driver", "other"))
+    robot.manager.add_transformation(CAMERA.replace("YUV", "Raw"))
+    assert robot.manager.library.of_node("/robot/camera") == robot.manager.library.get("driver")
+
+
+def test_it_supplies_while_it_runs_and_is_replaced_when_it_ends(robot: Robot) -> None:
+    robot.manager.add_transformation(CAMERA)
+    robot.run_camera()
+    acquired = robot.acquire("YUV(field)")
+    claim_id = acquired.claim.claim_id
+    assert (acquired.spawned, acquired.reused) == ((), ("/robot/camera",))
+    assert acquired.claim.topic == "/image"
+    robot.settle()
+
+    robot.end("/robot/camera")
+    robot.settle()
+    claim = robot.claim(claim_id)
+    assert claim.state is ClaimState.ACTIVE
+    assert claim.nodelets == ("/bottom_camera_1",)
+    assert claim.topic == "/image"
+    assert "driver" not in robot.labels()
+
+    robot.run_camera()  # as others start it again, on the topic that was taken over
+    robot.settle()
+    assert robot.topics("/robot/camera") == {"camera_info": "/info"}
+
+    robot.reconciler.release(claim_id)
+    robot.tidy()
+
+
+def test_one_that_hangs_is_lost_and_replaced(robot: Robot) -> None:
+    robot.manager.add_transformation(CAMERA)
+    robot.run_camera()
+    claim_id = robot.acquire("YUV(field)").claim.claim_id
+    robot.settle()
+    robot.host.cut("/robot/camera")
+    robot.manager.look()
+    assert robot.manager.graph.get("/robot/camera").state is State.LOST
+    for _ in range(10):
+        robot.tick()
+    assert robot.claim(claim_id).nodelets == ("/bottom_camera_1",)
+    robot.host.mend("/robot/camera")
+    robot.settle()
+    assert robot.manager.graph.get("/robot/camera").state is State.RUNNING
+    assert robot.claim(claim_id).nodelets == ("/bottom_camera_1",)
+
+
+def test_what_is_absent_supplies_nothing(robot: Robot) -> None:
+    robot.manager.remove_transformation("localization")
+    robot.manager.add_transformation(LOCALIZATION)
+    with pytest.raises(NoPlanFound):
+        robot.acquire()
+    robot.run("/robot/where", "robot/where", {})
+    assert robot.acquire().claim.state is ClaimState.ACTIVE
+
+
+def test_it_is_connected_to_what_it_demands_and_again_when_that_dies(robot: Robot) -> None:
+    robot.manager.remove_transformation("localization")
+    robot.manager.add_transformation(LOCALIZATION)
+    robot.run("/robot/where", "robot/where", {"ball": "/nobody", "position": "/position"})
+
+    acquired = robot.acquire()
+    claim_id = acquired.claim.claim_id
+    assert acquired.reused == ("/robot/where",)
+    assert acquired.claim.topic == "/position"
+    ball = robot.topics("/robot/where")["ball"]
+    assert robot.host.publishers(ball) == ["/detector_1"]
+    robot.settle()
+
+    robot.host.kill(robot.manager.graph.get("/detector_1").manager)
+    robot.settle(5.0)
+    assert robot.state(claim_id) is ClaimState.ACTIVE
+    assert robot.host.publishers(robot.topics("/robot/where")["ball"]) != []
+    assert robot.host.calls.count(("load", "/robot/where")) == 0
+
+    robot.end("/robot/where")
+    robot.settle()
+    assert robot.state(claim_id) is ClaimState.PENDING
+    robot.run("/robot/where", "robot/where", {"ball": "/nobody", "position": "/position"})
+    robot.settle(10.0)
+    assert robot.state(claim_id) is ClaimState.ACTIVE
+
+    robot.reconciler.release(claim_id)
+    robot.tidy()
+    assert robot.host.running == ["/robot/where"]
+
+
+def test_claims_keep_it_when_the_manager_is_killed(robot: Robot) -> None:
+    robot.manager.remove_transformation("localization")
+    robot.manager.add_transformation(LOCALIZATION)
+    robot.run("/robot/where", "robot/where", {"position": "/position"})
+    claim = robot.acquire().claim
+    robot.settle()
+    robot.host.calls.clear()
+    robot.kill_manager()
+    robot.settle()
+    after = robot.claim(claim.claim_id)
+    assert (after.state, after.wiring) == (ClaimState.ACTIVE, claim.wiring)
+    assert not {"load", "unload", "connect"} & {operation for operation, _ in robot.host.calls}
+
+
+def test_it_is_one_thing_at_a_time(robot: Robot) -> None:
+    robot.manager.add_transformation(
+        """<transformations>
+        <transformation type="node" node="/smooth"><label>smooth</label>
+          <ports><port type="in">in</port><port type="out">out</port></ports>
+          <tags><tag port="in">Image(?camera)</tag><tag port="out">Smooth(?camera)</tag></tags>
+        </transformation>
+        <transformation><label>left</label><source>soccer/Camera</source>
+          <ports><port type="out">image</port></ports>
+          <tags><tag port="image">Image(left)</tag></tags></transformation>
+        <transformation><label>right</label><source>soccer/Ceiling</source>
+          <ports><port type="out">image</port></ports>
+          <tags><tag port="image">Image(right)</tag></tags></transformation>
+        <transformation><label>stereo</label><source>robot/stereo</source>
+          <ports><port type="in">left</port><port type="in">right</port>
+            <port type="out">depth</port></ports>
+          <tags><tag port="left">Smooth(left)</tag><tag port="right">Smooth(right)</tag>
+            <tag port="depth">Depth(field)</tag></tags></transformation>
+        </transformations>"""
+    )
+    robot.host.sources["robot/stereo"] = [
+        ("left", "in", IMAGE),
+        ("right", "in", IMAGE),
+        ("depth", "out", IMAGE),
+    ]
+    robot.run("/smooth", "robot/smooth", {"out": "/smoothed"})
+    with pytest.raises(NoPlanFound):
+        robot.acquire("Depth(field)")
+    assert robot.host.running == ["/smooth"]
+
+    first = robot.acquire("Smooth(left)").claim
+    with pytest.raises(NoPlanFound):
+        robot.acquire("Smooth(right)")
+    robot.reconciler.release(first.claim_id)
+    assert robot.acquire("Smooth(right)").reused == ("/smooth",)
+
+
+def test_it_stays_on_its_topic_and_a_relay_brings_it_to_the_client(robot: Robot) -> None:
+    robot.manager.add_transformation(CAMERA)
+    claim_id = robot.acquire("YUV(field)").claim.claim_id
+    robot.run_camera()
+    robot.settle()
+    robot.manager.remove_transformation("bottom camera")
+    robot.manager.remove_transformation("ceiling camera")
+    robot.settle(5.0)
+    claim = robot.claim(claim_id)
+    assert claim.state is ClaimState.ACTIVE
+    assert "/robot/camera" in claim.nodelets
+    assert robot.topics("/robot/camera")["image"] == "/image"
