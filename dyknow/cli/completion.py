@@ -261,6 +261,13 @@ def _topics_beside_ports(cursor: _Cursor) -> Iterable[str]:
     return () if ":" in cursor.prefix else cursor.as_typed(cursor.topics())
 
 
+def packages(prefix: str, **_: object) -> List[str]:
+    """Packages on ROS_PACKAGE_PATH."""
+    import rospkg
+
+    return sorted(name for name in rospkg.RosPack().list() if name.startswith(prefix))
+
+
 def files(prefix: str, **details: object) -> List[str]:
     """Files and folders, hidden ones only behind a dot."""
     from argcomplete.completers import FilesCompleter

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 from typing import Dict, List, Sequence, Tuple
 
 from dyknow import __version__
@@ -87,13 +88,21 @@ def parse(words: Sequence[str]) -> argparse.Namespace:
 
 
 def _without_ros_words(parser: Parser, words: Sequence[str]) -> List[str]:
-    """Drop the arguments that roslaunch adds; refuse others that would have no effect."""
+    """Drop the arguments that roslaunch adds; refuse others that would have no effect.
+
+    Private parameters, `_x:=y`, become those of a spawn.
+    """
     own = [word for word in words if ":=" not in word]
     command = next((word for word in own if word in all_commands()), "")
-    if command == "run":
+    if command in ("run", "probe"):
         return list(words)  # they are the node's
     for word in words:
-        if ":=" in word and word.split(":=")[0] not in _FROM_ROSLAUNCH:
+        name, is_given, value = word.partition(":=")
+        if not is_given or name in _FROM_ROSLAUNCH:
+            continue
+        if command == "spawn" and re.match("_[^_]", name):
+            own += ["--param", f"{name[1:]}={value}"]
+        else:
             parser.error(f"'{word}' would have no effect: {_instead(command, word)}")
     return own
 
@@ -103,11 +112,6 @@ def _instead(command: str, word: str) -> str:
     name, _, value = word.partition(":=")
     if name in _ENVIRONMENT:
         return f"set {_ENVIRONMENT[name]} in the environment"
-    if command == "spawn" and name.startswith("_"):
-        return (
-            "a spawn takes no parameters; write them in the transformation ('dyknow export LABEL "
-            "-o FILE', 'dyknow import FILE')"
-        )
     if command == "spawn":
         return f"connect a port of the new nodelet with --connect {name}:{value}"
     return f"'dyknow {command}' takes neither remappings nor parameters"

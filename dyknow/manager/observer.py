@@ -278,7 +278,9 @@ class Observer:
             else:
                 record = replace(record, ports=ports)
                 record = replace(record, topics=topics_of(record))
-        if not record.ports:  # it cannot be asked, so it is taken to be as it should be
+        if (
+            not record.ports and not record.is_described
+        ):  # it cannot be asked, so it is taken to be as it should be
             record = replace(record, ports=declared_ports(record))
         self._graph.put(record)
 

@@ -73,6 +73,12 @@ class Record:
         return self.transformation is not None and bool(self.transformation.node)
 
     @property
+    def is_complete(self) -> bool:
+        """Whether each of its declared ports was seen."""
+        declared = self.transformation.ports if self.transformation is not None else ()
+        return {port.name for port in declared} <= {port.name for port in self.ports}
+
+    @property
     def label(self) -> str:
         """Label of the transformation, empty for what others run and nothing describes."""
         return self.transformation.label if self.transformation is not None else ""
@@ -100,7 +106,8 @@ def seen_ports(record: Record, ports: Tuple[PortState, ...]) -> Tuple[PortState,
 
     A nodelet that was not written for DyKnow may have declared ports that its proxy does not
     report, or of which it knows the topic alone: a lazy one subscribes once somebody listens to
-    it. They are shown as declared.
+    it. They are shown as declared; of a node of others, which the manager did not place there, it
+    is not known where they will be, and they are not shown.
     """
     declared = {port.name: port for port in declared_ports(record)}
     seen = {
@@ -109,7 +116,7 @@ def seen_ports(record: Record, ports: Tuple[PortState, ...]) -> Tuple[PortState,
         else replace(port, tags=declared[port.name].tags if port.name in declared else ())
         for port in ports
     }
-    if not record.kind.is_written_for_dyknow:
+    if not (record.kind.is_written_for_dyknow or record.is_described):
         seen.update({name: port for name, port in declared.items() if name not in seen})
     return tuple(seen.values())
 

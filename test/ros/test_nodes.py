@@ -8,15 +8,19 @@ from __future__ import annotations
 
 import signal
 
+import graph
 import rospy
 import rostest
-from manager_suite import ManagerCase, parameters, registrations
-from processes import eventually
+from cpp_suite import RUN
+from manager_suite import CHILD, ManagerCase, parameters, registrations
+from processes import eventually, finished
 from std_msgs.msg import String
 
 from dyknow.errors import Refused
+from dyknow.manager.specifications.specification import parse
 from dyknow.model.graph import NodeletKind, State
-from dyknow.model.transformation import Parameter
+from dyknow.model.streams import ClaimState, StreamRequest
+from dyknow.model.transformation import Parameter, Port, Transformation
 from dyknow.ros.os_process import ProcessId
 
 LIBRARY = """
@@ -36,7 +40,25 @@ LIBRARY = """
     <label>shell script</label>
     <source>dyknow_manager_test/greet.sh</source>
   </transformation>
+  <transformation type="node">
+    <label>talker</label>
+    <source>dyknow_test/talker.py --word moin</source>
+    <ports><port type="out" datatype="std_msgs/String">words</port></ports>
+  </transformation>
+  <transformation type="node" node="/by_hand">
+    <label>by hand</label>
+    <ports><port type="in">/b</port><port type="out">/spoken</port></ports>
+    <tags><tag port="/b">Words(?x)</tag><tag port="/spoken">Spoken(?x)</tag></tags>
+  </transformation>
+  <transformation type="topic">
+    <label>left words</label><source>/a</source>
+    <ports><port type="out">a</port></ports><tags><tag port="a">Words(left)</tag></tags>
+  </transformation>
 </transformations>"""
+
+
+RATE = Parameter("rate", "int", "30")
+PROBE = ("rosrun", "dyknow", "dyknow", "probe")
 
 
 class Talker:
@@ -53,10 +75,15 @@ class Talker:
 
 def hears(topic: str, word: str, timeout: float = 10.0) -> None:
     """Wait until a word comes on a topic."""
-    heard: set[str] = set()
-    subscriber = rospy.Subscriber(topic, String, lambda message: heard.add(message.data))
+    heard: list[str] = []
+    subscriber = rospy.Subscriber(topic, String, lambda message: heard.append(message.data))
     try:
-        eventually(lambda: word in heard, timeout, f"'{word}' comes on {topic}", lambda: heard)
+        eventually(
+            lambda: any(word in each for each in list(heard)),
+            timeout,
+            f"'{word}' comes on {topic}",
+            lambda: heard,
+        )
     finally:
         subscriber.unregister()
 
@@ -126,6 +153,93 @@ class NodesTest(ManagerCase):
         self.manager.stop()
         self.assertFalse(last.alive)
         self.assertEqual(registrations("/last"), [])
+
+    def test_the_life_of_a_script(self) -> None:
+        client = self.manager.client
+        client.spawn("talker", "/shared", {"words": "/said"}, parameters=(RATE,))
+        hears("/said", "moin")
+        node = self.manager.nodelet("/shared")
+        self.assertEqual((node.kind, node.manager), (NodeletKind.SCRIPT, CHILD))
+        self.assertEqual(rospy.get_param("/shared/rate"), 30)
+        client.set_config("/shared", {"words": "/elsewhere"})
+        hears("/elsewhere", "moin")
+
+        self.manager.kill_child()
+        hears("/elsewhere", "moin")
+        eventually(lambda: self.runs("/shared"), 5.0, "it is shown")
+        self.assertEqual(self.manager.topics("/shared"), {"words": "/elsewhere"})
+        client.destroy("/shared")
+        self.assertEqual(registrations("/shared"), [])
+
+        client.spawn("talker", "/alone", {"words": "/said"}, isolated=True)
+        hears("/said", "moin")
+        alone = self.manager.nodelet("/alone")
+        self.assertEqual((alone.kind, alone.isolated), (NodeletKind.SCRIPT, True))
+        process = self.process(alone.manager)
+        client.set_config("/alone", {"words": "/elsewhere"})
+        hears("/elsewhere", "moin")
+        process.signal(signal.SIGKILL)
+        eventually(lambda: self.process(alone.manager) != process, 10.0, "it is started again")
+        hears("/elsewhere", "moin")
+        eventually(lambda: self.runs("/alone"), 5.0, "it is shown")
+        client.destroy("/alone")
+        self.assertEqual(registrations("/alone"), [])
+
+    def test_a_node_of_others_supplies_and_demands(self) -> None:
+        client = self.manager.client
+        command = (*RUN, "topic_tools", "relay", "/b", "/spoken", "__name:=by_hand")
+        with graph.Ended(*command):
+            eventually(
+                lambda: self.manager.topics("/by_hand") == {"/b": "/b", "/spoken": "/spoken"},
+                10.0,
+                "it is shown",
+                lambda: self.manager.nodelet("/by_hand"),
+            )
+            self.assertEqual(self.manager.nodelet("/by_hand").transformation, "by hand")
+            hears("/spoken", "right")
+            found = client.acquire_stream(StreamRequest("Spoken(left)"))
+            self.assertEqual(found.reused, ("/by_hand",))
+            self.assertEqual(found.topic, "/spoken")
+            hears("/spoken", "left")
+            with self.assertRaisesRegex(Refused, "process of its own"):
+                client.destroy("/by_hand")
+        eventually(
+            lambda: client.list_streams()[0].state is ClaimState.PENDING,
+            5.0,
+            "the claim waits",
+            client.list_streams,
+        )
+        self.assertIsNone(self.manager.nodelet("/by_hand"))
+
+    def test_a_specification_to_begin_with(self) -> None:
+        words = ("topic_tools", "relay", "/a", "/probed", "_lazy:=false")
+        code, printed = finished([*PROBE, "--settle", "1", *words])
+        self.assertEqual(code, 0, printed)
+        self.assertEqual(
+            parse(printed).transformations,
+            (
+                Transformation(
+                    "relay",
+                    "topic_tools/relay /a /probed",
+                    "node",
+                    parameters=(Parameter("lazy", "bool", "false"),),
+                    ports=(
+                        Port("/a", "in"),  # of any type
+                        Port("/probed", "out", "std_msgs/String"),
+                    ),
+                ),
+            ),
+        )
+        self.assertEqual(self.manager.client.add_transformation(printed).labels, ("relay",))
+        eventually(  # a manager listens to it for a moment longer
+            lambda: not registrations("/dyknow_probe") + parameters("/dyknow_probe"),
+            5.0,
+            "nothing of it is left",
+            lambda: registrations("/dyknow_probe") + parameters("/dyknow_probe"),
+        )
+        code, printed = finished([*PROBE, "topic_tools", "throttle"])
+        self.assertEqual(code, 1)
+        self.assertIn("the node ended by itself; it printed at last:", printed)
 
 
 if __name__ == "__main__":

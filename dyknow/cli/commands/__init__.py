@@ -15,6 +15,7 @@ from dyknow.cli.commands import (
     inspect,
     library,
     nodelets,
+    probe,
     run,
     save_load,
     statistics,
@@ -29,6 +30,6 @@ GROUPS: Tuple[Tuple[str, Tuple[Command, ...]], ...] = (
     ("Nodelets and nodes", (*nodelets.COMMANDS, *run.COMMANDS)),
     ("Connections", wiring.COMMANDS),
     ("Streams on request", (*tags.COMMANDS, *acquire.COMMANDS, *streams.COMMANDS)),
-    ("Transformations", (*library.COMMANDS, *check.COMMANDS)),
+    ("Transformations", (*library.COMMANDS, *check.COMMANDS, *probe.COMMANDS)),
     ("Whole wirings", save_load.COMMANDS),
 )

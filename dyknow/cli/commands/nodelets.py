@@ -61,7 +61,7 @@ def _spawn_arguments(parser: argparse.ArgumentParser) -> None:
             action="extend",
             default=[],
             help="override parameters of the transformation; '?camera=cam1' says what ?camera "
-            "in its tags and parameters stands for",
+            "in its tags and parameters stands for; _NAME:=VALUE does the same",
         ),
         completion.parameters_of_label,
     )
@@ -157,7 +157,8 @@ COMMANDS = (
         "dyknow spawn 'undistort(cam1)' /cam1/undistort --protected\n"
         "dyknow spawn relay slow --connect in:/camera/image out:/slow/image\n"
         "dyknow spawn detector ball --isolated\n"
-        "dyknow spawn tracker tracker --param rate=5 '?camera=cam1'",
+        "dyknow spawn tracker tracker --param rate=5 '?camera=cam1'\n"
+        "dyknow spawn tracker tracker _rate:=5",
         _spawn_arguments,
         _spawn,
     ),

@@ -140,7 +140,7 @@ class ClaimPlanner:
             users = [each for each in sharing if name in each.wiring]
             if (
                 record is not None
-                and (record.claimed or record.is_described)
+                and (record.claimed or (record.is_described and record.is_complete))
                 and record.state is State.RUNNING
                 and name not in unfit
                 and record.transformation == self._current(record.label)

@@ -103,7 +103,8 @@ def _outputs(record: Record) -> List[TaggedStream]:
     found = []
     for port in record.transformation.ports:
         tags = read_tags(port.tags)
-        if port.direction == OUT and tags:
+        is_there = port.name in seen or not record.is_described
+        if port.direction == OUT and tags and is_there:
             stream = Live(
                 record.topics.get(port.name, ""),
                 port.name,

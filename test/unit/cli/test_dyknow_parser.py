@@ -17,6 +17,7 @@ import dyknow
 from dyknow.cli.main import main
 from dyknow.cli.parser import all_commands, parse
 from dyknow.model.graph import PortRef
+from dyknow.model.transformation import Parameter
 
 
 def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
@@ -80,7 +81,6 @@ def test_examples_are_understood() -> None:
         (["spawn", "relay", "~a"], "'~a' is a private name"),
         (["connect", "a", "b"], "'a' and 'b' are topics; expected a port at one end at least"),
         (["connect", "a", "b:in", "--topic", "c"], "one end is a topic already"),
-        (["spawn", "relay", "a", "_rate:=20"], "'_rate:=20' would have no effect: a spawn takes"),
         (["spawn", "relay", "a", "in:=/x"], "connect a port of the new nodelet with --connect in"),
         (
             ["list", "__ns:=/robot"],
@@ -123,6 +123,17 @@ def test_options_of_every_command_stand_before_or_behind_it() -> None:
 
 def test_what_roslaunch_adds_is_left_out() -> None:
     assert parse(["list", "__name:=x", "__log:=/tmp/x.log"]).command == "list"
+
+
+def test_private_parameters_are_given_to_a_spawn() -> None:
+    words = ["spawn", "relay", "a", "_rate:=20", "--isolated", "_frame:=a=b", "__name:=x"]
+    assert parse(words).param == [Parameter("rate", "", "20"), Parameter("frame", "", "a=b")]
+
+
+def test_what_follows_the_program_of_a_probe_is_its_own() -> None:
+    words = ["probe", "--settle", "0.5", "pkg", "node", "/a", "_rate:=20", "--json"]
+    found = parse(words)
+    assert (found.settle, found.words) == (0.5, ["/a", "_rate:=20", "--json"])
 
 
 def test_the_manager_comes_from_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -253,3 +253,16 @@ def test_it_stays_on_its_topic_and_a_relay_brings_it_to_the_client(robot: Robot)
     assert claim.state is ClaimState.ACTIVE
     assert "/robot/camera" in claim.nodelets
     assert robot.topics("/robot/camera")["image"] == "/image"
+
+
+def test_it_is_used_once_all_of_its_ports_are_there(robot: Robot) -> None:
+    robot.manager.remove_transformation("localization")
+    robot.manager.add_transformation(LOCALIZATION)
+    robot.host.lazy["robot/where"] = {"position"}
+    robot.run("/robot/where", "robot/where", {"position": "/position"})
+    assert [port.name for port in robot.manager.graph.get("/robot/where").ports] == ["ball"]
+    with pytest.raises(NoPlanFound):
+        robot.acquire()
+    robot.host.lazy.clear()
+    robot.manager.look({"/robot/where"})
+    assert robot.acquire().reused == ("/robot/where",)

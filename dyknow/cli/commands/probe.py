@@ -1,0 +1,232 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""`probe`: runs a node once, and writes a specification to begin with."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import re
+import signal
+import sys
+import tempfile
+import time
+from typing import TYPE_CHECKING, Any, Iterator, List, Mapping, Sequence
+
+from dyknow import names
+from dyknow.cli import completion
+from dyknow.cli.arguments import seconds
+from dyknow.cli.command import Command
+from dyknow.cli.json_output import transformation_json
+from dyknow.cli.shell import Shell
+from dyknow.errors import CannotRun, HostError, ManagerUnreachable, PeerTimeout
+from dyknow.model.graph import PortState
+from dyknow.model.transformation import NODE, Parameter, Port, Program, Transformation
+
+if TYPE_CHECKING:
+    from dyknow.ros.master import Master
+    from dyknow.ros.os_process import ProcessId
+
+#: Seconds between two questions for its ports.
+_STEP = 0.1
+#: Seconds for one answer.
+_ANSWER = 2.0
+#: Seconds that the node has to end.
+_PATIENCE = 3.0
+#: Lines of its output that are shown when it fails.
+_LINES = 5
+#: Topics that a node shares with all others. It stays on them, since they are not declared.
+_SHARED = re.compile(
+    r"/(tf|tf_static|clock|rosout|rosout_agg|diagnostics|diagnostics_agg|statistics)"
+    r"|.*/(parameter_updates|parameter_descriptions|bond)"
+)
+
+
+def _probe_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--settle",
+        metavar="S",
+        type=seconds,
+        default=2.0,
+        help="end when no port has come for so many seconds (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--start",
+        metavar="S",
+        type=seconds,
+        default=20.0,
+        help="seconds that its first port may take (default: %(default)s)",
+    )
+    completion.complete_with(
+        parser.add_argument("package", metavar="PKG", help="a package"), completion.packages
+    )
+    parser.add_argument("executable", metavar="EXECUTABLE", help="a program of it")
+    parser.add_argument(
+        "words",
+        nargs=argparse.REMAINDER,
+        metavar="ARGUMENT",
+        help="its arguments, remappings and parameters, as for rosrun",
+    )
+
+
+def _probe(arguments: argparse.Namespace, shell: Shell) -> None:
+    from dyknow.ros.master import Master
+    from dyknow.ros.programs import find_program
+
+    path = find_program(arguments.package, arguments.executable)
+    name = f"/dyknow_probe_{os.getpid()}/{_base(arguments.executable)}"
+    master = Master(name)
+    try:
+        master.ask("getPid")
+    except PeerTimeout as error:
+        raise ManagerUnreachable(f"no ROS master at {master.uri}: is roscore running?") from error
+    with tempfile.TemporaryDirectory() as folder:
+        output = os.path.join(folder, "output")
+        process = _start(path, arguments.words, name, output, folder)
+        try:
+            ports = _settled(master, name, process, output, arguments)
+            found = _parameter_tree(master, name)
+        finally:
+            process.end(_PATIENCE, (signal.SIGINT, signal.SIGTERM))
+            process.wait_for_rest()
+            _clean_up(master, name)
+    plain = tuple(word for word in arguments.words if ":=" not in word)
+    shared = [each for each in ports if _SHARED.fullmatch(names.resolve(each.name, "/", name))]
+    transformation = Transformation(
+        _base(arguments.executable),
+        Program(arguments.package, arguments.executable, plain).source,
+        NODE,
+        parameters=tuple(_parameters(found)),
+        ports=tuple(
+            Port(port.name, port.direction, _type(port)) for port in ports if port not in shared
+        ),
+    )
+    shell.show(
+        {
+            "transformation": transformation_json(transformation),
+            "specification": transformation.to_xml(),
+            "not_declared": [port.name for port in shared],
+        },
+        [*_remark(shared), transformation.to_xml().rstrip("\n")],
+    )
+
+
+def _base(executable: str) -> str:
+    """Name a node after its program."""
+    stem = re.sub(r"\W+", "_", executable.rpartition(".")[0] or executable).strip("_")
+    return stem if stem[:1].isalpha() else f"node_{stem}"
+
+
+def _start(path: str, words: Sequence[str], name: str, output: str, folder: str) -> ProcessId:
+    from dyknow.ros import os_process
+
+    own = (f"__name:={name.rpartition('/')[2]}", f"__ns:={names.parent(name)}")
+    command = (sys.executable, "-m", "dyknow.cli.rewirable", path, *words, *own)
+    return os_process.start(command, output, folder)
+
+
+def _settled(
+    master: Master, name: str, process: ProcessId, output: str, arguments: argparse.Namespace
+) -> List[PortState]:
+    """Wait until a node has made its ports.
+
+    Raises:
+        CannotRun: it ended, or made none in time.
+    """
+    from dyknow_msgs.srv import GetConfig
+
+    from dyknow.ros.messages import port_from
+    from dyknow.ros.service_client import ServiceClient
+
+    client = ServiceClient(master, names.join(name, "get_config"), GetConfig)
+    begin = since = time.monotonic()
+    ports: List[PortState] = []
+    while True:
+        now = time.monotonic()
+        if not process.alive:
+            raise CannotRun(f"the node ended by itself{_printed(output)}")
+        try:
+            found = [port_from(port) for port in client.call(_ANSWER).ports]
+        except (HostError, PeerTimeout, LookupError):
+            found = ports
+        if found != ports:
+            ports, since = found, now
+        if ports and now - since >= arguments.settle:
+            return ports
+        if not ports and now - begin >= arguments.start:
+            raise CannotRun(
+                f"the node offered no ports within {arguments.start:g} s{_printed(output)}"
+            )
+        time.sleep(_STEP)
+
+
+def _printed(output: str) -> str:
+    with open(output, encoding="utf-8", errors="replace") as file:
+        lines = [line.rstrip() for line in file if line.strip()][-_LINES:]
+    return "; it printed at last:\n  " + "\n  ".join(lines) if lines else ", and printed nothing"
+
+
+def _parameter_tree(master: Master, name: str) -> Mapping[str, Any]:
+    """Return the parameters in the node's own namespace: given to it, or set by itself."""
+    try:
+        found = master.ask("getParam", name)
+    except (LookupError, PeerTimeout):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _parameters(tree: Mapping[str, Any], above: str = "") -> Iterator[Parameter]:
+    for key, value in sorted(tree.items()):
+        name = f"{above}{key}"
+        if name == "guards":
+            continue  # a DyKnow manager's, for as long as it sees the node
+        if isinstance(value, dict):
+            yield from _parameters(value, name + "/")
+        elif isinstance(value, bool):
+            yield Parameter(name, "bool", str(value).lower())
+        elif isinstance(value, (int, float)):
+            yield Parameter(name, "int" if isinstance(value, int) else "double", repr(value))
+        elif isinstance(value, list):
+            yield Parameter(name, "yaml", json.dumps(value))
+        else:
+            yield Parameter(name, "string", str(value).strip())
+
+
+def _type(port: PortState) -> str:
+    return "" if port.datatype == "*" else port.datatype
+
+
+def _remark(shared: Sequence[PortState]) -> Iterator[str]:
+    if shared:
+        ports = ", ".join(f"{port.name} ({port.direction})" for port in shared)
+        yield f"<!-- Further topics, which the node shares with others: {ports} -->"
+
+
+def _clean_up(master: Master, name: str) -> None:
+    """Remove what the node left at the master."""
+    try:
+        uri = master.node(name)
+        if uri:
+            master.purge(name, uri)
+        master.ask("deleteParam", names.parent(name))
+    except (LookupError, PeerTimeout):
+        return  # nothing is left, or no master
+
+
+COMMANDS = (
+    Command(
+        "probe",
+        "run a node once, and write its specification",
+        "Runs a program of a package once, in a namespace of its own, until its ports are there, "
+        "and prints a transformation to begin with: its ports with their types, and the "
+        "parameters in its own namespace. Ports that come later, such as those that a lazy node "
+        "makes when somebody listens, are missing; tags are to be added. Nothing is spawned, and "
+        "no manager is needed. Options come before PKG.",
+        "dyknow probe topic_tools relay /scan /copy > copier.xml\n"
+        "dyknow probe --settle 5 image_view image_saver image:=/camera/image",
+        _probe_arguments,
+        _probe,
+    ),
+)
