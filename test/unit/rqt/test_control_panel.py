@@ -127,14 +127,18 @@ def test_create_gives_names_for_variables_and_parameters(qtbot, window, remote):
     until(qtbot, lambda: "nothing says what ?camera in the parameter 'frame'" in window.line.text)
     qtbot.keyClicks(fields["?camera"], "left")
     qtbot.keyClicks(fields["rate"], "5")
+    qtbot.keyClicks(panel.given.more, "speed")
+    click(qtbot, panel.create)
+    until(qtbot, lambda: "'speed': expected NAME=VALUE" in window.line.text)
+    qtbot.keyClicks(panel.given.more, "=3 place='the field'")
     click(qtbot, panel.create)
     until(qtbot, lambda: "n_/eye" in vertex_keys(window))
     given = {each.name: each.text for each in remote.graph().nodelet("/eye").parameters}
-    assert given == {"?camera": "left", "rate": "5"}
+    assert given == {"?camera": "left", "rate": "5", "speed": "3", "place": "the field"}
     panel.begin("tracker")
     assert panel.given.fields == {}
     item = next(i for i in window.graph.view.scene().items() if "n_/eye" in str(_key(i)))
-    assert "?camera=left rate=5" in item.toolTip()
+    assert "?camera=left place=the field rate=5 speed=3" in item.toolTip()
 
 
 def _key(item):
