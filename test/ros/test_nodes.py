@@ -105,6 +105,14 @@ class NodesTest(ManagerCase):
         found = self.manager.nodelet(name)
         return found is not None and found.state is State.RUNNING
 
+    def shows(self, name: str, topics: dict[str, str]) -> None:
+        eventually(
+            lambda: self.manager.topics(name) == topics,
+            10.0,
+            f"the model shows where the ports of {name} are",
+            lambda: self.manager.nodelet(name),
+        )
+
     def test_the_life_of_a_binary(self) -> None:
         client, name = self.manager.client, "/robot/copier"
         config = {"words": "/a", "copy": "/out"}
@@ -119,7 +127,7 @@ class NodesTest(ManagerCase):
 
         client.set_config(name, {"words": "/b"})
         hears("/out", "right")
-        eventually(lambda: self.manager.topics(name)["words"] == "/b", 2.0, "it is shown")
+        self.shows(name, {"words": "/b", "copy": "/out"})
 
         killed = self.process(name)
         killed.signal(signal.SIGKILL)
@@ -163,6 +171,7 @@ class NodesTest(ManagerCase):
         self.assertEqual(rospy.get_param("/shared/rate"), 30)
         client.set_config("/shared", {"words": "/elsewhere"})
         hears("/elsewhere", "moin")
+        self.shows("/shared", {"words": "/elsewhere"})
 
         self.manager.kill_child()
         hears("/elsewhere", "moin")
@@ -174,12 +183,13 @@ class NodesTest(ManagerCase):
         client.spawn("talker", "/alone", {"words": "/said"}, isolated=True)
         hears("/said", "moin")
         alone = self.manager.nodelet("/alone")
-        self.assertEqual((alone.kind, alone.isolated), (NodeletKind.SCRIPT, True))
-        process = self.process(alone.manager)
+        self.assertEqual((alone.kind, alone.manager, alone.isolated), (NodeletKind.NODE, "", True))
+        process = self.process("/alone")
         client.set_config("/alone", {"words": "/elsewhere"})
         hears("/elsewhere", "moin")
+        self.shows("/alone", {"words": "/elsewhere"})
         process.signal(signal.SIGKILL)
-        eventually(lambda: self.process(alone.manager) != process, 10.0, "it is started again")
+        eventually(lambda: self.process("/alone") != process, 10.0, "it is started again")
         hears("/elsewhere", "moin")
         eventually(lambda: self.runs("/alone"), 5.0, "it is shown")
         client.destroy("/alone")
@@ -189,12 +199,7 @@ class NodesTest(ManagerCase):
         client = self.manager.client
         command = (*RUN, "topic_tools", "relay", "/b", "/spoken", "__name:=by_hand")
         with graph.Ended(*command):
-            eventually(
-                lambda: self.manager.topics("/by_hand") == {"/b": "/b", "/spoken": "/spoken"},
-                10.0,
-                "it is shown",
-                lambda: self.manager.nodelet("/by_hand"),
-            )
+            self.shows("/by_hand", {"/b": "/b", "/spoken": "/spoken"})
             self.assertEqual(self.manager.nodelet("/by_hand").transformation, "by hand")
             hears("/spoken", "right")
             found = client.acquire_stream(StreamRequest("Spoken(left)"))
