@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
@@ -107,6 +108,13 @@ class Running:
         code = self._process.poll()
         end = "It runs on" if code is None else f"It ended with code {code}"
         return f"{end}; it said:\n{self.output}"
+
+
+def free_port() -> str:
+    """A port that nobody listens on, for a master of a test's own."""
+    with socket.socket() as free:
+        free.bind(("", 0))
+        return str(free.getsockname()[1])
 
 
 def nodes() -> set[str]:

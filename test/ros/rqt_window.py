@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import signal
-import socket
 import sys
 import tempfile
 import time
@@ -20,7 +19,7 @@ os.environ["QT_QPA_PLATFORM"] = "offscreen"
 import rospy
 import rostest
 from manager_suite import LIBRARY, ManagerCase, Receiver, eventually
-from processes import Running
+from processes import Running, free_port
 from python_qt_binding.QtTest import QTest
 from python_qt_binding.QtWidgets import QApplication
 from roslib.packages import find_node
@@ -143,9 +142,7 @@ class DeadSystemTest(TellingCase):
         folder = tempfile.TemporaryDirectory()
         self.addCleanup(folder.cleanup)
         self.state = folder.name
-        with socket.socket() as free:
-            free.bind(("", 0))
-            self.port = str(free.getsockname()[1])
+        self.port = free_port()
         self.uri = f"http://localhost:{self.port}"
         patch = mock.patch.dict(os.environ, {"ROS_MASTER_URI": self.uri})
         patch.start()

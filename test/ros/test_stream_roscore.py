@@ -7,7 +7,6 @@
 from __future__ import annotations
 
 import os
-import socket
 import sys
 import tempfile
 import time
@@ -17,7 +16,7 @@ from unittest import mock
 import rospy
 import rostest
 from manager_suite import MANAGER, eventually
-from processes import Running
+from processes import Running, free_port
 from roslib.packages import find_node
 from stream_suite import GOAL, LIBRARY, StreamCase
 
@@ -34,9 +33,7 @@ class RoscoreTest(StreamCase):
         folder = tempfile.TemporaryDirectory()
         self.addCleanup(folder.cleanup)
         self.state = folder.name
-        with socket.socket() as free:
-            free.bind(("", 0))
-            self.port = str(free.getsockname()[1])
+        self.port = free_port()
         # All processes of this test have a separate master, which can be killed.
         environment = {"ROS_MASTER_URI": f"http://localhost:{self.port}"}
         patch = mock.patch.dict(os.environ, environment)

@@ -136,6 +136,10 @@ def test_the_keys_are_listed_in_the_window_and_in_the_documentation(qtbot, windo
     texts = [label.text() for label in dialog.findChildren(QLabel)]
     assert all(what in texts for _, what in KEYS)
     dialog.close()
+    for action in window.actions():
+        for shortcut in action.shortcuts():
+            text = shortcut.toString()
+            assert any(text in " ".join(entry) for entry in KEYS), text
     window.tabs.setCurrentWidget(window.streams)
     qtbot.keyClick(window.streams.tag, Qt.Key_Question, Qt.ShiftModifier)
     assert window.streams.tag.text() == "?", "a variable begins with it"
