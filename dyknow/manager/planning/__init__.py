@@ -10,9 +10,11 @@ in numbers. ``live_streams`` and ``stream_actions`` have what runs at the moment
 
 The way of a request through ``planner``::
 
-    reach        what the goal can reach at all, downwards; in the abstract, without bindings
+    reach        what the goal can reach at all, downwards; in the abstract, without bindings,
+      │          or specialised, and then only with names that can be joined (domains)
+    unbound      what its demands cost at least, upwards, without bindings
       │
-    refinement   bounds from the abstract: what is worthwhile is searched under bindings
+    descent      what the goal can reach again, by these costs: as far as the next search comes
       │
     knuth        the cheapest tree, upwards: instances as they are met, inputs joined (joins)
       │
@@ -21,5 +23,6 @@ The way of a request through ``planner``::
       │
     extraction   the answer: a plan with its cost and bound, or what is missing for one
 
-``wishes`` charge parts, ``latency`` limits paths, ``explanation`` writes the plan for people.
+``refinement`` has these searches. ``costs`` are those of one request, ``wishes`` charge parts,
+``latency`` limits paths, ``explanation`` writes the plan for people.
 """

@@ -10,7 +10,7 @@ from typing import AbstractSet, Dict, Iterable, List, Optional, Sequence, Set, T
 
 from dyknow.manager.planning.budget import Budget
 from dyknow.manager.planning.instances import LIVE, Instances
-from dyknow.manager.planning.values import Chosen, Values
+from dyknow.manager.planning.values import Values
 
 
 class AndOrGraph:
@@ -35,23 +35,19 @@ class AndOrGraph:
             limit: microseconds after which no node may be supplied.
         """
         self._instances = instances
-        self._live = {
-            node
-            for node, action in enumerate(values.chosen)
-            if action == LIVE and values.is_met(node)
-        }
+        self._live = {node for node, action in values.chosen.items() if action == LIVE}
         # Equal problems have equal numbers here: by label and bindings.
         order = sorted(
             {action for node, found in values.offers.items() for action in found},
-            key=lambda each: (instances.labels[each], instances.rule(each)[1]),
+            key=lambda each: (instances.label(each), instances.rule(each)[1]),
         )
         self._actions = order
         nodes: Dict[int, int] = {instances.reach.goal: 0}
-        self.costs = [instances.costs[each] for each in order]
+        self.costs = list(map(instances.cost, order))
         self.needs = [
             [
                 nodes.setdefault(need, len(nodes))
-                for need in instances.needs[each]
+                for need in instances.needs(each)
                 if need not in self._live
             ]
             for each in order
@@ -88,7 +84,7 @@ class AndOrGraph:
         """Sum up what actions cost."""
         return sum([self.costs[each] for each in actions])
 
-    def chosen(self, way: Dict[int, int]) -> Chosen:
+    def chosen(self, way: Dict[int, int]) -> Dict[int, int]:
         """Write choices in the numbers of the search."""
         found = dict.fromkeys(self._live, LIVE)
         found.update((self._nodes[node], self._actions[action]) for node, action in way.items())

@@ -5,10 +5,11 @@
 
 from __future__ import annotations
 
+from itertools import chain
 from typing import Dict, Iterable, List, Sequence, Set
 
 from dyknow.manager.planning.improvement import Improved
-from dyknow.manager.planning.instances import LIVE, Instances
+from dyknow.manager.planning.instances import FIRST, LIVE, Instances
 from dyknow.manager.planning.latency import latency_of
 from dyknow.manager.planning.live_streams import LiveStreams
 from dyknow.manager.planning.problem import Action, Live, NoPlan, Plan, PlanStep, Source
@@ -30,15 +31,14 @@ class _Writer:
         self._chosen = improved.draft.chosen
         self._bindings: Dict[int, Bindings] = {}
         # Those of actions without variables at once, for plans of many thousand steps.
-        network, chosen, first = self._network, self._chosen, instances.first_action
-        needed = {node for action in improved.draft.actions for node in instances.needs[action]}
+        found, chosen, rules = self._network.found, self._chosen, self._network.rules
+        plain = [each for each in improved.draft.actions if each < FIRST]
+        needed = set(chain.from_iterable(map(self._network.needs.__getitem__, plain)))
         self._sources: Dict[int, Source] = {
-            node: network.found[node][chosen[node]][0].head.source
-            for node in needed
-            if node < instances.first_node
-            and LIVE < chosen[node] < first
-            and chosen[node] not in network.rules
-            and not network.latencies
+            node: found[node][action][0].head.source
+            for node in (needed if not self._network.latencies else ())
+            for action in (chosen[node],)
+            if LIVE < action < FIRST and action not in rules
         }
 
     def source(self, node: int) -> Source:
@@ -50,13 +50,18 @@ class _Writer:
         bindings = self._bindings.get(chosen)
         return source if bindings is None else source._replace(bindings=bindings)
 
-    def step(self, number: int, action: Action) -> PlanStep:
-        """Return the step of an action."""
+    def steps(self, numbers: Sequence[int], actions: Iterable[Action]) -> List[PlanStep]:
+        """Return the steps of actions, suppliers first."""
         network, sources = self._network, self._sources
-        if number >= self._instances.first_action or number in network.rules:
-            return self._bound_step(number, PlanStep(action, ()))
-        inputs = [sources.get(node) or self.source(node) for node in network.inputs[number]]
-        return PlanStep(action, tuple(zip(network.ports[number], inputs)))
+        needed, ports, rules = network.inputs, network.ports, network.rules
+        found = []
+        for number, action in zip(numbers, actions):
+            if number >= FIRST or number in rules:
+                found.append(self._bound_step(number, PlanStep(action, ())))
+                continue
+            inputs = [sources.get(node) or self.source(node) for node in needed[number]]
+            found.append(PlanStep(action, tuple(zip(ports[number], inputs))))
+        return found
 
     def _bound_step(self, number: int, step: PlanStep) -> PlanStep:
         network = self._network
@@ -104,22 +109,28 @@ class _Writer:
 def plan_of(streams: LiveStreams, demand: Demand, improved: Improved) -> Plan:
     """Write a plan."""
     writer, instances = _Writer(streams, improved), improved.draft.instances
-    costs = instances.costs
-    steps: List[PlanStep] = []
+    costs, labels = instances.costs, instances.network.labels
+    stated = instances.network.costs
+    actions: List[Action] = []
     freed: Set[str] = set()
     for number in improved.draft.actions:
-        charge = instances.charge(number)
-        cost = costs[number] - charge
-        label = instances.labels[number]
-        if not cost and instances.is_free(label):
+        if number < FIRST and costs.are_plain:
+            actions.append(Action(labels[number], stated[number]))
+            continue
+        rule = instances.rule(number)[0]
+        charge = costs.charge(rule)
+        cost = instances.cost(number) - charge
+        label = labels[rule]
+        if not cost and costs.is_free(label):
             if label in freed:  # one nodelet is there: a second one has to be made
-                cost = instances.network.costs[instances.rule(number)[0]]
+                cost = stated[rule]
             freed.add(label)
-        steps.append(writer.step(number, Action(label, cost, charge)))
-    total = sum([step.action.cost + step.action.charge for step in steps])
+        actions.append(Action(label, cost, charge))
+    steps = writer.steps(improved.draft.actions, actions)
+    total = sum([action.cost + action.charge for action in actions])
     goal = writer.source(instances.reach.goal)
-    stated = instances.network.latencies
-    is_stated = bool(stated) or any(stream.latency for stream in streams.terms)
+    latencies = instances.network.latencies
+    is_stated = bool(latencies) or any(stream.latency for stream in streams.terms)
     return Plan(
         demand,
         goal,
@@ -128,24 +139,23 @@ def plan_of(streams: LiveStreams, demand: Demand, improved: Improved) -> Plan:
         improved.least_cost,
         writer.goal_bindings(goal, demand),
         improved.is_cut_short,
-        latency=latency_of(goal, steps, stated) if is_stated else 0.0,
+        latency=latency_of(goal, steps, latencies) if is_stated else 0.0,
     )
 
 
 def no_plan(instances: Instances, trees: Values, goal: Demand) -> NoPlan:
     """Tell why there is none."""
     network, reach = instances.network, instances.reach
-    used = set(reach.actions)
     offers = {
         demand: [
             action
             for supplier in network.suppliers(demand)
             for action in network.specialised(demand, supplier)
-            if action in used
+            if action in reach.serves
         ]
-        for demand in reach.demands
+        for demand in reach.above
     }
-    met = {instances.demand(node)[0] for node in range(instances.node_count) if trees.is_met(node)}
+    met = {instances.demand(node)[0] for node in trees.value}
     unmet = {reach.goal}  # and what is reached from it through unmet demands only
     waiting = [reach.goal]
     missing: Set[Demand] = set()

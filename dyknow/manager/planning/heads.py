@@ -5,16 +5,19 @@
 
 from __future__ import annotations
 
-from typing import Dict, Iterable, Mapping, NamedTuple, Optional, Sequence, Tuple
+from typing import Dict, Iterable, Mapping, NamedTuple, Optional, Tuple
 
 from dyknow.manager.planning.index import AtomIndex
 from dyknow.manager.planning.patterns import (
+    Argument,
     Atom,
     Names,
     Pattern,
     Theta,
     Types,
     atoms_of,
+    matcher,
+    places_in,
     pushed,
     solutions,
 )
@@ -23,8 +26,6 @@ from dyknow.manager.planning.rules import Rule
 from dyknow.manager.planning.supply import ANY
 from dyknow.manager.specifications.tags import read_tags
 from dyknow.model.transformation import Port
-
-_CLOSED: Tuple[Theta, ...] = ((),)
 
 
 class Head(NamedTuple):
@@ -55,17 +56,26 @@ class Offer(NamedTuple):
         solutions: what the wanted variables of the pattern stand for; None if that depends on
             the bindings of the action.
         types: what the pattern demands of the action's variables besides their own types.
+        places: what the wanted variables stand for, by the variables of the action, if these
+            types decide whether the pattern is met; else None.
     """
 
     head: Head
     solutions: Optional[Tuple[Theta, ...]]
     types: Tuple[Types, ...] = ()
+    places: Optional[Tuple[Argument, ...]] = None
 
     def of(self, pattern: Pattern, theta: Theta, names: Names) -> Iterable[Theta]:
         """Return what the wanted variables stand for, if the action is bound."""
         if self.solutions is not None:
             return self.solutions
         return solutions([atom.ground(theta) for atom in self.head.atoms], pattern, names)
+
+    def of_special(self, pattern: Pattern, theta: Theta, names: Names) -> Iterable[Theta]:
+        """Return the same for an action that is specialised for the pattern."""
+        if self.places is None:
+            return self.of(pattern, theta, names)
+        return (tuple([each if type(each) is str else theta[each] for each in self.places]),)  # type: ignore[index]
 
 
 class Heads:
@@ -96,29 +106,34 @@ class Heads:
                 self._index.remove((action, at), atom)
         return heads
 
-    def find(
-        self, pattern: Pattern, labels: Sequence[str], rules: Mapping[int, Rule]
-    ) -> Dict[int, Tuple[Offer, ...]]:
-        """Return the actions that can supply a pattern, by label, each with its out-ports."""
+    def find(self, pattern: Pattern, rules: Mapping[int, Rule]) -> Dict[int, Tuple[Offer, ...]]:
+        """Return the actions that can supply a pattern, each with its out-ports."""
         found: Dict[int, Tuple[Offer, ...]] = {}
-        order = list(self._index.find(pattern))
-        if len(order) > 1:
-            order.sort(key=lambda each: (labels[each[0]], each[1]))
-        is_simple = not pattern.types and len(pattern.atoms) == 1 and pattern.datatype in ANY
-        for action, at in order:
-            head = self._of[action][at]
+        names, of = self._names, self._of
+        candidates = sorted(self._index.find(pattern))
+        if not candidates:
+            return found
+        match = matcher(pattern, names)
+        # What follows for a rule follows for all whose out-ports look the same.
+        known: Dict[Tuple[object, ...], Optional[Tuple[Types, ...]]] = {}
+        for action, at in candidates:
+            head = of[action][at]
             if not goes_with(head.datatype, head.rate, pattern):
                 continue
             if head.is_ground:
-                known = (
-                    _CLOSED if is_simple else tuple(solutions(head.atoms, pattern, self._names))
-                )
-                if known:
-                    found[action] = (*found.get(action, ()), Offer(head, known))
+                solved = match(head.atoms)
+                if solved:
+                    offer = Offer(head, solved)
+                    found[action] = (*found[action], offer) if action in found else (offer,)
                 continue
-            more = pushed(head.atoms, pattern, rules[action].types, self._names)
+            types = rules[action].types
+            key = head.atoms, types
+            if key not in known:
+                known[key] = pushed(head.atoms, pattern, types, names)
+            more = known[key]
             if more is not None:
-                found[action] = (*found.get(action, ()), Offer(head, None, more))
+                offer = Offer(head, None, more, places_in(pattern, head.atoms))
+                found[action] = (*found[action], offer) if action in found else (offer,)
         return found
 
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import random
 import sys
-from typing import List, NamedTuple, Optional, Tuple
+from typing import Dict, List, NamedTuple, Optional, Tuple
 
 from dyknow.manager.planning.and_or_graph import AndOrGraph
 from dyknow.manager.planning.branching import search
@@ -23,7 +23,7 @@ from dyknow.manager.planning.budget import Budget
 from dyknow.manager.planning.instances import LIVE, Instances
 from dyknow.manager.planning.landmarks import landmark_bound
 from dyknow.manager.planning.refinement import Refinement
-from dyknow.manager.planning.values import Chosen, Values
+from dyknow.manager.planning.values import Values
 
 #: Actions beyond which a plan is not improved.
 _MOST_ACTIONS = 10_000
@@ -41,7 +41,7 @@ class PlanDraft(NamedTuple):
     """A way to the goal: the choices, the actions with suppliers first, and their cost."""
 
     instances: Instances
-    chosen: Chosen
+    chosen: Dict[int, int]
     actions: List[int]
     cost: int
 
@@ -60,26 +60,26 @@ class Improved(NamedTuple):
     is_cut_short: bool
 
 
-def drafted(instances: Instances, chosen: Chosen) -> PlanDraft:
+def drafted(instances: Instances, chosen: Dict[int, int]) -> PlanDraft:
     """Follow choices, which have no cycle, from the goal."""
-    needs, costs, goal = instances.needs, instances.costs, instances.reach.goal
+    needs, goal = instances.needs, instances.reach.goal
     order: List[int] = []
     if chosen[goal] == LIVE:
         return PlanDraft(instances, chosen, order, 0)
-    entered = bytearray(len(needs))
+    entered = set()
     stack = [chosen[goal]]  # actions to enter; complements of those to leave again
     while stack:
         action = stack.pop()
         if action < 0:
             order.append(~action)
-        elif not entered[action]:
-            entered[action] = 1
+        elif action not in entered:
+            entered.add(action)
             stack.append(~action)
-            for node in reversed(needs[action]):  # the first is followed first
+            for node in reversed(needs(action)):  # the first is followed first
                 below = chosen[node]
-                if below != LIVE and not entered[below]:
+                if below != LIVE and below not in entered:
                     stack.append(below)
-    return PlanDraft(instances, chosen, order, sum([costs[action] for action in order]))
+    return PlanDraft(instances, chosen, order, sum(map(instances.cost, order)))
 
 
 def soonest(problem: Refinement, draft: PlanDraft, limit: int) -> Tuple[PlanDraft, bool]:
@@ -123,12 +123,12 @@ def improve(
         return Improved(draft, 0, False)
     instances, values, floor = problem.cheaper(draft.cost, budget)
     goal = instances.reach.goal
-    if limit is None and values.is_met(goal):
+    if limit is None and goal in values.value:
         draft = min(draft, drafted(instances, values.chosen), key=lambda each: each.cost)
     if draft.cost <= floor:
         return Improved(draft, draft.cost, False)
     edges = sum(map(len, values.offers.values()))
-    if not values.is_met(goal) or not budget.spend(_COPIED * edges):
+    if goal not in values.value or not budget.spend(_COPIED * edges):
         return Improved(draft, floor, budget.is_cut_short)
     graph = AndOrGraph(instances, values, limit)
     return _Improvement(instances, graph, values, budget).run(draft, floor)

@@ -10,7 +10,7 @@ the place where a demand allows the fewest names. Nothing is entered under the n
 from __future__ import annotations
 
 import itertools
-from typing import Dict, Generic, Hashable, Iterable, List, Optional, Set, Tuple, TypeVar
+from typing import Collection, Dict, Generic, Hashable, List, Optional, Tuple, TypeVar
 
 from dyknow.manager.planning.patterns import Atom, Names, Pattern, Types
 
@@ -19,7 +19,7 @@ Supplier = TypeVar("Supplier", bound=Hashable)
 #: Look-ups that are made for one atom before the index by places is used.
 _MOST_LOOKUPS = 64
 
-_Names = List[Optional[Iterable[str]]]
+_Names = List[Optional[Collection[str]]]
 
 
 class _Functor(Generic[Supplier]):
@@ -27,32 +27,32 @@ class _Functor(Generic[Supplier]):
 
     def __init__(self) -> None:
         self.entries: Dict[Tuple[Supplier, Atom], None] = {}
-        self._places: Dict[int, Dict[Optional[str], Set[Supplier]]] = {}
+        self._places: Dict[int, Dict[Optional[str], Dict[Supplier, None]]] = {}
 
     def add(self, supplier: Supplier, atom: Atom) -> None:
         self.entries[supplier, atom] = None
         for position, by_name in self._places.items():
-            by_name.setdefault(_name(atom, position), set()).add(supplier)
+            by_name.setdefault(_name(atom, position), {})[supplier] = None
 
     def remove(self, supplier: Supplier, atom: Atom) -> None:
         self.entries.pop((supplier, atom), None)
         for position, by_name in self._places.items():
-            by_name.get(_name(atom, position), set()).discard(supplier)
+            by_name.get(_name(atom, position), {}).pop(supplier, None)
 
-    def find(self, allowed: _Names) -> Set[Supplier]:
+    def find(self, allowed: _Names) -> Dict[Supplier, None]:
         """Return those that may match: they do in the place where the fewest names are."""
-        known = [(len(list(each)), at) for at, each in enumerate(allowed) if each is not None]
-        if not known:
-            return {supplier for supplier, _ in self.entries}
+        known = [(len(each), at) for at, each in enumerate(allowed) if each is not None]
+        if not known or min(known)[0] >= len(self.entries):
+            return dict.fromkeys([supplier for supplier, _ in self.entries])
         position = min(known)[1]
         by_name = self._places.get(position)
         if by_name is None:
             by_name = self._places[position] = {}
             for supplier, atom in self.entries:
-                by_name.setdefault(_name(atom, position), set()).add(supplier)
-        found = set(by_name.get(None, ()))
+                by_name.setdefault(_name(atom, position), {})[supplier] = None
+        found = dict(by_name.get(None, {}))
         for name in allowed[position] or ():
-            found |= by_name.get(name, set())
+            found.update(by_name.get(name, {}))
         return found
 
 
@@ -74,7 +74,7 @@ class AtomIndex(Generic[Supplier]):
         self._names = names
         self._most_lookups = most_lookups
         self._exact: Dict[Atom, Dict[Supplier, None]] = {}
-        self._ground: Dict[Tuple[str, int], Set[Atom]] = {}
+        self._ground: Dict[Tuple[str, int], List[Atom]] = {}
         self._by_functor: Dict[Tuple[str, int], _Functor[Supplier]] = {}
         self._open: Dict[Tuple[str, int], _Functor[Supplier]] = {}
 
@@ -97,9 +97,9 @@ class AtomIndex(Generic[Supplier]):
         else:
             self._exact[atom] = {supplier: None}
             if key in self._ground:
-                self._ground[key].add(atom)
+                self._ground[key].append(atom)
             else:
-                self._ground[key] = {atom}
+                self._ground[key] = [atom]
         if key in self._by_functor:
             self._by_functor[key].add(supplier, atom)
 
@@ -111,17 +111,17 @@ class AtomIndex(Generic[Supplier]):
                 index[key].remove(supplier, atom)
         self._exact.get(atom, {}).pop(supplier, None)
 
-    def find(self, pattern: Pattern) -> Set[Supplier]:
+    def find(self, pattern: Pattern) -> Collection[Supplier]:
         """Return the suppliers that may meet all of a pattern; some of them may not."""
-        found: Optional[Set[Supplier]] = None
+        found: Optional[Dict[Supplier, None]] = None
         for atom in pattern.atoms:
             one = self._of_atom(atom, pattern.types)
-            found = one if found is None else found & one
+            found = one if found is None else {each: None for each in found if each in one}
             if not found:
                 break
-        return found or set()
+        return found or {}
 
-    def _of_atom(self, demanded: Atom, types: Tuple[Types, ...]) -> Set[Supplier]:
+    def _of_atom(self, demanded: Atom, types: Tuple[Types, ...]) -> Dict[Supplier, None]:
         below = self._names.below
         functors = below(frozenset((demanded.functor,)))
         allowed: _Names = []
@@ -130,18 +130,18 @@ class AtomIndex(Generic[Supplier]):
             bounds = frozenset((arg,)) if isinstance(arg, str) else types[arg]
             names = below(bounds) if bounds else None
             allowed.append(names)
-            lookups = 0 if names is None else lookups * len(list(names))
-        found: Set[Supplier] = set()
+            lookups = 0 if names is None else lookups * len(names)
+        found: Dict[Supplier, None] = {}
         is_exact = all(each is not None for each in allowed) and lookups <= self._most_lookups
         for functor in functors:
             key = functor, len(allowed)
             if is_exact:
                 for args in itertools.product(*[each or () for each in allowed]):
-                    found.update(self._exact.get(Atom(functor, args), ()))
+                    found.update(self._exact.get(Atom(functor, args), {}))
             elif key in self._ground:
-                found |= self._grouped(key).find(allowed)
+                found.update(self._grouped(key).find(allowed))
             if key in self._open:
-                found |= self._open[key].find(allowed)
+                found.update(self._open[key].find(allowed))
         return found
 
     def _grouped(self, key: Tuple[str, int]) -> _Functor[Supplier]:

@@ -9,7 +9,9 @@ there already are tried in the order of theirs, and only as far as the search co
 
 from __future__ import annotations
 
-from typing import Callable, Dict, List, NamedTuple, Sequence, Tuple
+from functools import lru_cache
+from operator import itemgetter
+from typing import Callable, Dict, Hashable, List, Mapping, NamedTuple, Optional, Sequence, Tuple
 
 from dyknow.manager.planning.patterns import Theta
 from dyknow.manager.planning.rules import JoinStep
@@ -29,6 +31,39 @@ class Partial(NamedTuple):
     nodes: Tuple[int, ...]
 
 
+Table = Dict[Hashable, List[Partial]]
+"""What has arrived, by the names of the variables that it is joined on."""
+
+
+@lru_cache(maxsize=None)
+def _names_at(places: Tuple[int, ...]) -> Callable[[Theta], Hashable]:
+    return itemgetter(*places) if places else lambda theta: ()
+
+
+class Arrivals:
+    """The nodes of one demand, in the order of their values."""
+
+    def __init__(self) -> None:
+        """Start without a node."""
+        self.all: List[Partial] = []
+        self._tables: Dict[Tuple[int, ...], Table] = {}
+
+    def add(self, one: Partial) -> None:
+        """Enter a node."""
+        self.all.append(one)
+        for places, table in self._tables.items():
+            table.setdefault(_names_at(places)(one.theta), []).append(one)
+
+    def by(self, places: Tuple[int, ...]) -> Table:
+        """Return the nodes by some of their names, now and in future."""
+        found = self._tables.get(places)
+        if found is None:
+            found = self._tables[places] = {}
+            for one in self.all:
+                found.setdefault(_names_at(places)(one.theta), []).append(one)
+        return found
+
+
 class Pairs:
     """Combinations of one arrival with its partners, in the order of their values."""
 
@@ -41,6 +76,8 @@ class Pairs:
         self._partners = partners
         self._left = is_left
         self._end = len(partners)  # what arrives later finds this one
+        if not is_left and partners[-1] is one:
+            self._end -= 1  # it has been combined with itself
         self._next = 0
 
     def pop(self, combine: Callable[[Tuple[int, int]], int]) -> Partial:
@@ -58,43 +95,54 @@ class Pairs:
         return self._next == self._end
 
 
-_Table = Dict[Theta, List[Partial]]
-
-
 class Join:
-    """What has arrived at the in-ports of one action."""
+    """How what arrives at the in-ports of one action is combined."""
 
-    def __init__(self, steps: Sequence[JoinStep], cost: int, rest: Sequence[int]) -> None:
+    def __init__(
+        self,
+        steps: Sequence[JoinStep],
+        demands: Sequence[int],
+        met: Mapping[int, Arrivals],
+        cost: int,
+        rest: Sequence[int],
+    ) -> None:
         """Start without an arrival.
 
         Args:
             steps: the in-ports.
+            demands: for each step, that of its in-port.
+            met: what arrives, by demand.
             cost: what the action costs at least.
             rest: for each step, what the in-ports after it cost at least.
         """
         self.steps = steps
         self.cost = cost
         self.rest = rest
-        self._left: List[_Table] = [{} for _ in steps]
-        self._right: List[_Table] = [{} for _ in steps]
+        self.last = len(steps) - 1
+        self.first = met[demands[0]]
+        #: The steps of each demand.
+        self.at = {
+            each: [step for step, demand in enumerate(demands) if demand == each]
+            for each in demands
+        }
+        self._right = [met[each].by(step.shared) for each, step in zip(demands, steps)]
+        # What the second in-port extends is what arrives at the first.
+        self._left: List[Table] = [{} for _ in steps]
+        if self.last:
+            self._left[1] = self.first.by(steps[1].bound)
 
-    def is_complete(self, step: int) -> bool:
-        """Whether a step is the last one."""
-        return step == len(self.steps) - 1
+    def arrived(self, step: int, one: Partial) -> Optional[Pairs]:
+        """Combine what supplies the in-port of a step other than the first."""
+        partners = self._left[step].get(_names_at(self.steps[step].shared)(one.theta))
+        return Pairs(step, self.steps[step], one, partners, False) if partners else None
 
-    def arrived(self, step: int, one: Partial) -> Pairs:
-        """Enter what supplies the in-port of a step other than the first."""
-        join = self.steps[step]
-        key = tuple([one.theta[at] for at in join.shared])
-        self._right[step].setdefault(key, []).append(one)
-        return Pairs(step, join, one, self._left[step].get(key, ()), False)
-
-    def extended(self, step: int, one: Partial) -> Pairs:
-        """Enter a combination that a step is to extend."""
-        join = self.steps[step]
-        key = tuple([one.theta[join.variables[at]] for at in join.shared])
-        self._left[step].setdefault(key, []).append(one)
-        return Pairs(step, join, one, self._right[step].get(key, ()), True)
+    def extended(self, step: int, one: Partial) -> Optional[Pairs]:
+        """Combine what a step is to extend."""
+        key = _names_at(self.steps[step].bound)(one.theta)
+        if step > 1:
+            self._left[step].setdefault(key, []).append(one)
+        partners = self._right[step].get(key)
+        return Pairs(step, self.steps[step], one, partners, True) if partners else None
 
     def unmatched(self) -> List[Tuple[int, Theta]]:
         """Return combinations that found nothing, each with the step that would extend it."""

@@ -48,7 +48,6 @@ class Network:
         self.needs: List[Tuple[int, ...]] = []
         self.inputs: List[Tuple[int, ...]] = []  # what in-ports demand, in the order written
         self.ports: List[Tuple[str, ...]] = []
-        self.serves: List[List[int]] = []  # what an action can supply, as far as it was asked for
         #: Latencies that out-ports state, in microseconds, by label and port.
         self.latencies: Dict[Tuple[str, str], int] = {}
         #: Rules of the actions whose in-ports have variables.
@@ -144,15 +143,9 @@ class Network:
         return read_tags(next(each.texts for each in heads if each.source.port == port))
 
     def suppliers(self, number: int) -> Dict[int, Tuple[Offer, ...]]:
-        """Return the actions that can supply a demand, by label, each with its out-ports."""
+        """Return the actions that can supply a demand, each with its out-ports."""
         if number in self._demands.outdated:
-            before = self.found.get(number, ())
-            found = self.found[number] = self._heads.find(
-                self.patterns[number], self.labels, self.rules
-            )
-            for action in found:
-                if action not in before:
-                    self.serves[action].append(number)
+            self.found[number] = self._heads.find(self.patterns[number], self.rules)
             self._demands.outdated.discard(number)
         return self.found[number]
 
@@ -218,7 +211,6 @@ class Network:
     def _append(self, label: str, cost: int) -> int:
         self.labels.append(label)
         self.costs.append(cost)
-        self.serves.append([])
         return len(self.labels) - 1
 
     def _as_written(self, number: int) -> Iterable[Demand]:

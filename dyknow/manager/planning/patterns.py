@@ -9,7 +9,20 @@ says no more than a type: it subsumes what is supplied in its place.
 
 from __future__ import annotations
 
-from typing import Dict, FrozenSet, Iterable, List, NamedTuple, Optional, Sequence, Tuple, Union
+from typing import (
+    Any,
+    Callable,
+    Collection,
+    Dict,
+    FrozenSet,
+    Iterable,
+    List,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Tuple,
+    Union,
+)
 
 from dyknow.manager.specifications.tags import NO_ONTOLOGY, Subsumption, Term
 
@@ -18,6 +31,11 @@ Argument = Union[str, int]
 Types = FrozenSet[str]
 Theta = Tuple[str, ...]
 """Canonical names that the wanted variables of a pattern, or those of a rule, stand for."""
+
+Domain = Optional[FrozenSet[str]]
+"""Names that a variable can stand for; None for any."""
+Domains = Tuple[Domain, ...]
+"""Those of the wanted variables of a pattern."""
 
 NO_TYPES: Types = frozenset()
 
@@ -122,11 +140,13 @@ class Names:
             for upper in self.above(name):
                 self._below.setdefault(upper, {})[name] = None
 
-    def below(self, types: Types) -> Iterable[str]:
+    def below(self, types: Types) -> Collection[str]:
         """Return the names that were entered and that all types subsume; one type at least."""
         if self._is_plain:
             return types if len(types) == 1 else ()
         first, *others = (self._below.get(each, {}) for each in types)
+        if not others:
+            return first.keys()
         return [each for each in first if all(each in other for other in others)]
 
 
@@ -179,6 +199,53 @@ def solutions(supplied: Iterable[Atom], pattern: Pattern, names: Names) -> List[
             if more is not None:
                 waiting.append((number + 1, more))
     return sorted(found)
+
+
+def matcher(pattern: Pattern, names: Names) -> Callable[[Sequence[Atom]], Tuple[Theta, ...]]:
+    """Return what matches ground atoms with a pattern, fast where many are to be matched.
+
+    The atoms are such that each of the pattern has one among them of the same number of
+    arguments, whose functor it subsumes.
+    """
+    args = pattern.atoms[0].args
+    if not _is_plain(pattern):
+        return lambda supplied: tuple(solutions(supplied, pattern, names))
+    bounds = [frozenset((arg,)) if isinstance(arg, str) else pattern.types[arg] for arg in args]
+    checked: List[Tuple[int, Types, Dict[Argument, bool]]] = [
+        (at, types, {}) for at, types in enumerate(bounds) if types
+    ]
+    places = [args.index(each) for each in pattern.wanted]
+
+    def match(supplied: Sequence[Atom]) -> Tuple[Theta, ...]:
+        if len(supplied) > 1:
+            return tuple(solutions(supplied, pattern, names))
+        have: Tuple[Any, ...] = supplied[0].args
+        for at, types, known in checked:
+            name = have[at]
+            if name not in known:
+                known[name] = names.fits(name, types)
+            if not known[name]:
+                return ()
+        return (tuple([have[at] for at in places]),)
+
+    return match
+
+
+def _is_plain(pattern: Pattern) -> bool:
+    """Whether a pattern has one atom, and no variable occurs twice."""
+    variables = [arg for arg in pattern.atoms[0].args if isinstance(arg, int)]
+    return len(pattern.atoms) == 1 and len(set(variables)) == len(variables)
+
+
+def places_in(pattern: Pattern, supplied: Sequence[Atom]) -> Optional[Tuple[Argument, ...]]:
+    """Return what atoms with variables have in the places of a pattern's wanted variables.
+
+    None if it cannot be told before the variables are bound whether the atoms match.
+    """
+    if len(supplied) > 1 or not _is_plain(pattern):
+        return None
+    args = pattern.atoms[0].args
+    return tuple([supplied[0].args[args.index(each)] for each in pattern.wanted])
 
 
 def _bound(

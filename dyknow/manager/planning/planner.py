@@ -5,10 +5,10 @@
 
 First Knuth's generalisation of Dijkstra's algorithm (``knuth``) finds the cheapest *tree* of
 instances, in which a part that is used twice is paid twice; lower bounds from a search without
-bindings guide it (``refinement``). Then the plan is improved by counting
-shared parts once (``improvement``), within a budget. Costs are Python's integers: stacked diamonds
-make trees that cost 2**1000, without overflow. No function is recursive. Labels, bindings and
-ports decide between equal costs, so equal problems have equal plans.
+bindings guide it (``refinement``). Then the plan is improved by counting shared parts once
+(``improvement``), within a budget. Costs are Python's integers: stacked diamonds make trees that
+cost 2**1000, without overflow. No function is recursive. Labels, bindings and ports decide
+between equal costs, so equal problems have equal plans.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ from typing import (
 )
 
 from dyknow.manager.planning.budget import Budget
+from dyknow.manager.planning.costs import Costs
 from dyknow.manager.planning.extraction import no_plan, plan_of
 from dyknow.manager.planning.improvement import Improved, drafted, improve, soonest
 from dyknow.manager.planning.instances import Instances
@@ -126,7 +127,7 @@ class Planner:
             scope = Scope(network, goal, streams, exclude | paused)
             problem = Refinement(scope, free, used.charges)
             instances, trees = problem.trees()
-            if not trees.is_met(goal):
+            if goal not in trees.value:
                 return no_plan(instances, trees, demand)
             draft = drafted(instances, trees.chosen)
             limit = microseconds(demand.max_age) if demand.max_age else None
@@ -177,13 +178,13 @@ class Planner:
             variables = sorted({each for term in demand.tags for each in term.variables})
             goal = network.goal(demand, variables)
             reach = Scope(network, goal, streams, NO_LABELS).everything(False)
-            instances = Instances(network, reach, NO_FREE)
+            instances = Instances(network, reach, Costs(network, NO_FREE))
             values = cheapest(instances, is_all=True, budget=Budget(budget, self._clock))
         written = network.names.written
         found = [
             tuple(zip(variables, map(written, theta)))
             for node, theta in instances.nodes_of(goal)
-            if values.is_met(node)
+            if node in values.value
         ]
         return sorted(found), values.is_complete
 

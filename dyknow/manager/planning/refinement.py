@@ -3,27 +3,28 @@
 
 """Searches in the abstract first, where variables are not bound, then under bindings.
 
-The abstract problem is as large as the part of the library that the goal reaches, whatever
-individuals there are. What it costs there is a lower bound. So the search under bindings, which is
-about instances, takes what is worthwhile at that bound, and more only if that is not sufficient.
+What demands cost at least in the abstract guides the search under bindings, which is about
+instances: it begins with what can be part of the cheapest plans. Where few actions join in-ports,
+these are specialised first, which makes such bounds closer.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Iterator, Mapping, NamedTuple, Optional, Tuple
+from typing import Iterator, List, Mapping, NamedTuple, Optional, Tuple
 
 from dyknow.manager.planning.budget import Budget
+from dyknow.manager.planning.costs import Costs
+from dyknow.manager.planning.descent import Descent
+from dyknow.manager.planning.domains import useful_names
 from dyknow.manager.planning.instances import Instances
 from dyknow.manager.planning.knuth import cheapest
 from dyknow.manager.planning.reach import Reach, Scope
+from dyknow.manager.planning.unbound import cheapest_unbound, least_costs
 from dyknow.manager.planning.values import Values
 from dyknow.manager.specifications.tags import Bindings
 
-#: Actions that are searched under bindings at once.
+#: Actions that join in-ports and are specialised at once.
 SMALL = 100
-#: Bounds that are tried before everything is searched.
-_MOST_BOUNDS = 12
 #: Seconds, as steps, of each search in `rising`.
 _EACH_RISE = 0.5
 
@@ -58,37 +59,31 @@ class Refinement:
             charges: what has to be paid besides the costs, by label.
         """
         self._scope = scope
-        self._free = free
-        self._charges = charges
+        self._costs = Costs(scope.network, free, charges)
         small = scope.small(SMALL)
-        reach = small or scope.everything(True)
-        self._abstract = self._instances(reach)
+        self._is_special = small is not None
+        self._whole = small or scope.everything(True)
         # Without an action that joins in-ports there are no bindings to be found.
-        self._is_simple = bool(small) or scope.network.joined.isdisjoint(reach.actions)
-        reach.is_abstract = not self._is_simple
-        self._reach = reach  # of the trees
+        self._is_simple = scope.network.joined.isdisjoint(self._whole.serves)
+        self._cheapest = cheapest_unbound if self._is_simple else cheapest
+        self._reach = self._whole  # of the trees
+        if small and not self._is_simple:
+            scope.narrow(useful_names(scope.network, small))
+        self._least: List[int] = []
 
     def trees(self) -> Found:
         """Find the cheapest tree; or everything that can be met, if the goal cannot."""
-        values, goal = cheapest(self._abstract), self._abstract.reach.goal
-        if self._is_simple:
-            return self._abstract, values
-        first = bound = values.value[goal]
-        for _ in range(_MOST_BOUNDS if values.is_met(goal) else 0):
-            reach, least = self._worthwhile(bound, values)
-            self._reach = reach
-            if reach.beyond is None or 0 <= least <= bound:
-                instances = self._instances(reach)
-                trees = cheapest(instances, below=reach.beyond and reach.beyond + 1)
-                if trees.is_met(goal):
+        if not self._is_simple:
+            self._least = least_costs(self._instances(self._whole))
+            if self._least[self._scope.goal] >= 0:
+                self._reach = self._descent()
+                instances = self._instances(self._reach)
+                trees = cheapest(instances)
+                if self._scope.goal in trees.value:
                     return instances, trees
-                if reach.beyond is None:
-                    break
-            bound = max(reach.beyond, 2 * bound - first, bound + bound // 4)
-            values = cheapest(self._abstract, below=bound + 1, is_all=True)
-        self._reach = self._scope.everything(False)
+            self._reach = self._scope.everything(False)
         instances = self._instances(self._reach)
-        return instances, cheapest(instances)
+        return instances, self._cheapest(instances)
 
     def rising(self, cost: int) -> Iterator[Found]:
         """Find what can be part of trees of up to a cost, of more, and at last everything.
@@ -96,70 +91,33 @@ class Refinement:
         It is not all if that would take more than a fixed number of steps; the clock has no say,
         since it must not decide whether there is a plan.
         """
-        for bound in (cost, 2 * cost, 4 * cost):
-            instances = self._again()
-            if not self._is_simple:
-                values = cheapest(self._abstract, below=bound + 1, is_all=True)
-                instances = self._instances(self._worthwhile(bound, values)[0])
+        for below in (cost + 1, 2 * cost + 1, 4 * cost + 1, None):
+            instances = self._instances(self._whole if self._is_simple else self._descent())
             allowed = Budget(_EACH_RISE, lambda: 0.0)
-            yield instances, cheapest(instances, below=bound + 1, is_all=True, budget=allowed)
-        instances = self._again()
-        if not self._is_simple:
-            instances = self._instances(self._scope.everything(False))
-        allowed = Budget(_EACH_RISE, lambda: 0.0)
-        yield instances, cheapest(instances, is_all=True, budget=allowed)
+            yield instances, self._cheapest(instances, True, below, True, allowed)
 
     def cheaper(self, cost: int, budget: Budget) -> Cheaper:
         """Find what can be part of a plan of less cost: everything, if the budget lasts."""
-        instances, scope = self._again(), self._scope
+        scope, costs, goal = self._scope, self._costs.floors(), self._scope.goal
         floor: Optional[int] = None
+        reach: Optional[Reach] = self._whole
         if not self._is_simple:
-            values = cheapest(instances, use_sum=False, below=cost, is_all=True, budget=budget)
-            floor = values.floors[instances.reach.goal]
-            known = values.floors, instances.costs
-            reach = scope.worthwhile(cost - 1, *known, use_sum=False, budget=budget)
+            least = least_costs(self._instances(self._whole), False, cost, budget)
+            reach = scope.worthwhile(cost - 1, least, costs, self._is_special, budget)
             if reach is None:
-                reach = _plain(self._reach)
-            else:
-                floor = None
-            instances = self._instances(reach)
-        values = cheapest(instances, use_sum=False, below=cost, is_all=True, budget=budget)
-        goal = instances.reach.goal
+                floor = least[goal]
+        instances = self._instances(reach or self._reach.plain())
+        values = self._cheapest(instances, False, cost, True, budget)
         if floor is not None:
             values.is_complete = False
-        elif values.is_met(goal):
+        elif goal in values.value:
             floor = values.value[goal]
         else:
             floor = cost if values.is_complete else values.reached or 0
         return Cheaper(instances, values, min(floor, cost))
 
-    def _worthwhile(self, bound: int, values: Values) -> Tuple[Reach, int]:
-        """Collect what a tree can have, and what the goal costs if variables are not bound."""
-        scope, costs = self._scope, self._abstract.costs
-        reach = scope.worthwhile(bound, values.floors, costs, True)
-        assert reach is not None
-        relaxed = self._instances(_plain(reach, True))
-        special = cheapest(relaxed, below=bound + 1, is_all=True)
-        closer = scope.worthwhile(bound, special.floors, relaxed.costs, True, reach)
-        assert closer is not None
-        limits = [each for each in (reach.beyond, closer.beyond) if each is not None]
-        closer.beyond = min(limits, default=None)
-        return closer, special.value[reach.goal]
-
-    def _again(self) -> Instances:
-        """Number instances again: another search may find other inputs for them first."""
-        return self._instances(self._abstract.reach)
+    def _descent(self) -> Descent:
+        return Descent(self._scope, self._least, self._costs.floors(), self._is_special)
 
     def _instances(self, reach: Reach) -> Instances:
-        return Instances(self._scope.network, reach, self._free, self._charges)
-
-
-def _plain(reach: Reach, is_abstract: bool = False) -> Reach:
-    """Leave out what is known about costs."""
-    return replace(
-        reach,
-        is_abstract=is_abstract,
-        above=[0] * len(reach.above),
-        above_actions=[0] * len(reach.above_actions),
-        floors={},
-    )
+        return Instances(self._scope.network, reach, self._costs)

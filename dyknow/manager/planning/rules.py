@@ -52,12 +52,14 @@ class JoinStep(NamedTuple):
     Attributes:
         port: its place among the in-ports.
         variables: of the rule, in the order in which the in-port's pattern wants them.
-        shared: places among these of the variables that are bound already.
+        bound: those of them that are bound already.
+        shared: their places among the variables of the in-port.
         added: places of the others.
     """
 
     port: int
     variables: Tuple[int, ...]
+    bound: Tuple[int, ...]
     shared: Tuple[int, ...]
     added: Tuple[int, ...]
 
@@ -172,6 +174,7 @@ def _joined(
         places = sorted(order.index(each) for each in joined[port])
         shared = tuple(at for at, each in enumerate(places) if each < known)
         added = tuple(at for at, each in enumerate(places) if each >= known)
-        joins.append(JoinStep(port, tuple(places), shared, added))
+        bound = tuple(each for each in places if each < known)
+        joins.append(JoinStep(port, tuple(places), bound, shared, added))
     types = types_of([*(term for each in terms for term in each), *supplied])
     return tuple(order), tuple(types.get(each, NO_TYPES) for each in order), tuple(joins)

@@ -84,6 +84,8 @@ class StreamActions:
 
     def restored(self, plan: Plan) -> Plan:
         """Put the streams in the places of the actions."""
+        if not self._streams:
+            return plan
 
         def source(each: Source) -> Source:
             if isinstance(each, New) and each.label in self._streams:

@@ -64,7 +64,7 @@ def charges_of(
         everything.add(stream, terms)
         tags[stream.label] = tags.get(stream.label, frozenset()).union(terms)
     reach = Scope(network, network.goal(goal), LiveStreams(names), exclude).everything(False)
-    for action in reach.actions:
+    for action in reach.serves:
         tags[network.labels[action]] = frozenset(network.tags(action))
 
     def meant(wanted: Iterable[str]) -> FrozenSet[str]:
@@ -86,7 +86,7 @@ def charges_of(
     preferred = meant(wishes.prefer)
     others: FrozenSet[str] = frozenset()
     if preferred:
-        for demand in reach.demands:
+        for demand in reach.above:
             suppliers = {network.labels[action] for action in network.suppliers(demand)} - exclude
             suppliers |= everything.labels(network.patterns[demand])
             if not preferred.isdisjoint(suppliers):
