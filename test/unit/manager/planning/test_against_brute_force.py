@@ -80,6 +80,20 @@ def test_a_second_search_may_find_other_inputs_for_an_instance() -> None:
     assert answer.cost == least_cost(random_problem(6181))
 
 
+def test_of_several_out_ports_one_is_taken_that_supplies_the_names() -> None:
+    problem = random_problem(23169)
+    answer = solve(problem)
+    assert isinstance(answer, Plan)
+    assert_valid(answer, problem)
+    assert answer.cost == least_cost(problem)
+
+
+def test_ties_do_not_depend_on_the_order_in_which_demands_were_met() -> None:
+    problem = random_problem(17328)
+    assert isinstance(solve(problem), Plan)
+    assert solve(problem, 1) == solve(problem)
+
+
 def test_what_the_variables_of_a_demand_can_stand_for() -> None:
     """Those names that can be put in their places; a class would stand for its individuals too."""
     several = 0
