@@ -57,7 +57,7 @@ class _Search:
     """Goes on with the action whose plan costs least, by what the reach knows is *above* it.
 
     The keys are integers: what such a plan costs, of equal ones first what is nearer to the goal,
-    then what has fewer suppliers, then the rank of the label. An action that supplies several
+    then the rank of the label. An action that supplies several
     demands has its turn for each.
     """
 
@@ -85,7 +85,7 @@ class _Search:
         #: What keys have for a demand besides the price and the rank.
         self._order: Dict[int, int] = {}
         self._is_guided = reach.pending is not None or any(reach.above.values())
-        self._shift = 3 * _BITS if self._is_guided else _BITS
+        self._shift = 2 * _BITS if self._is_guided else _BITS
         #: What plain actions cost with all that they need, and how many nodes others still lack.
         self._prices: Dict[int, int] = {}
         self._missing: Dict[int, int] = {}
@@ -186,9 +186,7 @@ class _Search:
         if not self._is_guided:
             return 0
         above = self._reach.above[demand]
-        suppliers = len(self._instances.network.found[demand])
-        near = min(above, _MOST) << _BITS | min(suppliers, _MOST)
-        return above << self._shift | near << _BITS
+        return above << self._shift | min(above, _MOST) << _BITS
 
     def _finish(self, action: int) -> None:
         """Let an action without joined in-ports wait for its turn: all that it needs is there."""
