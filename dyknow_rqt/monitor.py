@@ -190,7 +190,10 @@ class Monitor(QObject):
             failed: called there with the error in words; by default it is reported.
         """
         say = failed or self.report
-        self._calls.run(lambda: question(self._client), then, lambda error: say(_words(error)))
+        if self.is_linked:
+            self._calls.run(lambda: question(self._client), then, lambda error: say(_words(error)))
+        else:
+            say(self.heart.status.text)  # the threads are not to wait for it
 
     def do(self, change: Change, then: Callable[[], None] = lambda: None) -> None:
         """Make a change, which can then be undone if it has an inverse.

@@ -176,6 +176,9 @@ def test_a_manager_that_hangs_is_silent_for_longer_and_longer(qtbot, window, rem
         until(qtbot, lambda said=said: said in contact_of(window))
     assert is_grey(window)
     until(qtbot, lambda: not rates(window))
+    window.streams.tag.setText("Track(ball)")
+    window.streams.preview.click()
+    assert "/dyknow_manager silent for" in window.streams.plan.toPlainText()
     remote.client.delay = 0.0
     until(qtbot, lambda: window.monitor.is_linked)
     assert not is_grey(window)
