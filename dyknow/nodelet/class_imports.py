@@ -111,7 +111,9 @@ class ClassImports:
         generation = self._generations.get(top)
         if generation is None or generation.stamps != now:
             is_first = generation is None
-            importer = None if is_first else Importer(package.tops.__contains__, package.folders)
+            importer = (
+                None if is_first else Importer(package.tops.__contains__, search=package.folders)
+            )
             for folder in package.folders if is_first else ():
                 _make_importable(folder)
             generation = self._generations[top] = _Generation(now, importer)

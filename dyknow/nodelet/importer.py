@@ -82,6 +82,7 @@ class Importer:
         views: Optional[Mapping[str, Callable[[], Module]]] = None,
         blind: Collection[str] = (),
         functions: Optional[Mapping[str, Any]] = None,
+        search: Sequence[str] = (),
     ) -> None:
         """Make an importer that has its views alone.
 
@@ -92,9 +93,11 @@ class Importer:
             views: makes what takes the place of modules, by name, when it is imported.
             blind: top-level names of copies that are to see the process's modules, not the views.
             functions: what takes the place of built-in functions.
+            search: further folders that are searched, before those of the process.
         """
         self.modules: Dict[str, Module] = {}
-        self.path = [*folders, *sys.path]
+        self.path = [*folders, *search, *sys.path]
+        self._search = frozenset(search)
         self._folders = frozenset(folders)
         self._hidden = frozenset(views or ())  # from modules that are blind
         self._views = {
@@ -197,7 +200,7 @@ class Importer:
         return self._found[top]
 
     def _is_in_folders(self, top: str) -> bool:
-        shared = frozenset(sys.path) - self._folders
+        shared = self._search.union(sys.path) - self._folders
         folders = [each for each in self.path if each not in shared]
         return not is_standard(top) and PathFinder.find_spec(top, folders) is not None
 

@@ -67,12 +67,12 @@ def library_importer(guest: Guest, package: Collection[str], folders: List[str])
 
     importer = Importer(
         lambda name: name in package or name in _COPIED or DEPENDENTS.has(name),
-        folders,
         views={
             **rospy_view.rospy_views(guest, no_node, timer),
             **process_view.process_views(guest),
         },
         blind=package,
+        search=folders,
     )
     return importer
 

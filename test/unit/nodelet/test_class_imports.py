@@ -96,9 +96,20 @@ def test_modules_with_libraries_are_those_of_one_nodelet(package: Written) -> No
     def own(context: Any, module: str, found: Any) -> Importer:
         asked.append(module)
         assert f"{package.name}.words" in found.files
-        return Importer(found.tops.__contains__, found.folders)
+        return Importer(found.tops.__contains__, search=found.folders)
 
     imports = ClassImports(own)
     assert load(imports, package) is not load(imports, package)
     assert asked == [f"{package.name}.nodelets"] * 2
     assert package.name not in sys.modules
+
+
+def test_what_else_is_in_the_folder_stays_the_processs_own(package: Written) -> None:
+    other = Written(package.folder, f"{package.name}_other")
+    package.write("nodelets", f"import {other.name}\n{NODELET.format(package=package.name)}")
+    imports = ClassImports()
+    load(imports, package)
+    package.write("words", "word = 'new'")
+    assert load(imports, package).said == "new"
+    module = sys.modules[load(imports, package).__module__]
+    assert vars(module)[other.name] is sys.modules[other.name]
