@@ -9,6 +9,7 @@ connection and reads the messages from it.
 
 from __future__ import annotations
 
+import functools
 import logging
 import socket
 import threading
@@ -178,7 +179,7 @@ class TopicFollower:
                 while not self._closed.is_set():
                     message = reader.read(_READING, self._last_only)
                     if message is not None:
-                        self._hand_on(message)
+                        attempt(self._what, functools.partial(self._hand_on, message))
         except (PeerTimeout, LookupError, OSError) as error:
             _log.debug("%s: %s", self._what, error)
         finally:

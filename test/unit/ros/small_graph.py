@@ -84,15 +84,17 @@ class SmallManager:
         self.goes_on.set()
         self.ended = threading.Event()
         self.connections = 0
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        where = self._listener.getsockname()
         self._node = _XmlRpc(
             {
                 "getPid": lambda caller: self.goes_on.wait() and self.pid,
                 "shutdown": lambda caller, reason: self.ended.set() or 0,
+                "requestTopic": lambda caller, topic, kinds: ["TCPROS", *where],
             }
         )
         self.uri = self._node.uri
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self.service = f"rosrpc://127.0.0.1:{self._listener.getsockname()[1]}"
+        self.service = f"rosrpc://127.0.0.1:{where[1]}"
         self._open: List[socket.socket] = []
         threading.Thread(target=self._accept, daemon=True).start()
 

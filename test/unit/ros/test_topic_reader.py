@@ -1,0 +1,148 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Topics that are read without a node, over one connection after the other."""
+
+from __future__ import annotations
+
+import contextlib
+import queue
+import socket
+from io import BytesIO
+from typing import Iterator, List
+
+import pytest
+import rosgraph.network
+from std_msgs.msg import String
+from unit.ros.small_graph import SmallManager, SmallMaster, small_graph
+
+from dyknow.ros.master import Master
+from dyknow.ros.topic_reader import TopicFollower
+
+LONG = 30.0
+
+
+class SmallPublisher(SmallManager):
+    """Sends what it is told to whoever connects."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.readers: queue.SimpleQueue[socket.socket] = queue.SimpleQueue()
+
+    def _serve(self, connection: socket.socket) -> None:
+        self._read(connection)
+        fields = {"callerid": "/small", "md5sum": String._md5sum, "type": String._type}
+        rosgraph.network.write_ros_handshake_header(connection, fields)
+        self.readers.put(connection)
+
+
+def send(reader: socket.socket, *texts: str) -> None:
+    """Send messages in one piece."""
+    sent = BytesIO()
+    for text in texts:
+        body = BytesIO()
+        String(text).serialize(body)
+        sent.write(len(body.getvalue()).to_bytes(4, "little") + body.getvalue())
+    reader.sendall(sent.getvalue())
+
+
+def is_left(reader: socket.socket) -> bool:
+    reader.settimeout(LONG)
+    return reader.recv(1) == b""
+
+
+@pytest.fixture
+def graph() -> Iterator[SmallMaster]:
+    with small_graph() as graph:
+        yield graph
+
+
+@pytest.fixture
+def publisher(graph: SmallMaster) -> SmallPublisher:
+    graph.nodes["/talker"] = made = SmallPublisher()
+    return made
+
+
+class Following:
+    """A follower, and what it has handed on."""
+
+    def __init__(self, graph: SmallMaster, last_only: bool = False) -> None:
+        self.heard: queue.SimpleQueue[str] = queue.SimpleQueue()
+        master = Master("/reader", graph.uri)
+        self.follower = TopicFollower(
+            master, "/talker", "/words", String, lambda m: self.heard.put(m.data), last_only
+        )
+        self.follower.start()
+
+    def __enter__(self) -> Following:
+        return self
+
+    def __exit__(self, *unused: object) -> None:
+        self.follower.close()
+
+    def next(self, count: int = 1) -> List[str]:
+        return [self.heard.get(timeout=LONG) for _ in range(count)]
+
+
+def test_messages_are_handed_on_in_order(graph: SmallMaster, publisher: SmallPublisher) -> None:
+    with Following(graph) as following:
+        reader = publisher.readers.get(timeout=LONG)
+        send(reader, "one", "two", "three")
+        assert following.next(3) == ["one", "two", "three"]
+        assert following.follower.is_connected
+
+
+def test_of_several_the_last_is_enough(graph: SmallMaster, publisher: SmallPublisher) -> None:
+    with Following(graph, last_only=True) as following:
+        reader = publisher.readers.get(timeout=LONG)
+        send(reader, "one", "two", "three")
+        assert following.next() == ["three"]
+        send(reader, "four")
+        assert following.next() == ["four"]
+
+
+def test_a_connection_that_is_lost_is_made_again(
+    graph: SmallMaster, publisher: SmallPublisher
+) -> None:
+    with Following(graph) as following:
+        publisher.readers.get(timeout=LONG)
+        publisher.lose_connections()
+        send(publisher.readers.get(timeout=LONG), "again")
+        assert following.next() == ["again"]
+
+
+def test_a_publisher_that_comes_later_is_found(graph: SmallMaster) -> None:
+    with Following(graph) as following:
+        assert not following.follower.is_connected
+        graph.nodes["/talker"] = publisher = SmallPublisher()
+        send(publisher.readers.get(timeout=LONG), "late")
+        assert following.next() == ["late"]
+
+
+def test_the_next_connection_is_to_the_node_that_has_the_name_now(
+    graph: SmallMaster, publisher: SmallPublisher
+) -> None:
+    with Following(graph) as following:
+        reader = publisher.readers.get(timeout=LONG)
+        graph.nodes["/talker"] = successor = SmallPublisher()
+        with contextlib.closing(publisher):
+            following.follower.reconnect()
+            send(successor.readers.get(timeout=LONG), "new")
+            assert following.next() == ["new"]
+            assert is_left(reader)
+
+
+def test_what_cannot_be_taken_in_does_not_end_it(
+    graph: SmallMaster, publisher: SmallPublisher, caplog: pytest.LogCaptureFixture
+) -> None:
+    with Following(graph) as following:
+        following.follower._hand_on = lambda message: following.heard.put(message.data[3])
+        send(publisher.readers.get(timeout=LONG), "no", "good")
+        assert following.next() == ["d"]
+        assert "IndexError" in caplog.text
+
+
+def test_closing_leaves_no_connection(graph: SmallMaster, publisher: SmallPublisher) -> None:
+    with Following(graph):
+        reader = publisher.readers.get(timeout=LONG)
+    assert is_left(reader)
