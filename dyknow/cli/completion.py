@@ -268,6 +268,20 @@ def packages(prefix: str, **_: object) -> List[str]:
     return sorted(name for name in rospkg.RosPack().list() if name.startswith(prefix))
 
 
+def launch_words(prefix: str, parsed_args: argparse.Namespace, **details: object) -> List[str]:
+    """A package or a launch file, launch files of the package, and then their arguments."""
+    from dyknow.cli.launch_files import CannotLaunch, arguments_of, find_files, launch_files
+
+    words = parsed_args.words or []
+    if not words:
+        return [*packages(prefix), *files(prefix, **details)]
+    try:
+        found = find_files([word for word in words if ":=" not in word])
+    except CannotLaunch:
+        return launch_files(words[0])
+    return [f"{name}:=" for file in found for name in arguments_of(file)]
+
+
 def files(prefix: str, **details: object) -> List[str]:
     """Files and folders, hidden ones only behind a dot."""
     from argcomplete.completers import FilesCompleter

@@ -75,11 +75,11 @@ def parse(words: Sequence[str]) -> argparse.Namespace:
         parser.error("a command is missing: dyknow COMMAND [ARGUMENT ...]")
     _check_command(parser, words)
     arguments = parser.parse_args(words)
+    arguments.json = getattr(arguments, "json", False)
+    arguments.timeout = getattr(arguments, "timeout", None)
     problem = all_commands()[arguments.command].problem(arguments)
     if problem:
         parsers[arguments.command].error(problem)
-    arguments.json = getattr(arguments, "json", False)
-    arguments.timeout = getattr(arguments, "timeout", None)
     try:
         arguments.manager_node = getattr(arguments, "manager_node", None) or default_manager()
     except argparse.ArgumentTypeError as error:
@@ -96,6 +96,8 @@ def _without_ros_words(parser: Parser, words: Sequence[str]) -> List[str]:
     command = next((word for word in own if word in all_commands()), "")
     if command in ("run", "probe"):
         return list(words)  # they are the node's
+    if command == "launch":  # they are the launch file's, and may stand among the options
+        return [*own, *(f"--given={word}" for word in words if ":=" in word)]
     for word in words:
         name, is_given, value = word.partition(":=")
         if not is_given or name in _FROM_ROSLAUNCH:

@@ -129,8 +129,13 @@ def obstacle(program: str) -> str:
 
 def find_library() -> Optional[str]:
     """Return the path of the library in the workspaces that are set up; None if there is none."""
+    return find_in_workspaces("lib", LIBRARY)
+
+
+def find_in_workspaces(*parts: str) -> Optional[str]:
+    """Return the first path of a file in the workspaces that are set up; None if there is none."""
     folders: List[str] = os.environ.get("CMAKE_PREFIX_PATH", "").split(os.pathsep)
-    paths = [os.path.join(folder, "lib", LIBRARY) for folder in folders if folder]
+    paths = [os.path.join(folder, *parts) for folder in folders if folder]
     return next((path for path in paths if os.path.exists(path)), None)
 
 

@@ -13,6 +13,7 @@ from dyknow.cli.commands import (
     check,
     graph,
     inspect,
+    launch,
     library,
     nodelets,
     probe,
@@ -27,7 +28,7 @@ from dyknow.cli.commands import (
 #: Titles and commands, in the order of the help.
 GROUPS: Tuple[Tuple[str, Tuple[Command, ...]], ...] = (
     ("What runs", (*inspect.COMMANDS, *statistics.COMMANDS, *graph.COMMANDS)),
-    ("Nodelets and nodes", (*nodelets.COMMANDS, *run.COMMANDS)),
+    ("Nodelets and nodes", (*nodelets.COMMANDS, *run.COMMANDS, *launch.COMMANDS)),
     ("Connections", wiring.COMMANDS),
     ("Streams on request", (*tags.COMMANDS, *acquire.COMMANDS, *streams.COMMANDS)),
     ("Transformations", (*library.COMMANDS, *check.COMMANDS, *probe.COMMANDS)),

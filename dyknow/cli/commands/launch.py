@@ -1,0 +1,175 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""`launch`: the nodes of launch files, re-wirable."""
+
+from __future__ import annotations
+
+import argparse
+from itertools import groupby
+from typing import TYPE_CHECKING, Any, Dict, Iterator, List, Sequence
+
+from dyknow.cli import completion
+from dyknow.cli.arguments import positive, seconds
+from dyknow.cli.command import Command
+from dyknow.cli.shell import Shell
+from dyknow.cli.tables import columns, count
+from dyknow.similar import did_you_mean
+
+if TYPE_CHECKING:
+    from dyknow.cli.launch_plan import Selection, Treatment
+
+
+def _launch_arguments(parser: argparse.ArgumentParser) -> None:
+    completion.complete_with(
+        parser.add_argument(
+            "words",
+            nargs="+",
+            metavar="[PKG] FILE [NAME:=VALUE ...]",
+            help="launch files of a package, or their paths (- for standard input), and their "
+            "arguments, as for roslaunch",
+        ),
+        completion.launch_words,
+    )
+    parser.add_argument("--given", action="append", default=[], help=argparse.SUPPRESS)
+    parser.add_argument(
+        "--only",
+        metavar="PATTERN",
+        action="append",
+        default=[],
+        help="leave all nodes alone whose name and PACKAGE/TYPE do not match; may be repeated",
+    )
+    parser.add_argument(
+        "--except",
+        dest="except_",
+        metavar="PATTERN",
+        action="append",
+        default=[],
+        help="leave the nodes alone whose name or PACKAGE/TYPE matches; may be repeated",
+    )
+    parser.add_argument(
+        "--dry-run", action="store_true", help="show what would become of each node, and end"
+    )
+    _roslaunch_arguments(parser.add_argument_group("options of roslaunch"))
+
+
+def _roslaunch_arguments(group: Any) -> None:
+    group.add_argument("--screen", action="store_true", help="output of all nodes to the screen")
+    group.add_argument("--log", action="store_true", help="output of all nodes to the log")
+    group.add_argument("--required", action="store_true", help="every node is required")
+    group.add_argument("--local", action="store_true", help="do not start nodes of other machines")
+    group.add_argument("--wait", action="store_true", help="wait for the master")
+    group.add_argument(
+        "-p", "--port", metavar="PORT", type=positive, help="port of the master, if it starts one"
+    )
+    completion.complete_with(
+        group.add_argument("--pid", metavar="FILE", default="", help="write its process id there"),
+        completion.files,
+    )
+    group.add_argument("--run_id", metavar="ID", help="id of the run")
+    group.add_argument("-v", "--verbose", action="store_true", help="say what is read")
+    group.add_argument("--no-summary", action="store_true", help="no summary of roslaunch's")
+    group.add_argument(
+        "--skip-log-check", action="store_true", help="do not look how large the logs are"
+    )
+    group.add_argument(
+        "--disable-title", action="store_true", help="leave the terminal's title alone"
+    )
+    for name in ("sigint", "sigterm"):
+        group.add_argument(
+            f"--{name}-timeout",
+            metavar="SECONDS",
+            type=seconds,
+            help=f"time that a node has to end after {name.upper()}",
+        )
+
+
+def _problem(arguments: argparse.Namespace) -> str:
+    if arguments.json and not arguments.dry_run:
+        return "--json is for --dry-run"
+    if arguments.screen and arguments.log:
+        return "--screen and --log exclude each other"
+    return ""
+
+
+def _launch(arguments: argparse.Namespace, shell: Shell) -> None:
+    from dyknow.cli import launching
+    from dyknow.cli.launch_files import find_files, unknown_arguments
+    from dyknow.cli.launch_plan import Selection
+
+    files = find_files(arguments.words)
+    selection = Selection(arguments.only, arguments.except_)
+
+    def prepare(run_id: str = "") -> Any:
+        parent = launching.read(arguments, files, arguments.given, run_id)
+        plan = launching.plan(parent, selection)
+        for problem in unknown_arguments(files, parent.config.roslaunch_files, arguments.given):
+            shell.warn(problem)
+        _check(selection, plan, shell)
+        return parent, plan
+
+    if arguments.dry_run:
+        plan = prepare()[1]
+        shell.show({"nodes": [_as_json(each) for each in plan]}, _table(plan))
+        return
+    with launching.session(arguments, files) as run_id:
+        parent, plan = prepare(run_id)
+        shell.show(None, _summary(plan))
+        launching.run(parent, plan)
+
+
+def _check(selection: Selection, plan: Sequence[Treatment], shell: Shell) -> None:
+    """Refuse an `--only` that no node matches, and warn of an `--except`."""
+    from dyknow.cli.launch_files import CannotLaunch
+
+    only, except_ = selection.without_match(plan)
+    known = {name for each in plan for name in (each.node, each.program)}
+    for pattern in only:
+        raise CannotLaunch(f"--only {pattern}: no node matches{did_you_mean(pattern, known)}")
+    for pattern in except_:
+        shell.warn(f"--except {pattern}: no node matches{did_you_mean(pattern, known)}")
+
+
+def _summary(plan: Sequence[Treatment]) -> Iterator[str]:
+    """Say how many nodes are re-wirable, and which are left alone, a line for each reason."""
+    left = sorted((each for each in plan if each.why), key=lambda each: (each.why, each.node))
+    yield f"re-wirable: {len(plan) - len(left)} of {count(len(plan), 'node')}"
+    for why, group in groupby(left, key=lambda each: each.why):
+        yield f"left alone: {', '.join(each.node for each in group)} ({why})"
+
+
+def _table(plan: Sequence[Treatment]) -> List[str]:
+    rows = [("NODE", "RUNS", "HOW")]
+    for each in sorted(plan, key=lambda each: each.node):
+        how = f"{each.how.value}: {each.why}" if each.why else each.how.value
+        where = f" on {each.machine}" if each.machine else ""
+        rows.append((each.node, each.program + where, how))
+    return columns(rows)
+
+
+def _as_json(each: Treatment) -> Dict[str, Any]:
+    return {
+        "node": each.node,
+        "program": each.program,
+        "machine": each.machine,
+        "how": each.how.name.lower(),
+        "why": each.why,
+        "launch_prefix": each.prefix,
+    }
+
+
+COMMANDS = (
+    Command(
+        "launch",
+        "start launch files with every node re-wirable",
+        "Starts launch files as roslaunch does. The nodes then have ports that can be connected "
+        "elsewhere while they run; nothing else is changed. What is left alone, and why, is said "
+        "at the start. PATTERN is as of a shell; quote it.",
+        "dyknow launch my_robot robot.launch camera:=left --screen\n"
+        "dyknow launch my_robot robot.launch --dry-run\n"
+        "dyknow launch robot.launch --except '/arm/*' --except 'usb_cam/*'",
+        _launch_arguments,
+        _launch,
+        _problem,
+    ),
+)

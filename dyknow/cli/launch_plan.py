@@ -1,0 +1,211 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""What becomes of each node of a launch file: how it is made re-wirable, or why it is left alone.
+
+A node is made re-wirable by its launch-prefix. The prefix that it has already is kept; ours stands
+innermost, next to the node, except where a debugger has to be next to it.
+"""
+
+from __future__ import annotations
+
+import os
+import shlex
+from dataclasses import dataclass
+from enum import Enum
+from fnmatch import fnmatchcase
+from typing import Any, Callable, List, Optional, Sequence, Tuple
+
+from dyknow import names
+from dyknow.cli.rewirable import LIBRARY, find_library, is_python_script, obstacle
+
+#: Nodes that are left alone unless `--only` names them, and why.
+LEFT_ALONE = (
+    ("rosbag/record", "a bag names the topics that were recorded"),
+    ("rviz/*", "its user chooses topics in its window"),
+    ("rqt*/*", "its user chooses topics in its window"),
+    ("plotjuggler/*", "its user chooses topics in its window"),
+    ("rosbridge_server/*", "its clients choose topics"),
+    ("foxglove_bridge/*", "its clients choose topics"),
+)
+#: Read the file of the program that they start, or start it in a way that follows no script.
+_DEBUGGERS = frozenset({"gdb", "gdbserver", "lldb", "valgrind", "heaptrack", "ltrace"})
+#: Start the program with another environment, or where our files are not.
+_ELSEWHERE = frozenset(
+    {"sudo", "su", "runuser", "pkexec", "doas", "ssh", "chroot", "schroot", "docker", "podman"}
+)
+#: `cwd="node"` is the folder of the first word of the command: the prefix goes there itself.
+_GO_TO_THE_NODE = 'cd "${1%/*}" && '
+#: What runs on another machine: DyKnow's prefix if its workspace has it, else the node as it is.
+_IF_THERE = (
+    "IFS=:; for folder in $CMAKE_PREFIX_PATH; do "
+    'test -x "$folder/lib/dyknow/rewirable" && exec "$folder/lib/dyknow/rewirable" "$@"; '
+    'done; exec "$@"'
+)
+
+
+class How(Enum):
+    """How a node runs."""
+
+    LIBRARY = "live ports by the library"
+    SCRIPT_HOST = "live ports by the script host"
+    OTHER_MACHINE = "live ports if DyKnow is on that machine"
+    AS_IT_IS = "as it is"
+
+
+@dataclass(frozen=True)
+class Treatment:
+    """What becomes of a node.
+
+    Attributes:
+        node: its global name.
+        program: what it runs, `PACKAGE/TYPE`.
+        machine: where it runs, as the launch file calls it; empty for this machine.
+        how: how it runs.
+        why: why it is left as it is, else empty.
+        prefix: its whole launch-prefix, empty for none.
+    """
+
+    node: str
+    program: str
+    machine: str
+    how: How
+    why: str
+    prefix: str
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Patterns, as of a shell, for names of nodes and for what they run.
+
+    Attributes:
+        only: if there are any, nodes that match none are left alone.
+        except_: nodes that match one are left alone.
+    """
+
+    only: Sequence[str] = ()
+    except_: Sequence[str] = ()
+
+    def without_match(self, plan: Sequence[Treatment]) -> Tuple[List[str], List[str]]:
+        """Return the patterns of `only` and of `except_` that match no node."""
+
+        def idle(patterns: Sequence[str]) -> List[str]:
+            return [
+                pattern
+                for pattern in patterns
+                if not any(matches(each.node, each.program, [pattern]) for each in plan)
+            ]
+
+        return idle(self.only), idle(self.except_)
+
+    def reason(self, node: str, program: str) -> str:
+        """Say why the patterns leave a node alone; empty if they do not."""
+        if matches(node, program, self.except_):
+            return "--except names it"
+        if self.only:
+            return "" if matches(node, program, self.only) else "--only does not name it"
+        return next((why for pattern, why in LEFT_ALONE if fnmatchcase(program, pattern)), "")
+
+
+def matches(node: str, program: str, patterns: Sequence[str]) -> bool:
+    """Say whether a pattern matches a node's name, whose first `/` is optional, or its program."""
+    known = (node, node.lstrip("/"), program)
+    return any(fnmatchcase(name, pattern) for name in known for pattern in patterns)
+
+
+@dataclass(frozen=True)
+class Planner:
+    """Decides about nodes.
+
+    Attributes:
+        rewirable: path of the program `rewirable`.
+        find: finds the program of a package, as roslaunch does; None if there is none.
+        is_local: says whether a machine of the launch file is this one.
+        selection: what the user wants to be re-wirable.
+    """
+
+    rewirable: str
+    find: Callable[[str, str], Optional[str]]
+    is_local: Callable[[Any], bool]
+    selection: Selection
+
+    def plan(self, nodes: Sequence[Any]) -> List[Treatment]:
+        """Decide what becomes of each of roslaunch's nodes, in their order."""
+        return [self.treat(node) for node in nodes]
+
+    def treat(self, node: Any) -> Treatment:
+        """Decide what becomes of a node, which is not changed."""
+        local = self.is_local(node.machine)
+        name = names.join(node.namespace, node.name)
+        program = f"{node.package}/{node.type}"
+        words = shlex.split(node.launch_prefix or "")
+        how, why = (
+            How.AS_IT_IS,
+            (self.selection.reason(name, program) or _nothing_to_do(node) or _obstacle(words)),
+        )
+        if not why and local:
+            how, why = self._how(node)
+        elif not why:
+            how = How.OTHER_MACHINE
+        prefix = node.launch_prefix or ""
+        if not why:
+            prefix = self._prefix(words, local, node.cwd == "node" and not words)
+        return Treatment(name, program, "" if local else node.machine.name, how, why, prefix)
+
+    def _how(self, node: Any) -> Tuple[How, str]:
+        program = self.find(node.package, node.type)
+        if program is None:
+            return How.AS_IT_IS, "there is no such program"
+        trouble = obstacle(program) or _hidden(node)
+        if trouble:
+            return How.AS_IT_IS, trouble
+        if is_python_script(program):
+            return How.SCRIPT_HOST, ""
+        if find_library() is None:
+            return How.AS_IT_IS, f"{LIBRARY} is not there: DyKnow was built without roscpp"
+        return How.LIBRARY, ""
+
+    def _prefix(self, words: Sequence[str], local: bool, in_its_folder: bool) -> str:
+        """Put what makes a node re-wirable into the words of its prefix."""
+        go = _GO_TO_THE_NODE if in_its_folder else ""
+        if not local:
+            own = ["/bin/sh", "-c", go + _IF_THERE, "sh"]
+        elif go:
+            own = ["/bin/sh", "-c", go + 'exec "$0" "$@"', self.rewirable]
+        else:
+            own = [self.rewirable]
+        bare = [os.path.basename(word) for word in words]
+        place = next((at for at, word in enumerate(bare) if word in _DEBUGGERS), len(words))
+        return " ".join(map(shlex.quote, [*words[:place], *own, *words[place:]]))
+
+
+def _nothing_to_do(node: Any) -> str:
+    """Say why a node needs nothing; empty if it does."""
+    if node.package == "dyknow":
+        return "it is DyKnow's own"
+    words = [word for word in node.args.split() if not word.startswith("-")]
+    if (node.package, node.type) == ("nodelet", "nodelet") and words[:1] in (["load"], ["unload"]):
+        return f"it asks its nodelet manager to {words[0]}"
+    return ""
+
+
+def _obstacle(prefix: Sequence[str]) -> str:
+    """Say why nothing can be put into a launch-prefix; empty if it can."""
+    for word in map(os.path.basename, prefix):
+        if word == "rewirable":
+            return "its launch-prefix makes it re-wirable"
+        if word.startswith("python"):
+            return f"its launch-prefix starts it with {word}"
+        if word in _ELSEWHERE:
+            return f"its launch-prefix starts it by {word}, with another environment"
+    return ""
+
+
+def _hidden(node: Any) -> str:
+    """Say whether the node's own environment hides DyKnow; empty if it does not."""
+    path = dict(node.env_args).get("PYTHONPATH")
+    if path is None or any(
+        os.path.isdir(os.path.join(each, "dyknow")) for each in path.split(":")
+    ):
+        return ""
+    return "DyKnow is not on the PYTHONPATH that the launch file sets for it"
