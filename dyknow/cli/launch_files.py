@@ -58,8 +58,11 @@ def launch_files(package: str) -> List[str]:
 
 
 def arguments_of(file: str) -> List[str]:
-    """Return the names of the arguments that a launch file declares, sorted."""
-    return sorted(set(re.findall(r"<arg\s[^>]*?\bname\s*=\s*[\"']([^\"']+)", _text(file))))
+    """Return the names of the arguments that a launch file can be given, sorted."""
+    elements = re.findall(r"<arg\s[^>]*>", _text(file))
+    settable = (each for each in elements if not re.search(r"\svalue\s*=", each))
+    found = (re.search(r"\sname\s*=\s*[\"']([^\"']+)", each) for each in settable)
+    return sorted({match.group(1) for match in found if match})
 
 
 def unknown_arguments(
@@ -91,13 +94,18 @@ def explain(sources: Sequence[Source], error: BaseException) -> str:
     text = re.sub(r"while processing [^\n]*:\n", "", str(error))
     if isinstance(error, rospkg.ResourceNotFound):
         text = f"there is no package '{error.args[0]}' on ROS_PACKAGE_PATH"
-    text = " ".join(text.split())
+    text = one_line(text)
     loader = _Locator()
     try:
         roslaunch.config.load_config_default(sources, None, loader=loader, assign_machines=False)
     except ERRORS:
         return f"{loader.place}: {text}" if loader.place else text
     return text
+
+
+def one_line(error: object) -> str:
+    """Write a message of roslaunch in one line."""
+    return " ".join(str(error).split())
 
 
 class _Locator(XmlLoader):  # type: ignore[misc]

@@ -22,7 +22,7 @@ from roslaunch.core import is_machine_local
 from roslaunch.parent import ROSLaunchParent
 from roslib.packages import find_node
 
-from dyknow.cli.launch_files import ERRORS, STDIN, CannotLaunch, explain
+from dyknow.cli.launch_files import ERRORS, STDIN, CannotLaunch, explain, one_line
 from dyknow.cli.launch_plan import Planner, Selection, Treatment
 from dyknow.cli.rewirable import find_in_workspaces
 
@@ -111,7 +111,7 @@ def plan(parent: ROSLaunchParent, selection: Selection) -> List[Treatment]:
     try:
         return Planner(rewirable, find, is_machine_local, selection).plan(parent.config.nodes)
     except ERRORS as error:
-        raise CannotLaunch(str(error)) from error
+        raise CannotLaunch(one_line(error)) from error
 
 
 def run(parent: ROSLaunchParent, treatments: Sequence[Treatment]) -> None:
@@ -130,7 +130,7 @@ def run(parent: ROSLaunchParent, treatments: Sequence[Treatment]) -> None:
         parent.start()
         parent.spin()
     except ERRORS as error:
-        raise CannotLaunch(str(error)) from error
+        raise CannotLaunch(one_line(error)) from error
 
 
 def _given_timeouts(options: argparse.Namespace) -> Any:

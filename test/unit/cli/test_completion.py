@@ -94,6 +94,11 @@ def offered(client: FakeClient, text: str) -> list[str]:
         ("graph --namespace r", ["robot"]),
         ("destroy /cam /", ["/robot/relay"]),
         ("stats --watch 0.5 c", ["cam"]),
+        ("run topic_too", ["topic_tools"]),
+        ("launch image_pr", ["image_proc"]),
+        ("launch image_proc ", ["image_proc.launch"]),
+        ("launch image_proc image_proc.launch ", ["manager:=", "respawn:="]),
+        ("launch image_proc image_proc.launch respawn:=true m", ["manager:="]),
     ],
 )
 def test_candidates(client: FakeClient, text: str, candidates: list[str]) -> None:

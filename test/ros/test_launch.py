@@ -1,0 +1,214 @@
+#!/usr/bin/env python3
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""`dyknow launch` beside roslaunch: the same graph, the same end, and nodes that are re-wired."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import socket
+import subprocess
+import tempfile
+from pathlib import Path
+from typing import Any, Callable, Sequence
+
+import graph
+import rosgraph
+import rospy
+import rostest
+from graph import registrations, set_config, topics_of_ports
+from processes import BUSY, eventually
+from rospy.exceptions import ROSException
+from std_msgs.msg import String
+from telling import TellingCase
+
+from dyknow.ros.master import Master
+
+FILES = Path(__file__).resolve().parent.parent / "launch"
+DYKNOW = ("rosrun", "dyknow", "dyknow", "launch")
+PLAIN = ("roslaunch",)
+#: What a node offers besides when it is re-wirable.
+OURS = re.compile("/(get_config|set_config|get_statistics|get_counts|changes)$")
+
+
+class Launched(graph.Ended):
+    """A launch with a master of its own, or with that of the tests."""
+
+    def __init__(self, launcher: Sequence[str], file: str, *arguments: str, own: bool) -> None:
+        with socket.socket() as free:
+            free.bind(("localhost", 0))
+            port = free.getsockname()[1]
+        self.uri = f"http://localhost:{port}" if own else rosgraph.get_master_uri()
+        more = ("-p", str(port)) if own else ()
+        super().__init__(
+            *("env", f"ROS_MASTER_URI={self.uri}"),
+            *(*launcher, "--skip-log-check", *more, str(FILES / file), *arguments),
+        )
+
+    def graph(self) -> dict[str, dict[str, set[str]]]:
+        """Topics and services of the robot's nodes, without those that make them re-wirable."""
+        kinds = ("publishers", "subscribers", "services")
+        found: dict[str, dict[str, set[str]]] = {}
+        for kind, entries in zip(kinds, self._master.getSystemState()):
+            for name, nodes in entries:
+                for node in nodes:
+                    if node.startswith("/one/") and not OURS.search(name):
+                        found.setdefault(node, {}).setdefault(kind, set()).add(name)
+        return found
+
+    def is_complete(self) -> bool:
+        """Whether the last of a chain of nodelets and nodes hears what the first one sends."""
+        try:
+            types = dict(self._master.getTopicTypes())
+        except (OSError, rosgraph.MasterException):
+            return False
+        return types.get("/one/camera/seen") == "sensor_msgs/Image" and "/one/again" in types
+
+    def said(self) -> str:
+        return self.output
+
+    def parameters(self) -> dict[str, Any]:
+        return dict(self._master.getParam("/one"), name=self._master.getParam("/robot_name"))
+
+    @property
+    def _master(self) -> rosgraph.Master:
+        return rosgraph.Master("/tests", self.uri)
+
+
+def rewirable_nodes(*words: str) -> set[str]:
+    """Names of the nodes that a dry run says will be re-wirable."""
+    done = subprocess.run(
+        [*DYKNOW, *words, "--dry-run", "--json"], stdout=subprocess.PIPE, check=True, text=True
+    )
+    return {each["node"] for each in json.loads(done.stdout)["nodes"] if not each["why"]}
+
+
+def comes(topic: str) -> bool:
+    """Whether a message comes on a topic within a second."""
+    try:
+        rospy.wait_for_message(topic, String, 1.0)
+    except ROSException:
+        return False
+    return True
+
+
+class RobotTest(TellingCase):
+    """One robot, launched by us and beside it by roslaunch."""
+
+    ours: Launched
+    plain: Launched
+
+    @classmethod
+    def setUpClass(cls) -> None:
+        folder = tempfile.TemporaryDirectory()
+        cls.addClassCleanup(folder.cleanup)
+        picture = Path(folder.name) / "picture.ppm"
+        picture.write_bytes(b"P6\n8 8\n255\n" + bytes(192))
+        cls.words = (f"picture:={picture}", "bag:=")
+        bags = [f"bag:={Path(folder.name) / name}.bag" for name in ("ours", "plain")]
+        cls.ours = Launched(DYKNOW, "robot.launch", cls.words[0], bags[0], own=False)
+        cls.addClassCleanup(cls.ours.__exit__)
+        cls.plain = Launched(PLAIN, "robot.launch", cls.words[0], bags[1], own=True)
+        cls.addClassCleanup(cls.plain.__exit__)
+        for launch in (cls.ours, cls.plain):
+            eventually(launch.is_complete, 30.0, "all nodes are up", launch.said)
+
+    def test_the_graph_is_that_of_roslaunch(self):
+        eventually(
+            lambda: self.ours.graph() == self.plain.graph(),
+            10.0,
+            "both have the same graph",
+            lambda: f"{self.ours.graph()}\n{self.plain.graph()}",
+        )
+        self.assertEqual(len(self.ours.graph()), 13)
+        self.assertEqual(self.ours.parameters(), self.plain.parameters())
+
+    def test_the_start_says_what_is_left_alone(self):
+        self.assertRegex(self.ours.output, "re-wirable: [78] of 13 nodes\n")
+        for line in (
+            r"left alone: /one/recorder \(a bag names the topics that were recorded\)",
+            r"left alone: /one/camera/debayer, /one/camera/driver, .*asks its nodelet manager",
+        ):
+            self.assertRegex(self.ours.output, line)
+
+    def test_all_that_are_to_be_rewirable_are(self):
+        expected = {
+            "/one/repeater": {"heard": "/one/words", "said": "/one/said"},
+            "/one/in_its_folder": {"slow/rarely": "/one/slow/rarely", "again": "/one/again"},
+        }
+        for node, topics in expected.items():
+            self.assertEqual(topics_of_ports(node), topics)
+        nodes = rewirable_nodes(str(FILES / "robot.launch"), *self.words)
+        self.assertGreaterEqual(nodes, {*expected, "/one/slow/throttle", "/one/slow/chooser"})
+        nodes |= {f"/one/camera/{name}" for name in ("rectify_mono", "debayer", "driver")}
+        for node in nodes - {"/one/camera/vision"}:
+            self.assertTrue(topics_of_ports(node), node)
+
+    def test_nodelets_of_an_included_file_are_rewired(self):
+        debayer, manager = "/one/camera/debayer", "/one/camera/vision"
+        topics = topics_of_ports(debayer)
+        self.assertEqual(topics["image_raw"], "/one/camera/image_raw")
+        self.assertTrue(set_config(debayer, image_color="/moved/color").success)
+        self.assertIn("/moved/color", registrations(manager)["publishers"])
+        self.assertTrue(set_config(debayer, **topics).success)
+
+    def test_a_node_that_is_started_again_is_rewirable_again(self):
+        self.assertTrue(comes("/one/said"))
+        answer = set_config("/one/repeater", said="/moved/said")
+        self.assertTrue(answer.success, answer.message)
+        eventually(lambda: comes("/moved/said"), 5.0, "words come on the other topic")
+        subprocess.run(["rosnode", "kill", "/one/repeater"], check=True, stdout=subprocess.DEVNULL)
+        eventually(lambda: comes("/one/said"), 10.0, "it is back where the file puts it")
+        eventually(
+            lambda: set_config("/one/repeater", said="/moved/said").success,
+            5.0,
+            "it is moved again",
+        )
+        eventually(lambda: comes("/moved/said"), 5.0, "words come on the other topic again")
+        self.assertTrue(set_config("/one/repeater", said="/one/said").success)
+
+    def test_a_node_runs_in_its_folder(self):
+        node, master = "/one/in_its_folder", Master("/tests")
+        pid = master.pid(node, master.node(node), 2.0)
+        self.assertEqual(os.readlink(f"/proc/{pid}/cwd"), "/usr/lib/topic_tools")
+
+
+class EndTest(TellingCase):
+    """How a launch ends, with us and with roslaunch; each starts a master of its own."""
+
+    def codes(self, act: Callable[[Launched], None], *arguments: str) -> list[int]:
+        """Exit codes of both, which are acted upon, and have ended all that they started."""
+        both = (DYKNOW, PLAIN)
+        launches = [Launched(each, "ends.launch", *arguments, own=True) for each in both]
+        codes = []
+        for launch in launches:
+            self.addCleanup(launch.__exit__)
+        for launch in launches:
+            act(launch)
+            codes.append(launch.exit_code(20.0 * BUSY))
+            self.assertIn("[master] killing on exit", launch.output)
+            self.assertIn("[stays-2] killing on exit", launch.output)
+        return codes
+
+    def test_a_required_node_ends_it(self):
+        def died(launch: Launched) -> None:
+            launch.wait_for("REQUIRED process [ends-3] has died!")
+
+        self.assertEqual(*self.codes(died, "code:=3"))
+
+    def test_ctrl_c_ends_it(self):
+        def interrupt(launch: Launched) -> None:
+            launch.wait_for("[ends-3] process has finished cleanly")
+            launch.stop(signal.SIGINT)
+
+        codes = self.codes(interrupt, "required:=false")
+        self.assertEqual(codes, [0, 0])
+
+
+if __name__ == "__main__":
+    rospy.init_node("launch_test")
+    rostest.rosrun("dyknow", "launch", "__main__")

@@ -1,0 +1,221 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""What becomes of the nodes of a launch file, and the prefixes that they get."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+import roslaunch.config
+from roslaunch.core import Machine, Node
+from roslaunch.xmlloader import XmlLoader
+
+from dyknow.cli.launch_plan import How, Planner, Selection, Treatment
+from dyknow.cli.rewirable import LIBRARY
+
+REWIRABLE = "/ws/lib/dyknow/rewirable"
+
+
+@pytest.fixture
+def planner(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Planner:
+    """A planner that knows `pkg` with a program of each kind; the machine `far` is another one."""
+    (tmp_path / "lib").mkdir()
+    (tmp_path / "lib" / LIBRARY).touch()
+    monkeypatch.setenv("CMAKE_PREFIX_PATH", str(tmp_path))
+    texts = {
+        "shell": "#!/bin/sh\nexec relay\n",
+        "script": "#!/usr/bin/env python3\n",
+        "data": "hello",
+    }
+    for name, text in texts.items():
+        (tmp_path / name).write_text(text)
+    shell = shutil.which("sh")
+    assert shell is not None
+    programs = {name: str(tmp_path / name) for name in texts}
+
+    def find(package: str, type_: str) -> str | None:
+        return None if type_ == "missing" else programs.get(type_, shell)
+
+    return Planner(REWIRABLE, find, lambda machine: machine.name != "far", Selection())
+
+
+def node(type_: str = "relay", package: str = "pkg", machine: str = "", **more: Any) -> Node:
+    made = Node(package, type_, more.pop("name", "it"), **more)
+    made.machine = Machine(machine, "localhost")
+    return made
+
+
+def treat(planner: Planner, *words: Any, **more: Any) -> Treatment:
+    return planner.treat(node(*words, **more))
+
+
+def selected(planner: Planner, only: str = "", except_: str = "") -> Planner:
+    return Planner(
+        planner.rewirable,
+        planner.find,
+        planner.is_local,
+        Selection(only.split(), except_.split()),
+    )
+
+
+def test_programs_and_shell_scripts_get_the_library(planner: Planner) -> None:
+    expected = Treatment("/robot/it", "pkg/relay", "", How.LIBRARY, "", REWIRABLE)
+    assert treat(planner, namespace="/robot/") == expected
+    assert treat(planner, "shell").how is How.LIBRARY
+
+
+def test_without_the_library_programs_are_left_alone(
+    planner: Planner, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("CMAKE_PREFIX_PATH", str(tmp_path / "lib"))
+    assert treat(planner).why == f"{LIBRARY} is not there: DyKnow was built without roscpp"
+
+
+@pytest.mark.parametrize(
+    ("what", "why"),
+    [
+        ({"type_": "missing"}, "there is no such program"),
+        ({"type_": "data"}, "it is no program for this machine"),
+        ({"package": "dyknow", "type_": "nodelet_manager"}, "it is DyKnow's own"),
+        (
+            {"package": "nodelet", "type_": "nodelet", "args": "--no-bond load a/b manager"},
+            "it asks its nodelet manager to load",
+        ),
+        (
+            {"package": "nodelet", "type_": "nodelet", "args": "unload it manager"},
+            "it asks its nodelet manager to unload",
+        ),
+        ({"package": "rosbag", "type_": "record"}, "a bag names the topics that were recorded"),
+        ({"package": "rviz", "type_": "rviz"}, "its user chooses topics in its window"),
+        ({"package": "rqt_graph", "type_": "rqt_graph"}, "its user chooses topics in its window"),
+        ({"launch_prefix": "rosrun dyknow rewirable"}, "its launch-prefix makes it re-wirable"),
+        ({"launch_prefix": "/usr/bin/python3 -m pdb"}, "its launch-prefix starts it with python3"),
+        (
+            {"launch_prefix": "sudo -E"},
+            "its launch-prefix starts it by sudo, with another environment",
+        ),
+        (
+            {"env_args": [("PYTHONPATH", "/nowhere:/else")]},
+            "DyKnow is not on the PYTHONPATH that the launch file sets for it",
+        ),
+    ],
+)
+def test_what_is_left_alone_keeps_its_prefix(
+    planner: Planner, what: dict[str, Any], why: str
+) -> None:
+    answer = treat(planner, **what)
+    assert (answer.how, answer.why) == (How.AS_IT_IS, why)
+    assert answer.prefix == what.get("launch_prefix", "")
+
+
+@pytest.mark.parametrize("args", ["manager", "standalone a/b", "--no-bond standalone a/b", ""])
+def test_nodelet_managers_are_rewirable(planner: Planner, args: str) -> None:
+    assert treat(planner, "nodelet", "nodelet", args=args).how is How.LIBRARY
+
+
+def test_an_environment_that_has_dyknow_is_fine(planner: Planner, tmp_path: Path) -> None:
+    (tmp_path / "dyknow").mkdir()
+    path = f"/nowhere:{tmp_path}"
+    assert treat(planner, env_args=[("PYTHONPATH", path), ("A", "b")]).how is How.LIBRARY
+
+
+@pytest.mark.parametrize(
+    ("prefix", "whole"),
+    [
+        ("nice -n 5", f"nice -n 5 {REWIRABLE}"),
+        ("xterm -e", f"xterm -e {REWIRABLE}"),
+        ("xterm -e gdb -ex run --args", f"xterm -e {REWIRABLE} gdb -ex run --args"),
+        ("/usr/bin/valgrind --tool=none", f"{REWIRABLE} /usr/bin/valgrind --tool=none"),
+        ("bash -c 'sleep 1; $0 $@'", f"bash -c 'sleep 1; $0 $@' {REWIRABLE}"),
+    ],
+)
+def test_ours_is_next_to_the_node_or_its_debugger(
+    planner: Planner, prefix: str, whole: str
+) -> None:
+    assert treat(planner, launch_prefix=prefix).prefix == whole
+    assert treat(planner, launch_prefix=prefix, cwd="node").prefix == whole
+
+
+def test_the_folder_of_the_node_is_where_it_runs(planner: Planner, tmp_path: Path) -> None:
+    """roslaunch takes the folder of the first word, which is ours."""
+    rewirable = program(tmp_path / "re wirable", 'pwd\nexec "$@"\n')
+    folder = tmp_path / "the node's"
+    folder.mkdir()
+    it = program(folder / "it", 'echo "$0 $*"\n')
+    made = Planner(rewirable, planner.find, planner.is_local, Selection())
+    prefix = treat(made, cwd="node").prefix
+    assert os.path.isabs(shlex.split(prefix)[0])
+    assert run(prefix, it, "a  b") == f"{folder}\n{it} a  b\n"
+
+
+@pytest.mark.parametrize("cwd", [None, "node"])
+def test_another_machine_uses_its_own_dyknow(planner: Planner, tmp_path: Path, cwd: str) -> None:
+    it = program(tmp_path / "it", 'echo "$0 $*"; pwd\n')
+    answer = treat(planner, "missing", machine="far", cwd=cwd)
+    assert (answer.machine, answer.how) == ("far", How.OTHER_MACHINE)
+    prefix = sent(answer.prefix)
+    workspace = tmp_path / "its workspace"
+    (workspace / "lib" / "dyknow").mkdir(parents=True)
+    path = f"/nowhere:{workspace}"
+    folder = tmp_path if cwd else Path("/")
+    bare = f"{it} a  b\n{folder}\n"
+    assert run(prefix, it, "a  b", CMAKE_PREFIX_PATH=path) == bare
+    assert run(prefix, it, "a  b") == bare
+    program(workspace / "lib" / "dyknow" / "rewirable", 'echo ours; exec "$@"\n')
+    assert run(prefix, it, "a  b", CMAKE_PREFIX_PATH=path) == "ours\n" + bare
+
+
+def program(file: Path, text: str) -> str:
+    file.write_text(f"#!/bin/sh\n{text}")
+    file.chmod(0o755)
+    return str(file)
+
+
+def run(prefix: str, *words: str, **environment: str) -> str:
+    """Run a command under a prefix, as roslaunch takes it apart."""
+    done = subprocess.run(
+        [*shlex.split(prefix), *words],
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
+        cwd="/",
+        env={"PATH": os.environ["PATH"], **environment},
+    )
+    return done.stdout
+
+
+def sent(prefix: str) -> str:
+    """Return what arrives of a prefix on the machine that roslaunch sends it to."""
+    text = f"<launch>{node(launch_prefix=prefix).to_remote_xml()}</launch>"
+    config = roslaunch.config.ROSLaunchConfig()
+    XmlLoader().load_string(text, config, verbose=False)
+    return str(config.nodes[0].launch_prefix)
+
+
+def test_patterns_choose(planner: Planner) -> None:
+    def left(only: str = "", except_: str = "", **more: Any) -> str:
+        return treat(selected(planner, only, except_), **more).why
+
+    assert left("other") == "--only does not name it"
+    assert left("it") == left("/it") == left("pkg/*") == left("nothing p?g/relay") == ""
+    assert left("/robot/*", namespace="robot") == left("robot/*", namespace="robot") == ""
+    assert left("robot/*") == "--only does not name it"
+    assert left("IT") == "--only does not name it"
+    assert left(except_="it") == left("it", "pkg/relay") == "--except names it"
+    assert left(except_="other") == ""
+    recorder = {"package": "rosbag", "type_": "record"}
+    assert left("rosbag/*", **recorder) == ""
+    assert left("it", package="dyknow") == "it is DyKnow's own"
+
+
+def test_patterns_without_a_match_are_known(planner: Planner) -> None:
+    choice = selected(planner, "it x", "pkg/relay y")
+    plan = choice.plan([node()])
+    assert choice.selection.without_match(plan) == (["x"], ["y"])
