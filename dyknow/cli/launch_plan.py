@@ -185,7 +185,7 @@ def _nothing_to_do(node: Any) -> str:
         return "it is DyKnow's own"
     words = [word for word in node.args.split() if not word.startswith("-")]
     if (node.package, node.type) == ("nodelet", "nodelet") and words[:1] in (["load"], ["unload"]):
-        return f"it asks its nodelet manager to {words[0]}"
+        return f"it {words[0]}s a nodelet and has no ports itself"
     return ""
 
 

@@ -131,7 +131,7 @@ class RobotTest(TellingCase):
         self.assertRegex(self.ours.output, "re-wirable: [78] of 13 nodes\n")
         for line in (
             r"left alone: /one/recorder \(a bag names the topics that were recorded\)",
-            r"left alone: /one/camera/debayer, /one/camera/driver, .*asks its nodelet manager",
+            r"left alone: /one/camera/debayer, /one/camera/driver, .*it loads a nodelet",
         ):
             self.assertRegex(self.ours.output, line)
 

@@ -21,13 +21,14 @@ if TYPE_CHECKING:
 
 
 def _launch_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.usage = "dyknow launch [OPTION ...] [PKG] FILE ... [NAME:=VALUE ...]"
     completion.complete_with(
         parser.add_argument(
             "words",
             nargs="+",
-            metavar="[PKG] FILE [NAME:=VALUE ...]",
-            help="launch files of a package, or their paths (- for standard input), and their "
-            "arguments, as for roslaunch",
+            metavar="FILE",
+            help="launch files, the first of PKG if that is given; - is standard input. "
+            "NAME:=VALUE are their arguments",
         ),
         completion.launch_words,
     )
@@ -132,8 +133,12 @@ def _check(selection: Selection, plan: Sequence[Treatment], shell: Shell) -> Non
 
 def _summary(plan: Sequence[Treatment]) -> Iterator[str]:
     """Say how many nodes are re-wirable, and which are left alone, a line for each reason."""
+    from dyknow.cli.launch_plan import How
+
     left = sorted((each for each in plan if each.why), key=lambda each: (each.why, each.node))
-    yield f"re-wirable: {len(plan) - len(left)} of {count(len(plan), 'node')}"
+    away = sum(each.how is How.OTHER_MACHINE for each in plan)
+    there = f", {away} more if DyKnow is on their machine" if away else ""
+    yield f"re-wirable: {len(plan) - len(left) - away} of {count(len(plan), 'node')}{there}"
     for why, group in groupby(left, key=lambda each: each.why):
         yield f"left alone: {', '.join(each.node for each in group)} ({why})"
 

@@ -17,7 +17,7 @@ import roslaunch.config
 from roslaunch.core import Machine, Node
 from roslaunch.xmlloader import XmlLoader
 
-from dyknow.cli.launch_plan import How, Planner, Selection, Treatment
+from dyknow.cli.launch_plan import LEFT_ALONE, How, Planner, Selection, Treatment
 from dyknow.cli.rewirable import LIBRARY
 
 REWIRABLE = "/ws/lib/dyknow/rewirable"
@@ -86,11 +86,11 @@ def test_without_the_library_programs_are_left_alone(
         ({"package": "dyknow", "type_": "nodelet_manager"}, "it is DyKnow's own"),
         (
             {"package": "nodelet", "type_": "nodelet", "args": "--no-bond load a/b manager"},
-            "it asks its nodelet manager to load",
+            "it loads a nodelet and has no ports itself",
         ),
         (
             {"package": "nodelet", "type_": "nodelet", "args": "unload it manager"},
-            "it asks its nodelet manager to unload",
+            "it unloads a nodelet and has no ports itself",
         ),
         ({"package": "rosbag", "type_": "record"}, "a bag names the topics that were recorded"),
         ({"package": "rviz", "type_": "rviz"}, "its user chooses topics in its window"),
@@ -197,6 +197,11 @@ def sent(prefix: str) -> str:
     config = roslaunch.config.ROSLaunchConfig()
     XmlLoader().load_string(text, config, verbose=False)
     return str(config.nodes[0].launch_prefix)
+
+
+def test_the_page_names_all_that_are_left_alone() -> None:
+    page = (Path(__file__).resolve().parents[3] / "doc" / "launch.rst").read_text()
+    assert [pattern for pattern, _ in LEFT_ALONE if f"``{pattern}``" not in page] == []
 
 
 def test_patterns_choose(planner: Planner) -> None:
