@@ -114,7 +114,7 @@ def matches(node: str, program: str, patterns: Sequence[str]) -> bool:
 
 
 @dataclass(frozen=True)
-class Planner:
+class LaunchPlanner:
     """Decides about nodes.
 
     Attributes:

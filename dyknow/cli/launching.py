@@ -23,7 +23,7 @@ from roslaunch.parent import ROSLaunchParent
 from roslib.packages import find_node
 
 from dyknow.cli.launch_files import ERRORS, STDIN, CannotLaunch, explain, one_line
-from dyknow.cli.launch_plan import Planner, Selection, Treatment
+from dyknow.cli.launch_plan import LaunchPlanner, Selection, Treatment
 from dyknow.cli.rewirable import find_in_workspaces
 
 
@@ -109,7 +109,7 @@ def plan(parent: ROSLaunchParent, selection: Selection) -> List[Treatment]:
             return None
 
     try:
-        return Planner(rewirable, find, is_machine_local, selection).plan(parent.config.nodes)
+        return LaunchPlanner(rewirable, find, is_machine_local, selection).plan(parent.config.nodes)
     except ERRORS as error:
         raise CannotLaunch(one_line(error)) from error
 

@@ -17,14 +17,14 @@ import roslaunch.config
 from roslaunch.core import Machine, Node
 from roslaunch.xmlloader import XmlLoader
 
-from dyknow.cli.launch_plan import LEFT_ALONE, How, Planner, Selection, Treatment
+from dyknow.cli.launch_plan import LEFT_ALONE, How, LaunchPlanner, Selection, Treatment
 from dyknow.cli.rewirable import LIBRARY
 
 REWIRABLE = "/ws/lib/dyknow/rewirable"
 
 
 @pytest.fixture
-def planner(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Planner:
+def planner(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> LaunchPlanner:
     """A planner that knows `pkg` with a program of each kind; the machine `far` is another one."""
     (tmp_path / "lib").mkdir()
     (tmp_path / "lib" / LIBRARY).touch()
@@ -43,7 +43,7 @@ def planner(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Planner:
     def find(package: str, type_: str) -> str | None:
         return None if type_ == "missing" else programs.get(type_, shell)
 
-    return Planner(REWIRABLE, find, lambda machine: machine.name != "far", Selection())
+    return LaunchPlanner(REWIRABLE, find, lambda machine: machine.name != "far", Selection())
 
 
 def node(type_: str = "relay", package: str = "pkg", machine: str = "", **more: Any) -> Node:
@@ -52,12 +52,12 @@ def node(type_: str = "relay", package: str = "pkg", machine: str = "", **more: 
     return made
 
 
-def treat(planner: Planner, *words: Any, **more: Any) -> Treatment:
+def treat(planner: LaunchPlanner, *words: Any, **more: Any) -> Treatment:
     return planner.treat(node(*words, **more))
 
 
-def selected(planner: Planner, only: str = "", except_: str = "") -> Planner:
-    return Planner(
+def selected(planner: LaunchPlanner, only: str = "", except_: str = "") -> LaunchPlanner:
+    return LaunchPlanner(
         planner.rewirable,
         planner.find,
         planner.is_local,
@@ -65,14 +65,14 @@ def selected(planner: Planner, only: str = "", except_: str = "") -> Planner:
     )
 
 
-def test_programs_and_shell_scripts_get_the_library(planner: Planner) -> None:
+def test_programs_and_shell_scripts_get_the_library(planner: LaunchPlanner) -> None:
     expected = Treatment("/robot/it", "pkg/relay", "", How.LIBRARY, "", REWIRABLE)
     assert treat(planner, namespace="/robot/") == expected
     assert treat(planner, "shell").how is How.LIBRARY
 
 
 def test_without_the_library_programs_are_left_alone(
-    planner: Planner, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    planner: LaunchPlanner, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setenv("CMAKE_PREFIX_PATH", str(tmp_path / "lib"))
     assert treat(planner).why == f"{LIBRARY} is not there: DyKnow was built without roscpp"
@@ -108,7 +108,7 @@ def test_without_the_library_programs_are_left_alone(
     ],
 )
 def test_what_is_left_alone_keeps_its_prefix(
-    planner: Planner, what: dict[str, Any], why: str
+    planner: LaunchPlanner, what: dict[str, Any], why: str
 ) -> None:
     answer = treat(planner, **what)
     assert (answer.how, answer.why) == (How.AS_IT_IS, why)
@@ -116,11 +116,11 @@ def test_what_is_left_alone_keeps_its_prefix(
 
 
 @pytest.mark.parametrize("args", ["manager", "standalone a/b", "--no-bond standalone a/b", ""])
-def test_nodelet_managers_are_rewirable(planner: Planner, args: str) -> None:
+def test_nodelet_managers_are_rewirable(planner: LaunchPlanner, args: str) -> None:
     assert treat(planner, "nodelet", "nodelet", args=args).how is How.LIBRARY
 
 
-def test_an_environment_that_has_dyknow_is_fine(planner: Planner, tmp_path: Path) -> None:
+def test_an_environment_that_has_dyknow_is_fine(planner: LaunchPlanner, tmp_path: Path) -> None:
     (tmp_path / "dyknow").mkdir()
     path = f"/nowhere:{tmp_path}"
     assert treat(planner, env_args=[("PYTHONPATH", path), ("A", "b")]).how is How.LIBRARY
@@ -137,26 +137,26 @@ def test_an_environment_that_has_dyknow_is_fine(planner: Planner, tmp_path: Path
     ],
 )
 def test_ours_is_next_to_the_node_or_its_debugger(
-    planner: Planner, prefix: str, whole: str
+    planner: LaunchPlanner, prefix: str, whole: str
 ) -> None:
     assert treat(planner, launch_prefix=prefix).prefix == whole
     assert treat(planner, launch_prefix=prefix, cwd="node").prefix == whole
 
 
-def test_the_folder_of_the_node_is_where_it_runs(planner: Planner, tmp_path: Path) -> None:
+def test_the_folder_of_the_node_is_where_it_runs(planner: LaunchPlanner, tmp_path: Path) -> None:
     """roslaunch takes the folder of the first word, which is ours."""
     rewirable = program(tmp_path / "re wirable", 'pwd\nexec "$@"\n')
     folder = tmp_path / "the node's"
     folder.mkdir()
     it = program(folder / "it", 'echo "$0 $*"\n')
-    made = Planner(rewirable, planner.find, planner.is_local, Selection())
+    made = LaunchPlanner(rewirable, planner.find, planner.is_local, Selection())
     prefix = treat(made, cwd="node").prefix
     assert os.path.isabs(shlex.split(prefix)[0])
     assert run(prefix, it, "a  b") == f"{folder}\n{it} a  b\n"
 
 
 @pytest.mark.parametrize("cwd", [None, "node"])
-def test_another_machine_uses_its_own_dyknow(planner: Planner, tmp_path: Path, cwd: str) -> None:
+def test_another_machine_uses_its_own_dyknow(planner: LaunchPlanner, tmp_path: Path, cwd: str) -> None:
     it = program(tmp_path / "it", 'echo "$0 $*"; pwd\n')
     answer = treat(planner, "missing", machine="far", cwd=cwd)
     assert (answer.machine, answer.how) == ("far", How.OTHER_MACHINE)
@@ -204,7 +204,7 @@ def test_the_page_names_all_that_are_left_alone() -> None:
     assert [pattern for pattern, _ in LEFT_ALONE if f"``{pattern}``" not in page] == []
 
 
-def test_patterns_choose(planner: Planner) -> None:
+def test_patterns_choose(planner: LaunchPlanner) -> None:
     def left(only: str = "", except_: str = "", **more: Any) -> str:
         return treat(selected(planner, only, except_), **more).why
 
@@ -220,7 +220,7 @@ def test_patterns_choose(planner: Planner) -> None:
     assert left("it", package="dyknow") == "it is DyKnow's own"
 
 
-def test_patterns_without_a_match_are_known(planner: Planner) -> None:
+def test_patterns_without_a_match_are_known(planner: LaunchPlanner) -> None:
     choice = selected(planner, "it x", "pkg/relay y")
     plan = choice.plan([node()])
     assert choice.selection.without_match(plan) == (["x"], ["y"])
