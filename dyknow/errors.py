@@ -55,6 +55,7 @@ was expected. ``dyknow.ros`` alone turns exceptions into answers of services.
     │   ├── UnknownConcept           the ontology has no class of that URI
     │   ├── LabelsError              two classes, or two individuals, have the same label
     │   └── IndividualsError         labels do not tell the individuals of a class apart
+    ├── CannotLaunch                 a launch file is not there, or cannot be read or started
     ├── HostError                    a nodelet manager refused, or could not be reached
     │   ├── CannotRun                a program is not there, or cannot be started
     │   └── HostTimeout              it, or a nodelet of it, did not answer in time
@@ -112,6 +113,10 @@ class NoMessageClass(DyKnowError, ValueError):
         super().__init__(
             f"'{name}' expects a message class such as std_msgs.msg.String, not {given!r}"
         )
+
+
+class CannotLaunch(DyKnowError):
+    """A launch file cannot be found, read, or started."""
 
 
 class BadParameter(DyKnowError):

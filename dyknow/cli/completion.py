@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Callable, Iterable, List, Sequence
 
 from dyknow import names
 from dyknow.cli.arguments import default_manager
-from dyknow.errors import DyKnowError
+from dyknow.errors import CannotLaunch, DyKnowError
 from dyknow.model.graph import PortRef
 from dyknow.model.transformation import IN, OUT
 from dyknow.wiring.ports import types_fit
@@ -270,7 +270,7 @@ def packages(prefix: str, **_: object) -> List[str]:
 
 def launch_words(prefix: str, parsed_args: argparse.Namespace, **details: object) -> List[str]:
     """A package or a launch file, launch files of the package, and then their arguments."""
-    from dyknow.cli.launch_files import CannotLaunch, arguments_of, find_files, launch_files
+    from dyknow.cli.launch_files import arguments_of, find_files, launch_files
 
     words = parsed_args.words or []
     if not words:

@@ -18,7 +18,7 @@ from roslaunch.loader import LoadException
 from roslaunch.rlutil import resolve_launch_arguments
 from roslaunch.xmlloader import XmlLoader
 
-from dyknow.errors import DyKnowError
+from dyknow.errors import CannotLaunch
 from dyknow.similar import did_you_mean
 
 STDIN = "-"
@@ -26,10 +26,6 @@ STDIN = "-"
 ERRORS = (RLException, LoadException, rospkg.ResourceNotFound, ValueError)
 #: A launch file, and the arguments that it is given, as roslaunch takes them.
 Source = Tuple[str, Sequence[str]]
-
-
-class CannotLaunch(DyKnowError):
-    """A launch file cannot be found, read, or started."""
 
 
 def find_files(words: Sequence[str]) -> List[str]:

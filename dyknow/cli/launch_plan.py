@@ -17,7 +17,9 @@ from fnmatch import fnmatchcase
 from typing import Any, Callable, List, Optional, Sequence, Tuple
 
 from dyknow import names
-from dyknow.cli.rewirable import LIBRARY, find_library, is_python_script, obstacle
+from dyknow.cli.rewirable import LIBRARY, find_library, obstacle
+from dyknow.errors import CannotRun
+from dyknow.ros.programs import interpreter
 
 #: Nodes that are left alone unless `--only` names them, and why.
 LEFT_ALONE = (
@@ -28,8 +30,10 @@ LEFT_ALONE = (
     ("rosbridge_server/*", "its clients choose topics"),
     ("foxglove_bridge/*", "its clients choose topics"),
 )
-#: Read the file of the program that they start, or start it in a way that follows no script.
+#: Have to start the program itself, not a script that becomes it.
 _DEBUGGERS = frozenset({"gdb", "gdbserver", "lldb", "valgrind", "heaptrack", "ltrace"})
+#: Take the next word for a script in Python.
+_INTERPRETERS = ("python", "ipython", "pypy", "pdb", "pudb", "coverage", "kernprof", "scalene")
 #: Start the program with another environment, or where our files are not.
 _ELSEWHERE = frozenset(
     {"sudo", "su", "runuser", "pkexec", "doas", "ssh", "chroot", "schroot", "docker", "podman"}
@@ -75,7 +79,7 @@ class Treatment:
 
 
 @dataclass(frozen=True)
-class Selection:
+class NodeFilter:
     """Patterns, as of a shell, for names of nodes and for what they run.
 
     Attributes:
@@ -121,13 +125,13 @@ class LaunchPlanner:
         rewirable: path of the program `rewirable`.
         find: finds the program of a package, as roslaunch does; None if there is none.
         is_local: says whether a machine of the launch file is this one.
-        selection: what the user wants to be re-wirable.
+        chosen: which nodes the user wants to be re-wirable.
     """
 
     rewirable: str
     find: Callable[[str, str], Optional[str]]
     is_local: Callable[[Any], bool]
-    selection: Selection
+    chosen: NodeFilter
 
     def plan(self, nodes: Sequence[Any]) -> List[Treatment]:
         """Decide what becomes of each of roslaunch's nodes, in their order."""
@@ -139,13 +143,12 @@ class LaunchPlanner:
         name = names.join(node.namespace, node.name)
         program = f"{node.package}/{node.type}"
         words = shlex.split(node.launch_prefix or "")
-        how, why = (
-            How.AS_IT_IS,
-            (self.selection.reason(name, program) or _nothing_to_do(node) or _obstacle(words)),
-        )
-        if not why and local:
+        why = self.chosen.reason(name, program) or _nothing_to_do(node) or _occupied(words)
+        if why:
+            how = How.AS_IT_IS
+        elif local:
             how, why = self._how(node)
-        elif not why:
+        else:
             how = How.OTHER_MACHINE
         prefix = node.launch_prefix or ""
         if not why:
@@ -156,14 +159,16 @@ class LaunchPlanner:
         program = self.find(node.package, node.type)
         if program is None:
             return How.AS_IT_IS, "there is no such program"
-        trouble = obstacle(program) or _hidden(node)
-        if trouble:
-            return How.AS_IT_IS, trouble
-        if is_python_script(program):
-            return How.SCRIPT_HOST, ""
-        if find_library() is None:
-            return How.AS_IT_IS, f"{LIBRARY} is not there: DyKnow was built without roscpp"
-        return How.LIBRARY, ""
+        trouble = _hidden(node)
+        try:
+            if not trouble and interpreter(program) is not None:
+                return How.SCRIPT_HOST, ""
+        except CannotRun as error:
+            trouble = str(error)
+        trouble = trouble or obstacle(program)
+        if not trouble and find_library() is None:
+            trouble = f"{LIBRARY} is not there: DyKnow was built without roscpp"
+        return (How.AS_IT_IS, trouble) if trouble else (How.LIBRARY, "")
 
     def _prefix(self, words: Sequence[str], local: bool, in_its_folder: bool) -> str:
         """Put what makes a node re-wirable into the words of its prefix."""
@@ -189,13 +194,13 @@ def _nothing_to_do(node: Any) -> str:
     return ""
 
 
-def _obstacle(prefix: Sequence[str]) -> str:
+def _occupied(prefix: Sequence[str]) -> str:
     """Say why nothing can be put into a launch-prefix; empty if it can."""
     for word in map(os.path.basename, prefix):
         if word == "rewirable":
             return "its launch-prefix makes it re-wirable"
-        if word.startswith("python"):
-            return f"its launch-prefix starts it with {word}"
+        if word.startswith(_INTERPRETERS):
+            return f"its launch-prefix runs it in {word}"
         if word in _ELSEWHERE:
             return f"its launch-prefix starts it by {word}, with another environment"
     return ""

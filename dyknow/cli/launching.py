@@ -22,9 +22,10 @@ from roslaunch.core import is_machine_local
 from roslaunch.parent import ROSLaunchParent
 from roslib.packages import find_node
 
-from dyknow.cli.launch_files import ERRORS, STDIN, CannotLaunch, explain, one_line
-from dyknow.cli.launch_plan import LaunchPlanner, Selection, Treatment
+from dyknow.cli.launch_files import ERRORS, STDIN, explain, one_line
+from dyknow.cli.launch_plan import LaunchPlanner, NodeFilter, Treatment
 from dyknow.cli.rewirable import find_in_workspaces
+from dyknow.errors import CannotLaunch
 
 
 @contextlib.contextmanager
@@ -87,7 +88,7 @@ def read(
     return parent
 
 
-def plan(parent: ROSLaunchParent, selection: Selection) -> List[Treatment]:
+def plan(parent: ROSLaunchParent, chosen: NodeFilter) -> List[Treatment]:
     """Decide what becomes of the nodes of a launch, in roslaunch's order.
 
     Raises:
@@ -109,7 +110,7 @@ def plan(parent: ROSLaunchParent, selection: Selection) -> List[Treatment]:
             return None
 
     try:
-        return LaunchPlanner(rewirable, find, is_machine_local, selection).plan(parent.config.nodes)
+        return LaunchPlanner(rewirable, find, is_machine_local, chosen).plan(parent.config.nodes)
     except ERRORS as error:
         raise CannotLaunch(one_line(error)) from error
 

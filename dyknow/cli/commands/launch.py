@@ -14,10 +14,11 @@ from dyknow.cli.arguments import positive, seconds
 from dyknow.cli.command import Command
 from dyknow.cli.shell import Shell
 from dyknow.cli.tables import columns, count
+from dyknow.errors import CannotLaunch
 from dyknow.similar import did_you_mean
 
 if TYPE_CHECKING:
-    from dyknow.cli.launch_plan import Selection, Treatment
+    from dyknow.cli.launch_plan import NodeFilter, Treatment
 
 
 def _launch_arguments(parser: argparse.ArgumentParser) -> None:
@@ -96,17 +97,17 @@ def _problem(arguments: argparse.Namespace) -> str:
 def _launch(arguments: argparse.Namespace, shell: Shell) -> None:
     from dyknow.cli import launching
     from dyknow.cli.launch_files import find_files, unknown_arguments
-    from dyknow.cli.launch_plan import Selection
+    from dyknow.cli.launch_plan import NodeFilter
 
     files = find_files(arguments.words)
-    selection = Selection(arguments.only, arguments.except_)
+    chosen = NodeFilter(arguments.only, arguments.except_)
 
     def prepare(run_id: str = "") -> Any:
         parent = launching.read(arguments, files, arguments.given, run_id)
-        plan = launching.plan(parent, selection)
+        plan = launching.plan(parent, chosen)
         for problem in unknown_arguments(files, parent.config.roslaunch_files, arguments.given):
             shell.warn(problem)
-        _check(selection, plan, shell)
+        _check(chosen, plan, shell)
         return parent, plan
 
     if arguments.dry_run:
@@ -119,14 +120,12 @@ def _launch(arguments: argparse.Namespace, shell: Shell) -> None:
         launching.run(parent, plan)
 
 
-def _check(selection: Selection, plan: Sequence[Treatment], shell: Shell) -> None:
+def _check(chosen: NodeFilter, plan: Sequence[Treatment], shell: Shell) -> None:
     """Refuse an `--only` that no node matches, and warn of an `--except`."""
-    from dyknow.cli.launch_files import CannotLaunch
-
-    only, except_ = selection.without_match(plan)
+    only, except_ = chosen.without_match(plan)
     known = {name for each in plan for name in (each.node, each.program)}
-    for pattern in only:
-        raise CannotLaunch(f"--only {pattern}: no node matches{did_you_mean(pattern, known)}")
+    if only:
+        raise CannotLaunch(f"--only {only[0]}: no node matches{did_you_mean(only[0], known)}")
     for pattern in except_:
         shell.warn(f"--except {pattern}: no node matches{did_you_mean(pattern, known)}")
 

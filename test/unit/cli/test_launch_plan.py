@@ -17,7 +17,7 @@ import roslaunch.config
 from roslaunch.core import Machine, Node
 from roslaunch.xmlloader import XmlLoader
 
-from dyknow.cli.launch_plan import LEFT_ALONE, How, LaunchPlanner, Selection, Treatment
+from dyknow.cli.launch_plan import LEFT_ALONE, How, LaunchPlanner, NodeFilter, Treatment
 from dyknow.cli.rewirable import LIBRARY
 
 REWIRABLE = "/ws/lib/dyknow/rewirable"
@@ -32,6 +32,7 @@ def planner(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> LaunchPlanner:
     texts = {
         "shell": "#!/bin/sh\nexec relay\n",
         "script": "#!/usr/bin/env python3\n",
+        "old_script": "#!/usr/bin/env python2\n",
         "data": "hello",
     }
     for name, text in texts.items():
@@ -43,7 +44,7 @@ def planner(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> LaunchPlanner:
     def find(package: str, type_: str) -> str | None:
         return None if type_ == "missing" else programs.get(type_, shell)
 
-    return LaunchPlanner(REWIRABLE, find, lambda machine: machine.name != "far", Selection())
+    return LaunchPlanner(REWIRABLE, find, lambda machine: machine.name != "far", NodeFilter())
 
 
 def node(type_: str = "relay", package: str = "pkg", machine: str = "", **more: Any) -> Node:
@@ -61,7 +62,7 @@ def selected(planner: LaunchPlanner, only: str = "", except_: str = "") -> Launc
         planner.rewirable,
         planner.find,
         planner.is_local,
-        Selection(only.split(), except_.split()),
+        NodeFilter(only.split(), except_.split()),
     )
 
 
@@ -69,6 +70,11 @@ def test_programs_and_shell_scripts_get_the_library(planner: LaunchPlanner) -> N
     expected = Treatment("/robot/it", "pkg/relay", "", How.LIBRARY, "", REWIRABLE)
     assert treat(planner, namespace="/robot/") == expected
     assert treat(planner, "shell").how is How.LIBRARY
+
+
+def test_python_scripts_get_the_script_host(planner: LaunchPlanner) -> None:
+    expected = Treatment("/it", "pkg/script", "", How.SCRIPT_HOST, "", REWIRABLE)
+    assert treat(planner, "script") == expected
 
 
 def test_without_the_library_programs_are_left_alone(
@@ -82,6 +88,7 @@ def test_without_the_library_programs_are_left_alone(
     ("what", "why"),
     [
         ({"type_": "missing"}, "there is no such program"),
+        ({"type_": "old_script"}, "it is a script for another Python"),
         ({"type_": "data"}, "it is no program for this machine"),
         ({"package": "dyknow", "type_": "nodelet_manager"}, "it is DyKnow's own"),
         (
@@ -96,7 +103,8 @@ def test_without_the_library_programs_are_left_alone(
         ({"package": "rviz", "type_": "rviz"}, "its user chooses topics in its window"),
         ({"package": "rqt_graph", "type_": "rqt_graph"}, "its user chooses topics in its window"),
         ({"launch_prefix": "rosrun dyknow rewirable"}, "its launch-prefix makes it re-wirable"),
-        ({"launch_prefix": "/usr/bin/python3 -m pdb"}, "its launch-prefix starts it with python3"),
+        ({"launch_prefix": "/usr/bin/python3 -m pdb"}, "its launch-prefix runs it in python3"),
+        ({"launch_prefix": "nice coverage run"}, "its launch-prefix runs it in coverage"),
         (
             {"launch_prefix": "sudo -E"},
             "its launch-prefix starts it by sudo, with another environment",
@@ -149,14 +157,16 @@ def test_the_folder_of_the_node_is_where_it_runs(planner: LaunchPlanner, tmp_pat
     folder = tmp_path / "the node's"
     folder.mkdir()
     it = program(folder / "it", 'echo "$0 $*"\n')
-    made = LaunchPlanner(rewirable, planner.find, planner.is_local, Selection())
+    made = LaunchPlanner(rewirable, planner.find, planner.is_local, NodeFilter())
     prefix = treat(made, cwd="node").prefix
     assert os.path.isabs(shlex.split(prefix)[0])
     assert run(prefix, it, "a  b") == f"{folder}\n{it} a  b\n"
 
 
 @pytest.mark.parametrize("cwd", [None, "node"])
-def test_another_machine_uses_its_own_dyknow(planner: LaunchPlanner, tmp_path: Path, cwd: str) -> None:
+def test_another_machine_uses_its_own_dyknow(
+    planner: LaunchPlanner, tmp_path: Path, cwd: str
+) -> None:
     it = program(tmp_path / "it", 'echo "$0 $*"; pwd\n')
     answer = treat(planner, "missing", machine="far", cwd=cwd)
     assert (answer.machine, answer.how) == ("far", How.OTHER_MACHINE)
@@ -223,4 +233,4 @@ def test_patterns_choose(planner: LaunchPlanner) -> None:
 def test_patterns_without_a_match_are_known(planner: LaunchPlanner) -> None:
     choice = selected(planner, "it x", "pkg/relay y")
     plan = choice.plan([node()])
-    assert choice.selection.without_match(plan) == (["x"], ["y"])
+    assert choice.chosen.without_match(plan) == (["x"], ["y"])
