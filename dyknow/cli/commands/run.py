@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 
+from dyknow.cli import completion
 from dyknow.cli.command import Command
 from dyknow.cli.rewirable import become
 from dyknow.cli.shell import Shell
@@ -14,7 +15,9 @@ from dyknow.ros.programs import find_program
 
 
 def _run_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("package", metavar="PKG", help="a package")
+    completion.complete_with(
+        parser.add_argument("package", metavar="PKG", help="a package"), completion.packages
+    )
     parser.add_argument("executable", metavar="EXECUTABLE", help="a program of it")
     parser.add_argument(
         "words",
