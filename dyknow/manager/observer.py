@@ -146,7 +146,7 @@ class Observer:
             self.on_crash(label)
         at_work = ", ".join(name for name in hosted if names.mark(name) in running)
         _log.error(
-            "nodelet manager %s crashed (%s)%s",
+            "%s crashed (%s)%s",
             crash.manager,
             crash.cause,
             f" while it ran code of {at_work}" if at_work else "",

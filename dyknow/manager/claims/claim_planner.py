@@ -72,6 +72,7 @@ class ClaimPlanner:
         self._planner = Planner(ontology)
         self._known: Dict[str, Transformation] = {}
         self._known_at: Tuple[int, FrozenSet[str]] = (-1, NO_LABELS)
+        self._nodes_at: Tuple[int, FrozenSet[str]] = (-1, NO_LABELS)
         self._looked = float("-inf")
         #: Failures of transformations, by label.
         self.failures = Backoff(context.clock, _FIRST_PAUSE)
@@ -435,10 +436,7 @@ class ClaimPlanner:
         if self._planner.waste > max(_WASTE, len(self._planner)):
             self._planner = Planner(self._ontology)
             self._known, self._known_at = {}, (-1, NO_LABELS)
-        records = self._manager.graph.all()
-        nodes = frozenset(
-            each.label for each in records if each.is_described and each.state is State.RUNNING
-        )
+        nodes = self._described_nodes()
         if self._known_at == (library.revision, nodes):
             return
         self._known_at = library.revision, nodes
@@ -450,6 +448,20 @@ class ClaimPlanner:
         known = self._known
         self._planner.add(each for each in present.values() if known.get(each.label) != each)
         self._known = present
+
+    def _described_nodes(self) -> FrozenSet[str]:
+        """Labels of the nodes of others that run, found once for each revision of the graph."""
+        graph = self._manager.graph
+        revision, nodes = self._nodes_at
+        if revision != graph.revision:
+            revision = graph.revision  # first: what comes meanwhile is found the next time
+            nodes = frozenset(
+                each.label
+                for each in graph.all()
+                if each.is_described and each.state is State.RUNNING
+            )
+            self._nodes_at = revision, nodes
+        return nodes
 
 
 def wishes_of(claim: Claim) -> Wishes:

@@ -8,11 +8,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from unit.manager.field import Field
 from unit.manager.hand_clock import HandClock
 from unit.manager.world import World
 
 from dyknow.errors import HostError, NameTaken, SpawnFailed
 from dyknow.model.graph import NodeletKind, State
+from dyknow.model.streams import ClaimState
 from dyknow.model.transformation import Parameter
 
 COPIER = "topic_tools/relay words copy"
@@ -227,3 +229,42 @@ def test_a_node_without_any_of_its_ports_is_refused(world: World) -> None:
         world.spawn("misnamed", "/copier")
     assert world.host.running == []
     assert world.clock.now() >= 10.0
+
+
+SEEN = """<transformations>
+  <transformation type="node"><label>grabber</label><source>robot/grabber --fast</source>
+    <ports><port type="out">image</port></ports>
+    <tags><tag port="image">Raw(field)</tag></tags></transformation>
+  <transformation type="node"><label>filter</label><source>robot/filter.py</source>
+    <ports><port type="in">image</port><port type="out">edges</port></ports>
+    <tags><tag port="image">Raw(field)</tag><tag port="edges">Edges(field)</tag></tags>
+  </transformation>
+</transformations>"""
+
+
+def test_claims_are_made_and_mended_with_nodes_and_scripts(tmp_path: Path) -> None:
+    field = Field(str(tmp_path / "state.db"))
+    image = "sensor_msgs/Image"
+    field.host.sources["robot/grabber --fast"] = [("image", "out", image)]
+    field.host.sources["robot/filter.py"] = [("image", "in", image), ("edges", "out", image)]
+    field.host.scripts.add("robot/filter.py")
+    field.manager.add_transformation(SEEN)
+
+    claim_id = field.acquire("Edges(field)").claim.claim_id
+    kinds = {record.label: record.kind for record in field.manager.graph.all()}
+    assert kinds == {"grabber": NodeletKind.CPP_NODE, "filter": NodeletKind.SCRIPT}
+    grabber = field.host.nodelet("/grabber_1").request
+    assert grabber.remappings == {"/image": "/grabber_1/image"}  # connected from its start
+    field.settle()
+
+    field.host.kill("/grabber_1")
+    field.settle(5.0)
+    assert field.state(claim_id) is ClaimState.ACTIVE
+    assert field.labels() == ["filter", "grabber"]
+    field.host.kill(field.manager.graph.get("/filter_1").manager)
+    field.settle(5.0)
+    assert field.state(claim_id) is ClaimState.ACTIVE
+
+    field.reconciler.release(claim_id)
+    field.tidy()
+    assert field.host.running == []

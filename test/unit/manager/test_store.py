@@ -16,7 +16,7 @@ from faulty_disk import kept_aside
 from dyknow.errors import StoreError
 from dyknow.manager.library import Library
 from dyknow.manager.record import Record
-from dyknow.manager.store import Store, _body, pack
+from dyknow.manager.store import Store, _body, pack, unpack
 from dyknow.model.graph import State
 from dyknow.model.transformation import Parameter, Port, Transformation
 
@@ -190,3 +190,17 @@ def test_the_labels_are_named_whose_variables_mean_something_else_than_before(
         caplog.clear()
     assert len(warnings) == 1
     assert warnings[0].endswith("each tag of shared")
+
+
+def test_what_earlier_versions_can_use_is_written_as_they_wrote_it() -> None:
+    plain = Transformation("a", "p/A")
+    assert pack(plain) == '["a","p/A","nodelet",1,[],[]]'
+    assert unpack(pack(plain)) == plain
+    for other in (
+        Transformation("a", "p/a", "node", isolated=True),
+        Transformation("a", "", "node", node="/a"),
+    ):
+        assert unpack(pack(other)) == other
+    for wrong in ('["a","p/A","node",1,[],[],1,""]', '["a","p/A","node",1,[],[],true,1]'):
+        with pytest.raises((TypeError, ValueError)):
+            unpack(wrong)

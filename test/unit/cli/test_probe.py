@@ -1,0 +1,56 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""`dyknow probe`: what it makes of what a node has, and its refusals."""
+
+from __future__ import annotations
+
+import pytest
+from unit.cli.fake_client import FakeClient, run
+
+from dyknow.cli.commands.probe import _SHARED, _base, _parameters
+from dyknow.manager.specifications.values import value_of
+
+
+def test_parameters_are_read_again_as_they_are() -> None:
+    tree = {
+        "rate": 5,
+        "gain": 0.5,
+        "fast": True,
+        "frame": "map",
+        "pid": {"p": 1.5, "limits": [1, 2]},
+        "guards": {"dyknow__manager": {"read_only": False}},
+    }
+    found = {each.name: value_of(each) for each in _parameters(tree)}
+    assert found == {
+        "rate": 5,
+        "gain": 0.5,
+        "fast": True,
+        "frame": "map",
+        "pid/p": 1.5,
+        "pid/limits": [1, 2],
+    }
+
+
+@pytest.mark.parametrize(
+    ("program", "name"),
+    [("relay", "relay"), ("ball-finder.py", "ball_finder"), ("3d.py", "node_3d")],
+)
+def test_a_node_is_called_like_its_program(program: str, name: str) -> None:
+    assert _base(program) == name
+
+
+def test_what_all_nodes_share_is_not_declared() -> None:
+    for topic in ("/tf", "/diagnostics", "/camera/parameter_updates"):
+        assert _SHARED.fullmatch(topic)
+    for topic in ("/tf_of_robot", "/camera/image", "/robot/tf"):
+        assert not _SHARED.fullmatch(topic)
+
+
+def test_a_program_that_is_not_there() -> None:
+    nobody: FakeClient = None  # type: ignore[assignment]
+    outcome = run(nobody, "probe topic_tools relais")
+    assert outcome.code == 1
+    assert "package 'topic_tools' has no program 'relais'" in outcome.err
+    outcome = run(nobody, "probe tropic_tools relay")
+    assert "there is no package 'tropic_tools' on ROS_PACKAGE_PATH" in outcome.err
