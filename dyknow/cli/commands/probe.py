@@ -84,7 +84,7 @@ def _probe(arguments: argparse.Namespace, shell: Shell) -> None:
         raise ManagerUnreachable(f"no ROS master at {master.uri}: is roscore running?") from error
     with tempfile.TemporaryDirectory() as folder:
         output = os.path.join(folder, "output")
-        process = _start(path, arguments.words, name, output, folder)
+        process = _start(path, arguments.words, name, output)
         try:
             ports = _settled(master, name, process, output, arguments)
             found = _parameter_tree(master, name)
@@ -119,12 +119,12 @@ def _base(executable: str) -> str:
     return stem if stem[:1].isalpha() else f"node_{stem}"
 
 
-def _start(path: str, words: Sequence[str], name: str, output: str, folder: str) -> ProcessId:
+def _start(path: str, words: Sequence[str], name: str, output: str) -> ProcessId:
     from dyknow.ros import os_process
 
     own = (f"__name:={name.rpartition('/')[2]}", f"__ns:={names.parent(name)}")
     command = (sys.executable, "-m", "dyknow.cli.rewirable", path, *words, *own)
-    return os_process.start(command, output, folder)
+    return os_process.start(command, output, os.getcwd())
 
 
 def _settled(

@@ -130,6 +130,7 @@ class ClaimPlanner:
         share are among them, unless these claims exclude what this one does not, or have other
         wishes; they have to go on supplying the same.
         """
+        self._update()
         sharing = [each for each in self._table.living() if each.claim_id != claim.claim_id]
         needed = self._table.needed() | self._lock.reserved
         idle = [record.name for record in self._manager.graph.all() if record.name not in needed]
@@ -144,7 +145,7 @@ class ClaimPlanner:
                 and (record.claimed or (record.is_described and record.is_complete))
                 and record.state is State.RUNNING
                 and name not in unfit
-                and record.transformation == self._current(record.label)
+                and record.transformation == self._known.get(record.label)
                 and record.transformation is not None
                 and all(
                     set(each.request.exclude) <= set(claim.request.exclude)
@@ -425,10 +426,6 @@ class ClaimPlanner:
         unfit = without | excluded | self._monitor.unhealthy
         topology = self._connector.topology()
         return live_streams(records, published, topology, self._ontology, unfit)
-
-    def _current(self, label: str) -> Optional[Transformation]:
-        self._update()
-        return self._known.get(label)
 
     def _update(self) -> None:
         """Bring the planner up to date with the library."""
