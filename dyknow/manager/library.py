@@ -79,6 +79,12 @@ class Library:
             self._find_described()
             return self._topics
 
+    def nodes(self) -> List[str]:
+        """Return the names of the nodes of others that are described, sorted."""
+        with self._state_lock:
+            self._find_described()
+            return sorted(self._nodes)
+
     def of_node(self, name: str) -> Optional[Transformation]:
         """Return what describes a node of others; None if nothing does."""
         with self._state_lock:

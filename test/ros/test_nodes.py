@@ -206,6 +206,11 @@ class NodesTest(ManagerCase):
             self.assertEqual(found.reused, ("/by_hand",))
             self.assertEqual(found.topic, "/spoken")
             hears("/spoken", "left")
+            self.manager.kill()
+            self.manager.start()
+            (stream,) = client.list_streams()
+            self.assertEqual((stream.state, stream.nodelets), (ClaimState.ACTIVE, ("/by_hand",)))
+            self.assertNotIn("is gone", stream.detail)
             with self.assertRaisesRegex(Refused, "process of its own"):
                 client.destroy("/by_hand")
         eventually(

@@ -119,9 +119,9 @@ class RosHost(Host):
         #: By nodelet manager and nodelet.
         self._failures: Dict[Tuple[str, str], _Failure] = {}
 
-    def look_for_nodes(self) -> None:
-        """Look once for re-wirable nodes, before the look begins that goes on."""
-        self._nodes.look()
+    def look_for_nodes(self, nodes: Iterable[str]) -> None:
+        """Ask for re-wirable nodes of these names, before the look begins that goes on."""
+        self._nodes.look_for(nodes)
 
     def start(self, on_change: Callable[[], object]) -> None:
         """Begin to look for re-wirable nodes.

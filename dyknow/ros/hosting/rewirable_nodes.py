@@ -15,7 +15,7 @@ that does not answer stays in the table until its connection is lost; it holds u
 from __future__ import annotations
 
 import logging
-from typing import Callable, Dict, List, Optional
+from typing import Callable, Dict, Iterable, List, Optional
 
 import rospy
 from dyknow_msgs.msg import NodeletChanges
@@ -77,6 +77,11 @@ class RewirableNodes:
         self._worker.start()
         self._subscriber = rospy.Subscriber(NODES_TOPIC, NodeletChanges, self._told)
 
+    def look_for(self, nodes: Iterable[str]) -> None:
+        """Ask at once for nodes that may run, before any tells its name."""
+        self._add(nodes)
+        self.look()
+
     def all(self) -> List[ManagerState]:
         """Return each node, by name, as a process that hosts itself."""
         with self._state_lock:
@@ -127,9 +132,12 @@ class RewirableNodes:
 
     def _told(self, message: NodeletChanges) -> None:
         """Hear of nodes, on rospy's threads."""
-        with self._state_lock:
-            self._attempts.update(dict.fromkeys(message.nodelets, ATTEMPTS))
+        self._add(message.nodelets)
         self._worker.wake()
+
+    def _add(self, nodes: Iterable[str]) -> None:
+        with self._state_lock:
+            self._attempts.update(dict.fromkeys(nodes, ATTEMPTS))
 
     def _note(self, name: str, is_there: bool) -> None:
         """Forget a node that was not there too often."""

@@ -104,8 +104,8 @@ class ManagerNode(Closable):
         """Take over the nodelets of an earlier life, and offer the services."""
         self._children.adopt()
         self._children.want(NodeletKind.PYTHON, self._settings.num_nodelet_managers)
-        self._host.look_for_nodes()  # claims may need them
         self._load_transformations()
+        self._host.look_for_nodes(self.manager.library.nodes())  # claims may need them
         self._publisher = ModelPublisher(
             "~model", self.manager.graph_model, self._messages, self._cpp.follow
         )
