@@ -82,6 +82,7 @@ class BenchmarkTest(TellingCase):
             "busy": ("busy", "--hops", 2, "--messages", 4),
             "outside": ("outside", "--hops", 3, "--messages", 4, "--listened", 0, 2),
             "footprint": ("footprint", "--nodelets", 5, "--nodes", 2),
+            "scripts": ("scripts", "--messages", 4, "--scripts", 3, "--size", "320x240"),
             "throughput": ("throughput", "--hops", 2, "--seconds", 0.3, "--repeats", 2),
             "idle": ("idle", "--nodelets", 3, "--seconds", 1),
             "model": ("model", "--nodelets", 5),
@@ -120,6 +121,12 @@ class BenchmarkTest(TellingCase):
             self.assertGreater(
                 (self.out / "every_kind" / f"figure4.{suffix}").stat().st_size, 1000
             )
+
+    def check_scripts(self, rows):
+        self.assertEqual([row["kind"] for row in rows], ["script", "node", "dyknow"])
+        self.assertTrue(all((row["messages"], row["lost"]) == ("4", "0") for row in rows), rows)
+        (loads,) = self.rows("script_loads", "scripts")
+        self.assertGreater(float(loads["median_load_ms"]), 0.0)
 
     def check_images(self, rows):
         self.assertEqual(
