@@ -13,14 +13,14 @@ import statistics
 import threading
 import time
 from dataclasses import replace
-from typing import Callable, Iterator, List, NamedTuple, Sequence
+from typing import Callable, Iterator, List, NamedTuple, Sequence, Tuple
 
 from python_qt_binding.QtCore import QTimer
 from python_qt_binding.QtTest import QTest
 from python_qt_binding.QtWidgets import QApplication
 
 from dyknow.model.client import BaseManagerClient
-from dyknow.model.graph import Model, State
+from dyknow.model.graph import Model, NodeletStatus, State
 from dyknow_benchmark import progress, system
 from dyknow_benchmark.session import MeasurementFailed, Session
 from dyknow_rqt.canvas.view import GraphView
@@ -89,10 +89,10 @@ class _Returning(SimulatedRemote):
             nodelets[number] = each
             self._tell(nodelets)
 
-    def _tell(self, nodelets: Sequence[object]) -> None:
+    def _tell(self, nodelets: Sequence[NodeletStatus]) -> None:
         with self._lock:
             model = self._model
-            self._model = replace(model, revision=model.revision + 1, nodelets=tuple(nodelets))  # type: ignore[arg-type]
+            self._model = replace(model, revision=model.revision + 1, nodelets=tuple(nodelets))
         self.client.on_model(self._model)
 
 
@@ -111,12 +111,12 @@ def simulated(count: int) -> List[Row]:
     """Open a window on a simulated manager, let its nodelets come back, and move the view."""
     remote = _Returning(count)
     with _window(DyKnowWidget(remote)) as window:
-        rows = [Row("simulated", count, "open", *_gaps(lambda: _is_whole(window, count)))]
+        rows = [_row("simulated", count, "open", _gaps(lambda: _is_whole(window, count)))]
         thread = threading.Thread(target=remote.come_back, daemon=True)
         thread.start()
         gaps = _gaps(lambda: not thread.is_alive() and _is_whole(window, count))
-        rows.append(Row("simulated", count, "nodelets come back", *gaps))
-        rows += [Row("simulated", count, *moved) for moved in _moves(window)]
+        rows.append(_row("simulated", count, "nodelets come back", gaps))
+        rows += [_row("simulated", count, *moved) for moved in _moves(window)]
     return rows
 
 
@@ -128,7 +128,7 @@ def real(count: int) -> List[Row]:
         spawn_tree(client, count)
         with _window(DyKnowWidget(RosRemote(system.MANAGER))) as window:
             gaps = _gaps(lambda: _is_whole(window, count))
-            rows.append(Row("real", count, "open", *gaps))
+            rows.append(_row("real", count, "open", gaps))
             for what, nodes in (
                 ("nodelet manager killed", [system.NODELET_MANAGER]),
                 ("both managers killed", [system.MANAGER, system.NODELET_MANAGER]),
@@ -138,8 +138,8 @@ def real(count: int) -> List[Row]:
                 if system.MANAGER in nodes:
                     system.start_manager(session)
                 gaps = _gaps(_is_whole_again(window, count))
-                rows.append(Row("real", count, what, *gaps))
-            rows += [Row("real", count, *moved) for moved in _moves(window)]
+                rows.append(_row("real", count, what, gaps))
+            rows += [_row("real", count, *moved) for moved in _moves(window)]
     return rows
 
 
@@ -188,7 +188,7 @@ def _is_whole_again(window: DyKnowWidget, count: int) -> Callable[[], bool]:
     return is_whole_again
 
 
-def _gaps(is_done: Callable[[], bool]) -> Sequence[object]:
+def _gaps(is_done: Callable[[], bool]) -> Sequence[float]:
     """Let the window run until something holds and a little longer; take the gaps of its turns."""
     ticks = [time.monotonic()]
     timer = QTimer()
@@ -197,10 +197,10 @@ def _gaps(is_done: Callable[[], bool]) -> Sequence[object]:
     _until(is_done, "the window to show all nodelets")
     QTest.qWait(500)
     timer.stop()
-    return _summary(ticks)
+    return ticks
 
 
-def _moves(window: DyKnowWidget) -> Iterator[Sequence[object]]:
+def _moves(window: DyKnowWidget) -> Iterator[Tuple[str, Sequence[float]]]:
     """Zoom from the whole to one nodelet and back, move about, point at one after the other."""
     view = window.graph.view
     view.fit()
@@ -213,17 +213,17 @@ def _moves(window: DyKnowWidget) -> Iterator[Sequence[object]]:
         view.zoom_by(factor)
         view.centerOn(middle)
 
-    yield "zoom in", *_frames(window, lambda: zoom(step))
-    yield "zoom out", *_frames(window, lambda: zoom(1 / step))
+    yield "zoom in", _frames(window, lambda: zoom(step))
+    yield "zoom out", _frames(window, lambda: zoom(1 / step))
     for scale in (0.1, 0.3, 0.6):
         zoom(scale / view.zoom)
-        yield f"pan at {scale:.0%}", *_frames(window, lambda: _drag(view))
+        yield f"pan at {scale:.0%}", _frames(window, lambda: _drag(view))
     keys = itertools.cycle(key for key, _ in items)
     zoom(0.3 / view.zoom)
-    yield "point at nodelets", *_frames(window, lambda: view.scene().highlight(next(keys)))
+    yield "point at nodelets", _frames(window, lambda: view.scene().highlight(next(keys)))
 
 
-def _frames(window: DyKnowWidget, move: Callable[[], None]) -> Sequence[object]:
+def _frames(window: DyKnowWidget, move: Callable[[], None]) -> Sequence[float]:
     """Move again and again, and take the time of every frame."""
     view = window.graph.view
     QTest.qWait(300)
@@ -233,7 +233,7 @@ def _frames(window: DyKnowWidget, move: Callable[[], None]) -> Sequence[object]:
         QApplication.processEvents()
         view.viewport().repaint()  # what is left to draw
         ticks.append(time.monotonic())
-    return _summary(ticks)
+    return ticks
 
 
 def _drag(view: GraphView) -> None:
@@ -242,7 +242,7 @@ def _drag(view: GraphView) -> None:
     bar.setValue(bar.value() + 20)
 
 
-def _summary(ticks: Sequence[float]) -> Sequence[object]:
+def _row(manager: str, count: int, what: str, ticks: Sequence[float]) -> Row:
     gaps = [1e3 * (after - before) for before, after in zip(ticks, ticks[1:])]
-    whole = ticks[-1] - ticks[0]
-    return len(gaps), len(gaps) / whole, statistics.median(gaps), max(gaps)
+    fps = len(gaps) / (ticks[-1] - ticks[0])
+    return Row(manager, count, what, len(gaps), fps, statistics.median(gaps), max(gaps))

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import Iterator, Mapping, Optional, Tuple
+from typing import Iterator, Optional, Tuple
 
 from python_qt_binding.QtCore import QEvent, QPoint, Qt, Signal
 from python_qt_binding.QtGui import QKeySequence
@@ -14,15 +14,15 @@ from python_qt_binding.QtWidgets import QAction, QFileDialog, QMenu, QVBoxLayout
 from dyknow.errors import InvalidName
 from dyknow.model.graph import PortRef
 from dyknow.wiring.ports import CannotConnect
+from dyknow_rqt.background_calls import BackgroundCalls
 from dyknow_rqt.canvas.appearance import edge_refs, gap_of, sizes_of
 from dyknow_rqt.canvas.items import Item, PortItem
 from dyknow_rqt.canvas.view import GraphView, Target
 from dyknow_rqt.graph.changes import Rewire
 from dyknow_rqt.graph.dot import to_dot
 from dyknow_rqt.graph.figure import Figure, figure_of
-from dyknow_rqt.graph.geometry import Layout, Size
+from dyknow_rqt.graph.geometry import Drawing
 from dyknow_rqt.graph.snapshot import Snapshot
-from dyknow_rqt.graph.stabilise import stabilise
 from dyknow_rqt.graph.wiring import connect, connect_topic, disconnect, partners
 from dyknow_rqt.graph_bar import GraphBar
 from dyknow_rqt.graph_menus import GraphActions, menu_of, menu_of_ground, menu_of_port
@@ -53,6 +53,8 @@ class GraphPanel(QWidget):
         self.graph_actions = GraphActions(self)
         self._figure = Figure()
         self._has_fitted = self._wants_tidy = False
+        self._is_figuring = self._is_outdated = False
+        self._calls = BackgroundCalls(1)
         self.bar = GraphBar()
         self.view = GraphView(self.report)
         self.layouter = Layouter()
@@ -73,8 +75,10 @@ class GraphPanel(QWidget):
         self.failed.emit(text)
 
     def close_down(self) -> None:
-        """End the process that makes layouts."""
+        """End what makes figures and layouts."""
+        self._calls.close()
         self.layouter.close()
+        self.view.scene().close_down()
 
     @property
     def drawn(self) -> Figure:
@@ -87,16 +91,34 @@ class GraphPanel(QWidget):
     @qt_slot
     def redraw(self) -> None:
         """Draw the changes; a new layout is made only if vertices or edges came or went."""
-        snapshot = self._monitor.snapshot
+        self._is_outdated = True
+        if not self._is_figuring:
+            self._is_figuring, self._is_outdated = True, False
+            snapshot, options = self._monitor.snapshot, self.bar.options()
+            self._calls.run(
+                lambda: figure_of(snapshot, options),
+                lambda figure: self._take_figure(snapshot, figure),
+                self._take_no_figure,
+            )
+
+    def _take_figure(self, snapshot: Snapshot, figure: Figure) -> None:
         self.bar.nodelets.set_names(each.name for each in snapshot.nodelets)
         self.bar.topics.set_names(snapshot.topics())
-        figure = figure_of(snapshot, self.bar.options())
         self.view.scene().set_snapshot(snapshot)
         if figure != self._figure or self._wants_tidy:
             self._figure = figure
             font = self.view.font()
-            self.layouter.lay_out(figure, sizes_of(figure, font), gap_of(font))
+            sizes = sizes_of(figure, font)
+            self.layouter.lay_out(figure, sizes, gap_of(font), self._wants_tidy)
+            self._wants_tidy = False
         self._show_sign()
+        self._is_figuring = False
+        if self._is_outdated:
+            self.redraw()
+
+    def _take_no_figure(self, error: Exception) -> None:
+        self._is_figuring = False
+        raise error
 
     @qt_slot
     def tidy(self) -> None:
@@ -125,22 +147,19 @@ class GraphPanel(QWidget):
                 file.write(to_dot(self.drawn, sizes_of(self.drawn, self.view.font())))
 
     @qt_slot
-    def _draw(self, figure: Figure, sizes: Mapping[str, Size], layout: Layout) -> None:
-        scene = self.view.scene()
-        if not self._wants_tidy:
-            layout = stabilise(scene.layout, scene.figure, layout, figure, sizes)
-        self._is_following = True  # the user has not taken back what is drawn no longer
-        try:
-            scene.show_figure(figure, layout, sizes)
-        finally:
-            self._is_following = False
-        self._selection.keep_drawn(figure)
+    def _draw(self, drawing: Drawing) -> None:
+        self._is_following = True  # what is not drawn any more is not selected by that
+        self.view.scene().show_drawing(drawing)
+
+    @qt_slot
+    def _follow_drawing(self, drawing: Drawing) -> None:
+        """Show what has just been drawn."""
+        self._selection.keep_drawn(drawing.figure)
         self._follow_selection()
-        if figure.vertices and (not self._has_fitted or self._wants_tidy):
+        if drawing.figure.vertices and (not self._has_fitted or drawing.is_anew):
             self._has_fitted = True
             self.view.fit()
         self.view.keep_in_view()
-        self._wants_tidy = False
         self._search()
 
     @qt_slot
@@ -302,6 +321,7 @@ class GraphPanel(QWidget):
         view.scene().selectionChanged.connect(self._take_selection)
         self._selection.changed.connect(self._follow_selection)
         self.layouter.ready.connect(self._draw)
+        view.scene().shown.connect(self._follow_drawing)
         self.layouter.failed.connect(self.failed)
         view.drag_began.connect(self._drag_began)
         view.dragged.connect(self._dragged)

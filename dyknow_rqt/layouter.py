@@ -1,30 +1,43 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Makes layouts in another process, with a time limit."""
+"""Makes layouts in another process, with a time limit; what belongs to them is in a thread."""
 
 from __future__ import annotations
 
+import logging
+from dataclasses import dataclass, replace
 from typing import Mapping, Optional, Tuple
 
 from python_qt_binding.QtCore import QObject, QProcess, QTimer, Signal
 
+from dyknow_rqt.background_calls import BackgroundCalls
 from dyknow_rqt.graph.dot import BadLayout, read_layout, to_dot
 from dyknow_rqt.graph.figure import Figure
-from dyknow_rqt.graph.geometry import Layout, Size
+from dyknow_rqt.graph.geometry import Drawing, Size
 from dyknow_rqt.graph.layered import layered
+from dyknow_rqt.graph.port_order import without_crossings
+from dyknow_rqt.graph.stabilise import stabilise
 from dyknow_rqt.qt_slot import qt_slot
 
+_LOG = logging.getLogger("rosout.dyknow_rqt")
 #: Seconds that graphviz may take.
 LIMIT = 4.0
-_Order = Tuple[Figure, Mapping[str, Size]]
+
+
+@dataclass(frozen=True)
+class _Order:
+    figure: Figure
+    sizes: Mapping[str, Size]
+    gap: float
+    anew: bool
 
 
 class Layouter(QObject):
     """Runs ``dot`` for one figure at a time; of several that wait only the last is laid out."""
 
-    #: A figure, its sizes and its layout.
-    ready = Signal(object, object, object)
+    #: A ``Drawing``.
+    ready = Signal(object)
     #: graphviz failed and a simpler layout was used: the reason.
     failed = Signal(str)
 
@@ -37,9 +50,10 @@ class Layouter(QObject):
         """
         super().__init__()
         self._program = program
+        self._calls = BackgroundCalls(1)
         self._current: Optional[_Order] = None
         self._next: Optional[_Order] = None
-        self._gap = 0.0
+        self._drawing = Drawing()
         self._complaint = ""
         self._process = QProcess(self)
         self._process.finished.connect(self._finished)
@@ -49,15 +63,26 @@ class Layouter(QObject):
         self._limit.setInterval(int(limit * 1000))
         self._limit.timeout.connect(self._too_slow)
 
-    def lay_out(self, figure: Figure, sizes: Mapping[str, Size], gap: float = 52.0) -> None:
-        """Lay a figure out; ``ready`` is emitted when it is done."""
-        self._next, self._gap = (figure, sizes), gap
+    def lay_out(
+        self, figure: Figure, sizes: Mapping[str, Size], gap: float = 52.0, anew: bool = False
+    ) -> None:
+        """Lay a figure out; ``ready`` is emitted when it is done.
+
+        Args:
+            figure: what to lay out.
+            sizes: of its vertices.
+            gap: room for the words on an arrow, in pixels.
+            anew: without regard to the drawing before.
+        """
+        anew = anew or (self._next is not None and self._next.anew)
+        self._next = _Order(figure, sizes, gap, anew)
         if self._current is None:
             self._begin()
 
     def close(self) -> None:
         """End the process."""
         self._next = self._current = None
+        self._calls.close()
         self._limit.stop()
         if self._process.state() != QProcess.NotRunning:
             self._process.kill()
@@ -68,37 +93,33 @@ class Layouter(QObject):
         self.failed.emit(text)
 
     def _begin(self) -> None:
-        self._current, self._next = self._next, None
-        if self._current is None:
-            return
-        figure, sizes = self._current
-        if not figure.vertices:
-            self._end(Layout())
-            return
-        self._complaint = ""
-        self._process.start(self._program, ["-Tjson0"])
-        self._limit.start()
-        self._process.write(to_dot(figure, sizes, self._gap).encode())
-        self._process.closeWriteChannel()
+        order, self._current, self._next = self._next, self._next, None
+        if order is not None:
+            self._complaint = ""
+            self._calls.run(
+                lambda: to_dot(order.figure, order.sizes, order.gap), self._start, self._give_up
+            )
+
+    def _start(self, text: str) -> None:
+        if self._current is not None:
+            self._process.start(self._program, ["-Tjson0"])
+            self._limit.start()
+            self._process.write(text.encode())
+            self._process.closeWriteChannel()
 
     @qt_slot
     def _finished(self) -> None:
-        if self._current is None:
-            return
-        answer = bytes(self._process.readAllStandardOutput()).decode("utf-8", "replace")
+        self._limit.stop()
         self._process.readAllStandardError()
-        try:
-            layout = read_layout(answer, self._current[0])
-        except BadLayout as error:
-            self._fall_back(self._complaint or f"graphviz: {error}")
-        else:
-            self._end(layout)
+        self._read(bytes(self._process.readAllStandardOutput()))
 
     @qt_slot
     def _could_not(self, error: int) -> None:
         # `finished` follows a crash or a kill, but not a process that did not start.
-        if error == QProcess.FailedToStart and self._current is not None:
-            self._fall_back(f"'{self._program}' cannot be run; is graphviz installed?")
+        if error == QProcess.FailedToStart:
+            self._limit.stop()
+            self._complaint = f"'{self._program}' cannot be run; is graphviz installed?"
+            self._read(b"")
 
     @qt_slot
     def _too_slow(self) -> None:
@@ -108,16 +129,34 @@ class Layouter(QObject):
         )
         self._process.kill()
 
-    def _fall_back(self, reason: str) -> None:
-        assert self._current is not None
-        self.failed.emit(reason)
-        self._end(layered(*self._current))
+    def _read(self, answer: bytes) -> None:
+        order, before = self._current, self._drawing
+        if order is not None:
+            self._calls.run(lambda: _drawing(order, answer, before), self._end, self._give_up)
 
-    def _end(self, layout: Layout) -> None:
-        self._limit.stop()
-        assert self._current is not None
-        figure, sizes = self._current
-        self._current = None
-        self.ready.emit(figure, sizes, layout)
-        if self._current is None:
-            self._begin()
+    def _end(self, result: Tuple[Drawing, str]) -> None:
+        drawing, complaint = result
+        if complaint:
+            self.failed.emit(self._complaint or complaint)
+        self._drawing = drawing
+        self.ready.emit(drawing)
+        self._begin()
+
+    def _give_up(self, error: Exception) -> None:
+        """Go on after an error of the program."""
+        _LOG.error("no layout", exc_info=error)
+        self.failed.emit(f"no layout: {type(error).__name__}: {error}")
+        self._begin()
+
+
+def _drawing(order: _Order, answer: bytes, before: Drawing) -> Tuple[Drawing, str]:
+    """Read an answer of graphviz, or lay out without it; returns why it had to be without."""
+    figure, sizes, complaint = order.figure, order.sizes, ""
+    try:
+        layout = read_layout(answer.decode("utf-8", "replace"), figure)
+    except BadLayout as error:
+        layout, complaint = layered(figure, sizes), f"graphviz: {error}"
+    if not order.anew:
+        layout = stabilise(before.layout, before.figure, layout, figure, sizes)
+    vertices = tuple(without_crossings(figure, layout))
+    return Drawing(replace(figure, vertices=vertices), sizes, layout, order.anew), complaint

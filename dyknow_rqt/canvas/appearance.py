@@ -11,7 +11,7 @@ from python_qt_binding.QtGui import QFont, QFontMetricsF
 
 from dyknow.model.graph import PortRef, State
 from dyknow.model.transformation import IN
-from dyknow_rqt.graph.figure import Edge, Figure, VertexKind
+from dyknow_rqt.graph.figure import Edge, Figure, Vertex, VertexKind
 from dyknow_rqt.graph.geometry import Size
 from dyknow_rqt.graph.rates import PortRate
 from dyknow_rqt.graph.snapshot import Snapshot
@@ -30,7 +30,6 @@ class Appearance(NamedTuple):
     state: State = State.RUNNING
     is_protected: bool = False
     is_cpp: bool = False
-    tip: str = ""
 
 
 def sizes_of(figure: Figure, font: QFont) -> Dict[str, Size]:
@@ -57,28 +56,20 @@ def gap_of(font: QFont) -> float:
     return float(QFontMetricsF(small).horizontalAdvance("000.0 Hz")) + 10
 
 
-def appearances_of(snapshot: Snapshot, figure: Figure) -> Dict[str, Appearance]:
-    """The appearances of all vertices of a figure, by key."""
-    topics = snapshot.topics()
-    nodelets = {each.name: each for each in snapshot.nodelets}
-    appearances = {}
-    for vertex in figure.vertices:
-        appearance = Appearance(tip=_tip(vertex.name, "ordinary ROS node"))
-        if vertex.kind is VertexKind.TOPIC and vertex.name in topics:
-            topic = topics[vertex.name]
-            appearance = Appearance(
-                tip=_tip(vertex.name, topic.datatype or "type not known yet", *topic.tags)
-            )
-        elif vertex.kind is VertexKind.NODELET and vertex.name in nodelets:
-            nodelet = nodelets[vertex.name]
-            appearance = Appearance(
-                nodelet.state,
-                nodelet.is_protected,
-                not nodelet.kind.is_written_for_dyknow,
-                _nodelet_tip(nodelet),
-            )
-        appearances[vertex.key] = appearance
-    return appearances
+def appearance_of(nodelet: NodeletStatus) -> Appearance:
+    """The appearance of a nodelet."""
+    is_cpp = not nodelet.kind.is_written_for_dyknow
+    return Appearance(nodelet.state, nodelet.is_protected, is_cpp)
+
+
+def vertex_tip(snapshot: Snapshot, vertex: Vertex) -> str:
+    """The tool tip of a vertex."""
+    nodelet, topic = snapshot.nodelet(vertex.name), snapshot.topics().get(vertex.name)
+    if vertex.kind is VertexKind.TOPIC and topic is not None:
+        return _tip(vertex.name, topic.datatype or "type not known yet", *topic.tags)
+    if vertex.kind is VertexKind.NODELET and nodelet is not None:
+        return _nodelet_tip(nodelet)
+    return _tip(vertex.name, "ordinary ROS node")
 
 
 def port_tip(snapshot: Snapshot, ref: PortRef, traffic: Optional[PortRate]) -> str:

@@ -44,17 +44,21 @@ class EdgeItem(Item):
         self.shows_name = False
         self._font = QFont(font)
         self._font.setPointSizeF(font.pointSizeF() * RATE_SCALE)
-        self._path = QPainterPath()
+        self._metrics = QFontMetricsF(self._font)
+        self.path = QPainterPath()
         self.label_area = QRectF()
         #: Control points of the curve.
         self.curve: Sequence[Point] = ()
-        self._tip_direction = QPointF(1, 0)
+        self._ends: object = None
+        self._head = QPolygonF()
         self.setFlag(QGraphicsItem.ItemIsSelectable)
         self.setAcceptHoverEvents(True)
 
     def set_curve(self, curve: Sequence[Point], start: QPointF, end: QPointF) -> None:
         """Draw it along a curve, with the ends moved to the ports."""
-        self.prepareGeometryChange()
+        if self._ends == (curve, start, end):
+            return
+        self._ends = curve, start, end
         points = [QPointF(*point) for point in curve]
         at_start, at_end = start - points[0], end - points[-1]
         points[0] += at_start
@@ -64,22 +68,25 @@ class EdgeItem(Item):
         self.curve = [Point(point.x(), point.y()) for point in points]
         direction = points[-1] - points[-2]
         length = math.hypot(direction.x(), direction.y()) or 1.0
-        self._tip_direction = direction / length
         path = QPainterPath(points[0])
         for first, second, third in zip(points[1::3], points[2::3], points[3::3]):
             path.cubicTo(first, second, third)
-        self._path = path
+        self.path = path
+        self._head = self._head_at(points[-1], direction / length)
+        self._measure()
 
     def set_traffic(self, traffic: Optional[PortRate]) -> None:
         """Show a rate."""
         if traffic != self.traffic:
             self.traffic = traffic
-            self.update()
+            self.look_again()
 
     def place_label(self, area: Optional[Rectangle]) -> None:
         """Set the area of its label; None if there is no room for it."""
-        self.prepareGeometryChange()
-        self.label_area = QRectF() if area is None else _rectangle(area)
+        found = QRectF() if area is None else _rectangle(area)
+        if found != self.label_area:
+            self.label_area = found
+            self._measure()
 
     @property
     def label_shape(self) -> str:
@@ -91,10 +98,9 @@ class EdgeItem(Item):
     @property
     def label_size(self) -> Size:
         """The room that its label needs."""
-        metrics = QFontMetricsF(self._font)
         lines = self.label_shape.split("\n")
-        width = max(metrics.horizontalAdvance(line) for line in lines)
-        return Size(width, metrics.height() * len(lines))
+        width = max(self._metrics.horizontalAdvance(line) for line in lines)
+        return Size(width, self._metrics.height() * len(lines))
 
     @property
     def is_dropping(self) -> bool:
@@ -109,38 +115,36 @@ class EdgeItem(Item):
             parts.append(self.traffic.text)
         return "\n".join(parts)
 
-    def boundingRect(self) -> QRectF:  # noqa: N802
-        """The curve and its label."""
-        area = self._path.boundingRect().adjusted(-_ARROW, -_ARROW, _ARROW, _ARROW)
-        return area.united(self.label_area)
-
     def shape(self) -> QPainterPath:
         """The area in which the pointer hits it: wider than the line."""
         stroker = QPainterPathStroker()
         stroker.setWidth(10)
-        return stroker.createStroke(self._path)
+        return stroker.createStroke(self.path)
 
     @qt_slot
     def paint(self, painter: QPainter, option: Any, widget: Any = None) -> None:
         """Draw it."""
-        drops = self.is_dropping
-        colour, width = self.colours.line, 1.1
-        if drops:
-            colour, width = self.colours.alarm, 1.6
-        if self.tone is not Tone.NONE:
-            colour, width = self.colours.of(self.tone), 2.0
-        if self.isSelected():
-            colour, width = self.colours.chosen, 3.0
-        painter.setPen(QPen(colour, width))
+        stroke = self.stroke()
+        painter.setPen(stroke)
         painter.setBrush(Qt.NoBrush)
-        painter.drawPath(self._path)
-        painter.setBrush(QBrush(colour))
+        painter.drawPath(self.path)
+        painter.setBrush(QBrush(stroke.color()))
         painter.setPen(Qt.NoPen)
-        painter.drawPolygon(self._head())
+        painter.drawPolygon(self._head)
         if not self.label_area.isEmpty():
             painter.setFont(self._font)
-            painter.setPen(self.colours.alarm if drops else self.colours.muted)
+            painter.setPen(self.colours.alarm if self.is_dropping else self.colours.muted)
             painter.drawText(self.label_area, Qt.AlignCenter, self.label)
+
+    def stroke(self) -> QPen:
+        """Its line."""
+        if self.isSelected():
+            return QPen(self.colours.chosen, 3.0)
+        if self.tone is not Tone.NONE:
+            return QPen(self.colours.of(self.tone), 2.0)
+        return (
+            QPen(self.colours.alarm, 1.6) if self.is_dropping else QPen(self.colours.line, 1.1)
+        )
 
     @qt_slot
     def hoverEnterEvent(self, event: Any) -> None:  # noqa: N802
@@ -152,12 +156,15 @@ class EdgeItem(Item):
         """End the highlighting."""
         self.scene().highlight(None)
 
-    def _head(self) -> QPolygonF:
-        tip, along = self._path.currentPosition(), self._tip_direction
+    def _head_at(self, tip: QPointF, along: QPointF) -> QPolygonF:
         across = QPointF(-along.y(), along.x())
-        tip -= along * PORT_RADIUS if self.edge.head_port else QPointF(0, 0)
+        tip = tip - along * PORT_RADIUS if self.edge.head_port else tip
         back = tip - along * _ARROW
         return QPolygonF([tip, back + across * _ARROW * 0.4, back - across * _ARROW * 0.4])
+
+    def _measure(self) -> None:
+        area = self.path.boundingRect().adjusted(-_ARROW, -_ARROW, _ARROW, _ARROW)
+        self.setRect(area.united(self.label_area))
 
 
 def _rectangle(area: Rectangle) -> QRectF:

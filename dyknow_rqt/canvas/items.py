@@ -9,7 +9,7 @@ from typing import Any, Optional, Tuple
 
 from python_qt_binding.QtCore import QPointF, QRectF, Qt
 from python_qt_binding.QtGui import QBrush, QFont, QFontMetricsF, QPainter, QPainterPath, QPen
-from python_qt_binding.QtWidgets import QGraphicsItem
+from python_qt_binding.QtWidgets import QGraphicsItem, QGraphicsRectItem
 
 from dyknow.model.graph import PortRef
 from dyknow.model.transformation import IN
@@ -20,11 +20,15 @@ from dyknow_rqt.qt_slot import qt_slot
 PORT_RADIUS = 4.0
 
 
-class Item(QGraphicsItem):
-    """The base of all items: colours, a tone, and a way to report errors."""
+class Item(QGraphicsRectItem):
+    """The base of all items: colours, a tone, and a way to report errors.
+
+    Its rectangle is what it paints in: Qt asks for that so often that Python must not answer.
+    """
 
     def __init__(self, colours: Colours, parent: Optional[QGraphicsItem] = None) -> None:
         super().__init__(parent)
+        self.setPen(QPen(Qt.NoPen))  # else the rectangle is larger by its width
         self.colours = colours
         self.tone = Tone.NONE
 
@@ -37,50 +41,58 @@ class Item(QGraphicsItem):
         """Paint it in a tone."""
         if tone is not self.tone:
             self.tone = tone
-            self.update()
+            self.look_again()
 
     def set_colours(self, colours: Colours) -> None:
         """Use the colours of another palette."""
         self.colours = colours
+        self.look_again()
+
+    @property
+    def is_far(self) -> bool:
+        """Whether it is so small that the overview paints it."""
+        return bool(self.flags() & QGraphicsItem.ItemHasNoContents)
+
+    def set_far(self, is_far: bool) -> None:
+        """Leave the painting to the overview, or take it back; the pointer still hits it."""
+        self.setFlag(QGraphicsItem.ItemHasNoContents, is_far)
+
+    def look_again(self) -> None:
+        """Have it painted again: it looks different now."""
         self.update()
+        if self.scene() is not None:
+            self.scene().look_again()
 
 
 class BoxItem(Item):
-    """The box of a namespace."""
+    """The box of a namespace; its title is painted by the overview."""
 
     def __init__(self, group: Tuple[str, ...], colours: Colours, font: QFont) -> None:
         super().__init__(colours)
         self.group = group
         self._name = "/" + "/".join(group)
         self._font = font
-        self._area = QRectF()
+        self.area = QRectF()
         self.setZValue(-10 + len(group))
 
     def set_area(self, area: Rectangle) -> None:
         """Set its place and size."""
-        self.prepareGeometryChange()
-        self._area = QRectF(area.left, area.top, area.right - area.left, area.bottom - area.top)
-
-    def boundingRect(self) -> QRectF:  # noqa: N802
-        """Its area and the line around it."""
-        return self._area.adjusted(-2, -2, 2, 2)
+        self.area = QRectF(area.left, area.top, area.right - area.left, area.bottom - area.top)
+        self.setRect(self.area.adjusted(-2, -2, 2, 2))
 
     @property
     def title_area(self) -> QRectF:
         """The area of its name."""
         metrics = QFontMetricsF(self._font)
-        corner = self._area.topLeft() + QPointF(8, 3)
+        corner = self.area.topLeft() + QPointF(8, 3)
         return QRectF(corner, metrics.size(Qt.TextSingleLine, self._name))
 
     @qt_slot
     def paint(self, painter: QPainter, option: Any, widget: Any = None) -> None:
-        """Draw it with its name at the top."""
+        """Draw it."""
         painter.setPen(QPen(self.colours.box_line, 1))
         painter.setBrush(QBrush(self.colours.box))
-        painter.drawRect(self._area)
-        painter.setFont(self._font)
-        painter.setPen(self.colours.muted)
-        painter.drawText(self.title_area, Qt.AlignLeft | Qt.AlignTop, self._name)
+        painter.drawRect(self.area)
 
 
 class PortItem(Item):
@@ -96,16 +108,19 @@ class PortItem(Item):
         self.setCursor(Qt.CrossCursor)
         self.setAcceptHoverEvents(True)
         self._hovered = False
+        self.setRect(self.shape().boundingRect().united(self._name_area()))
+
+    def set_connected(self, is_connected: bool) -> None:
+        """Show whether it is connected."""
+        if is_connected != self.is_connected:
+            self.is_connected = is_connected
+            self.update()
 
     def set_offered(self, offered: Optional[bool]) -> None:
         """Show whether the connection that is drawn could end here; None if none is drawn."""
         self.offered = offered
         self.setOpacity(0.3 if offered is False else 1.0)
         self.update()
-
-    def boundingRect(self) -> QRectF:  # noqa: N802
-        """The dot, and its name beside it."""
-        return self.shape().boundingRect().united(self._name_area())
 
     def shape(self) -> QPainterPath:
         """The area in which the pointer hits it: larger than the dot."""

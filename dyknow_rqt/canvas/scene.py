@@ -5,33 +5,61 @@
 
 from __future__ import annotations
 
-from typing import Callable, Dict, List, Mapping, Optional, Set, Tuple, Union
+import time
+from typing import (
+    Any,
+    Callable,
+    Dict,
+    Iterator,
+    List,
+    Mapping,
+    Optional,
+    Set,
+    Tuple,
+    TypeVar,
+    Union,
+)
 
-from python_qt_binding.QtCore import QObject, QPointF, QRectF
+from python_qt_binding.QtCore import QEvent, QObject, QPointF, QRectF, QTimer, Signal
 from python_qt_binding.QtGui import QFont, QImage, QPainter, QPalette
 from python_qt_binding.QtSvg import QSvgGenerator
-from python_qt_binding.QtWidgets import QGraphicsScene
+from python_qt_binding.QtWidgets import QGraphicsScene, QToolTip
 
 from dyknow.model.graph import PortRef
-from dyknow_rqt.canvas.appearance import appearances_of, edge_refs, edge_traffic, port_tip
+from dyknow_rqt.background_calls import BackgroundCalls
+from dyknow_rqt.canvas.appearance import (
+    Appearance,
+    appearance_of,
+    edge_refs,
+    edge_traffic,
+    port_tip,
+    vertex_tip,
+)
 from dyknow_rqt.canvas.arrows import EdgeItem
 from dyknow_rqt.canvas.colours import Tone, colours_of, greys_of
 from dyknow_rqt.canvas.items import BoxItem, Item, PortItem
+from dyknow_rqt.canvas.overview import FAR, Overview, paint_titles
 from dyknow_rqt.canvas.vertices import VertexItem
-from dyknow_rqt.graph.figure import Edge, Figure, Vertex, VertexKind
-from dyknow_rqt.graph.geometry import Layout, Rectangle, Size
+from dyknow_rqt.graph.figure import Edge, Figure, VertexKind
+from dyknow_rqt.graph.geometry import Drawing, Rectangle
 from dyknow_rqt.graph.labels import place_labels
-from dyknow_rqt.graph.port_order import without_crossings
 from dyknow_rqt.graph.rates import PortRate
 from dyknow_rqt.graph.snapshot import Snapshot
+from dyknow_rqt.qt_slot import qt_slot
 
+Key = TypeVar("Key")
 #: Pixels that can be dragged beyond the drawing.
 _MARGIN = 3000.0
 _FRAME = 16.0
+#: Seconds of drawing until the next turn of the event loop.
+_SLICE = 0.02
 
 
 class GraphScene(QGraphicsScene):
     """The drawing."""
+
+    #: A ``Drawing`` is drawn.
+    shown = Signal(object)
 
     def __init__(
         self, palette: QPalette, font: QFont, report: Callable[[str], None], parent: QObject
@@ -39,7 +67,6 @@ class GraphScene(QGraphicsScene):
         super().__init__(parent)
         self.report = report
         self.figure = Figure()
-        self.layout = Layout()
         self.vertices: Dict[str, VertexItem] = {}
         self.edges: Dict[Edge, EdgeItem] = {}
         self._boxes: Dict[Tuple[str, ...], BoxItem] = {}
@@ -49,43 +76,88 @@ class GraphScene(QGraphicsScene):
         self._traffic: Mapping[PortRef, PortRate] = {}
         self.highlights = True
         self._highlighted: Union[None, str, Edge] = None
+        self.overview = Overview()
+        self._is_far = self._is_placing = self._wants_labels = False
+        self._calls = BackgroundCalls(1)
+        self._steps: Iterator[None] = iter(())
+        self._slices = QTimer(self)
+        self._slices.setInterval(0)
+        self._slices.timeout.connect(self._go_on)
+        self.selectionChanged.connect(self.look_again)
         self.setBackgroundBrush(self._colours.paper)
 
-    def show_figure(self, figure: Figure, layout: Layout, sizes: Mapping[str, Size]) -> None:
-        """Draw another figure; what is in both keeps its item and its selection."""
-        self.figure, self.layout = figure, layout
-        self._match(self.vertices, {v.key: v for v in figure.vertices}, self._new_vertex)
-        self._match(self.edges, {e: e for e in figure.edges}, self._new_edge)
-        self._match(self._boxes, {g: g for g in figure.groups()}, self._new_box)
-        for vertex in without_crossings(figure, layout):
-            item = self.vertices[vertex.key]
+    def close_down(self) -> None:
+        """Place no more labels."""
+        self._calls.close()
+
+    def show_drawing(self, drawing: Drawing) -> None:
+        """Draw something else in slices, then emit ``shown``.
+
+        What is in both keeps its item and its selection.
+        """
+        self._steps = self._drawing(drawing)
+        self._slices.start()
+        self._go_on()
+
+    @qt_slot
+    def _go_on(self) -> None:
+        """Draw for the time of a slice."""
+        end = time.monotonic() + _SLICE
+        for _ in self._steps:
+            if time.monotonic() > end:
+                return
+        self._slices.stop()
+
+    def _drawing(self, drawing: Drawing) -> Iterator[None]:
+        figure, layout, sizes = drawing.figure, drawing.layout, drawing.sizes
+        self._remove(self.vertices, {vertex.key for vertex in figure.vertices})
+        self._remove(self.edges, set(figure.edges))
+        self._remove(self._boxes, set(figure.groups()))
+        for vertex in figure.vertices:
+            item = self.vertices.get(vertex.key) or VertexItem(vertex, self._colours, self._font)
             item.setPos(QPointF(*layout.centres[vertex.key]))
             item.set_vertex(vertex, sizes[vertex.key])
-        for edge, arrow in self.edges.items():
+            self._show_state(item)
+            self._add(self.vertices, vertex.key, item)
+            yield
+        for edge in figure.edges:
+            arrow = self.edges.get(edge) or EdgeItem(edge, self._colours, self._font)
             start = self.vertices[edge.tail].anchor(edge.tail_port, leaving=True)
             end = self.vertices[edge.head].anchor(edge.head_port, leaving=False)
             arrow.shows_name = not (edge.tail[0] == "t" or edge.head[0] == "t")
             arrow.set_curve(layout.curves[edge], start, end)
-        for group, box in self._boxes.items():
+            arrow.set_traffic(edge_traffic(edge, self._traffic))
+            self._add(self.edges, edge, arrow)
+            yield
+        for group in figure.groups():
+            box = self._boxes.get(group) or BoxItem(group, self._colours)
             box.set_area(layout.boxes[group])
+            self._add(self._boxes, group, box)
+        self.figure = figure
         self._place_labels()
         self.setSceneRect(self.drawing_area().adjusted(-_MARGIN, -_MARGIN, _MARGIN, _MARGIN))
-        self.set_snapshot(self._snapshot)
         drawn = self._highlighted in self.vertices or self._highlighted in self.edges
         self.highlight(self._highlighted if drawn else None)
+        self.look_again()
+        self.shown.emit(drawing)
 
     def set_snapshot(self, snapshot: Snapshot) -> None:
         """Show the states of the nodelets that are drawn."""
-        self._snapshot = snapshot
-        for key, appearance in appearances_of(snapshot, self.figure).items():
-            if key in self.vertices:
-                self.vertices[key].set_appearance(appearance)
+        before, self._snapshot = self._snapshot, snapshot
         for item in self.vertices.values():
-            for port in item.ports.values():
-                state = snapshot.port(port.ref)
-                port.is_connected = state is not None and bool(state.topic)
-                port.update()
-        self.set_traffic(self._traffic)
+            now, then = snapshot.nodelet(item.vertex.name), before.nodelet(item.vertex.name)
+            if now is not then and now != then:
+                self._show_state(item)
+
+    def _show_state(self, item: VertexItem) -> None:
+        nodelet = self._snapshot.nodelet(item.vertex.name)
+        if nodelet is None or item.vertex.kind is not VertexKind.NODELET:
+            item.set_appearance(Appearance())
+            return
+        item.set_appearance(appearance_of(nodelet))
+        connected = nodelet.connections
+        for port in item.ports.values():
+            port.set_connected(port.ref.port in connected)
 
     def set_traffic(self, traffic: Mapping[PortRef, PortRate]) -> None:
         """Show rates."""
@@ -93,19 +165,59 @@ class GraphScene(QGraphicsScene):
         shapes = [item.label_shape for item in self.edges.values()]
         for edge, item in self.edges.items():
             item.set_traffic(edge_traffic(edge, traffic))
-            tips = [port_tip(self._snapshot, ref, traffic.get(ref)) for ref in edge_refs(edge)]
-            item.setToolTip("\n\n".join(tip for tip in reversed(tips) if tip))
-        for item in self.vertices.values():
-            for ref, port in ((port.ref, port) for port in item.ports.values()):
-                port.setToolTip(port_tip(self._snapshot, ref, traffic.get(ref)))
         if shapes != [item.label_shape for item in self.edges.values()]:
             self._place_labels()
+
+    def tip_of(self, item: object) -> str:
+        """The tool tip of an item."""
+        if isinstance(item, VertexItem):
+            return vertex_tip(self._snapshot, item.vertex)
+        refs = edge_refs(item.edge)[::-1] if isinstance(item, EdgeItem) else []
+        refs = [item.ref] if isinstance(item, PortItem) else refs
+        tips = [port_tip(self._snapshot, ref, self._traffic.get(ref)) for ref in refs]
+        return "\n\n".join(tip for tip in tips if tip)
+
+    @qt_slot
+    def helpEvent(self, event: Any) -> None:  # noqa: N802
+        """Show a tool tip: there are too many to keep them up to date."""
+        tips = map(self.tip_of, self.items(event.scenePos()))
+        QToolTip.showText(event.screenPos(), next(filter(None, tips), ""), event.widget())
+
+    # Painting
+
+    def set_zoom(self, zoom: float) -> None:
+        """Let the overview paint what is too small for names."""
+        if self._is_far != (zoom < FAR):
+            self._is_far = zoom < FAR
+            for item in self._items():
+                item.set_far(self._is_far)
+            if self._wants_labels:
+                self._place_labels()
+
+    @qt_slot
+    def drawForeground(self, painter: QPainter, area: QRectF) -> None:  # noqa: N802
+        """Paint what is not painted by items."""
+        boxes = sorted(self._boxes.values(), key=lambda box: box.zValue())
+        if self._is_far:
+            self.overview.paint(painter, boxes, self.edges.values(), self.vertices.values())
+        paint_titles(painter, boxes, self._font, self._colours)
+
+    @qt_slot
+    def look_again(self) -> None:
+        """Have the overview painted again: something looks different now."""
+        self.overview.forget()
+        if self._is_far:
+            self.update()
+
+    def event(self, event: QEvent) -> bool:
+        """Handle an event; in Python, so that items are asked without a wait for each of them."""
+        return bool(super().event(event))
 
     def set_palette(self, palette: QPalette, is_stale: bool = False) -> None:
         """Use the colours of another palette, or its greys for what is stale."""
         self._colours = greys_of(palette) if is_stale else colours_of(palette)
         self.setBackgroundBrush(self._colours.paper)
-        for item in (*self.vertices.values(), *self.edges.values(), *self._boxes.values()):
+        for item in self._items():
             item.set_colours(self._colours)
 
     # Highlighting, searching
@@ -163,10 +275,7 @@ class GraphScene(QGraphicsScene):
 
     def drawing_area(self) -> QRectF:
         """The area of the drawing."""
-        area = QRectF()
-        for item in (*self.vertices.values(), *self.edges.values(), *self._boxes.values()):
-            area = area.united(item.sceneBoundingRect())
-        return area
+        return QRectF(self.itemsBoundingRect())
 
     def save_svg(self, path: str) -> None:
         """Write the drawing as SVG.
@@ -200,44 +309,62 @@ class GraphScene(QGraphicsScene):
     # Inside
 
     def _place_labels(self) -> None:
+        """Place the labels of arrows, in a thread; not before they are large enough to be read."""
+        self._wants_labels = True
+        if not self._is_far and not self._is_placing:
+            self._is_placing, self._wants_labels = True, False
+            self._calls.run(self._labels(), self._take_labels, self._take_no_labels)
+
+    def _labels(self) -> Callable[[], Mapping[Edge, Rectangle]]:
+        """Return what finds places for the labels, in any thread."""
         areas = [area for item in self.vertices.values() for area in item.inked]
         areas += [box.title_area for box in self._boxes.values()]
-        places = place_labels(
-            {edge: item.curve for edge, item in self.edges.items()},
-            {edge: item.label_size for edge, item in self.edges.items()},
-            [
-                *(Rectangle(*area.getCoords()) for area in areas),
-                *(side for box in self.layout.boxes.values() for side in box.sides),
-            ],
-        )
+        curves = {edge: item.curve for edge, item in self.edges.items()}
+        sizes = {edge: item.label_size for edge, item in self.edges.items()}
+        obstacles = [Rectangle(*area.getCoords()) for area in areas]
+        obstacles += [
+            side for box in self._boxes.values() for side in Rectangle(*box.area.getCoords()).sides
+        ]
+        return lambda: place_labels(curves, sizes, obstacles)
+
+    def _take_labels(self, places: Mapping[Edge, Rectangle]) -> None:
         for edge, item in self.edges.items():
             item.place_label(places.get(edge))
+        self._is_placing = False
+        if self._wants_labels:
+            self._place_labels()
+
+    def _take_no_labels(self, error: Exception) -> None:
+        self._is_placing = False
+        raise error
 
     def _picture_area(self) -> QRectF:
         return self.drawing_area().adjusted(-_FRAME, -_FRAME, _FRAME, _FRAME)
 
     def _render(self, device: object, area: QRectF) -> None:
+        was_far = self._is_far
+        self.set_zoom(1.0)
+        self._take_labels(self._labels()())
         painter = QPainter(device)
         painter.setRenderHint(QPainter.Antialiasing)
         self.render(painter, QRectF(), area)
         painter.end()
+        self.set_zoom(0.0 if was_far else 1.0)
 
-    def _match(self, items: Dict, wanted: Mapping, make: Callable) -> None:  # type: ignore[type-arg]
+    def _items(self) -> Iterator[Item]:
+        yield from self.vertices.values()
+        yield from self.edges.values()
+        yield from self._boxes.values()
+
+    def _remove(self, items: Dict[Key, Any], wanted: Set[Key]) -> None:
         for key in [key for key in items if key not in wanted]:
             self.removeItem(items.pop(key))
-        for key, value in wanted.items():
-            if key not in items:
-                items[key] = make(value)
-                self.addItem(items[key])
 
-    def _new_vertex(self, vertex: Vertex) -> Item:
-        return VertexItem(vertex, self._colours, self._font)
-
-    def _new_edge(self, edge: Edge) -> Item:
-        return EdgeItem(edge, self._colours, self._font)
-
-    def _new_box(self, group: Tuple[str, ...]) -> Item:
-        return BoxItem(group, self._colours, self._font)
+    def _add(self, items: Dict[Key, Any], key: Key, item: Item) -> None:
+        if key not in items:
+            items[key] = item
+            item.set_far(self._is_far)
+            self.addItem(item)
 
     def _paint_tones(self, tones: Mapping[object, Tone]) -> None:
         for key, item in (*self.vertices.items(), *self.edges.items()):

@@ -9,7 +9,15 @@ import math
 from typing import Any, Dict, List
 
 from python_qt_binding.QtCore import QPointF, QRectF, Qt
-from python_qt_binding.QtGui import QBrush, QFont, QFontMetricsF, QPainter, QPainterPath, QPen
+from python_qt_binding.QtGui import (
+    QBrush,
+    QColor,
+    QFont,
+    QFontMetricsF,
+    QPainter,
+    QPainterPath,
+    QPen,
+)
 from python_qt_binding.QtWidgets import QGraphicsItem
 
 from dyknow.model.graph import PortRef, State
@@ -32,6 +40,7 @@ class VertexItem(Item):
         self.ports: Dict[str, PortItem] = {}
         self._font = font
         self._size = Size(0, 0)
+        self._label = ""
         self.found = False
         self.setAcceptHoverEvents(True)
         self.setZValue(1)  # names of ports are read above rates
@@ -40,8 +49,11 @@ class VertexItem(Item):
 
     def set_vertex(self, vertex: Vertex, size: Size) -> None:
         """Change its size and ports."""
-        self.prepareGeometryChange()
+        if (vertex, size) == (self.vertex, self._size):
+            return
         self.vertex, self._size = vertex, size
+        self._label = vertex.label
+        self.setRect(self.area.adjusted(-5, -5, 5, 5))
         wanted = {**dict.fromkeys(vertex.inputs, IN), **dict.fromkeys(vertex.outputs, OUT)}
         for name in [n for n, port in self.ports.items() if wanted.get(n) != port.direction]:
             gone = self.ports.pop(name)
@@ -52,18 +64,26 @@ class VertexItem(Item):
             for number, name in enumerate(names):
                 if name not in self.ports:
                     self.ports[name] = PortItem(PortRef(vertex.name, name), side, self._font, self)
+                    self.ports[name].set_far(self.is_far)
                 self.ports[name].setPos(self._port_place(number, len(names), side))
 
     def set_appearance(self, appearance: Appearance) -> None:
         """Show a state."""
-        self.appearance = appearance
-        self.setToolTip(appearance.tip)
-        self.update()
+        if appearance != self.appearance:
+            self.appearance = appearance
+            self.look_again()
 
     def set_found(self, found: bool) -> None:
         """Mark it as found by a search."""
-        self.found = found
-        self.update()
+        if found != self.found:
+            self.found = found
+            self.look_again()
+
+    def set_far(self, is_far: bool) -> None:
+        """Leave the painting to the overview, that of its ports too."""
+        super().set_far(is_far)
+        for port in self.ports.values():
+            port.set_far(is_far)
 
     def set_colours(self, colours: Colours) -> None:
         """Use the colours of another palette, for its ports too."""
@@ -98,10 +118,6 @@ class VertexItem(Item):
         areas += [dot.translated(port.pos()) for port in self.ports.values()]
         return [area.translated(self.pos()) for area in areas]
 
-    def boundingRect(self) -> QRectF:  # noqa: N802
-        """Its area, and what reaches out of it."""
-        return self.area.adjusted(-5, -5, 5, 5)
-
     def shape(self) -> QPainterPath:
         """The area in which the pointer hits it."""
         path = QPainterPath()
@@ -114,9 +130,8 @@ class VertexItem(Item):
     @qt_slot
     def paint(self, painter: QPainter, option: Any, widget: Any = None) -> None:
         """Draw it."""
-        pen = self._pen()
-        painter.setPen(pen)
-        painter.setBrush(QBrush(self._fill()))
+        painter.setPen(self.stroke())
+        painter.setBrush(QBrush(self.fill()))
         if self.vertex.kind is VertexKind.TOPIC:
             painter.drawRect(self.area)
         else:
@@ -128,7 +143,7 @@ class VertexItem(Item):
         painter.setPen(self._text_colour())
         badge = self._badge()
         area = self.area.adjusted(0, 0, 0, -8 if badge else 0)
-        painter.drawText(area, Qt.AlignCenter, self.vertex.label)
+        painter.drawText(area, Qt.AlignCenter, self._label)
         if badge:
             self._paint_badge(painter, badge)
 
@@ -148,7 +163,8 @@ class VertexItem(Item):
         x = width / 2 * math.sqrt(max(0.0, 1 - (2 * y / height) ** 2)) if height else 0.0
         return QPointF(-x if side == IN else x, y)
 
-    def _pen(self) -> QPen:
+    def stroke(self) -> QPen:
+        """The line around it."""
         colour, width, style = self.colours.line, 1.2, Qt.SolidLine
         if self.vertex.kind is VertexKind.NODE:
             colour = self.colours.box_line
@@ -164,7 +180,8 @@ class VertexItem(Item):
             colour, width = self.colours.chosen, 3.0
         return QPen(colour, width, style)
 
-    def _fill(self) -> Any:
+    def fill(self) -> QColor:
+        """The colour in it."""
         if self.vertex.kind is VertexKind.TOPIC:
             return self.colours.topic
         running = self.appearance.state in (State.RUNNING, State.STARTING)
@@ -200,7 +217,7 @@ class VertexItem(Item):
         painter.setFont(font)
         alarm = self.appearance.state is State.FAILED
         painter.setPen(self.colours.alarm if alarm else self.colours.muted)
-        lines = self.vertex.label.count("\n") + 1
+        lines = self._label.count("\n") + 1
         top = QFontMetricsF(self._font).height() * lines / 2 - 5
         area = QRectF(self.area.left(), top, self.area.width(), 13)
         painter.drawText(area, Qt.AlignHCenter | Qt.AlignTop, text)

@@ -65,6 +65,7 @@ class GraphView(QGraphicsView):
         self.viewport().setCursor(Qt.ArrowCursor)
         self.setTransformationAnchor(QGraphicsView.AnchorUnderMouse)
         self.setResizeAnchor(QGraphicsView.NoAnchor)
+        self.setViewportUpdateMode(QGraphicsView.SmartViewportUpdate)
         self.setHorizontalScrollBarPolicy(Qt.ScrollBarAlwaysOff)
         self.setVerticalScrollBarPolicy(Qt.ScrollBarAlwaysOff)
         self.setAccessibleName("Computation graph")
@@ -93,6 +94,7 @@ class GraphView(QGraphicsView):
             if self.zoom > 1.0:
                 self.resetTransform()
                 self.centerOn(area.center())
+            self.scene().set_zoom(self.zoom)
 
     def keep_in_view(self) -> None:
         """Fit if something is out of view, or much smaller than it could be.
@@ -117,6 +119,7 @@ class GraphView(QGraphicsView):
         self.is_chosen = True
         factor = max(_SMALLEST, min(_LARGEST, self.zoom * factor)) / self.zoom
         self.scale(factor, factor)
+        self.scene().set_zoom(self.zoom)
 
     @qt_slot
     def resizeEvent(self, event: Any) -> None:  # noqa: N802
@@ -130,6 +133,13 @@ class GraphView(QGraphicsView):
         """Zoom at the pointer."""
         self.zoom_by(_STEP ** (event.angleDelta().y() / 120))
         event.accept()
+
+    def viewportEvent(self, event: QEvent) -> bool:  # noqa: N802
+        """Handle an event; in Python, so that items are painted without a wait for each of them.
+
+        While other threads are busy, each call from Qt into Python may wait for milliseconds.
+        """
+        return bool(super().viewportEvent(event))
 
     # Pointer
 

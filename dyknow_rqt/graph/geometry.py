@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Dict, Mapping, NamedTuple, Tuple
 
-from dyknow_rqt.graph.figure import Edge
+from dyknow_rqt.graph.figure import Edge, Figure
 
 
 class Point(NamedTuple):
@@ -115,6 +115,23 @@ class Layout:
                 for group, r in self.boxes.items()
             },
         )
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A figure with the sizes and the places of its parts.
+
+    Attributes:
+        figure: what is drawn; the ports of its vertices are in an order without crossings.
+        sizes: of the vertices.
+        layout: places of all parts.
+        is_anew: made without regard to the drawing before.
+    """
+
+    figure: Figure = field(default_factory=Figure)
+    sizes: Mapping[str, Size] = field(default_factory=dict)
+    layout: Layout = field(default_factory=Layout)
+    is_anew: bool = False
 
 
 def curve_between(tail: Point, tail_size: Size, head: Point, head_size: Size) -> Tuple[Point, ...]:

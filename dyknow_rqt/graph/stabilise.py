@@ -60,8 +60,8 @@ def stabilise(
     fresh = new.moved(shift)
     if len(moved(old, fresh)) <= MOST_MOVED or len(common) < len(after.vertices) / 2:
         return fresh
-    connected = before.neighbours()
-    free = [key for key in common if not connected[key] and after.neighbours()[key]]
+    had, have = before.neighbours(), after.neighbours()
+    free = [key for key in common if not had[key] and have[key]]
     if len(after.vertices) - len(common) + len(free) > MOST_PLACED:
         return fresh
     kept = {key: old.centres[key] for key in common if key not in free}

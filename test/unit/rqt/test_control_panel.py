@@ -138,7 +138,8 @@ def test_create_gives_names_for_variables_and_parameters(qtbot, window, remote):
     panel.begin("tracker")
     assert panel.given.fields == {}
     item = next(i for i in window.graph.view.scene().items() if "n_/eye" in str(_key(i)))
-    assert "?camera=left place=the field rate=5 speed=3" in item.toolTip()
+    tip = window.graph.view.scene().tip_of(item)
+    assert "?camera=left place=the field rate=5 speed=3" in tip
 
 
 def _key(item):

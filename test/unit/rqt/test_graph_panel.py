@@ -178,11 +178,13 @@ def test_rates_stand_on_the_arrows_and_drops_are_red(qtbot, window):
     until(qtbot, lambda: "−" in scene.edges[arrow].label)
     assert "Hz" in scene.edges[arrow].label
     port = scene.port_item(PortRef("/nao1/subsampler", "hsv"))
-    assert "sensor_msgs/Image" in port.toolTip() and "HSV(?robot, ?camera)" in port.toolTip()
+    tip = scene.tip_of(port)
+    assert "sensor_msgs/Image" in tip and "HSV(?robot, ?camera)" in tip
 
 
 def test_states_are_told_apart(window):
-    vertices = window.graph.view.scene().vertices
+    scene = window.graph.view.scene()
+    vertices = scene.vertices
     badges = {
         key: vertices[f"n_{key}"]._badge()
         for key in (
@@ -194,7 +196,7 @@ def test_states_are_told_apart(window):
         )
     }
     assert list(badges.values()) == ["protected", "C++", "lost", "failed", ""]
-    assert "no device /dev/video4" in vertices["n_/field/ceiling_camera"].toolTip()
+    assert "no device /dev/video4" in scene.tip_of(vertices["n_/field/ceiling_camera"])
 
 
 def test_the_view_does_not_jump_when_something_comes(qtbot, window, remote):

@@ -132,6 +132,6 @@ def test_without_graphviz_there_is_still_a_drawing(qtbot, window):
         layouter.failed.connect(words.append)
         with qtbot.waitSignal(layouter.ready, timeout=20_000) as signal:
             layouter.lay_out(figure, sizes)
-        assert set(signal.args[2].centres) == {vertex.key for vertex in figure.vertices}
+        assert set(signal.args[0].layout.centres) == {vertex.key for vertex in figure.vertices}
         layouter.close()
     assert len(words) <= 1

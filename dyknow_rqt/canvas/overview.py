@@ -1,0 +1,134 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""The drawing in a few strokes, where it is too small for names, and the titles of its boxes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Dict, Iterable, List, NamedTuple, Optional, Tuple
+
+from python_qt_binding.QtCore import QPointF, QRectF, Qt
+from python_qt_binding.QtGui import (
+    QBrush,
+    QColor,
+    QFont,
+    QFontMetricsF,
+    QPainter,
+    QPainterPath,
+    QPen,
+)
+
+from dyknow_rqt.graph.figure import VertexKind
+
+if TYPE_CHECKING:
+    from dyknow_rqt.canvas.arrows import EdgeItem
+    from dyknow_rqt.canvas.colours import Colours
+    from dyknow_rqt.canvas.items import BoxItem
+    from dyknow_rqt.canvas.vertices import VertexItem
+
+#: Below this zoom names cannot be read, and the overview paints everything.
+FAR = 0.3
+#: Pixels of the screen: the least width that a title is cut to, and its margin.
+_NARROW, _MARGIN = 90.0, 3.0
+
+
+class _Stroke(NamedTuple):
+    """What is painted with one pen and one brush."""
+
+    pen: QPen
+    brush: QBrush
+    path: QPainterPath
+
+
+class Overview:
+    """Paints all vertices and arrows of one look together, as Qt does fast.
+
+    Painting one by one calls Python thousands of times for a picture of 500 nodelets.
+    """
+
+    def __init__(self) -> None:
+        self._strokes: Optional[List[_Stroke]] = None
+
+    def forget(self) -> None:
+        """Gather the strokes again: something looks different now."""
+        self._strokes = None
+
+    def paint(
+        self,
+        painter: QPainter,
+        boxes: Iterable[BoxItem],
+        edges: Iterable[EdgeItem],
+        vertices: Iterable[VertexItem],
+    ) -> None:
+        """Paint boxes, arrows, then vertices; in the coordinates of the drawing."""
+        for box in boxes:
+            box.paint(painter, None)
+        if self._strokes is None:
+            self._strokes = [*_arrows(edges), *_shapes(vertices)]
+        for pen, brush, path in self._strokes:
+            painter.setPen(pen)
+            painter.setBrush(brush)
+            painter.drawPath(path)
+
+
+def paint_titles(
+    painter: QPainter, boxes: Iterable[BoxItem], font: QFont, colours: Colours
+) -> None:
+    """Write the titles of boxes so large that they can be read; where two meet, the outer one."""
+    zoom = min(1.0, painter.worldTransform().m11())
+    metrics = QFontMetricsF(font)
+    taken: List[QRectF] = []
+    ground = QColor(colours.box)
+    ground.setAlpha(210)
+    painter.setFont(font)
+    for box in sorted(boxes, key=lambda box: (len(box.group), box.group)):
+        room = max(_NARROW, box.area.width() * zoom - 16)
+        text = metrics.elidedText("/" + "/".join(box.group), Qt.ElideMiddle, room)
+        size = QRectF(0, 0, metrics.horizontalAdvance(text), metrics.height())
+        size = size.adjusted(-_MARGIN, 0, _MARGIN, 0)
+        corner = box.area.topLeft() + QPointF(8, 3)
+        area = QRectF(corner, size.size() / zoom)
+        if any(area.intersects(other) for other in taken):
+            continue
+        taken.append(area)
+        painter.save()
+        painter.translate(corner)
+        painter.scale(1 / zoom, 1 / zoom)
+        painter.fillRect(size, ground)
+        painter.setPen(colours.muted)
+        painter.drawText(size, Qt.AlignCenter, text)
+        painter.restore()
+
+
+def _arrows(edges: Iterable[EdgeItem]) -> Iterable[_Stroke]:
+    found: Dict[Tuple[float, int], _Stroke] = {}
+    for edge in edges:
+        pen = edge.stroke()
+        stroke = found.setdefault(_look(pen), _Stroke(_thin(pen), QBrush(), QPainterPath()))
+        stroke.path.addPath(edge.path)
+    return [stroke for _, stroke in sorted(found.items())]
+
+
+def _shapes(vertices: Iterable[VertexItem]) -> Iterable[_Stroke]:
+    found: Dict[Tuple[object, ...], _Stroke] = {}
+    for item in vertices:
+        pen, fill = item.stroke(), item.fill()
+        look = (*_look(pen), fill.rgba())
+        stroke = found.setdefault(look, _Stroke(_thin(pen), QBrush(fill), QPainterPath()))
+        area = item.area.translated(item.pos())
+        if item.vertex.kind is VertexKind.TOPIC:
+            stroke.path.addRect(area)
+        else:
+            stroke.path.addEllipse(area)
+    return [stroke for _, stroke in sorted(found.items())]
+
+
+def _look(pen: QPen) -> Tuple[float, int]:
+    """What pens of one look have in common; those that stand out come last."""
+    return pen.widthF(), pen.color().rgba()
+
+
+def _thin(pen: QPen) -> QPen:
+    """The pen as wide on the screen as it is in the drawing at full size."""
+    pen.setCosmetic(True)
+    return pen
