@@ -31,6 +31,8 @@ from dyknow_rqt.window import DyKnowWidget
 #: Seconds between two nodelets that come back in the simulated manager.
 _PACE = 0.01
 _PATIENCE = 180.0
+#: Seconds that something must hold for it to be over.
+_REST = 2.0
 #: Frames of each movement.
 _FRAMES = 60
 _RELAY = (
@@ -189,13 +191,18 @@ def _is_whole_again(window: DyKnowWidget, count: int) -> Callable[[], bool]:
 
 
 def _gaps(is_done: Callable[[], bool]) -> Sequence[float]:
-    """Let the window run until something holds and a little longer; take the gaps of its turns."""
+    """Let the window run until something holds and goes on to; take the times of its turns."""
     ticks = [time.monotonic()]
     timer = QTimer()
     timer.timeout.connect(lambda: ticks.append(time.monotonic()))
     timer.start(5)
-    _until(is_done, "the window to show all nodelets")
-    QTest.qWait(500)
+    while True:
+        _until(is_done, "the window to show all nodelets")
+        end = time.monotonic() + _REST
+        while time.monotonic() < end and is_done():
+            QTest.qWait(50)
+        if time.monotonic() >= end:
+            break
     timer.stop()
     return ticks
 

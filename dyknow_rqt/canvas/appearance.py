@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import TYPE_CHECKING, Dict, List, Mapping, NamedTuple, Optional
 
 from python_qt_binding.QtGui import QFont, QFontMetricsF
@@ -34,12 +35,9 @@ class Appearance(NamedTuple):
 
 def sizes_of(figure: Figure, font: QFont) -> Dict[str, Size]:
     """Sizes of vertices with room for their names and ports."""
-    metrics = QFontMetricsF(font)
-    sizes = {}
+    key, sizes = font.key(), {}
     for vertex in figure.vertices:
-        lines = vertex.label.split("\n")
-        width = max(metrics.horizontalAdvance(line) for line in lines)
-        height = metrics.height() * len(lines)
+        width, height = _size_of_text(key, vertex.label)
         if vertex.kind is VertexKind.TOPIC:
             sizes[vertex.key] = Size(width + 16, height + 8)
         else:
@@ -47,6 +45,15 @@ def sizes_of(figure: Figure, font: QFont) -> Dict[str, Size]:
             tall = max(height + 26, _PORT_PITCH * (ports + 1))
             sizes[vertex.key] = Size(width * 1.15 + 26, tall)
     return sizes
+
+
+@lru_cache(maxsize=20_000)
+def _size_of_text(font_key: str, text: str) -> Size:
+    font = QFont()
+    font.fromString(font_key)
+    metrics, lines = QFontMetricsF(font), text.split("\n")
+    width = max(metrics.horizontalAdvance(line) for line in lines)
+    return Size(width, metrics.height() * len(lines))
 
 
 def gap_of(font: QFont) -> float:

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 #: Below this zoom names cannot be read, and the overview paints everything.
 FAR = 0.3
+#: Below this zoom ovals are dots; smooth ones would take longer than all the rest.
+_DOTS = 0.2
 #: Pixels of the screen: the least width that a title is cut to, and its margin.
 _NARROW, _MARGIN = 90.0, 3.0
 
@@ -65,7 +67,10 @@ class Overview:
             box.paint(painter, None)
         if self._strokes is None:
             self._strokes = [*_arrows(edges), *_shapes(vertices)]
+        is_smooth = painter.worldTransform().m11() > _DOTS
         for pen, brush, path in self._strokes:
+            is_line = brush.style() == Qt.NoBrush
+            painter.setRenderHint(QPainter.Antialiasing, is_line or is_smooth)
             painter.setPen(pen)
             painter.setBrush(brush)
             painter.drawPath(path)

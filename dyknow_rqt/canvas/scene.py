@@ -106,7 +106,6 @@ class GraphScene(QGraphicsScene):
         for _ in self._steps:
             if time.monotonic() > end:
                 return
-        self._slices.stop()
 
     def _drawing(self, drawing: Drawing) -> Iterator[None]:
         figure, layout, sizes = drawing.figure, drawing.layout, drawing.sizes
@@ -206,7 +205,7 @@ class GraphScene(QGraphicsScene):
     def look_again(self) -> None:
         """Have the overview painted again: something looks different now."""
         self.overview.forget()
-        if self._is_far:
+        if self._is_far and not self._slices.isActive():
             self.update()
 
     def event(self, event: QEvent) -> bool:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import enum
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Dict, Iterator, List, NamedTuple, Set, Tuple
 
 from dyknow.model.graph import PortRef
@@ -62,17 +63,20 @@ class Vertex:
     @property
     def label(self) -> str:
         """The name as it is drawn: without the namespace of its box; a long one in two lines."""
-        text = self.name
-        if self.group:
-            text = text.lstrip("/").split("/", len(self.group))[-1]
-        for mark in "/_":
-            breaks = [place for place, letter in enumerate(text) if letter == mark and place]
-            if breaks:
-                break
-        if len(text) <= _LONG or not breaks:
-            return text
-        place = min(breaks, key=lambda place: abs(place + 1 - len(text) / 2))
-        return f"{text[: place + 1]}\n{text[place + 1 :]}"
+        return _label(self.name, len(self.group))
+
+
+@lru_cache(maxsize=20_000)
+def _label(name: str, depth: int) -> str:
+    text = name.lstrip("/").split("/", depth)[-1] if depth else name
+    for mark in "/_":
+        breaks = [place for place, letter in enumerate(text) if letter == mark and place]
+        if breaks:
+            break
+    if len(text) <= _LONG or not breaks:
+        return text
+    place = min(breaks, key=lambda place: abs(place + 1 - len(text) / 2))
+    return f"{text[: place + 1]}\n{text[place + 1 :]}"
 
 
 class Edge(NamedTuple):

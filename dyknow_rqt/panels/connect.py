@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 from typing import Iterable, List, Optional
 
-from python_qt_binding.QtCore import QStringListModel, Qt
+from python_qt_binding.QtCore import QEvent, QStringListModel, Qt
 from python_qt_binding.QtWidgets import (
     QComboBox,
     QCompleter,
@@ -131,6 +131,12 @@ class ConnectPanel(Panel):
         self.source.nodelet.setFocus()
 
     @qt_slot
+    def showEvent(self, event: QEvent) -> None:  # noqa: N802
+        """Catch up with what was not followed while it was not seen."""
+        super().showEvent(event)
+        self._follow()
+
+    @qt_slot
     def _connect(self) -> None:
         source, sink = self.source.ref, self.sink.ref
         if source is not None and sink is not None:
@@ -150,7 +156,9 @@ class ConnectPanel(Panel):
 
     @qt_slot
     def _follow(self) -> None:
-        """Offer what fits the choice; choices that still fit are kept."""
+        """Offer what fits the choice; choices that still fit are kept. Only where it is seen."""
+        if not self.isVisible():
+            return
         snapshot = self._monitor.snapshot
         self._offer(self.source, snapshot, lambda ref: _direction(snapshot, ref) == OUT)
         fitting = set(partners(snapshot, self.source.ref)) if self.source.ref else set()

@@ -7,7 +7,14 @@ from __future__ import annotations
 
 from typing import Any, Callable, Dict, Iterable, List, Optional, Sequence, Tuple, Union
 
-from python_qt_binding.QtCore import QAbstractTableModel, QItemSelection, QModelIndex, Qt, Signal
+from python_qt_binding.QtCore import (
+    QAbstractTableModel,
+    QEvent,
+    QItemSelection,
+    QModelIndex,
+    Qt,
+    Signal,
+)
 from python_qt_binding.QtGui import QKeySequence
 from python_qt_binding.QtWidgets import (
     QAbstractItemView,
@@ -39,9 +46,17 @@ class _Rows(QAbstractTableModel):
         self._column, self._backwards, self._filter = 0, False, ""
 
     def replace(self, rows: Sequence[Row]) -> None:
-        """Replace the rows."""
-        self.all = list(rows)
-        self._arrange()
+        """Replace the rows; where only cells differ, the view lays out nothing again."""
+        before, self.all = self.shown, list(rows)
+        found = self._arranged()
+        if [row[0][0] for row in found] != [row[0][0] for row in before]:
+            self._arrange()
+            return
+        self.shown = found
+        for place, (now, then) in enumerate(zip(found, before)):
+            if now != then:
+                last = self.index(place, len(self._titles) - 1)
+                self.dataChanged.emit(self.index(place, 0), last)
 
     def set_filter(self, text: str) -> None:
         """Show only rows whose first cell contains a text."""
@@ -78,15 +93,20 @@ class _Rows(QAbstractTableModel):
         return None
 
     def _arrange(self) -> None:
+        self.beginResetModel()
+        self.shown = self._arranged()
+        self.places = {row[0][0]: place for place, row in enumerate(self.shown)}
+        self.endResetModel()
+
+    def _arranged(self) -> List[Row]:
+        """The rows that are shown, in order."""
+
         def key(row: Row) -> Tuple[bool, Union[int, str], str]:
             cell = row[0][self._column]
             return (False, int(cell), row[0][0]) if cell.isdigit() else (True, cell, row[0][0])
 
-        self.beginResetModel()
         rows = [row for row in self.all if self._filter in row[0][0].lower()]
-        self.shown = sorted(rows, key=key, reverse=self._backwards)
-        self.places = {row[0][0]: place for place, row in enumerate(self.shown)}
-        self.endResetModel()
+        return sorted(rows, key=key, reverse=self._backwards)
 
 
 class KeyedTable(QTableView):
@@ -119,6 +139,14 @@ class KeyedTable(QTableView):
             header.setSectionResizeMode(column, QHeaderView.ResizeToContents)
         header.setSortIndicator(0, Qt.AscendingOrder)
         self.setSortingEnabled(True)
+
+    def event(self, event: QEvent) -> bool:
+        """Handle an event; in Python, so that cells are asked for without a wait for each."""
+        return bool(super().event(event))
+
+    def viewportEvent(self, event: QEvent) -> bool:  # noqa: N802
+        """Paint; in Python for the same reason."""
+        return bool(super().viewportEvent(event))
 
     def on_delete(self, function: Callable[[], None]) -> None:
         """Call something when the Delete key is pressed."""
