@@ -142,9 +142,7 @@ class EdgeItem(Item):
             return QPen(self.colours.chosen, 3.0)
         if self.tone is not Tone.NONE:
             return QPen(self.colours.of(self.tone), 2.0)
-        return (
-            QPen(self.colours.alarm, 1.6) if self.is_dropping else QPen(self.colours.line, 1.1)
-        )
+        return QPen(self.colours.alarm, 1.6) if self.is_dropping else QPen(self.colours.line, 1.1)
 
     @qt_slot
     def hoverEnterEvent(self, event: Any) -> None:  # noqa: N802

@@ -77,7 +77,7 @@ class GraphScene(QGraphicsScene):
         self.highlights = True
         self._highlighted: Union[None, str, Edge] = None
         self.overview = Overview()
-        self._is_far = self._is_placing = self._wants_labels = False
+        self._is_far = self._is_drawing = self._is_placing = self._wants_labels = False
         self._calls = BackgroundCalls(1)
         self._steps: Iterator[None] = iter(())
         self._slices = QTimer(self)
@@ -96,15 +96,17 @@ class GraphScene(QGraphicsScene):
         What is in both keeps its item and its selection.
         """
         self._steps = self._drawing(drawing)
-        self._slices.start()
         self._go_on()
 
     @qt_slot
     def _go_on(self) -> None:
         """Draw for the time of a slice."""
+        self._slices.stop()
+        self._is_drawing = True
         end = time.monotonic() + _SLICE
         for _ in self._steps:
             if time.monotonic() > end:
+                self._slices.start()
                 return
 
     def _drawing(self, drawing: Drawing) -> Iterator[None]:
@@ -129,7 +131,7 @@ class GraphScene(QGraphicsScene):
             self._add(self.edges, edge, arrow)
             yield
         for group in figure.groups():
-            box = self._boxes.get(group) or BoxItem(group, self._colours)
+            box = self._boxes.get(group) or BoxItem(group, self._colours, self._font)
             box.set_area(layout.boxes[group])
             self._add(self._boxes, group, box)
         self.figure = figure
@@ -137,6 +139,7 @@ class GraphScene(QGraphicsScene):
         self.setSceneRect(self.drawing_area().adjusted(-_MARGIN, -_MARGIN, _MARGIN, _MARGIN))
         drawn = self._highlighted in self.vertices or self._highlighted in self.edges
         self.highlight(self._highlighted if drawn else None)
+        self._is_drawing = False
         self.look_again()
         self.shown.emit(drawing)
 
@@ -205,7 +208,7 @@ class GraphScene(QGraphicsScene):
     def look_again(self) -> None:
         """Have the overview painted again: something looks different now."""
         self.overview.forget()
-        if self._is_far and not self._slices.isActive():
+        if self._is_far and not self._is_drawing:
             self.update()
 
     def event(self, event: QEvent) -> bool:
