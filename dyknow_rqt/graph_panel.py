@@ -273,11 +273,21 @@ class GraphPanel(QWidget):
 
     @qt_slot
     def _next_hit(self) -> None:
-        """Select the next item that was found, and scroll to it."""
+        """Select the next item that was found, and show it."""
         hits = self.view.scene().find(self.bar.search.text())
         if hits:
             chosen = [number for number, item in enumerate(hits) if item.isSelected()]
-            self.view.select(hits[(chosen[0] + 1) % len(hits) if chosen else 0])
+            number = (chosen[0] + 1) % len(hits) if chosen else 0
+            self.view.select(hits[number])
+            self.view.reveal([hits[number]])
+            self.bar.hits.setText(f"{number + 1} of {len(hits)}")
+
+    @qt_slot
+    def reveal_selection(self) -> None:
+        """Show where in the graph the selection is."""
+        scene = self.view.scene()
+        items = (*scene.vertices.items(), *scene.edges.items())
+        self.view.reveal(item for key, item in items if key in self._selection.keys)
 
     @qt_slot
     def _ask_where(self, kind: str) -> None:

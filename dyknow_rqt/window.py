@@ -112,6 +112,8 @@ class DyKnowWidget(QWidget):
         self.graph.failed.connect(self.line.report)
         self.graph.mended.connect(self.line.withdraw)
         self.active.menu_wanted.connect(self.graph.show_menu)
+        for table in (self.active.table, self.streams.table):
+            table.picked.connect(self.graph.reveal_selection)
         self.library.create_wanted.connect(self._begin_create)
         self.addActions([*self.graph.actions_of(), self.line.decline, self._keys_action()])
         actions = self.graph.graph_actions

@@ -58,6 +58,8 @@ _SLICE = 0.02
 class GraphScene(QGraphicsScene):
     """The drawing."""
 
+    #: Something looks different now.
+    changed_looks = Signal()
     #: A ``Drawing`` is drawn.
     shown = Signal(object)
 
@@ -199,15 +201,20 @@ class GraphScene(QGraphicsScene):
     @qt_slot
     def drawForeground(self, painter: QPainter, area: QRectF) -> None:  # noqa: N802
         """Paint what is not painted by items."""
-        boxes = sorted(self._boxes.values(), key=lambda box: box.zValue())
         if self._is_far:
-            self.overview.paint(painter, boxes, self.edges.values(), self.vertices.values())
-        paint_titles(painter, boxes, self._font, self._colours)
+            self.paint_overview(painter)
+        paint_titles(painter, self._boxes.values(), self._font, self._colours)
+
+    def paint_overview(self, painter: QPainter) -> None:
+        """Paint everything as it looks from far away."""
+        boxes = sorted(self._boxes.values(), key=lambda box: box.zValue())
+        self.overview.paint(painter, boxes, self.edges.values(), self.vertices.values())
 
     @qt_slot
     def look_again(self) -> None:
         """Have the overview painted again: something looks different now."""
         self.overview.forget()
+        self.changed_looks.emit()
         if self._is_far and not self._is_drawing:
             self.update()
 

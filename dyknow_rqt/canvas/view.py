@@ -5,10 +5,10 @@
 
 from __future__ import annotations
 
-from typing import Any, Callable, List, Optional, Union
+from typing import Any, Callable, Iterable, List, Optional, Union
 
 from python_qt_binding.QtCore import QEvent, QPoint, QPointF, QRectF, Qt, Signal
-from python_qt_binding.QtGui import QPainter, QPainterPath, QPalette, QPen
+from python_qt_binding.QtGui import QPainter, QPainterPath, QPalette, QPen, QTransform
 from python_qt_binding.QtWidgets import (
     QApplication,
     QFrame,
@@ -21,6 +21,7 @@ from python_qt_binding.QtWidgets import (
 from dyknow.model.graph import PortRef
 from dyknow_rqt.canvas.arrows import EdgeItem
 from dyknow_rqt.canvas.items import Item, PortItem
+from dyknow_rqt.canvas.minimap import Minimap
 from dyknow_rqt.canvas.scene import GraphScene
 from dyknow_rqt.canvas.vertices import VertexItem
 from dyknow_rqt.graph.figure import VertexKind
@@ -33,6 +34,8 @@ _STEP = 1.2
 #: The drawing is fitted again if it could be larger by this factor.
 _ROOM = 1.5
 _SMALLEST, _LARGEST = 0.05, 8.0
+#: From this zoom on names can be read well.
+_READABLE = 0.7
 _ARROWS = {
     Qt.Key_Left: QPointF(-1, 0),
     Qt.Key_Right: QPointF(1, 0),
@@ -75,6 +78,11 @@ class GraphView(QGraphicsView):
         self._band: Optional[QGraphicsPathItem] = None
         self._target: Target = None
         self._ground: Optional[QPoint] = None
+        self._minimap = Minimap(self.scene(), report, self)
+        self._minimap.place_wanted.connect(self._show_place)
+        for bar in (self.horizontalScrollBar(), self.verticalScrollBar()):
+            bar.valueChanged.connect(self._follow)
+        self.scene().shown.connect(self._follow)
         self.hint = QLabel(self.viewport())
         self.hint.setAttribute(Qt.WA_TransparentForMouseEvents)
         self.hint.setForegroundRole(QPalette.ToolTipText)
@@ -94,7 +102,7 @@ class GraphView(QGraphicsView):
             if self.zoom > 1.0:
                 self.resetTransform()
                 self.centerOn(area.center())
-            self.scene().set_zoom(self.zoom)
+            self._follow()
 
     def keep_in_view(self) -> None:
         """Fit if something is out of view, or much smaller than it could be.
@@ -103,11 +111,31 @@ class GraphView(QGraphicsView):
         """
         if self.is_chosen:
             return
-        seen = self.mapToScene(self.viewport().rect()).boundingRect()
-        area = self.scene().drawing_area()
+        seen, area = self.seen, self.scene().drawing_area()
         larger = min(seen.width() / max(area.width(), 1), seen.height() / max(area.height(), 1))
         if not seen.contains(area) or (self.zoom < 0.7 and larger > _ROOM):
             self.fit()
+
+    def reveal(self, items: Iterable[Item]) -> None:
+        """Move to items that are not seen, and zoom in until their names can be read."""
+        area = QRectF()
+        for item in items:
+            area = area.united(item.sceneBoundingRect())
+        if area.isEmpty() or (self.zoom >= _READABLE and self.seen.contains(area)):
+            return
+        self.is_chosen = True
+        area.adjust(-40, -40, 40, 40)
+        room = self.viewport().size()
+        whole = min(room.width() / area.width(), room.height() / area.height())
+        scale = min(max(self.zoom, _READABLE), whole)
+        self.setTransform(QTransform.fromScale(scale, scale))
+        self.centerOn(area.center())
+        self._follow()
+
+    @property
+    def seen(self) -> QRectF:
+        """The part of the drawing that is in view."""
+        return QRectF(self.mapToScene(self.viewport().rect()).boundingRect())
 
     @property
     def zoom(self) -> float:
@@ -119,7 +147,7 @@ class GraphView(QGraphicsView):
         self.is_chosen = True
         factor = max(_SMALLEST, min(_LARGEST, self.zoom * factor)) / self.zoom
         self.scale(factor, factor)
-        self.scene().set_zoom(self.zoom)
+        self._follow()
 
     @qt_slot
     def resizeEvent(self, event: Any) -> None:  # noqa: N802
@@ -127,6 +155,7 @@ class GraphView(QGraphicsView):
         super().resizeEvent(event)
         if not self.is_chosen:
             self.fit()
+        self._follow()
 
     @qt_slot
     def wheelEvent(self, event: Any) -> None:  # noqa: N802
@@ -266,6 +295,17 @@ class GraphView(QGraphicsView):
             self.select(nearest)
 
     # Inside
+
+    @qt_slot
+    def _follow(self) -> None:
+        """Follow a change of what is seen."""
+        self.scene().set_zoom(self.zoom)
+        self._minimap.follow(self.seen)
+
+    @qt_slot
+    def _show_place(self, place: QPointF) -> None:
+        self.is_chosen = True
+        self.centerOn(place)
 
     def _zoom_at_centre(self, factor: float) -> None:
         self.setTransformationAnchor(QGraphicsView.AnchorViewCenter)

@@ -50,6 +50,7 @@ class ActivePanel(Panel):
         row.addWidget(self.protect)
         row.addWidget(self.destroy)
         column = QVBoxLayout(self)
+        column.addWidget(self.table.filter)
         column.addWidget(self.table)
         column.addLayout(row)
         self.destroy.clicked.connect(self._destroy_chosen)

@@ -12,7 +12,6 @@ from python_qt_binding.QtGui import QFont
 from python_qt_binding.QtWidgets import (
     QFileDialog,
     QHBoxLayout,
-    QLineEdit,
     QPlainTextEdit,
     QPushButton,
     QSplitter,
@@ -45,10 +44,6 @@ class LibraryPanel(Panel):
         self, monitor: Monitor, line: StatusLine, parent: Optional[QWidget] = None
     ) -> None:
         super().__init__(monitor, line, parent)
-        self.search = QLineEdit()
-        self.search.setPlaceholderText("label")
-        self.search.setClearButtonEnabled(True)
-        self.search.setAccessibleName("Find a transformation")
         self.table = KeyedTable(("Label", "Source", "In", "Out", "Cost"), "Transformations")
         self.specification = QPlainTextEdit()
         self.specification.setReadOnly(True)
@@ -70,11 +65,10 @@ class LibraryPanel(Panel):
         for button in (self.import_, self.export, self.delete, self.create):
             row.addWidget(button)
         column = QVBoxLayout(self)
-        column.addWidget(self.search)
+        column.addWidget(self.table.filter)
         column.addWidget(parts, 1)
         column.addLayout(row)
         monitor.library_changed.connect(self._show)
-        self.search.textChanged.connect(self.table.set_filter)
         self.table.selectionModel().selectionChanged.connect(self._follow_selection)
         self.import_.clicked.connect(self._ask_what_to_import)
         self.export.clicked.connect(self._ask_where_to_export)

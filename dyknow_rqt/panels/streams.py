@@ -244,6 +244,7 @@ class StreamsPanel(Panel):
         middle = QWidget()
         column = QVBoxLayout(middle)
         column.setContentsMargins(0, 0, 0, 0)
+        column.addWidget(self.table.filter)
         column.addWidget(self.table)
         column.addLayout(having)
         parts = QSplitter(Qt.Vertical)

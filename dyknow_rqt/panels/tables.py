@@ -20,6 +20,7 @@ from python_qt_binding.QtWidgets import (
     QAbstractItemView,
     QAction,
     QHeaderView,
+    QLineEdit,
     QTableView,
     QWidget,
 )
@@ -59,7 +60,7 @@ class _Rows(QAbstractTableModel):
                 self.dataChanged.emit(self.index(place, 0), last)
 
     def set_filter(self, text: str) -> None:
-        """Show only rows whose first cell contains a text."""
+        """Show only rows with a cell that contains a text."""
         self._filter = text.lower()
         self._arrange()
 
@@ -105,7 +106,8 @@ class _Rows(QAbstractTableModel):
             cell = row[0][self._column]
             return (False, int(cell), row[0][0]) if cell.isdigit() else (True, cell, row[0][0])
 
-        rows = [row for row in self.all if self._filter in row[0][0].lower()]
+        wanted = self._filter
+        rows = [row for row in self.all if any(wanted in cell.lower() for cell in row[0])]
         return sorted(rows, key=key, reverse=self._backwards)
 
 
@@ -126,8 +128,15 @@ class KeyedTable(QTableView):
         self.setTabKeyNavigation(False)
         self.setShowGrid(False)
         self.setWordWrap(False)
+        self.setTextElideMode(Qt.ElideMiddle)  # names often differ at their ends
         self.setAlternatingRowColors(True)
         self.setAccessibleName(name)
+        #: Shows only rows with a cell that contains its text; the panel places it.
+        self.filter = QLineEdit()
+        self.filter.setPlaceholderText(f"filter {name[0].lower()}{name[1:]}")
+        self.filter.setAccessibleName(f"Filter of {name[0].lower()}{name[1:]}")
+        self.filter.setClearButtonEnabled(True)
+        self.filter.textChanged.connect(self._filter_rows)
         self.verticalHeader().hide()
         self.verticalHeader().setDefaultSectionSize(self.fontMetrics().height() + 8)
         header = self.horizontalHeader()
@@ -174,10 +183,6 @@ class KeyedTable(QTableView):
         self._refilling = False
         self.verticalScrollBar().setValue(top)
 
-    def set_filter(self, text: str) -> None:
-        """Show only rows whose first cell contains a text."""
-        self._rows.set_filter(text)
-
     def chosen(self) -> List[str]:
         """The keys of the selected rows, from top to bottom."""
         rows = sorted(index.row() for index in self.selectionModel().selectedRows())
@@ -209,6 +214,8 @@ class KeyedTable(QTableView):
             self._refilling = True
             self.choose(names)
             self._refilling = False
+            if self.chosen():
+                self.scrollTo(self.selectionModel().selectedRows()[0])
 
     @qt_slot
     def selectionChanged(self, now: QItemSelection, before: QItemSelection) -> None:  # noqa: N802
@@ -216,6 +223,14 @@ class KeyedTable(QTableView):
         super().selectionChanged(now, before)
         if not self._refilling:
             self.picked.emit(self.chosen())
+
+    @qt_slot
+    def _filter_rows(self, text: str) -> None:
+        chosen = self.chosen()
+        self._refilling = True
+        self._rows.set_filter(text)
+        self.choose(chosen)
+        self._refilling = False
 
     def _name(self, row: int) -> str:
         return self._rows.shown[row][0][0]

@@ -53,7 +53,7 @@ def test_library_shows_imports_exports_and_deletes(qtbot, window, remote, tmp_pa
     until(qtbot, lambda: "tracker" not in panel.table.names())
     panel.import_file(str(path))
     until(qtbot, lambda: "tracker" in panel.table.names())
-    qtbot.keyClicks(panel.search, "CAM")
+    qtbot.keyClicks(panel.table.filter, "CAM")
     assert panel.table.names() == ["camera(nao1, bottom)", "camera(nao1, top)", "ceiling_camera"]
 
 
@@ -66,7 +66,7 @@ def test_a_library_of_a_hundred_thousand_does_not_hold_up_the_window(qtbot, wind
     window.monitor.library = library
     window.monitor.library_changed.emit(library)
     qtbot.wait(1)
-    qtbot.keyClicks(window.library.search, "t99999")
+    qtbot.keyClicks(window.library.table.filter, "t99999")
     assert window.library.table.names() == ["t99999"]
     assert time.monotonic() - start < 10.0
 

@@ -77,7 +77,7 @@ def test_return_presses_what_is_focused(qtbot, window, remote):
 def test_escape_takes_a_question_back_from_everywhere(qtbot, window, remote):
     places = [
         (window.active, window.active.table),
-        (window.library, window.library.search),
+        (window.library, window.library.table.filter),
         (window.create_, window.create_.name),
         (window.connect_, window.connect_.source.nodelet),
         (window.streams, window.streams.plan),
