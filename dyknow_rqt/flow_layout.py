@@ -60,7 +60,7 @@ class FlowLayout(QLayout):
         """The widest of them, and the margins."""
         left, top, right, bottom = self.getContentsMargins()
         size = QSize()
-        for item in self._items:
+        for item in filter(lambda item: not item.isEmpty(), self._items):
             size = size.expandedTo(item.minimumSize())
         return size + QSize(left + right, top + bottom)
 
@@ -79,6 +79,8 @@ class FlowLayout(QLayout):
         lines: List[List[QLayoutItem]] = []
         used = 0
         for item in self._items:
+            if item.isEmpty():
+                continue  # hidden
             wish = item.sizeHint().width()
             if not lines or used + _SPACING[0] + wish > width:
                 lines.append([item])

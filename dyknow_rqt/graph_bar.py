@@ -5,9 +5,9 @@
 
 from __future__ import annotations
 
-from typing import Any, Dict, Optional
+from typing import Any, Dict, List, Optional
 
-from python_qt_binding.QtCore import QTimer, Signal
+from python_qt_binding.QtCore import QEvent, QSize, QTimer, Signal
 from python_qt_binding.QtWidgets import (
     QCheckBox,
     QComboBox,
@@ -28,6 +28,10 @@ from dyknow_rqt.graph.figure import Options
 from dyknow_rqt.qt_slot import qt_slot
 
 _TYPING = 250  # ms
+#: Pixels: from this width on the whole bar is shown.
+_WIDE = 800
+#: A view is narrow if it is so many times higher than wide.
+_NARROW = 1.2
 
 
 class GraphBar(QWidget):
@@ -45,6 +49,10 @@ class GraphBar(QWidget):
         self.mode = QComboBox()
         self.mode.addItems(["Nodelets/Topics", "Nodelets only"])
         self.mode.setAccessibleName("What to draw")
+        self.direction = QComboBox()
+        self.direction.addItems(["Flow: automatic", "Flow: to the right", "Flow: downwards"])
+        self.direction.setAccessibleName("Where streams flow to")
+        self.direction.setToolTip("Automatic: downwards where the graph has a narrow place")
         self.nodelets = FilterEdit("nodelets")
         self.topics = FilterEdit("topics")
         self.depth = QSpinBox()
@@ -90,6 +98,16 @@ class GraphBar(QWidget):
         self.search.setAccessibleName("Find")
         self.search.setMaximumWidth(170)
         self.hits = QLabel()
+        self.panel = QPushButton("Panel")
+        self.panel.setCheckable(True)
+        self.panel.setChecked(True)
+        self.panel.setToolTip("Show the control panel (F9)")
+        self.panel.setShortcut("F9")
+        self.more = QPushButton("More")
+        self.more.setCheckable(True)
+        self.more.setToolTip("Show everything that this bar has")
+        self._folded: List[QWidget] = []
+        self._is_chosen = False
         self._typing = QTimer(self)
         self._typing.setSingleShot(True)
         self._typing.setInterval(_TYPING)
@@ -97,9 +115,15 @@ class GraphBar(QWidget):
         self._arrange()
         self._listen()
 
-    def options(self) -> Options:
-        """The options that are set."""
+    def is_downwards(self, view: QSize) -> bool:
+        """Whether streams flow downwards in a view of that size."""
+        is_narrow = bool(view.height() > _NARROW * view.width())
+        return (is_narrow, False, True)[self.direction.currentIndex()]
+
+    def options(self, view: QSize) -> Options:
+        """The options that are set, for a view of that size."""
         return Options(
+            is_downwards=self.is_downwards(view),
             topics=self.mode.currentIndex() == 0,
             nodelet_filter=self.nodelets.filter,
             topic_filter=self.topics.filter,
@@ -116,6 +140,8 @@ class GraphBar(QWidget):
         return {
             **checks,
             "mode": str(self.mode.currentIndex()),
+            "direction": str(self.direction.currentIndex()),
+            "more": str(int(self.more.isChecked())) if self._is_chosen else "",
             "nodelets": self.nodelets.text(),
             "topics": self.topics.text(),
             "depth": str(self.depth.value()),
@@ -131,6 +157,10 @@ class GraphBar(QWidget):
         self.topics.setText(str(state.get("topics", "")))
         if state.get("mode") in ("0", "1"):
             self.mode.setCurrentIndex(int(state["mode"]))
+        if state.get("direction") in ("0", "1", "2"):
+            self.direction.setCurrentIndex(int(state["direction"]))
+        if state.get("more") in ("0", "1"):
+            self._choose_more(state["more"] == "1")
         for name, field, kind in (("depth", self.depth, int), ("period", self.period, float)):
             try:
                 field.setValue(kind(state[name]))
@@ -156,32 +186,60 @@ class GraphBar(QWidget):
         self.mode.setSizeAdjustPolicy(QComboBox.AdjustToContents)
         rows = FlowLayout(self)
         rows.setContentsMargins(4, 4, 4, 2)
-        self.nodelets.setMinimumWidth(150)
-        self.topics.setMinimumWidth(150)
+        for edit in (self.nodelets, self.topics):
+            edit.setMinimumWidth(150)
+        for button in (self.panel, self.undo, self.redo, self.fit, self.more):
+            button.setMinimumWidth(40)  # styles make them wider than their words
         group, rate = QLabel("Gro&up:"), QLabel("&Every:")
         group.setBuddy(self.depth)
         rate.setBuddy(self.period)
-        for part in (
-            _together(self.refresh, self.mode),
-            _together(self.nodelets, self.topics),
-            _together(self.search, self.hits),
-            _together(self.undo, self.redo, self.save, self.load),
+        self._folded = [
+            _together(self.mode),
+            self.nodelets,
+            self.topics,
+            _together(self.save, self.load),
+            _together(self.refresh, self.tidy),
+            self.direction,
             _together(group, self.depth),
             _together(QLabel("Hide:"), self.dead_sinks, self.leaf_topics, self.debug),
             _together(QLabel("Show:"), self.nodes, self.highlight),
             _together(rate, self.period),
-            _together(self.tidy, self.fit),
+        ]
+        for part in (
+            _together(self.panel, self.search, self.hits),
+            _together(self.undo, self.redo, self.fit, self.more),
+            *self._folded,
         ):
             rows.addWidget(part)
+        self._fold()
         self.show_history("", "")
 
     def _listen(self) -> None:
         self.mode.currentIndexChanged.connect(self._tell_structure)
+        self.direction.currentIndexChanged.connect(self._tell_structure)
         self.depth.valueChanged.connect(self._tell_structure)
+        self.more.clicked.connect(self._choose_more)
         for box in (self.dead_sinks, self.leaf_topics, self.debug, self.nodes):
             box.toggled.connect(self._tell)
         for edit in (self.nodelets, self.topics):
             edit.filter_changed.connect(self._typing.start)
+
+    @qt_slot
+    def resizeEvent(self, event: QEvent) -> None:  # noqa: N802
+        """Fold what does not fit into two lines, unless the user has said what to show."""
+        super().resizeEvent(event)
+        if not self._is_chosen:
+            self._fold(self.width() >= _WIDE)
+
+    @qt_slot
+    def _choose_more(self, on: bool) -> None:
+        self._is_chosen = True
+        self._fold(on)
+
+    def _fold(self, is_open: bool = False) -> None:
+        self.more.setChecked(is_open)
+        for part in self._folded:
+            part.setVisible(is_open)
 
     @qt_slot
     def _tell(self) -> None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Iterator, Optional, Tuple
 
-from python_qt_binding.QtCore import QEvent, QPoint, Qt, Signal
+from python_qt_binding.QtCore import QEvent, QPoint, Qt, QTimer, Signal
 from python_qt_binding.QtGui import QKeySequence
 from python_qt_binding.QtWidgets import QAction, QFileDialog, QMenu, QVBoxLayout, QWidget
 
@@ -33,6 +33,8 @@ from dyknow_rqt.selection import Selection
 from dyknow_rqt.sign import Sign
 from dyknow_rqt.wiring_files import WiringFiles
 
+#: Milliseconds that a view must keep its size before the graph follows.
+_TURNING = 200
 _KINDS = ("DOT (*.dot)", "SVG (*.svg)", "PNG (*.png)")
 
 
@@ -55,6 +57,10 @@ class GraphPanel(QWidget):
         self._has_fitted = self._wants_tidy = False
         self._is_figuring = self._is_outdated = False
         self._calls = BackgroundCalls(1)
+        self._turning = QTimer(self)
+        self._turning.setSingleShot(True)
+        self._turning.setInterval(_TURNING)
+        self._turning.timeout.connect(self._turn)
         self.bar = GraphBar()
         self.view = GraphView(self.report)
         self.layouter = Layouter()
@@ -94,7 +100,10 @@ class GraphPanel(QWidget):
         self._is_outdated = True
         if not self._is_figuring:
             self._is_figuring, self._is_outdated = True, False
-            snapshot, options = self._monitor.snapshot, self.bar.options()
+            snapshot, options = (
+                self._monitor.snapshot,
+                self.bar.options(self.view.viewport().size()),
+            )
             self._calls.run(
                 lambda: figure_of(snapshot, options),
                 lambda figure: self._take_figure(snapshot, figure),
@@ -125,6 +134,12 @@ class GraphPanel(QWidget):
         """Make a new layout without regard to the old one."""
         self._wants_tidy = True
         self.redraw()
+
+    @qt_slot
+    def _turn(self) -> None:
+        """Let streams flow along the longer side of a view that has another shape now."""
+        if self._figure.is_downwards != self.bar.is_downwards(self.view.viewport().size()):
+            self.tidy()
 
     @qt_slot
     def find(self) -> None:
@@ -315,6 +330,7 @@ class GraphPanel(QWidget):
         """Keep the message in the middle, and follow changes of the palette."""
         if event.type() == QEvent.Resize:
             self._show_sign()
+            self._turning.start()
         elif event.type() == QEvent.PaletteChange:
             self._grey()
             self._show_sign()

@@ -6,18 +6,16 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Mapping, Optional, Tuple
 
 from python_qt_binding.QtCore import QObject, QProcess, QTimer, Signal
 
 from dyknow_rqt.background_calls import BackgroundCalls
-from dyknow_rqt.graph.dot import BadLayout, read_layout, to_dot
+from dyknow_rqt.graph.arranged import arranged
+from dyknow_rqt.graph.dot import to_dot
 from dyknow_rqt.graph.figure import Figure
 from dyknow_rqt.graph.geometry import Drawing, Size
-from dyknow_rqt.graph.layered import layered
-from dyknow_rqt.graph.port_order import without_crossings
-from dyknow_rqt.graph.stabilise import stabilise
 from dyknow_rqt.qt_slot import qt_slot
 
 _LOG = logging.getLogger("rosout.dyknow_rqt")
@@ -132,7 +130,13 @@ class Layouter(QObject):
     def _read(self, answer: bytes) -> None:
         order, before = self._current, self._drawing
         if order is not None:
-            self._calls.run(lambda: _drawing(order, answer, before), self._end, self._give_up)
+            self._calls.run(
+                lambda: arranged(
+                    order.figure, order.sizes, answer, None if order.anew else before
+                ),
+                self._end,
+                self._give_up,
+            )
 
     def _end(self, result: Tuple[Drawing, str]) -> None:
         drawing, complaint = result
@@ -147,16 +151,3 @@ class Layouter(QObject):
         _LOG.error("no layout", exc_info=error)
         self.failed.emit(f"no layout: {type(error).__name__}: {error}")
         self._begin()
-
-
-def _drawing(order: _Order, answer: bytes, before: Drawing) -> Tuple[Drawing, str]:
-    """Read an answer of graphviz, or lay out without it; returns why it had to be without."""
-    figure, sizes, complaint = order.figure, order.sizes, ""
-    try:
-        layout = read_layout(answer.decode("utf-8", "replace"), figure)
-    except BadLayout as error:
-        layout, complaint = layered(figure, sizes), f"graphviz: {error}"
-    if not order.anew:
-        layout = stabilise(before.layout, before.figure, layout, figure, sizes)
-    vertices = tuple(without_crossings(figure, layout))
-    return Drawing(replace(figure, vertices=vertices), sizes, layout, order.anew), complaint

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Any, Dict, Optional
 
-from python_qt_binding.QtCore import QEvent, Qt
+from python_qt_binding.QtCore import QEvent, QSize, Qt
 from python_qt_binding.QtGui import QKeySequence, QPalette
 from python_qt_binding.QtWidgets import (
     QAbstractButton,
@@ -33,6 +33,10 @@ from dyknow_rqt.selection import Selection
 from dyknow_rqt.status_line import StatusLine
 from dyknow_rqt.stream_watch import StreamWatch
 
+#: Pixels: a window that is less wide than high and than this is narrow; one smaller than the
+#: second in both is small.
+_NARROW, _SMALL = 800, 560
+
 
 class DyKnowWidget(QWidget):
     """The widget that rqt docks and that the window on its own contains.
@@ -49,6 +53,7 @@ class DyKnowWidget(QWidget):
         self.report = self.line.report
         watch = StreamWatch(self.monitor)
         self.selection = Selection(self.monitor, watch)
+        self._is_chosen = False
         self.graph = GraphPanel(self.monitor, self.selection)
         self.active = ActivePanel(self.monitor, self.line, self.selection)
         self.library = LibraryPanel(self.monitor, self.line)
@@ -71,12 +76,39 @@ class DyKnowWidget(QWidget):
         self.parts.addWidget(self.graph)
         self.parts.setStretchFactor(1, 1)
         self.parts.setSizes([480, 1120])
+        self.tabs.setMinimumSize(160, 120)  # less than its pages would like
         column = QVBoxLayout(self)
         column.setContentsMargins(0, 0, 0, 0)
         column.setSpacing(0)
         column.addWidget(self.parts, 1)
         column.addWidget(self.line)
         self._listen()
+
+    def sizeHint(self) -> QSize:  # noqa: N802
+        """What shows a small graph beside the control panel."""
+        return QSize(1200, 760)
+
+    @qt_slot
+    def resizeEvent(self, event: QEvent) -> None:  # noqa: N802
+        """Put the control panel below the graph in a narrow window, and away in a small one."""
+        super().resizeEvent(event)
+        size = event.size()
+        is_narrow = size.width() < _NARROW and size.width() < size.height()
+        if is_narrow is not (self.parts.orientation() == Qt.Vertical):
+            self.parts.setOrientation(Qt.Vertical if is_narrow else Qt.Horizontal)
+            self.parts.insertWidget(int(is_narrow), self.tabs)
+            self.parts.setSizes([600, 400] if is_narrow else [350, 650])
+        if not self._is_chosen:
+            self._show_panel(size.width() >= _SMALL or size.height() >= _SMALL)
+
+    @qt_slot
+    def _choose_panel(self, on: bool) -> None:
+        self._is_chosen = True
+        self._show_panel(on)
+
+    def _show_panel(self, on: bool) -> None:
+        self.graph.bar.panel.setChecked(on)
+        self.tabs.setVisible(on)
 
     def start(self) -> None:
         """Begin to read the graph."""
@@ -90,7 +122,12 @@ class DyKnowWidget(QWidget):
     def state(self) -> Dict[str, str]:
         """The settings to save, as texts."""
         sizes = ",".join(str(size) for size in self.parts.sizes())
-        return {**self.graph.bar.state(), "tab": str(self.tabs.currentIndex()), "parts": sizes}
+        return {
+            **self.graph.bar.state(),
+            "tab": str(self.tabs.currentIndex()),
+            "parts": sizes,
+            "panel": str(int(self.graph.bar.panel.isChecked())) if self._is_chosen else "",
+        }
 
     def restore(self, state: Dict[str, Any]) -> None:
         """Restore settings; invalid ones are ignored."""
@@ -101,6 +138,8 @@ class DyKnowWidget(QWidget):
         sizes = str(state.get("parts", "")).split(",")
         if len(sizes) == 2 and all(size.isdigit() for size in sizes):
             self.parts.setSizes([int(size) for size in sizes])
+        if state.get("panel") in ("0", "1"):
+            self._choose_panel(state["panel"] == "1")
 
     def _listen(self) -> None:
         self.monitor.failed.connect(self.line.report)
@@ -109,6 +148,7 @@ class DyKnowWidget(QWidget):
         self.line.show_status(self.monitor.heart.status)
         self.monitor.heart.told.connect(self.line.show_status)
         self.monitor.heart.linked.connect(self._grey)
+        self.graph.bar.panel.clicked.connect(self._choose_panel)
         self.graph.failed.connect(self.line.report)
         self.graph.mended.connect(self.line.withdraw)
         self.active.menu_wanted.connect(self.graph.show_menu)

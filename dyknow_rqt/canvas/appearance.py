@@ -41,9 +41,11 @@ def sizes_of(figure: Figure, font: QFont) -> Dict[str, Size]:
         if vertex.kind is VertexKind.TOPIC:
             sizes[vertex.key] = Size(width + 16, height + 8)
         else:
-            ports = max(len(vertex.inputs), len(vertex.outputs))
-            tall = max(height + 26, _PORT_PITCH * (ports + 1))
-            sizes[vertex.key] = Size(width * 1.15 + 26, tall)
+            room = _PORT_PITCH * (max(len(vertex.inputs), len(vertex.outputs)) + 1)
+            wide, tall = width * 1.15 + 26, height + 26
+            sizes[vertex.key] = (
+                Size(max(wide, room), tall) if figure.is_downwards else Size(wide, max(tall, room))
+            )
     return sizes
 
 

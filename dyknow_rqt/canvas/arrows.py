@@ -59,6 +59,7 @@ class EdgeItem(Item):
         if self._ends == (curve, start, end):
             return
         self._ends = curve, start, end
+        self.label_area = QRectF()  # until its label is placed there
         points = [QPointF(*point) for point in curve]
         at_start, at_end = start - points[0], end - points[-1]
         points[0] += at_start

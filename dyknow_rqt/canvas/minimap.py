@@ -7,7 +7,17 @@ from __future__ import annotations
 
 from typing import Any, Callable, Tuple
 
-from python_qt_binding.QtCore import QPoint, QPointF, QRect, QRectF, QSize, QSizeF, Qt, QTimer, Signal
+from python_qt_binding.QtCore import (
+    QPoint,
+    QPointF,
+    QRect,
+    QRectF,
+    QSize,
+    QSizeF,
+    Qt,
+    QTimer,
+    Signal,
+)
 from python_qt_binding.QtGui import QPainter, QPen, QPixmap
 from python_qt_binding.QtWidgets import QWidget
 

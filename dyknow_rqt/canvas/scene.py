@@ -119,7 +119,7 @@ class GraphScene(QGraphicsScene):
         for vertex in figure.vertices:
             item = self.vertices.get(vertex.key) or VertexItem(vertex, self._colours, self._font)
             item.setPos(QPointF(*layout.centres[vertex.key]))
-            item.set_vertex(vertex, sizes[vertex.key])
+            item.set_vertex(vertex, sizes[vertex.key], figure.is_downwards)
             self._show_state(item)
             self._add(self.vertices, vertex.key, item)
             yield

@@ -40,6 +40,7 @@ class VertexItem(Item):
         self.ports: Dict[str, PortItem] = {}
         self._font = font
         self._size = Size(0, 0)
+        self._is_downwards = False
         self._label = ""
         self.found = False
         self.setAcceptHoverEvents(True)
@@ -47,11 +48,11 @@ class VertexItem(Item):
         self.setFlag(QGraphicsItem.ItemIsSelectable)
         self.setZValue(10)
 
-    def set_vertex(self, vertex: Vertex, size: Size) -> None:
-        """Change its size and ports."""
-        if (vertex, size) == (self.vertex, self._size):
+    def set_vertex(self, vertex: Vertex, size: Size, is_downwards: bool = False) -> None:
+        """Change its size and ports, which are at its sides, or above and below it."""
+        if (vertex, size, is_downwards) == (self.vertex, self._size, self._is_downwards):
             return
-        self.vertex, self._size = vertex, size
+        self.vertex, self._size, self._is_downwards = vertex, size, is_downwards
         self._label = vertex.label
         self.setRect(self.area.adjusted(-5, -5, 5, 5))
         wanted = {**dict.fromkeys(vertex.inputs, IN), **dict.fromkeys(vertex.outputs, OUT)}
@@ -95,7 +96,10 @@ class VertexItem(Item):
         """The end of the arrows of a port, or of the vertex itself."""
         if port in self.ports:
             return self.pos() + self.ports[port].pos()
-        return self.pos() + QPointF((1 if leaving else -1) * self._size.width / 2, 0)
+        side = 0.5 if leaving else -0.5
+        width, height = self._size
+        off = QPointF(0, side * height) if self._is_downwards else QPointF(side * width, 0)
+        return self.pos() + off
 
     @property
     def area(self) -> QRectF:
@@ -159,9 +163,11 @@ class VertexItem(Item):
 
     def _port_place(self, number: int, count: int, side: str) -> QPointF:
         width, height = self._size
-        y = height * ((number + 1) / (count + 1) - 0.5)
-        x = width / 2 * math.sqrt(max(0.0, 1 - (2 * y / height) ** 2)) if height else 0.0
-        return QPointF(-x if side == IN else x, y)
+        share = 2 * (number + 1) / (count + 1) - 1
+        off = math.sqrt(1 - share**2) * (-1 if side == IN else 1)
+        if self._is_downwards:
+            share, off = off, share
+        return QPointF(off * width / 2, share * height / 2)
 
     def stroke(self) -> QPen:
         """The line around it."""

@@ -202,7 +202,8 @@ class GraphView(QGraphicsView):
         start, end = self._from.scenePos(), self.mapToScene(event.pos())
         path = QPainterPath(start)
         reach = 50.0 if self._from.direction == "out" else -50.0
-        path.cubicTo(start + QPointF(reach, 0), end - QPointF(reach, 0), end)
+        way = QPointF(0, reach) if self.scene().figure.is_downwards else QPointF(reach, 0)
+        path.cubicTo(start + way, end - way, end)
         self._band.setPath(path)
         self._tell_target(self._target_at(event.pos()), event.pos())
 

@@ -38,18 +38,20 @@ def to_dot(figure: Figure, sizes: Mapping[str, Size], gap: float = 52.0) -> str:
     """
     lines = [
         "digraph dyknow {",
-        f'  graph [rankdir="LR", ranksep="{gap / _DPI:.2f}", nodesep="0.3", compound="true"];',
+        f'  graph [rankdir="{"TB" if figure.is_downwards else "LR"}", '
+        f'ranksep="{gap / _DPI:.2f}", nodesep="0.3", compound="true"];',
         '  node [fixedsize="true", fontname="sans-serif", fontsize="10"];',
         '  edge [fontname="sans-serif", fontsize="8"];',
     ]
     if len(figure.vertices) > _MANY:
         lines.append('  graph [nslimit="2", nslimit1="2", mclimit="0.3", splines="line"];')
     lines += _members(figure, sizes, (), "  ")
+    tail, head = ("s", "n") if figure.is_downwards else ("e", "w")
     for number, edge in enumerate(figure.edges):
         label = _ports(edge)
         lines.append(
             f"  {quote(edge.tail)} -> {quote(edge.head)} "
-            f'[id="e{number}", tailport="e", headport="w", tooltip={quote(label)}'
+            f'[id="e{number}", tailport="{tail}", headport="{head}", tooltip={quote(label)}'
             + (f", label={quote(edge.topic)}" if not _touches_topic(edge) else "")
             + "];"
         )

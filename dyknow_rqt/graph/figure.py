@@ -102,6 +102,7 @@ class Options:
         hide_debug: leave out names that are in every graph.
         show_nodes: show ordinary nodes that use these topics.
         depth: how many parts of a namespace make a box; 0 for no boxes.
+        is_downwards: let streams flow from top to bottom; else from left to right.
     """
 
     topics: bool = True
@@ -112,6 +113,7 @@ class Options:
     hide_debug: bool = True
     show_nodes: bool = False
     depth: int = 2
+    is_downwards: bool = False
 
 
 @dataclass(frozen=True)
@@ -120,6 +122,7 @@ class Figure:
 
     vertices: Tuple[Vertex, ...] = ()
     edges: Tuple[Edge, ...] = ()
+    is_downwards: bool = False
 
     def groups(self) -> List[Tuple[str, ...]]:
         """Boxes, outer ones before those in them."""
@@ -178,7 +181,9 @@ def figure_of(snapshot: Snapshot, options: Options) -> Figure:
     used = {key for edge in edges for key in (edge.tail, edge.head)}
     vertices = [v for v in vertices if v.kind is not VertexKind.NODE or v.key in used]
     return Figure(
-        tuple(_boxed(sorted(vertices, key=lambda v: v.key), options.depth)), tuple(sorted(edges))
+        tuple(_boxed(sorted(vertices, key=lambda v: v.key), options.depth)),
+        tuple(sorted(edges)),
+        options.is_downwards,
     )
 
 

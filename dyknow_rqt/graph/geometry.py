@@ -102,6 +102,17 @@ class Layout:
     curves: Mapping[Edge, Tuple[Point, ...]] = field(default_factory=dict)
     boxes: Mapping[Tuple[str, ...], Rectangle] = field(default_factory=dict)
 
+    def turned(self) -> Layout:
+        """Swap x and y: from left to right becomes from top to bottom."""
+        return Layout(
+            {key: Point(y, x) for key, (x, y) in self.centres.items()},
+            {edge: tuple(Point(y, x) for x, y in curve) for edge, curve in self.curves.items()},
+            {
+                group: Rectangle(r.top, r.left, r.bottom, r.right)
+                for group, r in self.boxes.items()
+            },
+        )
+
     def moved(self, by: Point) -> Layout:
         """Move all of it."""
         return Layout(
