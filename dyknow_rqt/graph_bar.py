@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Dict, List, Optional
+from typing import Any, Dict, FrozenSet, Iterable, List, Optional
 
 from python_qt_binding.QtCore import QEvent, QSize, QTimer, Signal
 from python_qt_binding.QtWidgets import (
@@ -24,7 +24,7 @@ from python_qt_binding.QtWidgets import (
 
 from dyknow_rqt.filter_edit import FilterEdit
 from dyknow_rqt.flow_layout import FlowLayout
-from dyknow_rqt.graph.figure import Options
+from dyknow_rqt.graph.figure import Group, Options
 from dyknow_rqt.qt_slot import qt_slot
 
 _TYPING = 250  # ms
@@ -59,6 +59,11 @@ class GraphBar(QWidget):
         self.depth.setRange(0, 5)
         self.depth.setValue(2)
         self.depth.setToolTip("How many parts of a namespace make a box; 0 for none")
+        self.boxes = QComboBox()
+        self.boxes.addItems(["namespaces", "nodelet managers"])
+        self.boxes.setAccessibleName("What makes a box")
+        self.boxes.setToolTip("What makes a box; a double click collapses a box and opens it")
+        self.collapsed: FrozenSet[Group] = frozenset()
         self.dead_sinks = QCheckBox("Dead sin&ks")
         self.dead_sinks.setToolTip("Hide topics without a receiver")
         self.leaf_topics = QCheckBox("&Leaf topics")
@@ -132,6 +137,8 @@ class GraphBar(QWidget):
             hide_debug=self.debug.isChecked(),
             show_nodes=self.nodes.isChecked(),
             depth=self.depth.value(),
+            by_manager=self.boxes.currentIndex() == 1,
+            collapsed=self.collapsed,
         )
 
     def state(self) -> Dict[str, str]:
@@ -145,6 +152,8 @@ class GraphBar(QWidget):
             "nodelets": self.nodelets.text(),
             "topics": self.topics.text(),
             "depth": str(self.depth.value()),
+            "boxes": str(self.boxes.currentIndex()),
+            "collapsed": ",".join("/".join(group) for group in sorted(self.collapsed)),
             "period": str(self.period.value()),
         }
 
@@ -157,6 +166,10 @@ class GraphBar(QWidget):
         self.topics.setText(str(state.get("topics", "")))
         if state.get("mode") in ("0", "1"):
             self.mode.setCurrentIndex(int(state["mode"]))
+        if state.get("boxes") in ("0", "1"):
+            self.boxes.setCurrentIndex(int(state["boxes"]))
+        names = str(state.get("collapsed", "")).split(",")
+        self.collapsed = frozenset(tuple(name.split("/")) for name in names if name)
         if state.get("direction") in ("0", "1", "2"):
             self.direction.setCurrentIndex(int(state["direction"]))
         if state.get("more") in ("0", "1"):
@@ -166,6 +179,17 @@ class GraphBar(QWidget):
                 field.setValue(kind(state[name]))
             except (KeyError, TypeError, ValueError):
                 continue
+
+    @qt_slot
+    def collapse(self, groups: Iterable[Group]) -> None:
+        """Draw these boxes as one vertex each, and no others."""
+        self.collapsed = frozenset(groups)
+        self._tell_structure()
+
+    @qt_slot
+    def toggle_box(self, group: Group) -> None:
+        """Collapse a box, or open it again."""
+        self.collapse(self.collapsed ^ {group})
 
     def show_history(self, undo: str, redo: str) -> None:
         """Show what undo and redo would do."""
@@ -200,7 +224,7 @@ class GraphBar(QWidget):
             _together(self.save, self.load),
             _together(self.refresh, self.tidy),
             self.direction,
-            _together(group, self.depth),
+            _together(group, self.depth, self.boxes),
             _together(QLabel("Hide:"), self.dead_sinks, self.leaf_topics, self.debug),
             _together(QLabel("Show:"), self.nodes, self.highlight),
             _together(rate, self.period),
@@ -216,7 +240,8 @@ class GraphBar(QWidget):
 
     def _listen(self) -> None:
         self.mode.currentIndexChanged.connect(self._tell_structure)
-        self.direction.currentIndexChanged.connect(self._tell_structure)
+        for box in (self.direction, self.boxes):
+            box.currentIndexChanged.connect(self._tell_structure)
         self.depth.valueChanged.connect(self._tell_structure)
         self.more.clicked.connect(self._choose_more)
         for box in (self.dead_sinks, self.leaf_topics, self.debug, self.nodes):

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import Iterator, Optional, Tuple
+from typing import Iterable, Iterator, Optional, Tuple
 
 from python_qt_binding.QtCore import QEvent, QPoint, Qt, QTimer, Signal
 from python_qt_binding.QtGui import QKeySequence
@@ -18,9 +18,10 @@ from dyknow_rqt.background_calls import BackgroundCalls
 from dyknow_rqt.canvas.appearance import edge_refs, gap_of, sizes_of
 from dyknow_rqt.canvas.items import Item, PortItem
 from dyknow_rqt.canvas.view import GraphView, Target
+from dyknow_rqt.graph.boxes import figure_of
 from dyknow_rqt.graph.changes import Rewire
 from dyknow_rqt.graph.dot import to_dot
-from dyknow_rqt.graph.figure import Figure, figure_of
+from dyknow_rqt.graph.figure import Figure, Group
 from dyknow_rqt.graph.geometry import Drawing
 from dyknow_rqt.graph.snapshot import Snapshot
 from dyknow_rqt.graph.wiring import connect, connect_topic, disconnect, partners
@@ -247,11 +248,30 @@ class GraphPanel(QWidget):
         if isinstance(item, PortItem):
             self._popup(menu_of_port(item.ref, snapshot, actions, self), place)
         elif item is None:
-            self._popup(menu_of_ground(actions, self), place)
+            menu = menu_of_ground(actions, self)
+            self._add_boxes(menu, self.view.viewport().mapFromGlobal(place))
+            self._popup(menu, place)
         else:
             if not item.isSelected():
                 self.view.select(item)
             self.show_menu(place)
+
+    def _add_boxes(self, menu: QMenu, place: QPoint) -> None:
+        """Add what can be done with boxes, of which one may be at a place of the view."""
+        group = self.view.box_at(place)
+        menu.addSeparator()
+        if group:
+            action = menu.addAction(f"C&ollapse /{'/'.join(group)}")
+            action.triggered.connect(lambda: self.bar.toggle_box(group))
+        outer = [group for group in self._figure.groups() if len(group) == 1]
+        for text, groups in (("Co&llapse all boxes", outer), ("Open all &boxes", [])):
+            action = menu.addAction(text)
+            action.setEnabled(bool(groups or self.bar.collapsed))
+            action.triggered.connect(lambda checked, groups=groups: self._collapse(groups))
+
+    def _collapse(self, groups: Iterable[Group]) -> None:
+        """Collapse boxes besides those that are; none to open all."""
+        self.bar.collapse({*groups, *self.bar.collapsed} if groups else ())
 
     @qt_slot
     def show_menu(self, place: QPoint) -> None:
@@ -353,6 +373,7 @@ class GraphPanel(QWidget):
         view.dragged.connect(self._dragged)
         view.dropped.connect(self._dropped)
         view.delete_pressed.connect(self._delete)
+        view.box_pressed.connect(bar.toggle_box)
         view.menu_wanted.connect(self._show_menu)
         bar.options_changed.connect(self.redraw)
         bar.structure_changed.connect(self.tidy)

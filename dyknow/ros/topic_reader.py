@@ -27,6 +27,8 @@ _CONNECTING = 5.0
 _AGAIN = 0.5
 #: Seconds to wait for a message before asking again whether to go on.
 _READING = 1.0
+#: Seconds from one message to the next where only the last one counts.
+_PAUSE = 0.2
 
 _log = logging.getLogger("rosout.dyknow")
 
@@ -125,7 +127,8 @@ class TopicFollower:
     """Hands on what a topic of a node carries, over one connection after the other.
 
     A connection that is lost is made again for as long as it takes. Of several messages that have
-    arrived meanwhile only the last is handed on if ``last_only`` says so.
+    arrived meanwhile only the last is handed on if ``last_only`` says so, and the next only after
+    a pause: reading large messages must not take all of the time.
     """
 
     def __init__(
@@ -180,6 +183,7 @@ class TopicFollower:
                     message = reader.read(_READING, self._last_only)
                     if message is not None:
                         attempt(self._what, functools.partial(self._hand_on, message))
+                        self._closed.wait(_PAUSE if self._last_only else 0.0)
         except (PeerTimeout, LookupError, OSError) as error:
             _log.debug("%s: %s", self._what, error)
         finally:

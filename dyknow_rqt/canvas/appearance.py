@@ -38,7 +38,7 @@ def sizes_of(figure: Figure, font: QFont) -> Dict[str, Size]:
     key, sizes = font.key(), {}
     for vertex in figure.vertices:
         width, height = _size_of_text(key, vertex.label)
-        if vertex.kind is VertexKind.TOPIC:
+        if vertex.kind.is_square:
             sizes[vertex.key] = Size(width + 16, height + 8)
         else:
             room = _PORT_PITCH * (max(len(vertex.inputs), len(vertex.outputs)) + 1)
@@ -78,7 +78,8 @@ def vertex_tip(snapshot: Snapshot, vertex: Vertex) -> str:
         return _tip(vertex.name, topic.datatype or "type not known yet", *topic.tags)
     if vertex.kind is VertexKind.NODELET and nodelet is not None:
         return _nodelet_tip(nodelet)
-    return _tip(vertex.name, "ordinary ROS node")
+    what = "a collapsed box; double-click to open it"
+    return _tip(vertex.name, what if vertex.kind is VertexKind.BOX else "ordinary ROS node")
 
 
 def port_tip(snapshot: Snapshot, ref: PortRef, traffic: Optional[PortRate]) -> str:

@@ -18,8 +18,6 @@ from python_qt_binding.QtGui import (
     QPen,
 )
 
-from dyknow_rqt.graph.figure import VertexKind
-
 if TYPE_CHECKING:
     from dyknow_rqt.canvas.arrows import EdgeItem
     from dyknow_rqt.canvas.colours import Colours
@@ -121,7 +119,7 @@ def _shapes(vertices: Iterable[VertexItem]) -> Iterable[_Stroke]:
         look = (*_look(pen), fill.rgba())
         stroke = found.setdefault(look, _Stroke(_thin(pen), QBrush(fill), QPainterPath()))
         area = item.area.translated(item.pos())
-        if item.vertex.kind is VertexKind.TOPIC:
+        if item.vertex.kind.is_square:
             stroke.path.addRect(area)
         else:
             stroke.path.addEllipse(area)

@@ -40,7 +40,7 @@ from dyknow_rqt.canvas.colours import Tone, colours_of, greys_of
 from dyknow_rqt.canvas.items import BoxItem, Item, PortItem
 from dyknow_rqt.canvas.overview import FAR, Overview, paint_titles
 from dyknow_rqt.canvas.vertices import VertexItem
-from dyknow_rqt.graph.figure import Edge, Figure, VertexKind
+from dyknow_rqt.graph.figure import Edge, Figure, Group, VertexKind
 from dyknow_rqt.graph.geometry import Drawing, Rectangle
 from dyknow_rqt.graph.labels import place_labels
 from dyknow_rqt.graph.rates import PortRate
@@ -266,6 +266,11 @@ class GraphScene(QGraphicsScene):
             if item.found:
                 hits.append(item)
         return sorted(hits, key=lambda item: (item.x(), item.y()))
+
+    def box_at(self, place: QPointF) -> Group:
+        """The innermost open box at a place of the drawing; empty if there is none."""
+        found = [group for group, box in self._boxes.items() if box.area.contains(place)]
+        return max(found, key=len, default=())
 
     # Drawing connections
 

@@ -111,7 +111,7 @@ class VertexItem(Item):
     def inked(self) -> List[QRectF]:
         """Areas that nothing else may cover, which hold it and its ports."""
         shares = [(1.0, 0.6), (0.8, 0.8), (0.6, 1.0)]  # around an ellipse
-        if self.vertex.kind is VertexKind.TOPIC:
+        if self.vertex.kind.is_square:
             shares = [(1.0, 1.0)]
         width, height = self._size
         areas = [
@@ -125,7 +125,7 @@ class VertexItem(Item):
     def shape(self) -> QPainterPath:
         """The area in which the pointer hits it."""
         path = QPainterPath()
-        if self.vertex.kind is VertexKind.TOPIC:
+        if self.vertex.kind.is_square:
             path.addRect(self.area)
         else:
             path.addEllipse(self.area)
@@ -136,8 +136,11 @@ class VertexItem(Item):
         """Draw it."""
         painter.setPen(self.stroke())
         painter.setBrush(QBrush(self.fill()))
-        if self.vertex.kind is VertexKind.TOPIC:
+        if self.vertex.kind.is_square:
             painter.drawRect(self.area)
+            if self.vertex.kind is VertexKind.BOX:
+                painter.drawRect(self.area.adjusted(-3, -3, 3, 3))
+                painter.drawRect(self.area)
         else:
             painter.drawEllipse(self.area)
             if self.appearance.is_protected:
@@ -188,7 +191,7 @@ class VertexItem(Item):
 
     def fill(self) -> QColor:
         """The colour in it."""
-        if self.vertex.kind is VertexKind.TOPIC:
+        if self.vertex.kind.is_square:
             return self.colours.topic
         running = self.appearance.state in (State.RUNNING, State.STARTING)
         return (

@@ -24,7 +24,7 @@ from dyknow_rqt.canvas.items import Item, PortItem
 from dyknow_rqt.canvas.minimap import Minimap
 from dyknow_rqt.canvas.scene import GraphScene
 from dyknow_rqt.canvas.vertices import VertexItem
-from dyknow_rqt.graph.figure import VertexKind
+from dyknow_rqt.graph.figure import Group, VertexKind
 from dyknow_rqt.qt_slot import qt_slot
 
 #: Where a connection may end: at a port, or at the topic of that name.
@@ -53,6 +53,8 @@ class GraphView(QGraphicsView):
     drag_began = Signal(object)
     #: It is over another port now, the topic of that name, or None.
     dragged = Signal(object, object)
+    #: A box was double-clicked: its group.
+    box_pressed = Signal(object)
     #: The Delete key was pressed.
     delete_pressed = Signal()
     #: A context menu is wanted: the item, or None for the background, and the place on the screen.
@@ -225,6 +227,22 @@ class GraphView(QGraphicsView):
         """Nothing is under the pointer any more."""
         super().leaveEvent(event)
         self.scene().highlight(None)
+
+    @qt_slot
+    def mouseDoubleClickEvent(self, event: Any) -> None:  # noqa: N802
+        """Collapse the box under the pointer, or open it again."""
+        item = self._item_at(event.pos())
+        if isinstance(item, VertexItem) and item.vertex.kind is VertexKind.BOX:
+            self.box_pressed.emit(tuple(item.vertex.name.strip("/").split("/")))
+        elif item is None and self.box_at(event.pos()):
+            self.box_pressed.emit(self.box_at(event.pos()))
+        else:
+            super().mouseDoubleClickEvent(event)
+
+    def box_at(self, place: QPoint) -> Group:
+        """The innermost open box at a place of the view; empty if there is none."""
+        group: Group = self.scene().box_at(self.mapToScene(place))
+        return group
 
     @qt_slot
     def contextMenuEvent(self, event: Any) -> None:  # noqa: N802

@@ -21,7 +21,12 @@ from dyknow_rqt.graph.geometry import Layout, Point, Rectangle, Size
 _DPI = 72.0
 #: With more vertices graphviz optimises less.
 _MANY = 150
-_SHAPES = {VertexKind.NODELET: "ellipse", VertexKind.TOPIC: "box", VertexKind.NODE: "ellipse"}
+_SHAPES = {
+    VertexKind.NODELET: "ellipse",
+    VertexKind.TOPIC: "box",
+    VertexKind.NODE: "ellipse",
+    VertexKind.BOX: "box",
+}
 
 
 class BadLayout(ValueError):

@@ -8,7 +8,7 @@ from __future__ import annotations
 import enum
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Dict, Iterator, List, NamedTuple, Set, Tuple
+from typing import Dict, FrozenSet, Iterator, List, NamedTuple, Set, Tuple
 
 from dyknow.model.graph import PortRef
 from dyknow.model.transformation import IN
@@ -38,6 +38,16 @@ class VertexKind(enum.Enum):
     NODELET = "n"
     TOPIC = "t"
     NODE = "p"
+    BOX = "b"
+
+    @property
+    def is_square(self) -> bool:
+        """Whether it is drawn as a rectangle."""
+        return self in (VertexKind.TOPIC, VertexKind.BOX)
+
+
+#: Names of a box and of those around it, the outermost first.
+Group = Tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -46,24 +56,28 @@ class Vertex:
 
     Attributes:
         key: unique in the figure, and the same for the same thing in every figure.
-        kind: nodelet, topic or ordinary node.
+        kind: nodelet, topic, ordinary node or collapsed box.
         name: global name.
         group: namespace of the box that it stands in, in parts.
         inputs: names of in-ports, in the order of declaration.
         outputs: names of out-ports.
+        note: a line below the name.
     """
 
     key: str
     kind: VertexKind
     name: str
-    group: Tuple[str, ...] = ()
+    group: Group = ()
     inputs: Tuple[str, ...] = ()
     outputs: Tuple[str, ...] = ()
+    note: str = ""
 
     @property
     def label(self) -> str:
         """The name as it is drawn: without the namespace of its box; a long one in two lines."""
-        return _label(self.name, len(self.group))
+        parts = tuple(self.name.strip("/").split("/"))
+        depth = len(self.group) if parts[: len(self.group)] == self.group else 0
+        return _label(self.name, depth) + (f"\n{self.note}" if self.note else "")
 
 
 @lru_cache(maxsize=20_000)
@@ -102,6 +116,8 @@ class Options:
         hide_debug: leave out names that are in every graph.
         show_nodes: show ordinary nodes that use these topics.
         depth: how many parts of a namespace make a box; 0 for no boxes.
+        by_manager: make boxes of nodelet managers instead.
+        collapsed: boxes that are drawn as one vertex.
         is_downwards: let streams flow from top to bottom; else from left to right.
     """
 
@@ -113,6 +129,8 @@ class Options:
     hide_debug: bool = True
     show_nodes: bool = False
     depth: int = 2
+    by_manager: bool = False
+    collapsed: FrozenSet[Group] = frozenset()
     is_downwards: bool = False
 
 
@@ -124,7 +142,7 @@ class Figure:
     edges: Tuple[Edge, ...] = ()
     is_downwards: bool = False
 
-    def groups(self) -> List[Tuple[str, ...]]:
+    def groups(self) -> List[Group]:
         """Boxes, outer ones before those in them."""
         found = {v.group[:size] for v in self.vertices for size in range(1, len(v.group) + 1)}
         return sorted(found)
@@ -143,8 +161,8 @@ def key_of(kind: VertexKind, name: str) -> str:
     return f"{kind.value}_{name}"
 
 
-def figure_of(snapshot: Snapshot, options: Options) -> Figure:
-    """Make the figure of a snapshot."""
+def unboxed_figure_of(snapshot: Snapshot, options: Options) -> Figure:
+    """Make the figure of a snapshot, all but its boxes."""
     nodelets = {
         n.name: n for n in snapshot.nodelets if _wanted(n.name, options.nodelet_filter, options)
     }
@@ -180,11 +198,8 @@ def figure_of(snapshot: Snapshot, options: Options) -> Figure:
         edges = [edge for topic in topics.values() for edge in ends.past(topic)]
     used = {key for edge in edges for key in (edge.tail, edge.head)}
     vertices = [v for v in vertices if v.kind is not VertexKind.NODE or v.key in used]
-    return Figure(
-        tuple(_boxed(sorted(vertices, key=lambda v: v.key), options.depth)),
-        tuple(sorted(edges)),
-        options.is_downwards,
-    )
+    vertices = sorted(vertices, key=lambda v: v.key)
+    return Figure(tuple(vertices), tuple(sorted(edges)), options.is_downwards)
 
 
 def _wanted(name: str, chosen: Filter, options: Options) -> bool:
@@ -250,19 +265,3 @@ class _Ends:
             for ref in refs
             if ref.nodelet in self._nodelets
         ]
-
-
-def _boxed(vertices: List[Vertex], depth: int) -> Iterator[Vertex]:
-    """Assign vertices to the boxes of their namespaces; topics alone make no box."""
-    spaces = {v.key: tuple(v.name.strip("/").split("/")[:-1])[:depth] for v in vertices}
-    homes: Dict[Tuple[str, ...], int] = {}
-    for vertex in vertices:
-        space = spaces[vertex.key]
-        if vertex.kind is not VertexKind.TOPIC:
-            for size in range(1, len(space) + 1):
-                homes[space[:size]] = homes.get(space[:size], 0) + 1
-    for vertex in vertices:
-        group = spaces[vertex.key]
-        while group and group not in homes:
-            group = group[:-1]
-        yield Vertex(vertex.key, vertex.kind, vertex.name, group, vertex.inputs, vertex.outputs)

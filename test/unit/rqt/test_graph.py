@@ -11,8 +11,9 @@ import pydot
 import pytest
 
 from dyknow.model.graph import NodeletStatus, PortState, State
+from dyknow_rqt.graph.boxes import figure_of
 from dyknow_rqt.graph.dot import BadLayout, read_layout, to_dot
-from dyknow_rqt.graph.figure import Options, VertexKind, figure_of
+from dyknow_rqt.graph.figure import Options, VertexKind
 from dyknow_rqt.graph.filters import BadFilter, completions, parse
 from dyknow_rqt.graph.geometry import Layout, Point, Size
 from dyknow_rqt.graph.layered import layered
