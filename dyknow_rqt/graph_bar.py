@@ -30,6 +30,8 @@ from dyknow_rqt.qt_slot import qt_slot
 _TYPING = 250  # ms
 #: Pixels: from this width on the whole bar is shown.
 _WIDE = 800
+#: What is wider than that is folded before it gets so narrow.
+_LEAST = 190
 #: A view is narrow if it is so many times higher than wide.
 _NARROW = 1.2
 
@@ -210,6 +212,7 @@ class GraphBar(QWidget):
         self.mode.setSizeAdjustPolicy(QComboBox.AdjustToContents)
         rows = FlowLayout(self)
         rows.setContentsMargins(4, 4, 4, 2)
+        self.setMinimumWidth(_LEAST)
         for edit in (self.nodelets, self.topics):
             edit.setMinimumWidth(150)
         for button in (self.panel, self.undo, self.redo, self.fit, self.more):

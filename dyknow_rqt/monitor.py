@@ -38,7 +38,7 @@ from dyknow_rqt.graph.changes import CannotUndo, Change
 from dyknow_rqt.graph.contact import PATIENCE
 from dyknow_rqt.graph.history import UndoHistory
 from dyknow_rqt.graph.rates import Meter, in_turns
-from dyknow_rqt.graph.snapshot import PlainNode, Snapshot, plain_nodes, taken_topics
+from dyknow_rqt.graph.snapshot import PlainNode, Side, Snapshot, plain_nodes, taken_topics
 from dyknow_rqt.heartbeat import Heartbeat
 from dyknow_rqt.qt_slot import qt_slot
 from dyknow_rqt.remote import Remote
@@ -54,6 +54,8 @@ _LOG = logging.getLogger("rosout.dyknow_rqt")
 _ASKED = 40
 #: Seconds that reading the statistics may take in one look.
 _ASKING = 1.0
+#: The master's state is asked for at most in one of so many parts of the time.
+_SELDOM = 20
 
 
 @dataclass(frozen=True)
@@ -108,6 +110,8 @@ class Monitor(QObject):
         self._turn = 0
         self._look_began = 0.0
         self._looking = self._changing = self._reading = False
+        self._system: Tuple[Side, Side] = ((), ())
+        self._system_due = 0.0
         self._timer = QTimer(self)
         self._timer.timeout.connect(self.look)
         self._heard: Optional[Model] = None
@@ -297,7 +301,7 @@ class Monitor(QObject):
         hosts = {each.node for each in model.nodelets}
         nodes, taken = self.snapshot.nodes, self.snapshot.taken
         try:
-            publishers, subscribers = self.remote.system_state()
+            publishers, subscribers = self._system_state()
             nodes = plain_nodes(publishers, subscribers, topics, hosts)
             taken = taken_topics(publishers, model.nodelets, hosts)
         except (DyKnowError, LookupError):
@@ -312,6 +316,15 @@ class Monitor(QObject):
                 answer = self._client.get_statistics(name)
             statistics.append((name, answer, time.monotonic()))
         return _Looked(model, nodes, taken, tuple(statistics))
+
+    def _system_state(self) -> Tuple[Side, Side]:
+        """Ask the master, unless its answers took a large part of the time; in the background."""
+        start = time.monotonic()
+        if start >= self._system_due:
+            self._system = self.remote.system_state()
+            end = time.monotonic()
+            self._system_due = end + _SELDOM * (end - start)
+        return self._system
 
     def _take_look(self, looked: _Looked) -> None:
         self._looking = False

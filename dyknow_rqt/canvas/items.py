@@ -70,7 +70,7 @@ class BoxItem(Item):
     def __init__(self, group: Tuple[str, ...], colours: Colours, font: QFont) -> None:
         super().__init__(colours)
         self.group = group
-        self._name = "/" + "/".join(group)
+        self.name = "/" + "/".join(group)
         self._font = font
         self.area = QRectF()
         self.setZValue(-10 + len(group))
@@ -85,7 +85,7 @@ class BoxItem(Item):
         """The area of its name."""
         metrics = QFontMetricsF(self._font)
         corner = self.area.topLeft() + QPointF(8, 3)
-        return QRectF(corner, metrics.size(Qt.TextSingleLine, self._name))
+        return QRectF(corner, metrics.size(Qt.TextSingleLine, self.name))
 
     @qt_slot
     def paint(self, painter: QPainter, option: Any, widget: Any = None) -> None:

@@ -75,23 +75,31 @@ class Overview:
 
 
 def paint_titles(
-    painter: QPainter, boxes: Iterable[BoxItem], font: QFont, colours: Colours
+    painter: QPainter, titles: Iterable[Tuple[QRectF, str]], font: QFont, colours: Colours
 ) -> None:
-    """Write the titles of boxes so large that they can be read; where two meet, the outer one."""
+    """Write titles so large that they can be read; of two that meet only the first.
+
+    Args:
+        painter: in the coordinates of the drawing.
+        titles: what they belong to, and their texts.
+        font: at full size.
+        colours: of the drawing.
+    """
     zoom = min(1.0, painter.worldTransform().m11())
     metrics = QFontMetricsF(font)
     taken: List[QRectF] = []
     ground = QColor(colours.box)
     ground.setAlpha(210)
     painter.setFont(font)
-    for box in sorted(boxes, key=lambda box: (len(box.group), box.group)):
-        room = max(_NARROW, box.area.width() * zoom - 16)
-        text = metrics.elidedText("/" + "/".join(box.group), Qt.ElideMiddle, room)
+    for owner, title in titles:
+        room = max(_NARROW, owner.width() * zoom - 16)
+        text = metrics.elidedText(title, Qt.ElideMiddle, room)
         size = QRectF(0, 0, metrics.horizontalAdvance(text), metrics.height())
         size = size.adjusted(-_MARGIN, 0, _MARGIN, 0)
-        corner = box.area.topLeft() + QPointF(8, 3)
+        corner = owner.topLeft() + QPointF(8, 3)
         area = QRectF(corner, size.size() / zoom)
-        if any(area.intersects(other) for other in taken):
+        inner = area.adjusted(0, 1 / zoom, 0, -1 / zoom)  # letters leave a little room
+        if any(inner.intersects(other) for other in taken):
             continue
         taken.append(area)
         painter.save()

@@ -201,9 +201,16 @@ class GraphScene(QGraphicsScene):
     @qt_slot
     def drawForeground(self, painter: QPainter, area: QRectF) -> None:  # noqa: N802
         """Paint what is not painted by items."""
+        boxes = sorted(self._boxes.items(), key=lambda each: (len(each[0]), each[0]))
+        titles = [(box.area, box.name) for _, box in boxes]
         if self._is_far:
             self.paint_overview(painter)
-        paint_titles(painter, self._boxes.values(), self._font, self._colours)
+            titles += [
+                (item.area.translated(item.pos()), item.vertex.name)
+                for item in self.vertices.values()
+                if item.vertex.kind is VertexKind.BOX
+            ]
+        paint_titles(painter, titles, self._font, self._colours)
 
     def paint_overview(self, painter: QPainter) -> None:
         """Paint everything as it looks from far away."""

@@ -234,7 +234,7 @@ class GraphView(QGraphicsView):
         item = self._item_at(event.pos())
         if isinstance(item, VertexItem) and item.vertex.kind is VertexKind.BOX:
             self.box_pressed.emit(tuple(item.vertex.name.strip("/").split("/")))
-        elif item is None and self.box_at(event.pos()):
+        elif (item is None or item.is_far) and self.box_at(event.pos()):
             self.box_pressed.emit(self.box_at(event.pos()))
         else:
             super().mouseDoubleClickEvent(event)
