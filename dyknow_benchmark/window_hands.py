@@ -19,13 +19,13 @@ from python_qt_binding.QtCore import QTimer
 from python_qt_binding.QtTest import QTest
 from python_qt_binding.QtWidgets import QApplication
 
-from dyknow.model.client import BaseManagerClient
 from dyknow.model.graph import Model, NodeletStatus, State
 from dyknow_benchmark import progress, system
 from dyknow_benchmark.session import MeasurementFailed, Session
 from dyknow_rqt.canvas.view import GraphView
 from dyknow_rqt.ros_remote import RosRemote
 from dyknow_rqt.simulated import SimulatedRemote
+from dyknow_rqt.tree_graph import spawn_relay, tree
 from dyknow_rqt.window import DyKnowWidget
 
 #: Seconds between two nodelets that come back in the simulated manager.
@@ -35,10 +35,6 @@ _PATIENCE = 180.0
 _REST = 2.0
 #: Frames of each movement.
 _FRAMES = 60
-_RELAY = (
-    "<transformation><label>relay</label><source>dyknow/Relay</source><ports>"
-    '<port type="in">in</port><port type="out">out</port></ports></transformation>'
-)
 
 
 class Row(NamedTuple):
@@ -71,8 +67,7 @@ class _Returning(SimulatedRemote):
 
     def __init__(self, count: int) -> None:
         super().__init__()
-        self.client.add_transformation(_RELAY)
-        spawn_tree(self.client, count)
+        self.client = tree(count).client
         self._model = self.client.get_graph()
         self._lock = threading.Lock()
 
@@ -98,17 +93,6 @@ class _Returning(SimulatedRemote):
         self.client.on_model(self._model)
 
 
-def spawn_tree(client: BaseManagerClient, count: int) -> None:
-    """Spawn relays, ten in a namespace: each leads to two of them, a namespace to five others."""
-    for number in progress.steps(range(count), "spawning", count, "nodelet"):
-        group, place = divmod(number, 10)
-        topics = {"out": f"/part{group}/stream{place}"}
-        if number:
-            source = (group, (place - 1) // 2) if place else ((group - 1) // 5, 9)
-            topics["in"] = "/part{}/stream{}".format(*source)
-        client.spawn("relay", f"/part{group}/nodelet{place}", topics)
-
-
 def simulated(count: int) -> List[Row]:
     """Open a window on a simulated manager, let its nodelets come back, and move the view."""
     remote = _Returning(count)
@@ -127,7 +111,8 @@ def real(count: int) -> List[Row]:
     rows = []
     with Session() as session:
         client = system.start(session)
-        spawn_tree(client, count)
+        for number in progress.steps(range(count), "spawning", count, "nodelet"):
+            spawn_relay(client, number)
         with _window(DyKnowWidget(RosRemote(system.MANAGER))) as window:
             gaps = _gaps(lambda: _is_whole(window, count))
             rows.append(_row("real", count, "open", gaps))
@@ -171,14 +156,6 @@ def _is_whole(window: DyKnowWidget, count: int) -> bool:
     )
 
 
-def _until(condition: Callable[[], bool], what: str) -> None:
-    end = time.monotonic() + _PATIENCE
-    while not condition():
-        if time.monotonic() > end:
-            raise MeasurementFailed(f"waited {_PATIENCE:g} s for {what}")
-        QTest.qWait(20)
-
-
 def _is_whole_again(window: DyKnowWidget, count: int) -> Callable[[], bool]:
     """Return a question: whether nodelets that were gone when it was asked before are back."""
     answers = [True]
@@ -196,13 +173,12 @@ def _gaps(is_done: Callable[[], bool]) -> Sequence[float]:
     timer = QTimer()
     timer.timeout.connect(lambda: ticks.append(time.monotonic()))
     timer.start(5)
-    while True:
-        _until(is_done, "the window to show all nodelets")
-        end = time.monotonic() + _REST
-        while time.monotonic() < end and is_done():
-            QTest.qWait(50)
-        if time.monotonic() >= end:
-            break
+    end, since = time.monotonic() + _PATIENCE, 0.0
+    while not since or time.monotonic() < since + _REST:
+        QTest.qWait(20)
+        since = (since or time.monotonic()) if is_done() else 0.0
+        if time.monotonic() > end:
+            raise MeasurementFailed(f"waited {_PATIENCE:g} s for the window to show all nodelets")
     timer.stop()
     return ticks
 

@@ -163,11 +163,6 @@ class GraphPanel(QWidget):
                 file.write(to_dot(self.drawn, sizes_of(self.drawn, self.view.font())))
 
     @qt_slot
-    def _draw(self, drawing: Drawing) -> None:
-        self._is_following = True  # what is not drawn any more is not selected by that
-        self.view.scene().show_drawing(drawing)
-
-    @qt_slot
     def _follow_drawing(self, drawing: Drawing) -> None:
         """Show what has just been drawn."""
         self._selection.keep_drawn(drawing.figure)
@@ -285,8 +280,8 @@ class GraphPanel(QWidget):
 
     @qt_slot
     def _take_selection(self) -> None:
-        """Take what the user has selected in the drawing."""
-        if not self._is_following:
+        """Take what the user, not a change of the drawing, has selected in it."""
+        if not (self._is_following or self.view.scene().is_drawing):
             scene = self.view.scene()
             items = (*scene.vertices.items(), *scene.edges.items())
             self._selection.choose(key for key, item in items if item.isSelected())
@@ -366,7 +361,7 @@ class GraphPanel(QWidget):
         monitor.history_changed.connect(bar.show_history)
         view.scene().selectionChanged.connect(self._take_selection)
         self._selection.changed.connect(self._follow_selection)
-        self.layouter.ready.connect(self._draw)
+        self.layouter.ready.connect(view.scene().show_drawing)
         view.scene().shown.connect(self._follow_drawing)
         self.layouter.failed.connect(self.failed)
         view.drag_began.connect(self._drag_began)

@@ -21,6 +21,7 @@ from python_qt_binding.QtWidgets import QApplication, QStyleFactory
 from dyknow.model.graph import PortRef
 from dyknow_rqt.simulated import SimulatedRemote
 from dyknow_rqt.soccer_graph import soccer
+from dyknow_rqt.tree_graph import tree
 from dyknow_rqt.window import DyKnowWidget
 
 
@@ -86,22 +87,30 @@ def main(argv: Optional[List[str]] = None) -> int:
         ("dark", dark_palette(), _pose_dark),
     ):
         application.setPalette(palette)
-        _take(os.path.join(folder, f"gui_{name}.png"), pose, size)
-        print(f"screenshots: {folder}/gui_{name}.png")
+        _take(os.path.join(folder, f"gui_{name}.png"), soccer(), pose, size)
+    for name, count, pose, size in (
+        ("many", 500, _pose_many, [1366, 768]),
+        ("found", 500, _pose_found, [1366, 768]),
+        ("narrow", 30, _pose_narrow, [500, 768]),
+    ):
+        application.setPalette(light)
+        _take(os.path.join(folder, f"gui_{name}.png"), tree(count), pose, size)
     return 0
 
 
-def _take(path: str, pose: Callable[[DyKnowWidget], None], size: Sequence[int]) -> None:
-    widget = DyKnowWidget(soccer())
+def _take(
+    path: str, remote: SimulatedRemote, pose: Callable[[DyKnowWidget], None], size: Sequence[int]
+) -> None:
+    widget = DyKnowWidget(remote)
     widget.resize(*size)
     widget.show()
     widget.start()
     try:
         wait(lambda: len(widget.graph.drawn.vertices) > 15, 20.0, "the graph is drawn")
         wait(lambda: widget.monitor.library, 10.0, "the library is there")
-        wait(lambda: _has_rates(widget), 20.0, "the rates are there")
         pose(widget)
         QTest.qWait(300)
+        print(f"screenshots: {path}")
         if not widget.grab().save(path):
             raise OSError(f"cannot write '{path}'")
     finally:
@@ -117,6 +126,7 @@ def _has_rates(widget: DyKnowWidget) -> bool:
 
 
 def _pose_graph(widget: DyKnowWidget) -> None:
+    wait(lambda: _has_rates(widget), 20.0, "the rates are there")
     widget.graph.bar.nodes.setChecked(True)
     wait(lambda: len(widget.graph.drawn.vertices) > 20, 10.0, "nodes are shown")
     widget.graph.tidy()
@@ -124,13 +134,32 @@ def _pose_graph(widget: DyKnowWidget) -> None:
     widget.active.table.choose(["/nao1/ball_detector"])
 
 
+def _pose_many(widget: DyKnowWidget) -> None:
+    wait(lambda: len(widget.graph.drawn.vertices) == 1000, 20.0, "all are drawn")
+
+
+def _pose_found(widget: DyKnowWidget) -> None:
+    _pose_many(widget)
+    widget.active.table.filter.setText("part17")
+    widget.active.table.choose(["/part17/nodelet3"])
+    QTest.qWait(1500)
+
+
+def _pose_narrow(widget: DyKnowWidget) -> None:
+    widget.graph.bar.panel.click()
+    wait(lambda: widget.graph.drawn.is_downwards, 20.0, "streams flow downwards")
+    QTest.qWait(1500)
+
+
 def _pose_highlight(widget: DyKnowWidget) -> None:
+    wait(lambda: _has_rates(widget), 20.0, "the rates are there")
     view = widget.graph.view
     QTest.qWait(300)
     view.scene().highlight("n_/nao1/subsampler")
 
 
 def _pose_nodelets_only(widget: DyKnowWidget) -> None:
+    wait(lambda: _has_rates(widget), 20.0, "the rates are there")
     widget.graph.bar.mode.setCurrentIndex(1)
     QTest.qWait(500)
     widget.graph.tidy()
@@ -138,11 +167,13 @@ def _pose_nodelets_only(widget: DyKnowWidget) -> None:
 
 
 def _pose_library(widget: DyKnowWidget) -> None:
+    wait(lambda: _has_rates(widget), 20.0, "the rates are there")
     widget.tabs.setCurrentWidget(widget.library)
     widget.library.table.choose(["ball_detector"])
 
 
 def _pose_create(widget: DyKnowWidget) -> None:
+    wait(lambda: _has_rates(widget), 20.0, "the rates are there")
     widget.tabs.setCurrentWidget(widget.create_)
     widget.create_.begin("ball_detector")
     widget.create_.given.fields["?robot"].setText("nao1")
@@ -150,6 +181,7 @@ def _pose_create(widget: DyKnowWidget) -> None:
 
 def _pose_connect(widget: DyKnowWidget) -> None:
     """A connection half drawn by hand, and the same in the panel."""
+    wait(lambda: _has_rates(widget), 20.0, "the rates are there")
     widget.tabs.setCurrentWidget(widget.connect_)
     widget.connect_.begin("/field/ceiling_camera", "field_position")
     widget.connect_.begin("/field/tracker", "position")
@@ -165,6 +197,7 @@ def _pose_connect(widget: DyKnowWidget) -> None:
 
 def _pose_gone(widget: DyKnowWidget) -> None:
     """The manager has ended."""
+    wait(lambda: _has_rates(widget), 20.0, "the rates are there")
     remote = widget.monitor.remote
     assert isinstance(remote, SimulatedRemote)
     remote.client.is_up = False

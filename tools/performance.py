@@ -43,6 +43,7 @@ COMMANDS: dict[str, Sequence[str]] = {
     "plan": ("plan",),
     "recover": ("recover",),
     "failover": ("failover",),
+    "window": ("window",),
     "leak": ("leak",),
     "idle": ("idle",),
 }

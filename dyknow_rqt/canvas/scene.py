@@ -79,7 +79,9 @@ class GraphScene(QGraphicsScene):
         self.highlights = True
         self._highlighted: Union[None, str, Edge] = None
         self.overview = Overview()
-        self._is_far = self._is_drawing = self._is_placing = self._wants_labels = False
+        self._is_far = self._is_placing = self._wants_labels = False
+        #: Whether a drawing has begun that is not shown yet.
+        self.is_drawing = False
         self._calls = BackgroundCalls(1)
         self._steps: Iterator[None] = iter(())
         self._slices = QTimer(self)
@@ -104,12 +106,15 @@ class GraphScene(QGraphicsScene):
     def _go_on(self) -> None:
         """Draw for the time of a slice."""
         self._slices.stop()
-        self._is_drawing = True
+        self.is_drawing = True
         end = time.monotonic() + _SLICE
-        for _ in self._steps:
-            if time.monotonic() > end:
-                self._slices.start()
-                return
+        try:
+            for _ in self._steps:
+                if time.monotonic() > end:
+                    self._slices.start()
+                    break
+        finally:
+            self.is_drawing = self._slices.isActive()
 
     def _drawing(self, drawing: Drawing) -> Iterator[None]:
         figure, layout, sizes = drawing.figure, drawing.layout, drawing.sizes
@@ -141,7 +146,7 @@ class GraphScene(QGraphicsScene):
         self.setSceneRect(self.drawing_area().adjusted(-_MARGIN, -_MARGIN, _MARGIN, _MARGIN))
         drawn = self._highlighted in self.vertices or self._highlighted in self.edges
         self.highlight(self._highlighted if drawn else None)
-        self._is_drawing = False
+        self.is_drawing = False
         self.look_again()
         self.shown.emit(drawing)
 
@@ -222,7 +227,7 @@ class GraphScene(QGraphicsScene):
         """Have the overview painted again: something looks different now."""
         self.overview.forget()
         self.changed_looks.emit()
-        if self._is_far and not self._is_drawing:
+        if self._is_far and not self.is_drawing:
             self.update()
 
     def event(self, event: QEvent) -> bool:

@@ -88,6 +88,7 @@ class BenchmarkTest(TellingCase):
             "model": ("model", "--nodelets", 5),
             "library": ("library", "--transformations", 400),
             "recover": ("recover", "--nodelets", 3, "--kills", 1),
+            "window": ("window", "--nodelets", 4, "--restored", 4),
         }
         with ThreadPoolExecutor(4) as pool:
             runs = {
@@ -204,6 +205,13 @@ class BenchmarkTest(TellingCase):
         self.assertEqual([(row["nodelets"], row["kills"]) for row in rows], [("3", "1")])
         self.assertGreater(float(rows[0]["median_s"]), 0.0)
         self.assertIn("all streams back", self.rows("targets", "recover")[0]["what"])
+
+    def check_window(self, rows):
+        done = [row["what"] for row in rows if row["manager"] == "real"]
+        self.assertEqual(
+            done[:3], ["open", "nodelet manager killed", "both managers killed"], rows
+        )
+        self.assertGreater(min(float(row["longest_ms"]) for row in rows), 0.0)
 
     def test_failover(self):
         self.assertIn("silent: replaced", self.measure("failover", "--failures", 1))

