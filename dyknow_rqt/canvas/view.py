@@ -34,8 +34,8 @@ _STEP = 1.2
 #: The drawing is fitted again if it could be larger by this factor.
 _ROOM = 1.5
 _SMALLEST, _LARGEST = 0.05, 8.0
-#: From this zoom on names can be read well.
-_READABLE = 0.7
+#: From the first zoom on names can be made out, from the second on they can be read well.
+_LEGIBLE, _READABLE = 0.45, 0.7
 _ARROWS = {
     Qt.Key_Left: QPointF(-1, 0),
     Qt.Key_Right: QPointF(1, 0),
@@ -123,7 +123,7 @@ class GraphView(QGraphicsView):
         area = QRectF()
         for item in items:
             area = area.united(item.sceneBoundingRect())
-        if area.isEmpty() or (self.zoom >= _READABLE and self.seen.contains(area)):
+        if area.isEmpty() or (self.zoom >= _LEGIBLE and self.seen.contains(area)):
             return
         self.is_chosen = True
         area.adjust(-40, -40, 40, 40)
