@@ -93,6 +93,8 @@ class Minimap(QWidget):
 
     @qt_slot
     def _take_picture(self) -> None:
+        if self._scene.drawing_area().isEmpty():
+            return
         self._picture = QPixmap(self.size())
         self._picture.fill(self._scene.backgroundBrush().color())
         corner, scale = self._frame()

@@ -76,6 +76,16 @@ def test_the_map_shows_what_is_seen_and_moves_there(qtbot, window):
     assert not minimap.isVisible()
 
 
+def test_without_nodelets_there_is_no_map(qtbot):
+    widget = DyKnowWidget(tree(0))
+    qtbot.addWidget(widget, before_close_func=lambda w: w.shut_down())
+    widget.show()
+    widget.start()
+    widget.graph.view.scene().look_again()
+    widget.graph.view._minimap._take_picture()
+    assert widget.line.text == "" and not widget.graph.view._minimap.isVisible()
+
+
 def test_what_is_too_small_for_names_is_painted_together_and_hit_all_the_same(qtbot, window):
     view, scene = window.graph.view, window.graph.view.scene()
     item = scene.vertices["n_/part0/nodelet0"]
