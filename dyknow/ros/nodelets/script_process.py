@@ -86,6 +86,7 @@ class _ScriptProcess:
             if thread is not threading.main_thread() and not thread.daemon:
                 thread.join()
         self._main_over.set()
+        self._guest.shut_down("the script has ended")
         in_background("end", self._stop).join(_LONGEST_END)
         self._guest.run_exits()
         return status
@@ -179,12 +180,11 @@ class _ScriptProcess:
 
     def _withdraw(self) -> None:
         """Withdraw what the script has at the master; rosnode kill begins here."""
+        self._guest.shut_down("shutdown")  # however long its hooks take, as in rospy
         with self._withdrawal_turn:
             manager, self._manager = self._manager, None
             if manager is not None:
                 manager.close()
-            else:
-                self._guest.shut_down("shutdown")
 
 
 def _status(end: SystemExit) -> int:

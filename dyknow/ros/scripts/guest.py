@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import ctypes
 import logging
+import math
 import sys
 import threading
 import time
@@ -28,6 +29,8 @@ from dyknow.periodic import in_background
 _PATIENCE = 0.3
 #: Seconds in which they are made to end, from then on.
 _FORCE = 0.45
+#: Seconds that shutdown hooks may sleep while somebody waits for the unload.
+HOOKS_PATIENCE = 0.25
 _STEP = 0.02
 #: Seconds of a slice of a wait.
 _SLICE = 0.1
@@ -42,6 +45,7 @@ class Guest:
 
     Attributes:
         name: what it is called in the log.
+        argv: its command line, the program first; None if that is the process's.
         handle: stands for it among the nodelets; None until a script of its own process has
             called ``rospy.init_node``.
         is_alone: whether the process is its own.
@@ -62,6 +66,7 @@ class Guest:
     ) -> None:
         """Begin without a handle."""
         self.name = name
+        self.argv: Optional[List[str]] = None
         self.main = main
         self.is_alone = is_alone
         self.copies = copies
@@ -76,6 +81,8 @@ class Guest:
         self.hooks_after: List[Callable[[str], None]] = []
         self.exits: List[Callable[[], Any]] = []
         self.is_ending = False
+        self._ending_thread: Optional[threading.Thread] = None
+        self._end_of_sleep = math.inf
         self._lock = state_lock("guest")
         self._waiting: List[Callable[[PlainNodeHandle], None]] = []
         self._keepers: weakref.WeakSet[threading.Thread] = weakref.WeakSet()
@@ -102,6 +109,11 @@ class Guest:
                 self._waiting.append(do)
                 return
         do(self.handle)
+
+    def signal_shutdown(self, reason: str) -> None:
+        """Shut down on its own account, and be unloaded then."""
+        self.shut_down(reason)
+        self.unload()
 
     def unload(self) -> None:
         """Unload the guest, from a thread of its own."""
@@ -132,6 +144,13 @@ class Guest:
                 self.waits()
                 thread.join()
 
+    def rest(self, seconds: float) -> bool:
+        """Sleep; less if the guest is to end, which is returned."""
+        self.waits()
+        if threading.current_thread() is self._ending_thread:
+            seconds = min(seconds, self._end_of_sleep - time.monotonic())
+        return self.closing.wait(max(0.0, seconds))
+
     def pause(self, seconds: float) -> None:
         """Sleep; less if the guest is to end.
 
@@ -141,8 +160,7 @@ class Guest:
         Raises:
             SystemExit: the guest is to end, and this thread was told so before.
         """
-        self.waits()
-        if not self.closing.wait(max(0.0, seconds)):
+        if not self.rest(seconds):
             return
         thread = threading.get_ident()
         if thread not in self._let_go:
@@ -180,12 +198,24 @@ class Guest:
 
     # The end
 
-    def shut_down(self, reason: str) -> None:
-        """Let it shut down as rospy does: hooks, the flag that loops look at, hooks."""
+    def shut_down(self, reason: str, patience: float = math.inf) -> None:
+        """Let it shut down as rospy does: hooks, the flag that loops look at, hooks.
+
+        Args:
+            reason: is told to the hooks.
+            patience: seconds for which the hooks may sleep; they go on then, so that the last
+                words of a robot's driver are sent all the same.
+        """
+        me = threading.current_thread()
         with self._lock:
-            if self.is_ending:
-                return
-            self.is_ending = True
+            is_first = not self.is_ending
+            if is_first:
+                self.is_ending, self._ending_thread = True, me
+                self._end_of_sleep = time.monotonic() + patience
+        if not is_first:
+            if self._ending_thread is not me:  # else a hook asks for it again
+                self.closing.wait()
+            return
         for hook in list(self.hooks):
             self._attempt(hook, "on_shutdown")
         for before in list(self.hooks_before):

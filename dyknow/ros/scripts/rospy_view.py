@@ -10,7 +10,8 @@ ends by the views below.
 from __future__ import annotations
 
 import functools
-from typing import Any, Callable, Dict, Mapping, Optional, Type
+import threading
+from typing import Any, Callable, Dict, List, Mapping, Optional, Type
 
 import genpy
 import rospy
@@ -22,6 +23,8 @@ import rospy.rostime
 import rospy.service
 import rospy.topics
 
+from dyknow import names
+from dyknow.errors import HandleClosed
 from dyknow.nodelet import pubsub
 from dyknow.nodelet.handle import DEFAULT_BUFF_SIZE, PlainNodeHandle
 from dyknow.nodelet.importer import Module, View
@@ -36,9 +39,7 @@ _SUBMODULES = ("client", "core", "names", "rostime", "service", "topics")
 COPIED = "rospy.timer"
 _TIMING = ("Rate", "Timer", "sleep")
 #: Functions that are those of the guest's handle.
-_OF_HANDLE = (
-    "get_param get_param_cached set_param has_param delete_param search_param wait_for_service"
-).split()
+_OF_HANDLE = ("get_param get_param_cached set_param has_param delete_param search_param").split()
 _LOGS = [name for name in dir(rospy) if name.startswith("log") and name != "logout"]
 
 
@@ -95,15 +96,35 @@ def _members(guest: Guest, init_node: Callable[..., None]) -> Dict[str, Any]:
 
         return call
 
+    def wait_for_service(service: str, timeout: Any = None) -> None:
+        _wait_for_service(guest, handle().resolve_name(service), timeout)
+
     def wait_for_message(topic: str, topic_type: Any, timeout: Any = None) -> Any:
-        guest.waits()
-        seconds = timeout.to_sec() if isinstance(timeout, genpy.Duration) else timeout
-        return handle().wait_for_message(topic, topic_type, seconds)
+        heard: List[Any] = []
+        came = threading.Event()
+
+        def receive(message: Any) -> None:
+            heard.append(message)
+            came.set()
+
+        subscriber = members["Subscriber"](topic, topic_type, receive)
+        try:
+            _wait(guest, came.wait, timeout, f"message on topic {topic}")
+        finally:
+            subscriber.unregister()
+        return heard[0]
 
     def resolve_name(name: str, caller_id: Optional[str] = None) -> str:
         if caller_id is None and hasattr(guest.handle, "tell_name"):
             return str(handle().tell_name(name))
         return str(handle().resolve_name(name, caller_id))
+
+    def remap_name(name: str, caller_id: Optional[str] = None, resolved: bool = True) -> str:
+        if guest.handle is None:
+            return str(rospy.remap_name(name, caller_id, resolved))
+        global_name = names.complete(name, guest.handle.namespace, guest.handle.get_name())
+        remapped = resolve_name(name, caller_id)
+        return name if remapped == global_name else remapped
 
     def spin() -> None:
         if guest.handle is None:
@@ -113,12 +134,14 @@ def _members(guest: Guest, init_node: Callable[..., None]) -> Dict[str, Any]:
 
     def wallsleep(duration: Any) -> None:
         seconds = duration.to_sec() if isinstance(duration, genpy.Duration) else duration
-        guest.waits()
-        guest.closing.wait(max(0.0, seconds))
+        guest.rest(seconds)
 
     def get_rostime_cond() -> Any:
         guest.waits()
         return rospy.rostime.get_rostime_cond()
+
+    def myargv(argv: Optional[List[str]] = None) -> List[str]:
+        return list(rospy.myargv(guest.argv if argv is None else argv))
 
     def get_mappings() -> Dict[str, str]:
         return dict(guest.context.remappings) if guest.context is not None else {}
@@ -136,12 +159,13 @@ def _members(guest: Guest, init_node: Callable[..., None]) -> Dict[str, Any]:
         init_node=init_node,
         myargv=lambda argv=None: rospy.myargv(guest.argv if argv is None else argv),
         is_initialized=lambda: guest.handle is not None,
+        myargv=myargv,
         # names
         get_name=lambda: handle().get_name(),
         get_caller_id=lambda: handle().get_name(),
         get_namespace=lambda: handle().get_namespace(),
         resolve_name=resolve_name,
-        remap_name=resolve_name,
+        remap_name=remap_name,
         get_mappings=get_mappings,
         get_resolved_mappings=get_mappings,
         # topics and services
@@ -150,6 +174,7 @@ def _members(guest: Guest, init_node: Callable[..., None]) -> Dict[str, Any]:
         Service=_bound(GuestService, guest),
         ServiceProxy=_bound(GuestServiceProxy, guest),
         wait_for_message=wait_for_message,
+        wait_for_service=wait_for_service,
         # time
         wallsleep=wallsleep,
         get_rostime_cond=get_rostime_cond,
@@ -157,13 +182,41 @@ def _members(guest: Guest, init_node: Callable[..., None]) -> Dict[str, Any]:
         spin=spin,
         is_shutdown=lambda: guest.closing.is_set() or rospy.is_shutdown(),
         is_shutdown_requested=lambda: guest.is_ending or rospy.core.is_shutdown_requested(),
-        signal_shutdown=lambda reason: guest.unload(),
+        signal_shutdown=guest.signal_shutdown,
         on_shutdown=guest.hooks.append,
         add_client_shutdown_hook=guest.hooks.append,
         add_preshutdown_hook=guest.hooks_before.append,
         add_shutdown_hook=guest.hooks_after.append,
     )
     return members
+
+
+def _wait(guest: Guest, condition: Callable[[float], bool], timeout: Any, what: str) -> None:
+    """Wait for something as rospy does.
+
+    Raises:
+        ROSException: it took too long.
+        ROSInterruptException: the guest is to end.
+    """
+    seconds = timeout.to_sec() if isinstance(timeout, genpy.Duration) else timeout
+    if not guest.wait_for(lambda left: guest.closing.is_set() or condition(left), seconds):
+        raise rospy.ROSException(f"timeout exceeded while waiting for {what}")
+    if guest.closing.is_set():
+        guest.pause(0.0)
+        raise rospy.ROSInterruptException("rospy shutdown")
+
+
+def _wait_for_service(guest: Guest, name: str, timeout: Any) -> None:
+    def is_there(seconds: float) -> bool:
+        try:
+            rospy.wait_for_service(name, max(seconds, _LEAST))
+        except rospy.ROSInterruptException:
+            raise
+        except rospy.ROSException:
+            return False
+        return True
+
+    _wait(guest, is_there, timeout, f"service {name}")
 
 
 def _bound(base: Type[Any], guest: Guest) -> Type[Any]:
@@ -241,7 +294,12 @@ class GuestPublisher(_Topic):
         if self.guest.copies:
             message = copy_of(message)
             message._connection_header = dict(self._header, topic=self._end.name)
-        self._end.publish(message)
+        try:
+            self._end.publish(message)
+        except HandleClosed:
+            if not self.guest.closing.is_set():
+                raise
+            # As in rospy: who publishes while the topics are closed cannot know it yet.
 
     @property
     def impl(self) -> PublisherImpl:
@@ -347,9 +405,10 @@ class GuestServiceProxy(rospy.ServiceProxy):
 
     def wait_for_service(self, timeout: Any = None) -> None:
         """Wait until the service is there."""
-        self.guest.waits()
-        (self.guest.handle or rospy).wait_for_service(self.resolved_name, timeout)
+        _wait_for_service(self.guest, self.resolved_name, timeout)
 
 
 #: What rospy does without a bound is done with a generous one.
 _QUEUE = 1000
+#: Seconds for a look at a service; rospy accepts no 0.
+_LEAST = 0.001

@@ -19,7 +19,7 @@ from dyknow.nodelet.module_files import script_file
 from dyknow.nodelet.nodelet import Nodelet
 from dyknow.periodic import in_background
 from dyknow.ros.programs import find_script
-from dyknow.ros.scripts.guest import Guest
+from dyknow.ros.scripts.guest import HOOKS_PATIENCE, Guest
 from dyknow.ros.scripts.guest_modules import folders_of, script_importer
 from dyknow.ros.scripts.script_ports import ScriptHandle
 
@@ -101,7 +101,7 @@ class ScriptNodelet(Nodelet):
     def on_shutdown(self) -> None:
         """End it as the end of a process would."""
         if self._guest is not None and self._code is not None:
-            self._guest.shut_down("unloaded")
+            self._guest.shut_down("unloaded", HOOKS_PATIENCE)
             self._code.end()
 
     def _main(self) -> None:

@@ -1,0 +1,252 @@
+#!/usr/bin/env python3
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Scripts as distributions ship them, at their work: in one process, and each in its own."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import signal
+import sys
+import time
+from typing import Any, Callable, Iterator
+
+import graph  # first: it makes the test package known
+import rospy
+import rostest
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PointStamped, TransformStamped
+from graph import ManagerCase, set_config, topics_of_ports
+from processes import eventually
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64, Header, Int32, String
+from tf2_msgs.msg import TFMessage
+
+RUN = [sys.executable, "-m", "dyknow.cli", "run"]
+#: Seconds that an unload may take; a process alone may take longer.
+A_SECOND = 1.0
+#: A robot with one joint.
+ROBOT = """<robot name="r"><link name="base"/><link name="arm"/>
+<joint name="elbow" type="revolute"><parent link="base"/><child link="arm"/>
+<limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>"""
+
+
+def comes(topic: str, message_class: Any, wanted: Callable[[Any], bool] = bool) -> Any:
+    """Wait until a message that is wanted comes on a topic, and return it."""
+    heard: list[Any] = []
+    subscriber = rospy.Subscriber(topic, message_class, heard.append)
+    try:
+        eventually(lambda: any(map(wanted, list(heard))), 10.0, f"on {topic}", lambda: heard[-1:])
+    finally:
+        subscriber.unregister()
+    return next(filter(wanted, heard))
+
+
+@contextlib.contextmanager
+def publishing(topic: str, message: Any) -> Iterator[None]:
+    """Publish a message over and over."""
+    publisher = rospy.Publisher(topic, type(message), queue_size=10)
+    timer = rospy.Timer(rospy.Duration(0.05), lambda event: publisher.publish(message))
+    try:
+        yield
+    finally:
+        timer.shutdown()
+        timer.join()
+        publisher.unregister()
+
+
+def transform(parent: str, child: str, x: float) -> TransformStamped:
+    message = TransformStamped(child_frame_id=child)
+    message.header.frame_id = parent
+    message.header.stamp = rospy.Time(1)
+    message.transform.translation.x = x
+    message.transform.rotation.w = 1.0
+    return message
+
+
+class Scripts:
+    """What they do in either way."""
+
+    def start(self, script: str, name: str, *arguments: str, **names: str) -> None:
+        """Start a script ``PACKAGE/SCRIPT`` under a global name, with remappings."""
+        raise NotImplementedError
+
+    def stop(self, name: str) -> None:
+        """End it, in time."""
+        raise NotImplementedError
+
+    def prints(self, name: str, text: str) -> None:
+        """Wait until it has printed a text."""
+        raise NotImplementedError
+
+    def ends(self, name: str) -> None:
+        """Wait until it has ended by itself."""
+        raise NotImplementedError
+
+    def has_ports(self, name: str, **topics: str) -> None:
+        """Wait until it has ports on these topics."""
+        rospy.wait_for_service(f"{name}/get_config", 40.0)
+        eventually(
+            lambda: topics.items() <= topics_of_ports(name).items(),
+            10.0,
+            f"{name} has {topics}",
+            lambda: topics_of_ports(name),
+        )
+
+    def test_joint_state_publisher(self):
+        rospy.set_param("robot_description", ROBOT)
+        rospy.set_param("/left/source_list", ["moved"])
+        self.start("joint_state_publisher/joint_state_publisher", "/left")
+        self.start(
+            "joint_state_publisher/joint_state_publisher", "/right", joint_states="/right_states"
+        )
+        for topic in ("/joint_states", "/right_states"):
+            state = comes(topic, JointState)
+            self.assertEqual((state.name, state.position), (["elbow"], (0.0,)))
+        self.has_ports("/left", joint_states="/joint_states", moved="/moved")
+        self.assertTrue(set_config("/left", joint_states="/l", moved="/m").success)
+        with publishing("/m", JointState(name=["elbow"], position=[0.5])):
+            comes("/l", JointState, lambda state: state.position == (0.5,))
+        self.stop("/left")
+        self.start("joint_state_publisher/joint_state_publisher", "/left", joint_states="/l")
+        self.assertEqual(comes("/l", JointState).position, (0.0,))
+
+    def test_monitors(self):
+        scripts = {"/cpu": "cpu_monitor.py", "/ram": "ram_monitor.py", "/ntp": "ntp_monitor.py"}
+        for name, script in scripts.items():
+            rospy.set_param(f"{name}/rate", 20)
+            rospy.set_param(f"{name}/diagnostic_period", 0.1)
+            arguments = ["127.0.0.1", "--no-self-test"] if name == "/ntp" else []
+            self.start(f"diagnostic_common_diagnostics/{script}", name, *arguments)
+        for said in ("CPU Information", "RAM Information", "NTP offset from .* to 127.0.0.1"):
+            comes("/diagnostics", DiagnosticArray, self.tells(said))
+        self.has_ports("/cpu", **{"/diagnostics": "/diagnostics"})
+        self.assertTrue(set_config("/cpu", **{"/diagnostics": "/health"}).success)
+        status = comes("/health", DiagnosticArray, self.tells("CPU Information")).status[0]
+        self.assertTrue(any(pair.key == "CPU 0 Load" for pair in status.values))
+        for name in scripts:
+            self.stop(name)
+
+    def test_fields_of_topics(self):
+        point = PointStamped()
+        point.point.x = 2.0
+        with publishing("/point", point), publishing("/names", String("camera")):
+            eventually(
+                lambda: all(graph.nodes_on(topic)[0] for topic in ("/point", "/names")),
+                5.0,
+                "the inputs are there",
+            )
+            expression = ["std_msgs/Float64", "math.sqrt(2 * m)", "--import", "math"]
+            self.start("topic_tools/transform", "/root", "/point/point/x", "/r", *expression)
+            fields = ["std_msgs/Header", "frame_id: m.data"]
+            self.start("topic_tools/relay_field", "/field", "/names", "/headers", *fields)
+            self.assertEqual(comes("/r", Float64).data, 2.0)
+            self.assertEqual(comes("/headers", Header).frame_id, "camera")
+            self.assertTrue(set_config("/root", **{"/point": "/other", "/r": "/s"}).success)
+            point.point.x = 8.0
+            with publishing("/other", point):
+                self.assertEqual(comes("/s", Float64).data, 4.0)
+        self.stop("/root")
+        self.stop("/field")
+
+    def test_transforms(self):
+        seen = "frames.gv"
+        if os.path.exists(seen):
+            os.remove(seen)
+        rospy.set_param("/renamed/mappings", [{"old": "tool", "new": "gripper"}])
+        old = TFMessage([transform("base", "tool", 2.0)])
+        with publishing("/tf_old", old):
+            self.start("tf2_tools/view_frames.py", "/view")
+            self.start("tf/tf_remap", "/renamed")
+            self.start("tf2_tools/echo.py", "/echo", "base", "gripper", "-r", "20")
+            renamed = comes("/tf", TFMessage).transforms[0]
+            self.assertEqual(renamed.child_frame_id, "gripper")
+            self.prints("/echo", "Translation: [2.000, 0.000, 0.000]")
+            self.has_ports("/renamed", **{"/tf": "/tf", "/tf_old": "/tf_old"})
+            self.start("tf2_tools/echo.py", "/thrice", "base", "gripper", "-r", "20", "-l", "3")
+            self.ends("/thrice")
+            self.ends("/view")
+            self.assertTrue(set_config("/renamed", **{"/tf": "/tf_new"}).success)
+            comes("/tf_new", TFMessage)
+        self.stop("/echo")
+        self.stop("/renamed")
+        with open(seen) as file:
+            self.assertIn('"base" -> "gripper"', file.read())
+
+    def test_parameters_that_change(self):
+        self.start("dyknow_test/reconfigured.py", "/server")
+        comes("/server/size", Int32)
+        self.start("dynamic_reconfigure/dynparam", "/set", "set", "/server", "int_", "5")
+        comes("/server/size", Int32, lambda size: size.data == 5)
+        self.ends("/set")
+        self.start("dyknow_test/reconfigured.py", "/client", "/server")
+        comes("/server/size", Int32, lambda size: size.data == 7)
+        self.stop("/client")
+        self.stop("/server")
+        self.assertEqual(graph.nodes_on("/server/parameter_updates")[0], set())
+        self.start("dyknow_test/reconfigured.py", "/server")
+        comes("/server/size", Int32, lambda size: size.data == 7)
+
+    @staticmethod
+    def tells(pattern: str) -> Callable[[DiagnosticArray], bool]:
+        return lambda array: any(re.search(pattern, status.name) for status in array.status)
+
+
+class SharedTest(Scripts, ManagerCase):
+    """In one nodelet manager, beside a neighbour that is not to notice."""
+
+    def setUp(self):
+        self.start("dyknow_test/talker.py", "/neighbour")
+
+    def tearDown(self):
+        self.assertIn("/neighbour", self.manager.list())
+        comes("/words", String)
+        super().tearDown()
+
+    def start(self, script: str, name: str, *arguments: str, **names: str) -> None:
+        global_names = {
+            source if source[0] == "/" else f"/{source}": names[source] for source in names
+        }
+        self.manager.load("dyknow/Script", name, global_names, [script, *arguments])
+
+    def stop(self, name: str) -> None:
+        began = time.monotonic()
+        self.manager.unload(name)
+        self.assertLess(time.monotonic() - began, A_SECOND, f"unload of {name}")
+
+    def prints(self, name: str, text: str) -> None:
+        self.manager.wait_for(text)
+
+    def ends(self, name: str) -> None:
+        eventually(lambda: name not in self.manager.list(), 10.0, f"{name} has ended")
+
+
+class AloneTest(Scripts, graph.TellingCase):
+    """Each in a process of its own."""
+
+    def setUp(self):
+        self.running: dict[str, graph.Ended] = {}
+
+    def start(self, script: str, name: str, *arguments: str, **names: str) -> None:
+        words = [f"{source}:={topic}" for source, topic in names.items()]
+        process = graph.Ended(*RUN, *script.split("/"), *arguments, f"__name:={name[1:]}", *words)
+        self.running[name] = process
+        self.addCleanup(process.__exit__)
+
+    def stop(self, name: str) -> None:
+        self.running[name].stop(signal.SIGINT)
+        self.ends(name)
+
+    def prints(self, name: str, text: str) -> None:
+        self.running[name].wait_for(text)
+
+    def ends(self, name: str) -> None:
+        self.assertEqual(self.running[name].exit_code(40.0), 0, self.running[name].output)
+
+
+if __name__ == "__main__":
+    rospy.init_node("test_debian_scripts")
+    rostest.rosrun("dyknow", "debian_scripts", "__main__")
