@@ -52,6 +52,17 @@ def comes(topic: str, text: str) -> None:
         )
 
 
+def connected(topic: str) -> None:
+    """Wait until this process is connected to the one publisher of a topic."""
+    eventually(
+        lambda: any(
+            each[4] == topic and each[2] == "i" for each in graph.bus_info(rospy.get_name())
+        ),
+        10.0,
+        f"connected to {topic}",
+    )
+
+
 class SharedTest(ManagerCase):
     """In one nodelet manager."""
 
@@ -177,11 +188,32 @@ class SharedTest(ManagerCase):
 
     def test_a_script_that_ends_or_fails_is_gone_and_its_neighbours_stay(self):
         self.load("talker.py", "/talker")
-        for what in ("later", "quit", "_exit"):
+        for what in ("later", "quit", "_exit", "display", "show"):
             with self.subTest(what):
                 self.load("ill.py", "/ill", what)
                 eventually(lambda: self.manager.list() == ["/talker"], 5.0, "it is unloaded")
         comes("/words", "hello")
+
+    def test_last_words_are_sent(self):
+        self.load("habits.py", "/habits", "spin", **{"/camera": "/left"})
+        self.assertEqual(rospy.get_param("/habits/remapped"), ["/left", "lamp"])
+        with hearing("/habits/words") as heard:
+            connected("/habits/words")
+            self.assertLess(self.unload("/habits"), 1.5)
+            self.assertEqual([each.data for each in heard], ["stopping", "stopped"])
+
+    def test_waits_end_with_the_unload(self):
+        for what in ("service", "message"):
+            with self.subTest(what):
+                self.load("habits.py", "/waiting", what)
+                self.assertLess(self.unload("/waiting"), 1.5)
+        self.assertNotIn("thread '/waiting main' does not end", self.manager.output)
+
+    def test_a_shutdown_of_its_own_is_complete_when_it_returns(self):
+        self.load("habits.py", "/habits", "quit")
+        eventually(lambda: rospy.has_param("/habits/quit"), 10.0, "it has shut down")
+        self.assertEqual(rospy.get_param("/habits/quit"), [True, "enough"])
+        eventually(lambda: self.manager.is_free("/habits"), 5.0, "it is unloaded")
 
     def test_endless_threads_end_within_a_second(self):
         before = self.manager.threads()
@@ -264,6 +296,15 @@ class CommandTest(graph.TellingCase):
             node.stop()
             eventually(lambda: heard[-1].data == "good-bye", 5.0, "on_shutdown", lambda: heard)
         self.assertEqual(node.exit_code(20.0), 0)
+
+    def test_last_words_are_sent_alone(self):
+        node = self.start(*RUN, "dyknow_test", "habits.py", "spin", "__name:=habits")
+        rospy.wait_for_service("/habits/get_config", 40.0)
+        with hearing("/habits/words") as heard:
+            connected("/habits/words")
+            node.stop(signal.SIGTERM)
+            self.assertEqual(node.exit_code(20.0), 0)
+            self.assertEqual([each.data for each in heard], ["stopping", "stopped"])
 
     def test_its_exit_code_and_errors_are_its_own(self):
         for what, code, said in (

@@ -20,6 +20,7 @@ import weakref
 from functools import partial
 from typing import Any, Callable, Collection, List, Optional, Set
 
+from dyknow.errors import NeedsProcess
 from dyknow.locks import state_lock
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.handle import PlainNodeHandle
@@ -45,7 +46,6 @@ class Guest:
 
     Attributes:
         name: what it is called in the log.
-        argv: its command line, the program first; None if that is the process's.
         handle: stands for it among the nodelets; None until a script of its own process has
             called ``rospy.init_node``.
         is_alone: whether the process is its own.
@@ -54,6 +54,7 @@ class Guest:
         closing: set when its code is to end.
         settled: set when its main thread waits for the first time, or has ended.
         threads: those that it started.
+        on_refusal: called when what was refused to it ends a thread or a callback.
         main: its main thread; None for libraries.
     """
 
@@ -66,7 +67,6 @@ class Guest:
     ) -> None:
         """Begin without a handle."""
         self.name = name
-        self.argv: Optional[List[str]] = None
         self.main = main
         self.is_alone = is_alone
         self.copies = copies
@@ -75,6 +75,7 @@ class Guest:
         self.closing = threading.Event()
         self.settled = threading.Event()
         self.threads: List[threading.Thread] = []
+        self.on_refusal: Callable[[NeedsProcess], None] = lambda refusal: None
         #: What rospy calls at the shutdown: before it is one, and then, with a reason.
         self.hooks: List[Callable[[], None]] = []
         self.hooks_before: List[Callable[[str], None]] = []
@@ -133,9 +134,17 @@ class Guest:
 
             def noted() -> None:
                 with context.executor.record.noting(context.mark):
-                    run()
+                    self.call(run)
 
             thread.run = noted  # type: ignore[method-assign]
+
+    def call(self, callback: Callable[..., Any], *args: Any) -> Any:
+        """Call back code of the guest; what was refused to it ends the guest as a whole."""
+        try:
+            return callback(*args)
+        except NeedsProcess as refusal:
+            self.on_refusal(refusal)
+            raise
 
     def join(self) -> None:
         """Wait for the threads that would keep a process, as Python does at its end."""

@@ -37,7 +37,6 @@ def script_importer(guest: Guest, folders: List[str], init_node: Callable[..., N
     def timer() -> Module:
         return importer.import_module(rospy_view.COPIED)
 
-    guest.argv = argv
     importer = Importer(
         lambda name: name in _COPIED or DEPENDENTS.has(name),
         folders,

@@ -140,9 +140,6 @@ def _members(guest: Guest, init_node: Callable[..., None]) -> Dict[str, Any]:
         guest.waits()
         return rospy.rostime.get_rostime_cond()
 
-    def myargv(argv: Optional[List[str]] = None) -> List[str]:
-        return list(rospy.myargv(guest.argv if argv is None else argv))
-
     def get_mappings() -> Dict[str, str]:
         return dict(guest.context.remappings) if guest.context is not None else {}
 
@@ -159,7 +156,6 @@ def _members(guest: Guest, init_node: Callable[..., None]) -> Dict[str, Any]:
         init_node=init_node,
         myargv=lambda argv=None: rospy.myargv(guest.argv if argv is None else argv),
         is_initialized=lambda: guest.handle is not None,
-        myargv=myargv,
         # names
         get_name=lambda: handle().get_name(),
         get_caller_id=lambda: handle().get_name(),
@@ -336,15 +332,16 @@ class GuestSubscriber(_Topic):
         self.guest.with_handle(make)
 
     def _copying(self, callback: Callable[..., Any]) -> Callable[..., Any]:
+        call = self.guest.call
         if not self.guest.copies:
-            return callback
+            return functools.partial(call, callback)
         datatype, header = self.data_class, connection_header(self.data_class, False)
 
         def receive(message: Any, *args: Any) -> None:
             own = copy_as(datatype, message)
             if getattr(own, "_connection_header", None) is None:
                 own._connection_header = dict(header, topic=self.name)
-            callback(own, *args)
+            call(callback, own, *args)
 
         return receive
 
@@ -372,9 +369,10 @@ class GuestService:
         self.handler = handler
         self.resolved_name = name
         self._offered: Any = None
+        answer = functools.partial(self.guest.call, handler)
 
         def make(handle: PlainNodeHandle) -> None:
-            self._offered = handle.Service(name, service_class, handler, buff_size, error_handler)
+            self._offered = handle.Service(name, service_class, answer, buff_size, error_handler)
             self.resolved_name = self._offered.resolved_name
 
         self.guest.with_handle(make)

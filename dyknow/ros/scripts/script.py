@@ -12,7 +12,7 @@ from typing import Any, Callable, Optional, Sequence
 
 import rospy
 
-from dyknow.errors import CannotRun, ScriptEnded
+from dyknow.errors import CannotRun, NeedsProcess, ScriptEnded
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.middleware import Closable
 from dyknow.nodelet.module_files import script_file
@@ -88,6 +88,7 @@ class ScriptNodelet(Nodelet):
         argv = [find_script(self.my_argv[0]), *self.my_argv[1:]]
         by_reference = bool(self.private_node_handle.get_param("~by_reference", False))
         guest = self._guest = Guest(self.name, copies=not by_reference)
+        guest.on_refusal = self._refused
         guest.main = threading.Thread(target=self._main, name=f"{self.name} main", daemon=True)
         self._code = ScriptCode(guest, argv, _NodeInitialiser().init_node)
         self.context.close_with(_End(guest, self._code))
@@ -119,6 +120,15 @@ class ScriptNodelet(Nodelet):
         guest.settled.set()
         if not guest.closing.is_set():
             # After the load, which may not be complete yet.
+            self.context.strand.post(self._unload_ended)
+
+    def _refused(self, refusal: NeedsProcess) -> None:
+        """Give up a script that runs on without a thread or a callback of its own."""
+        guest = self._guest
+        assert guest is not None
+        if not guest.closing.is_set():
+            self._error = refusal
+            guest.settled.set()
             self.context.strand.post(self._unload_ended)
 
     def _unload_ended(self) -> None:
