@@ -11,6 +11,7 @@ import graph  # first: it makes the test package known
 import rospy
 import rostest
 import tf2_ros
+from actionlib.msg import TestActionGoal, TestGoal
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import TransformStamped
 from graph import ManagerCase, call
@@ -150,6 +151,40 @@ class ReconfigureTest(ManagerCase):
         self.assertFalse(graph.nodes_on("/robot/n/parameter_updates")[0])
         self.manager.load("Reconfigurable", "/robot/n")
         self.assertEqual(call("/robot/n", "seen"), [[10.0, 7]])
+
+
+class CarelessTest(ManagerCase):
+    """What nodelets leave to DyKnow to take back."""
+
+    def test_libraries_act_in_the_name_of_their_nodelet(self):
+        self.manager.load("Careless", "/robot/one")
+        self.manager.load("Careless", "/robot/two")
+        self.assertEqual(call("/robot/two", "ask", "/robot/one/count", 41), 42)
+        self.assertEqual(call("/robot/one", "ask", "/robot/one/count", 1), 2)
+        offered = graph.services_of("/manager")
+        for name in ("/robot/one", "/robot/two"):
+            self.assertIn(f"{name}/set_parameters", offered)
+        self.assertEqual(rospy.get_param("/robot/two/size"), 3)
+
+    def test_they_are_gone_with_it_and_come_back_without_a_word(self):
+        before = graph.registrations("/manager")
+        goals = rospy.Publisher("/n/count/goal", TestActionGoal, queue_size=10)
+        self.addCleanup(goals.unregister)
+        for number in range(3):
+            self.manager.load("Careless", "/n")
+            eventually(goals.get_num_connections, 5.0, "connected")
+            goals.publish(TestActionGoal(goal=TestGoal(number)))
+            eventually(lambda n=number: rospy.get_param("/counted", -1) == n, 5.0, "executed")
+            self.manager.unload("/n")
+            eventually(
+                lambda: graph.registrations("/manager") == before,
+                5.0,
+                "nothing is left",
+                lambda: graph.registrations("/manager"),
+            )
+            eventually(lambda: not goals.get_num_connections(), 5.0, "disconnected")
+        for word in ("WARN", "ERROR", "Traceback"):
+            self.assertNotIn(word, self.manager.output)
 
 
 if __name__ == "__main__":

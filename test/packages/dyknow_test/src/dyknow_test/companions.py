@@ -5,11 +5,13 @@
 
 from __future__ import annotations
 
+import actionlib
 import diagnostic_msgs.msg
 import diagnostic_updater
 import message_filters
 import rospy
 import tf2_ros
+from actionlib.msg import TestAction, TestGoal, TestResult
 from dynamic_reconfigure.server import Server
 from geometry_msgs.msg import TransformStamped
 from sensor_msgs.msg import Image
@@ -157,3 +159,30 @@ class Reconfigurable(Puppet):
 
     def seen(self):
         return self.configs
+
+
+class Careless(Puppet):
+    """Uses every library and takes nothing back."""
+
+    def on_init(self):
+        super().on_init()
+        actions = actionlib.SimpleActionServer("~count", TestAction, self._count, auto_start=False)
+        actions.start()
+        self._actions = actions
+        self._server = Server(ConfigType, lambda config, level: config)
+        updater = diagnostic_updater.Updater()
+        updater.setHardwareID(self.name)
+        updater.add("state", Diagnosed.diagnose)
+        self._listener = tf2_ros.TransformListener(tf2_ros.Buffer())
+        subscriber = message_filters.Subscriber("~image", Image)
+        self._cache = message_filters.Cache(subscriber, 10)
+
+    def ask(self, server, goal):
+        client = actionlib.SimpleActionClient(server, TestAction)
+        client.wait_for_server()
+        client.send_goal_and_wait(TestGoal(goal))
+        return client.get_result().result
+
+    def _count(self, goal):
+        rospy.set_param("/counted", goal.goal)
+        self._actions.set_succeeded(TestResult(goal.goal + 1))
