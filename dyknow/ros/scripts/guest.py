@@ -158,7 +158,10 @@ class Guest:
         self.waits()
         if threading.current_thread() is self._ending_thread:
             seconds = min(seconds, self._end_of_sleep - time.monotonic())
-        return self.closing.wait(max(0.0, seconds))
+        ends = self.closing.wait(max(0.0, seconds))
+        while self._is_over:  # it caught what was to end it: it would spin
+            time.sleep(3600)
+        return ends
 
     def pause(self, seconds: float) -> None:
         """Sleep; less if the guest is to end.
@@ -175,8 +178,6 @@ class Guest:
         if thread not in self._let_go:
             self._let_go.add(thread)
             return
-        while self._is_over:  # it caught what was to end it: it would spin
-            time.sleep(3600)
         raise SystemExit
 
     def waits(self) -> None:

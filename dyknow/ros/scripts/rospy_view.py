@@ -70,9 +70,10 @@ class _Rospy(View):
         self.__dict__["_timer"] = timer
 
     def __getattr__(self, name: str) -> Any:
-        if name == "timer":
-            return self.__dict__["_timer"]()
-        return getattr(self.timer if name in _TIMING else rospy, name)
+        if name != "timer" and name not in _TIMING:
+            return getattr(rospy, name)
+        timer = self.__dict__["_timer"]()  # waits for another thread that imports it just now
+        return timer if name == "timer" else getattr(timer, name)
 
 
 def _same(view: Module) -> Module:

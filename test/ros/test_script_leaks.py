@@ -1,0 +1,89 @@
+#!/usr/bin/env python3
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Scripts that are loaded and unloaded over and over leave nothing in their process."""
+
+from __future__ import annotations
+
+import os
+
+import graph  # first: it makes the test package known
+import rospy
+import rostest
+from graph import ManagerCase
+from processes import eventually
+
+SCRIPTS = {
+    "/talker": ["talker.py", "--word", "w"],
+    "/both": ["both_ways.py"],
+    "/server": ["libraries.py"],
+    "/client": ["libraries.py", "/server/count"],
+    "/reconfigured": ["reconfigured.py"],
+    "/endless": ["endless.py", "sleepy", "waiting", "working"],
+}
+#: Cycles after which caches are full and the pools of threads are as large as they become.
+WARM = 5
+#: Threads and descriptors that may come and go; kB that the heap may grow in a cycle.
+SPARE = 6
+MEMORY = 8.0
+PAGE = os.sysconf("SC_PAGE_SIZE") // 1024
+
+
+class ScriptLeakTest(ManagerCase):
+    def test_nothing_is_left(self):
+        for _ in range(WARM):
+            self.cycle()
+        before = self.holdings()
+        registered = graph.registrations("/manager")
+        cycles = rospy.get_param("~cycles")
+        for _ in range(cycles):
+            self.cycle()
+        eventually(
+            lambda: graph.registrations("/manager") == registered,
+            5.0,
+            "registrations",
+            lambda: graph.registrations("/manager"),
+        )
+        most = {
+            "descriptors": SPARE,
+            "threads": SPARE,
+            "modules": 0,
+            "functions": 0,
+            "memory": MEMORY * max(cycles, 100),
+        }
+
+        def grown():
+            after = self.holdings()
+            return {key: after[key] - before[key] for key in most}
+
+        print(f"after {cycles} cycles: {grown()}")
+        eventually(
+            lambda: all(value <= most[key] for key, value in grown().items()),
+            5.0,
+            f"no more than {most} is left of {cycles} cycles",
+            grown,
+        )
+
+    def cycle(self) -> None:
+        for name, (script, *arguments) in SCRIPTS.items():
+            self.manager.load("dyknow/Script", name, {}, [f"dyknow_test/{script}", *arguments])
+        for name in reversed(SCRIPTS):
+            self.manager.unload(name)
+
+    def holdings(self) -> dict[str, float]:
+        self.manager.load("dyknow/Script", "/census", {}, ["dyknow_test/census.py"])
+        eventually(lambda: not self.manager.list(), 5.0, "the census has ended")
+        with open(f"/proc/{self.manager.pid}/statm") as file:
+            memory = int(file.read().split()[1]) * PAGE
+        return {
+            **rospy.get_param("/census"),
+            "descriptors": self.manager.descriptors(),
+            "threads": self.manager.threads(),
+            "memory": memory,
+        }
+
+
+if __name__ == "__main__":
+    rospy.init_node("script_leaks")
+    rostest.rosrun("dyknow", "script_leaks", "__main__")
