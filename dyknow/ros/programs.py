@@ -5,10 +5,11 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import shlex
 import sys
-from typing import List, Optional
+from typing import Any, List, Optional
 
 from dyknow.errors import CannotRun
 from dyknow.model.graph import NodeletKind
@@ -24,17 +25,41 @@ def find_program(package: str, executable: str) -> str:
         CannotRun: there is none, or there are several.
     """
     import rospkg  # here: who asks for first lines alone does not wait for it
-    from roslib.packages import find_node
 
     try:
-        found = sorted(set(find_node(package, executable) or []))
+        found = _found(package, executable)
     except rospkg.ResourceNotFound as error:
         raise CannotRun(f"there is no package '{package}' on ROS_PACKAGE_PATH") from error
     if not found:
         raise CannotRun(f"package '{package}' has no program '{executable}'")
     if len(found) > 1:
         raise CannotRun(f"'{executable}' may be one of {', '.join(found)}: expected one program")
-    return str(found[0])
+    return found[0]
+
+
+def _found(package: str, executable: str) -> List[str]:
+    """List the programs of that name, as rosrun finds them.
+
+    The packages are looked up anew only if there is none: that takes longer than all else.
+    """
+    import rospkg
+    from roslib.packages import find_node
+
+    try:
+        found = find_node(package, executable, _packages())
+    except rospkg.ResourceNotFound:
+        found = []
+    if not found:
+        _packages.cache_clear()
+        found = find_node(package, executable, _packages())
+    return sorted(set(map(str, found or [])))
+
+
+@functools.lru_cache(maxsize=1)
+def _packages() -> Any:
+    import rospkg
+
+    return rospkg.RosPack()
 
 
 def find_script(name: str) -> str:
