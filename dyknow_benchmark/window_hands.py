@@ -69,12 +69,10 @@ class _Returning(SimulatedRemote):
         super().__init__()
         self.client = tree(count).client
         self._model = self.client.get_graph()
-        self._lock = threading.Lock()
 
     def graph(self) -> Model:
         """Answer with what was told last."""
-        with self._lock:
-            return self._model
+        return self._model
 
     def come_back(self) -> None:
         """Restart the nodelets: none has ports at first, then one after the other runs again."""
@@ -87,9 +85,8 @@ class _Returning(SimulatedRemote):
             self._tell(nodelets)
 
     def _tell(self, nodelets: Sequence[NodeletStatus]) -> None:
-        with self._lock:
-            model = self._model
-            self._model = replace(model, revision=model.revision + 1, nodelets=tuple(nodelets))
+        revision = self._model.revision + 1
+        self._model = replace(self._model, revision=revision, nodelets=tuple(nodelets))
         self.client.on_model(self._model)
 
 
