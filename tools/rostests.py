@@ -23,12 +23,15 @@ IN_WORKSPACE = ("bash", str(Path(__file__).resolve().parent / "in-workspace.sh")
 SUITE_TIMEOUT = 420.0  # s
 #: Suites that take a minute or longer.
 SLOW = (
+    "debian_scripts",
     "demo",
     "dyknow_command",
     "hosts",
     "manager",
+    "launch",
     "manager_faults",
     "nodelet_manager",
+    "scripts",
     "stream_parts",
     "stream_processes",
     "stream_roscore",

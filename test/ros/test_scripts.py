@@ -57,11 +57,16 @@ def comes(topic: str, text: str) -> None:
         )
 
 
-def connected(topic: str) -> None:
-    """Wait until this process is connected to the one publisher of a topic."""
+def connected(topic: str, publisher: str) -> None:
+    """Wait until the node that publishes a topic sends it to this process.
+
+    It greets before that, and what it publishes in between does not come.
+    """
+    me = rospy.get_name()
     eventually(
         lambda: any(
-            each[4] == topic and each[2] == "i" for each in graph.bus_info(rospy.get_name())
+            each[1] == me and each[2] == "o" and each[4] == topic
+            for each in graph.bus_info(publisher)
         ),
         10.0,
         f"connected to {topic}",
@@ -203,7 +208,7 @@ class SharedTest(ManagerCase):
         self.load("habits.py", "/habits", "spin", **{"/camera": "/left"})
         self.assertEqual(rospy.get_param("/habits/remapped"), ["/left", "lamp"])
         with hearing("/habits/words") as heard:
-            connected("/habits/words")
+            connected("/habits/words", "/manager")
             self.assertLess(self.unload("/habits"), 1.5)
             self.assertEqual([each.data for each in heard], ["stopping", "stopped"])
 
@@ -306,7 +311,7 @@ class CommandTest(graph.TellingCase):
         node = self.start(*RUN, "dyknow_test", "habits.py", "spin", "__name:=habits")
         rospy.wait_for_service("/habits/get_config", 40.0)
         with hearing("/habits/words") as heard:
-            connected("/habits/words")
+            connected("/habits/words", "/habits")
             node.stop(signal.SIGTERM)
             self.assertEqual(node.exit_code(20.0), 0)
             self.assertEqual([each.data for each in heard], ["stopping", "stopped"])

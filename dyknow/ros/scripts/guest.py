@@ -25,6 +25,7 @@ from dyknow.locks import state_lock
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.handle import PlainNodeHandle
 from dyknow.periodic import in_background
+from dyknow.ros.scripts import finalizers
 
 #: Seconds from the end of the hooks in which threads may end by themselves.
 _PATIENCE = 0.3
@@ -66,6 +67,7 @@ class Guest:
         copies: bool = True,
     ) -> None:
         """Begin without a handle."""
+        finalizers.begin()
         self.name = name
         self.main = main
         self.is_alone = is_alone

@@ -29,6 +29,7 @@ from dyknow.nodelet import pubsub
 from dyknow.nodelet.handle import DEFAULT_BUFF_SIZE, PlainNodeHandle
 from dyknow.nodelet.importer import Module, View
 from dyknow.ros.scripts.connections import PublisherImpl, SubscriberImpl
+from dyknow.ros.scripts.finalizers import outside_of_finalizers
 from dyknow.ros.scripts.guest import Guest
 from dyknow.ros.scripts.message_copies import copy_as, copy_of
 from dyknow.ros.transport.anymsg import connection_header
@@ -253,7 +254,7 @@ class _Topic:
     def unregister(self) -> None:
         """End it."""
         if self._end is not None:
-            self._end.unregister()
+            outside_of_finalizers(self._end.unregister)
 
 
 class GuestPublisher(_Topic):
@@ -381,7 +382,7 @@ class GuestService:
     def shutdown(self, reason: str = "") -> None:
         """Withdraw it."""
         if self._offered is not None:
-            self._offered.shutdown(reason)
+            outside_of_finalizers(functools.partial(self._offered.shutdown, reason))
 
     def spin(self) -> None:
         """Wait for the end."""
