@@ -7,12 +7,15 @@ from __future__ import annotations
 
 from typing import Any
 
+from python_qt_binding.QtCore import QTimer
 from rqt_gui_py.plugin import Plugin
 
 from dyknow_rqt.ros_remote import RosRemote
-from dyknow_rqt.window import DyKnowWidget
+from dyknow_rqt.window import DyKnowWidget, make_room
 
 _KEY = "dyknow"
+#: Milliseconds until rqt has shown its window.
+_AFTER_RQT = 500
 
 
 class DyKnowPlugin(Plugin):
@@ -26,6 +29,8 @@ class DyKnowPlugin(Plugin):
             self._widget.setWindowTitle(f"DyKnow ({context.serial_number()})")
         context.add_widget(self._widget)
         self._widget.start()
+        # Later: rqt restores its own size after this.
+        QTimer.singleShot(_AFTER_RQT, lambda: make_room(self._widget))
 
     def shutdown_plugin(self) -> None:
         """Leave nothing running."""

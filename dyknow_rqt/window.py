@@ -36,6 +36,8 @@ from dyknow_rqt.stream_watch import StreamWatch
 #: Pixels: a window that is less wide than high and than this is narrow; one smaller than the
 #: second in both is small.
 _NARROW, _SMALL = 800, 560
+#: A docked widget that is smaller shows no graph.
+_LEAST = QSize(480, 320)
 
 
 class DyKnowWidget(QWidget):
@@ -212,3 +214,17 @@ class DyKnowWidget(QWidget):
     def _begin_connection(self, nodelet: str, port: str) -> None:
         self.tabs.setCurrentWidget(self.connect_)
         self.connect_.begin(nodelet, port)
+
+
+def make_room(widget: QWidget) -> None:
+    """Enlarge the window that a widget is docked in if next to nothing of it can be seen.
+
+    rqt's own is as small as it can be when it is opened for the first time.
+    """
+    window = widget.window()
+    if widget.width() >= _LEAST.width() and widget.height() >= _LEAST.height():
+        return
+    more = widget.sizeHint() - widget.size()
+    screen = window.screen().availableGeometry().size()
+    wanted = window.size() + QSize(max(0, more.width()), max(0, more.height()))
+    window.resize(wanted.boundedTo(screen))

@@ -5,7 +5,10 @@
 
 from __future__ import annotations
 
+import pytest
+from python_qt_binding.QtCore import QSize
 from python_qt_binding.QtGui import QPalette
+from python_qt_binding.QtWidgets import QMainWindow, QWidget
 from unit.rqt.hands import (
     click,
     create,
@@ -17,7 +20,7 @@ from unit.rqt.hands import (
 from dyknow_rqt.layouter import Layouter
 from dyknow_rqt.screenshots import dark_palette
 from dyknow_rqt.tree_graph import tree
-from dyknow_rqt.window import DyKnowWidget
+from dyknow_rqt.window import DyKnowWidget, make_room
 
 
 def test_a_slow_manager_does_not_hold_up_the_window(qtbot, window, remote):
@@ -125,3 +128,18 @@ def test_without_graphviz_there_is_still_a_drawing(qtbot, window):
         assert set(signal.args[0].layout.centres) == {vertex.key for vertex in figure.vertices}
         layouter.close()
     assert len(words) <= 1
+
+
+@pytest.mark.parametrize(("size", "grows"), [((380, 190), True), ((500, 330), False)])
+def test_a_window_in_which_no_graph_can_be_seen_makes_room(qtbot, size, grows):
+    host = QMainWindow()
+    qtbot.addWidget(host)
+    widget = QWidget()
+    widget.sizeHint = lambda: QSize(700, 500)
+    host.setCentralWidget(widget)
+    host.resize(*size)
+    host.show()
+    make_room(widget)
+    assert (host.width() > size[0]) is grows
+    screen = host.screen().availableGeometry()
+    assert host.width() <= screen.width() and host.height() <= screen.height()
