@@ -216,10 +216,10 @@ class NodeletError(DyKnowError):
 
 
 class NameTaken(NodeletError):
-    """A nodelet of that name is loaded, or is being loaded."""
+    """A nodelet of that name is loaded, is being loaded, or is being unloaded."""
 
-    def __init__(self, name: str) -> None:
-        super().__init__(name, f"a nodelet named '{name}' is already loaded; choose another name")
+    def __init__(self, name: str, state: str = "already loaded") -> None:
+        super().__init__(name, f"a nodelet named '{name}' is {state}; choose another name")
 
 
 class UnknownNodelet(NodeletError):

@@ -34,9 +34,9 @@ _log = logging.getLogger("rosout.dyknow")
 
 
 class _State(enum.Enum):
-    LOADING = "loading"
-    RUNNING = "running"
-    UNLOADING = "unloading"
+    LOADING = "being loaded"
+    RUNNING = "already loaded"
+    UNLOADING = "still being unloaded"
 
 
 @dataclass(eq=False)
@@ -140,7 +140,7 @@ class Loader:
         """
         with self._lock:
             if name in self._entries:
-                raise NameTaken(name)
+                raise NameTaken(name, self._entries[name].state.value)
             context = Context(self.runtime, name, remappings, my_argv)
             entry = self._entries[name] = _Entry(context)
         context.on_attach = self._on_attach

@@ -148,7 +148,7 @@ class TestNameTaken:
         loader = world.loader(gate=gate, idle=Idle)
         thread, outcome = load_in_thread(loader, "/n", "gate")
         wait_for(gate.entered)
-        with pytest.raises(NameTaken):
+        with pytest.raises(NameTaken, match="'/n' is being loaded"):
             loader.load("/n", "idle")
         gate.opened.set()
         join(thread)
@@ -166,7 +166,7 @@ class TestNameTaken:
         loader.load("/n", "slow")
         thread = in_thread(lambda: loader.unload("/n"))
         wait_for(entered)
-        with pytest.raises(NameTaken):
+        with pytest.raises(NameTaken, match="'/n' is still being unloaded"):
             loader.load("/n", "idle")
         with pytest.raises(UnknownNodelet):
             loader.unload("/n")
