@@ -75,7 +75,7 @@ class ScriptLeakTest(ManagerCase):
 
     def holdings(self) -> dict[str, float]:
         self.manager.load("dyknow/Script", "/census", {}, ["dyknow_test/census.py"])
-        eventually(lambda: not self.manager.list(), 5.0, "the census has ended")
+        eventually(lambda: self.manager.is_free("/census"), 5.0, "the census has ended")
         with open(f"/proc/{self.manager.pid}/statm") as file:
             memory = int(file.read().split()[1]) * PAGE
         return {
