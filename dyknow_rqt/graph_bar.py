@@ -24,7 +24,7 @@ from python_qt_binding.QtWidgets import (
 
 from dyknow_rqt.filter_edit import FilterEdit
 from dyknow_rqt.flow_layout import FlowLayout
-from dyknow_rqt.graph.figure import Group, Options
+from dyknow_rqt.graph.figure import Boxes, Group, Options
 from dyknow_rqt.qt_slot import qt_slot
 
 _TYPING = 250  # ms
@@ -60,9 +60,12 @@ class GraphBar(QWidget):
         self.depth = QSpinBox()
         self.depth.setRange(0, 5)
         self.depth.setValue(2)
-        self.depth.setToolTip("How many parts of a namespace make a box; 0 for none")
+        self.depth.setToolTip(
+            "How many boxes stand in each other: parts of a namespace, or host and manager; "
+            "0 for none"
+        )
         self.boxes = QComboBox()
-        self.boxes.addItems(["namespaces", "nodelet managers"])
+        self.boxes.addItems([each.value for each in Boxes])
         self.boxes.setAccessibleName("What makes a box")
         self.boxes.setToolTip("What makes a box; a double click collapses a box and opens it")
         self.collapsed: FrozenSet[Group] = frozenset()
@@ -138,8 +141,8 @@ class GraphBar(QWidget):
             hide_leaf_topics=self.leaf_topics.isChecked(),
             hide_debug=self.debug.isChecked(),
             show_nodes=self.nodes.isChecked(),
+            boxes=Boxes(self.boxes.currentText()),
             depth=self.depth.value(),
-            by_manager=self.boxes.currentIndex() == 1,
             collapsed=self.collapsed,
         )
 
@@ -155,7 +158,7 @@ class GraphBar(QWidget):
             "topics": self.topics.text(),
             "depth": str(self.depth.value()),
             "boxes": str(self.boxes.currentIndex()),
-            "collapsed": ",".join("/".join(group) for group in sorted(self.collapsed)),
+            "collapsed": "\n".join(" ".join(group) for group in sorted(self.collapsed)),
             "period": str(self.period.value()),
         }
 
@@ -168,10 +171,10 @@ class GraphBar(QWidget):
         self.topics.setText(str(state.get("topics", "")))
         if state.get("mode") in ("0", "1"):
             self.mode.setCurrentIndex(int(state["mode"]))
-        if state.get("boxes") in ("0", "1"):
+        if state.get("boxes") in ("0", "1", "2"):
             self.boxes.setCurrentIndex(int(state["boxes"]))
-        names = str(state.get("collapsed", "")).split(",")
-        self.collapsed = frozenset(tuple(name.split("/")) for name in names if name)
+        groups = str(state.get("collapsed", "")).splitlines()
+        self.collapsed = frozenset(tuple(group.split()) for group in groups if group)
         if state.get("direction") in ("0", "1", "2"):
             self.direction.setCurrentIndex(int(state["direction"]))
         if state.get("more") in ("0", "1"):

@@ -256,7 +256,7 @@ class GraphPanel(QWidget):
         group = self.view.box_at(place)
         menu.addSeparator()
         if group:
-            action = menu.addAction(f"C&ollapse /{'/'.join(group)}")
+            action = menu.addAction(f"C&ollapse {group[-1]}")
             action.triggered.connect(lambda: self.bar.toggle_box(group))
         outer = [group for group in self._figure.groups() if len(group) == 1]
         for text, groups in (("Co&llapse all boxes", outer), ("Open all &boxes", [])):

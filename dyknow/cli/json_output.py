@@ -41,6 +41,7 @@ def nodelet_json(nodelet: NodeletStatus) -> Json:
         "isolated": nodelet.isolated,
         "rewired_by_reload": nodelet.rewired_by_reload,
         "kind": nodelet.kind.value,
+        "host": nodelet.host,
         "state": state_of(nodelet),
         "detail": nodelet.detail,
         "ports": [port_json(port) for port in by_name(nodelet.ports)],

@@ -45,6 +45,7 @@ class ManagerState:
         unseen: whether it was not looked for yet; until then holds what was known of it before.
         rewirable: whether what it hosts has ports that can be connected elsewhere; else it is
             loaded again for that, as in a stock C++ nodelet manager.
+        host: machine that its process is on, as ROS names it; empty if that is not known.
     """
 
     name: str
@@ -56,6 +57,7 @@ class ManagerState:
     away: bool = False
     unseen: bool = False
     rewirable: bool = True
+    host: str = ""
 
     @property
     def alive(self) -> bool:

@@ -338,6 +338,7 @@ class Lifecycle:
             state=State.RUNNING,
             detail=record.suspicion,
             incarnation=state.incarnation if state is not None else "",
+            host=state.host if state is not None else "",
             rewired_by_reload=state is not None and not state.rewirable,
         )
         if record.rewired_by_reload:

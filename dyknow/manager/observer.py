@@ -267,6 +267,7 @@ class Observer:
             state=State.RUNNING,
             detail=record.suspicion,
             incarnation=incarnation,
+            host=state.host if state is not None else record.host,
         )
         if (closely or came_back) and not record.rewired_by_reload:
             try:
@@ -358,9 +359,17 @@ class Observer:
             ports = self._host.ports(name)
         except HostError:
             ports = ()  # in a stock C++ nodelet manager it has no proxy
-        record = Record(name, None, state.name, state=State.RUNNING, kind=state.kind)
+        record = Record(
+            name,
+            None,
+            state.name,
+            state=State.RUNNING,
+            incarnation=state.incarnation,
+            kind=state.kind,
+            host=state.host,
+        )
         record = replace(record, transformation=self._description(record))
-        record = replace(record, ports=seen_ports(record, ports), incarnation=state.incarnation)
+        record = replace(record, ports=seen_ports(record, ports))
         return replace(record, topics=topics_of(record))
 
     def _description(self, record: Record) -> Optional[Transformation]:

@@ -38,6 +38,7 @@ class Record:
             it is destroyed as soon as that answers.
         parameters: those that were given to it, which it keeps for life.
         kind: what it is.
+        host: machine that it was seen on, as ROS names it.
     """
 
     name: str
@@ -56,6 +57,7 @@ class Record:
     unwanted: bool = False
     parameters: Tuple[Parameter, ...] = ()
     kind: NodeletKind = NodeletKind.PYTHON
+    host: str = ""
 
     @cached_property
     def given(self) -> Dict[str, str]:
@@ -98,6 +100,7 @@ class Record:
             self.ports,
             self.parameters,
             self.kind,
+            self.host,
         )
 
 

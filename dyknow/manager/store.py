@@ -226,6 +226,7 @@ def _body(record: Record) -> str:
             "unwanted": record.unwanted,
             "parameters": record.parameters,
             "kind": record.kind.value,
+            "host": record.host,
         },
         sort_keys=True,
     )

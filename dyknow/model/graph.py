@@ -114,6 +114,7 @@ class NodeletStatus:
         ports: in the order in which the nodelet made them.
         parameters: those that were given to it when it was spawned, by name.
         kind: what it is.
+        host: machine that it runs on, as ROS names it; empty if that is not known.
     """
 
     name: str
@@ -127,6 +128,7 @@ class NodeletStatus:
     ports: Tuple[PortState, ...]
     parameters: Tuple[Parameter, ...] = ()
     kind: NodeletKind = NodeletKind.PYTHON
+    host: str = ""
 
     @property
     def node(self) -> str:

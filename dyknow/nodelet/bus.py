@@ -33,6 +33,8 @@ from dyknow.periodic import in_background
 
 #: Seconds that the registration of an old topic stays at most while its messages are being sent.
 _LONGEST_DRAIN = 30.0
+#: Seconds for sending what endpoints have published before they go for good.
+_LAST_WORDS = 0.2
 #: Seconds for receiving what old publishers have sent; it has come to this machine already.
 _LONGEST_DRAIN_IN = 0.1
 
@@ -144,7 +146,10 @@ class Bus:
             self._break(plans, deadline)
 
     def release(self, endpoints: Sequence[Endpoint]) -> None:
-        """Take endpoints off the bus for good: queued messages are dropped, registrations end."""
+        """Take endpoints off the bus for good: messages that wait for them are dropped.
+
+        What they have published is sent first, as far as the network takes it soon.
+        """
         made: List[Optional[Registration]] = []
         with self._lock:
             made += [plan.registration for plan in self._making if plan.endpoint in endpoints]
@@ -161,7 +166,10 @@ class Bus:
                     if connection is not None:
                         made.append(connection.outside)
                         self._unlink(connection, discard=True)
+        deadline = self._clock() + _LAST_WORDS
         for registration in made:
+            if isinstance(registration, OutsidePublisher):
+                registration.drain(max(0.0, deadline - self._clock()))
             if registration is not None:
                 registration.close()
 

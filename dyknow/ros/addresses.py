@@ -16,6 +16,7 @@ import time
 from dataclasses import dataclass
 from functools import partial
 from typing import Callable, Dict, Optional, Tuple
+from urllib.parse import urlsplit
 
 import rosgraph.network
 
@@ -136,6 +137,11 @@ def connect(host: str, port: int, timeout: float) -> socket.socket:
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, milliseconds)
         return connection
     raise failure or OSError(f"{host} has no address")
+
+
+def host_of(uri: str) -> str:
+    """Return the host in the address of a node or of a service, as it is written there."""
+    return urlsplit(uri).netloc.rpartition(":")[0]
 
 
 def is_here(host: str, timeout: float) -> bool:

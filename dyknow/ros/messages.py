@@ -160,6 +160,7 @@ def nodelet_message(nodelet: NodeletStatus) -> msg.Nodelet:
         detail=nodelet.detail,
         ports=[port_message(port) for port in nodelet.ports],
         kind=nodelet.kind.value,
+        host=nodelet.host,
         parameters=_parameter_messages(nodelet.parameters),
     )
 
@@ -177,6 +178,7 @@ def _nodelet_from(message: msg.Nodelet) -> NodeletStatus:
         tuple(port_from(port) for port in message.ports),
         parameters_from(message.parameters),
         NodeletKind(message.kind),
+        message.host,
     )
 
 

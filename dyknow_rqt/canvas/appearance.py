@@ -136,6 +136,7 @@ def _nodelet_tip(nodelet: NodeletStatus) -> str:
         nodelet.name,
         nodelet.transformation or "loaded by others",
         nodelet.kind.title + (f" in {nodelet.manager}" if nodelet.manager else ""),
+        f"on {nodelet.host}" if nodelet.host else "",
         " ".join(f"{each.name}={each.text}" for each in nodelet.parameters),
         f"in-ports: {inputs}, out-ports: {len(nodelet.ports) - inputs}",
         *facts,

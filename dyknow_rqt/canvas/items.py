@@ -70,7 +70,7 @@ class BoxItem(Item):
     def __init__(self, group: Tuple[str, ...], colours: Colours, font: QFont) -> None:
         super().__init__(colours)
         self.group = group
-        self.name = "/" + "/".join(group)
+        self.name = group[-1]
         self._font = font
         self.area = QRectF()
         self.setZValue(-10 + len(group))

@@ -233,7 +233,7 @@ class GraphView(QGraphicsView):
         """Collapse the box under the pointer, or open it again."""
         item = self._item_at(event.pos())
         if isinstance(item, VertexItem) and item.vertex.kind is VertexKind.BOX:
-            self.box_pressed.emit(tuple(item.vertex.name.strip("/").split("/")))
+            self.box_pressed.emit((*item.vertex.group, item.vertex.name))
         elif (item is None or item.is_far) and self.box_at(event.pos()):
             self.box_pressed.emit(self.box_at(event.pos()))
         else:

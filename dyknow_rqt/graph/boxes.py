@@ -1,14 +1,17 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Boxes around vertices: of namespaces or of nodelet managers, open or collapsed."""
+"""Boxes around vertices: of namespaces, nodelet managers or hosts, open or collapsed."""
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from typing import AbstractSet, Dict, Iterable, Iterator, Mapping, Optional, Set
 
+from dyknow.model.graph import NodeletStatus
 from dyknow_rqt.graph.figure import (
+    Boxes,
     Edge,
     Figure,
     Group,
@@ -18,22 +21,26 @@ from dyknow_rqt.graph.figure import (
     key_of,
     unboxed_figure_of,
 )
+from dyknow_rqt.graph.filters import with_namespaces
 from dyknow_rqt.graph.snapshot import Snapshot
 
 
 def figure_of(snapshot: Snapshot, options: Options) -> Figure:
     """Make the figure of a snapshot."""
     figure = unboxed_figure_of(snapshot, options)
-    if options.depth and options.by_manager:
-        figure = _boxed_by_manager(figure, {n.name: n.manager for n in snapshot.nodelets})
-    else:
+    if options.boxes is Boxes.NAMESPACES:
         figure = _boxed(figure, options.depth)
+    else:
+        homes = {
+            each.name: _home(each, options.boxes)[: options.depth] for each in snapshot.nodelets
+        }
+        figure = _boxed_by_home(figure, homes)
     return _collapsed(figure, options.collapsed)
 
 
 def _boxed(figure: Figure, depth: int) -> Figure:
     """Assign vertices to the boxes of their namespaces; topics alone make no box."""
-    spaces = {v.key: tuple(v.name.strip("/").split("/")[:-1])[:depth] for v in figure.vertices}
+    spaces = {v.key: tuple(with_namespaces(v.name)[:-1][:depth]) for v in figure.vertices}
     homes: Set[Group] = set()
     for vertex in figure.vertices:
         if vertex.kind is not VertexKind.TOPIC:
@@ -48,23 +55,29 @@ def _boxed(figure: Figure, depth: int) -> Figure:
     return replace(figure, vertices=tuple(replace(v, group=home(v)) for v in figure.vertices))
 
 
-def _boxed_by_manager(figure: Figure, managers: Mapping[str, str]) -> Figure:
-    """Assign nodelets to the boxes of their managers, and topics that stay in one box to it.
+def _home(nodelet: NodeletStatus, boxes: Boxes) -> Group:
+    """The box of a nodelet's host, in it that of its nodelet manager; or that alone."""
+    parts = (nodelet.host, nodelet.manager) if boxes is Boxes.HOSTS else (nodelet.manager,)
+    return tuple(part for part in parts if part)
+
+
+def _boxed_by_home(figure: Figure, homes: Mapping[str, Group]) -> Figure:
+    """Assign nodelets to their boxes, and topics to the innermost that holds all of their ends.
 
     Args:
         figure: what to assign.
-        managers: of nodelets; empty for those without.
+        homes: of nodelets.
     """
-    groups: Dict[str, Group] = {
-        v.key: (managers.get(v.name, "").strip("/"),)
-        for v in figure.vertices
-        if v.kind is VertexKind.NODELET and managers.get(v.name)
+    groups = {
+        vertex.key: homes.get(vertex.name, ())
+        for vertex in figure.vertices
+        if vertex.kind is VertexKind.NODELET
     }
     neighbours = figure.neighbours()
     for vertex in figure.vertices:
-        ends = {groups.get(key, ()) for key in neighbours[vertex.key]}
-        if vertex.kind is VertexKind.TOPIC and len(ends) == 1:
-            groups[vertex.key] = ends.pop()
+        ends = [groups.get(key, ()) for key in neighbours[vertex.key]]
+        if vertex.kind is VertexKind.TOPIC:
+            groups[vertex.key] = tuple(os.path.commonprefix(ends))
     vertices = (replace(v, group=groups.get(v.key, ())) for v in figure.vertices)
     return replace(figure, vertices=tuple(vertices))
 
@@ -80,7 +93,7 @@ def _collapsed(figure: Figure, groups: AbstractSet[Group]) -> Figure:
         if home is not None:
             counts[home] = counts.get(home, 0) + (vertex.kind is not VertexKind.TOPIC)
     boxes = [
-        Vertex(_key(group), VertexKind.BOX, _name(group), group[:-1], note=f"{count} nodelets")
+        Vertex(_key(group), VertexKind.BOX, group[-1], group[:-1], note=f"{count} nodelets")
         for group, count in counts.items()
     ]
     others = [v for v in figure.vertices if homes[v.key] is None]
@@ -113,8 +126,4 @@ def _outermost(group: Group, groups: AbstractSet[Group]) -> Optional[Group]:
 
 
 def _key(group: Group) -> str:
-    return key_of(VertexKind.BOX, _name(group))
-
-
-def _name(group: Group) -> str:
-    return "/" + "/".join(group)
+    return key_of(VertexKind.BOX, " ".join(group))

@@ -98,7 +98,7 @@ def _members(
     for inner in figure.groups():
         if inner[:-1] == group:
             lines.append(f"{indent}subgraph {quote(_cluster(inner))} {{")
-            lines.append(f'{indent}  label={quote("/" + "/".join(inner))}; labeljust="l";')
+            lines.append(f'{indent}  label={quote(inner[-1])}; labeljust="l";')
             lines += _members(figure, sizes, inner, indent + "  ")
             lines.append(indent + "}")
     return lines
@@ -113,7 +113,7 @@ def _vertex(vertex: Vertex, size: Size) -> str:
 
 
 def _cluster(group: Tuple[str, ...]) -> str:
-    return "cluster_/" + "/".join(group)
+    return "cluster_" + " ".join(group)
 
 
 def _touches_topic(edge: Edge) -> bool:

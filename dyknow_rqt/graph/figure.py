@@ -46,7 +46,15 @@ class VertexKind(enum.Enum):
         return self in (VertexKind.TOPIC, VertexKind.BOX)
 
 
-#: Names of a box and of those around it, the outermost first.
+class Boxes(enum.Enum):
+    """What makes a box; the values are what the user is shown."""
+
+    NAMESPACES = "namespaces"
+    MANAGERS = "nodelet managers"
+    HOSTS = "hosts"
+
+
+#: Titles of a box and of those around it, the outermost first.
 Group = Tuple[str, ...]
 
 
@@ -58,7 +66,7 @@ class Vertex:
         key: unique in the figure, and the same for the same thing in every figure.
         kind: nodelet, topic, ordinary node or collapsed box.
         name: global name.
-        group: namespace of the box that it stands in, in parts.
+        group: the box that it stands in.
         inputs: names of in-ports, in the order of declaration.
         outputs: names of out-ports.
         note: a line below the name.
@@ -75,14 +83,13 @@ class Vertex:
     @property
     def label(self) -> str:
         """The name as it is drawn: without the namespace of its box; a long one in two lines."""
-        parts = tuple(self.name.strip("/").split("/"))
-        depth = len(self.group) if parts[: len(self.group)] == self.group else 0
-        return _label(self.name, depth) + (f"\n{self.note}" if self.note else "")
+        space = f"{self.group[-1]}/" if self.group else ""
+        name = self.name[len(space) :] if self.name.startswith(space) else self.name
+        return _label(name) + (f"\n{self.note}" if self.note else "")
 
 
 @lru_cache(maxsize=20_000)
-def _label(name: str, depth: int) -> str:
-    text = name.lstrip("/").split("/", depth)[-1] if depth else name
+def _label(text: str) -> str:
     for mark in "/_":
         breaks = [place for place, letter in enumerate(text) if letter == mark and place]
         if breaks:
@@ -115,8 +122,9 @@ class Options:
         hide_leaf_topics: leave out topics with one end only.
         hide_debug: leave out names that are in every graph.
         show_nodes: show ordinary nodes that use these topics.
-        depth: how many parts of a namespace make a box; 0 for no boxes.
-        by_manager: make boxes of nodelet managers instead.
+        boxes: what makes a box.
+        depth: how many parts of a namespace make boxes, or of a host and a nodelet manager; 0 for
+            no boxes.
         collapsed: boxes that are drawn as one vertex.
         is_downwards: let streams flow from top to bottom; else from left to right.
     """
@@ -128,8 +136,8 @@ class Options:
     hide_leaf_topics: bool = False
     hide_debug: bool = True
     show_nodes: bool = False
+    boxes: Boxes = Boxes.NAMESPACES
     depth: int = 2
-    by_manager: bool = False
     collapsed: FrozenSet[Group] = frozenset()
     is_downwards: bool = False
 

@@ -68,7 +68,7 @@ def completions(text: str, names: Iterable[str]) -> List[str]:
     minus = "-" if stem.startswith("-") else ""
     stem = stem[len(minus) :]
     prefix = head + comma + (" " if comma else "") + minus
-    known = {space for name in names for space in _with_namespaces(name)}
+    known = {space for name in names for space in with_namespaces(name)}
     return [prefix + name for name in sorted(known) if name.startswith(stem) and name != stem]
 
 
@@ -99,6 +99,7 @@ def _matcher(part: str) -> Callable[[str], bool]:
     return lambda name: pattern.match(name) is not None
 
 
-def _with_namespaces(name: str) -> List[str]:
+def with_namespaces(name: str) -> List[str]:
+    """Return the namespaces that a name is in, the outermost first, and the name."""
     pieces = name.strip("/").split("/")
     return ["/" + "/".join(pieces[: count + 1]) for count in range(len(pieces))]

@@ -46,6 +46,7 @@ class AbsentHostsTest(HostsCase):
             self.assertIn("does not answer", manager.nodelet("/kept").detail)
         self.becomes(manager, "/kept", State.RUNNING)
         self.assertEqual(self.listed("/far0"), ["/kept"])
+        self.assertEqual(manager.nodelet("/kept").host, far[0].address)
         self.assertEqual(manager.topics("/kept"), {"out": "/kept/out"})
         self.assertLess(self.spawn_time(manager), before + CALL_TIMEOUT)
         manager.client.destroy("/kept")

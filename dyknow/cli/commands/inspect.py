@@ -95,6 +95,8 @@ def _describe(nodelet: NodeletStatus, snapshot: Model) -> Iterator[str]:
     yield f"Kind: {nodelet.kind.title}"
     if nodelet.manager:
         yield f"Nodelet manager: {nodelet.manager}{' (its own process)' * nodelet.isolated}"
+    if nodelet.host:
+        yield f"Host: {nodelet.host}"
     yield f"State: {state_of(nodelet)}" + (f" ({nodelet.detail})" if nodelet.detail else "")
     yield f"Protected: {'yes' if nodelet.is_protected else 'no'}"
     if nodelet.parameters:

@@ -29,6 +29,7 @@ from dyknow.locks import state_lock
 from dyknow.manager.host import ManagerState
 from dyknow.model.graph import NodeletKind
 from dyknow.periodic import PeriodicWorker
+from dyknow.ros.addresses import host_of
 from dyknow.ros.hosting.count_collector import SERVICE as COUNTS
 from dyknow.ros.hosting.list_client import TIMEOUT, ListClient
 from dyknow.ros.master import Master
@@ -122,6 +123,7 @@ class ExternalManager:
             away=known.away,
             unseen=known.unseen,
             rewirable=kind is not None,
+            host=host_of(known.process.uri) if known.process is not None else "",
         )
 
     def check(self) -> None:

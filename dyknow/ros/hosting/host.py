@@ -28,6 +28,7 @@ from typing import (
     Tuple,
 )
 
+import rosgraph.network
 from dyknow_msgs.msg import Port as PortMessage
 from dyknow_msgs.msg import PortConfig
 from dyknow_msgs.srv import GetConfig, SetConfig
@@ -343,6 +344,7 @@ class RosHost(Host):
             record.isolated_for,
             responsive=responsive,
             rewirable=child.rewirable,
+            host=rosgraph.network.get_host_name(),
         )
 
     def _child(self, name: str) -> Optional[Child]:

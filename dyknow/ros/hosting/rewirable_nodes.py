@@ -27,6 +27,7 @@ from dyknow.locks import state_lock
 from dyknow.manager.host import ManagerState
 from dyknow.model.graph import NodeletKind
 from dyknow.periodic import PeriodicWorker
+from dyknow.ros.addresses import host_of
 from dyknow.ros.hosting.count_collector import SERVICE as COUNTS
 from dyknow.ros.master import Master
 from dyknow.ros.nodelets.announcements import NODES_TOPIC
@@ -181,4 +182,5 @@ def _state(name: str, incarnation: str, kind: NodeletKind, is_responsive: bool) 
         own=False,
         responsive=is_responsive,
         away=not is_responsive,
+        host=host_of(incarnation),
     )

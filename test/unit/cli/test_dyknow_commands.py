@@ -51,6 +51,7 @@ class TestList:
             "isolated": False,
             "rewired_by_reload": False,
             "kind": "nodelet",
+            "host": "",
             "state": "running",
             "detail": "",
             "ports": [

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -22,6 +23,22 @@ def world(tmp_path: Path) -> World:
     world.host.add(FAR)
     world.spawn("camera", "/a", manager=FAR)
     return world
+
+
+def test_it_is_known_where_a_nodelet_runs(world: World) -> None:
+    process = world.host.processes[FAR]
+    process.state = replace(process.state, host="rover")
+    world.spawn("camera", "/b", manager=FAR)
+    process.nodelets["/theirs"] = process.nodelets["/b"]
+    world.manager.look()
+
+    def hosts() -> dict[str, str]:
+        return {each.name: each.host for each in world.manager.graph_model().nodelets}
+
+    assert hosts() == {"/a": "", "/b": "rover", "/theirs": "rover"}
+    world.host.cut(FAR)
+    world.kill_manager()
+    assert hosts() == {"/a": "", "/b": "rover"}
 
 
 def unloads(world: World, name: str) -> int:

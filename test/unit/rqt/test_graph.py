@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import subprocess
+from dataclasses import replace
 
 import pydot
 import pytest
@@ -13,7 +14,7 @@ import pytest
 from dyknow.model.graph import NodeletStatus, PortState, State
 from dyknow_rqt.graph.boxes import figure_of
 from dyknow_rqt.graph.dot import BadLayout, read_layout, to_dot
-from dyknow_rqt.graph.figure import Options, VertexKind
+from dyknow_rqt.graph.figure import Boxes, Options, VertexKind
 from dyknow_rqt.graph.filters import BadFilter, completions, parse
 from dyknow_rqt.graph.geometry import Layout, Point, Size
 from dyknow_rqt.graph.layered import layered
@@ -161,13 +162,54 @@ def test_boxes_hold_more_than_topics():
     )
     groups = {v.name: v.group for v in figure_of(snapshot, Options(depth=2)).vertices}
     assert groups == {
-        "/robot/left/cam": ("robot", "left"),
-        "/robot/left/image": ("robot", "left"),
-        "/robot/view": ("robot",),
+        "/robot/left/cam": ("/robot", "/robot/left"),
+        "/robot/left/image": ("/robot", "/robot/left"),
+        "/robot/view": ("/robot",),
         "/elsewhere/out": (),
     }
-    assert figure_of(snapshot, Options(depth=1)).groups() == [("robot",)]
+    assert figure_of(snapshot, Options(depth=1)).groups() == [("/robot",)]
     assert figure_of(snapshot, Options(depth=0)).groups() == []
+
+
+def test_boxes_of_hosts_hold_those_of_nodelet_managers():
+    def on(host, manager, name, *ports):
+        return replace(nodelet(name, *ports), manager=manager, host=host)
+
+    snapshot = Snapshot(
+        (
+            on("desk", "/m/one", "/a", "out>=/inner"),
+            on("desk", "/m/one", "/b", ">in=/inner", "out>=/between"),
+            on("desk", "/two", "/c", ">in=/between", "out>=/away"),
+            on("far", "", "/d", ">in=/away"),
+            on("", "/lost", "/e", ">in=/away"),
+        )
+    )
+
+    def groups(**options):
+        figure = figure_of(snapshot, Options(**options))
+        return {v.name: v.group for v in figure.vertices if v.group}
+
+    one, two = ("desk", "/m/one"), ("desk", "/two")
+    assert groups(boxes=Boxes.HOSTS) == {
+        "/a": one,
+        "/b": one,
+        "/inner": one,
+        "/c": two,
+        "/between": ("desk",),
+        "/d": ("far",),
+        "/e": ("/lost",),
+    }
+    assert groups(boxes=Boxes.HOSTS, depth=1)["/inner"] == ("desk",)
+    assert groups(boxes=Boxes.HOSTS, depth=0) == {}
+    assert groups(boxes=Boxes.MANAGERS) == {
+        "/a": ("/m/one",),
+        "/b": ("/m/one",),
+        "/inner": ("/m/one",),
+        "/c": ("/two",),
+        "/e": ("/lost",),
+    }
+    collapsed = figure_of(snapshot, Options(boxes=Boxes.HOSTS, collapsed=frozenset({("desk",)})))
+    assert [v.note for v in collapsed.vertices if v.name == "desk"] == ["3 nodelets"]
 
 
 def test_dot_can_be_read_by_others():

@@ -107,7 +107,7 @@ def test_a_picture_has_names_also_of_what_is_seen_from_far(window, tmp_path):
 
 def test_a_double_click_collapses_a_box_and_opens_it(qtbot, window):
     view = window.graph.view
-    box = view.scene()._boxes[("part7",)].area
+    box = view.scene()._boxes[("/part7",)].area
     qtbot.mouseDClick(view.viewport(), Qt.LeftButton, pos=view.mapFromScene(box.center()))
     until(qtbot, lambda: "b_/part7" in vertex_keys(window))
     assert "n_/part7/nodelet3" not in vertex_keys(window) and "n_/part8/nodelet3" in vertex_keys(
@@ -121,7 +121,7 @@ def test_a_double_click_collapses_a_box_and_opens_it(qtbot, window):
 
 def test_boxes_can_be_nodelet_managers_and_collapsed_all_at_once(qtbot, window):
     window.graph.bar.boxes.setCurrentIndex(1)
-    until(qtbot, lambda: window.graph.drawn.groups() == [("dyknow_nodelet_manager",)])
+    until(qtbot, lambda: window.graph.drawn.groups() == [("/dyknow_nodelet_manager",)])
     window.graph._collapse(window.graph.drawn.groups())
     until(qtbot, lambda: vertex_keys(window) == {"b_/dyknow_nodelet_manager"})
     window.graph._collapse(())
