@@ -173,7 +173,7 @@ class LoadTest(Refusals):
             )
             with self.assertRaises(rospy.ServiceException) as caught:
                 self.manager.load("Talker", "/n")
-            self.assertIn("already loaded", str(caught.exception))
+            self.assertIn("being loaded", str(caught.exception))
             rospy.set_param("/go_on", True)
             eventually(lambda: self.manager.list() == ["/n"], 5.0, "the first one has won")
             client.stop()
