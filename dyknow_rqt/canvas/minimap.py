@@ -44,12 +44,11 @@ class Minimap(QWidget):
         self._picture = QPixmap()
         self._lag = QTimer(self)
         self._lag.setSingleShot(True)
-        self._lag.setInterval(_LAG)
         self._lag.timeout.connect(self._take_picture)
         self.setCursor(Qt.SizeAllCursor)
         self.setToolTip("The whole graph: press or drag to move there")
         self.setAccessibleName("Map of the graph")
-        scene.changed_looks.connect(self._lag.start)
+        scene.changed_looks.connect(self._take_picture_later)
         self.hide()
 
     def follow(self, seen: QRectF) -> None:
@@ -62,7 +61,7 @@ class Minimap(QWidget):
             corner = self.parentWidget().rect().bottomRight() - QPoint(_MARGIN, _MARGIN)
             self.setGeometry(QRect(corner - QPoint(size.width(), size.height()), size))
             if self._picture.size() != size:
-                self._take_picture()
+                self._lag.start(0)
         self.setVisible(is_useful)
         self.update()
 
@@ -90,6 +89,10 @@ class Minimap(QWidget):
     def mouseMoveEvent(self, event: Any) -> None:  # noqa: N802
         """Move the view on."""
         self.mousePressEvent(event)
+
+    @qt_slot
+    def _take_picture_later(self) -> None:
+        self._lag.start(_LAG)
 
     @qt_slot
     def _take_picture(self) -> None:

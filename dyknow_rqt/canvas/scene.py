@@ -87,12 +87,23 @@ class GraphScene(QGraphicsScene):
         self._slices = QTimer(self)
         self._slices.setInterval(0)
         self._slices.timeout.connect(self._go_on)
+        self._labelling = QTimer(self)
+        self._labelling.setSingleShot(True)
+        self._labelling.setInterval(0)
+        self._labelling.timeout.connect(self._place_labels)
+        self._area: Optional[QRectF] = None
         self.selectionChanged.connect(self.look_again)
         self.setBackgroundBrush(self._colours.paper)
 
     def close_down(self) -> None:
         """Place no more labels."""
+        self._labelling.stop()
         self._calls.close()
+
+    @property
+    def is_labelled(self) -> bool:
+        """Whether all labels are where they belong."""
+        return not (self.is_drawing or self._is_placing or self._labelling.isActive())
 
     def show_drawing(self, drawing: Drawing) -> None:
         """Draw something else in slices, then emit ``shown``.
@@ -141,8 +152,9 @@ class GraphScene(QGraphicsScene):
             box = self._boxes.get(group) or BoxItem(group, self._colours, self._font)
             box.set_area(layout.boxes[group])
             self._add(self._boxes, group, box)
-        self.figure = figure
-        self._place_labels()
+        self.figure, self._area = figure, None
+        self._labelling.start()
+        yield
         self.setSceneRect(self.drawing_area().adjusted(-_MARGIN, -_MARGIN, _MARGIN, _MARGIN))
         drawn = self._highlighted in self.vertices or self._highlighted in self.edges
         self.highlight(self._highlighted if drawn else None)
@@ -175,7 +187,7 @@ class GraphScene(QGraphicsScene):
         for edge, item in self.edges.items():
             item.set_traffic(edge_traffic(edge, traffic))
         if shapes != [item.label_shape for item in self.edges.values()]:
-            self._place_labels()
+            self._labelling.start()
 
     def tip_of(self, item: object) -> str:
         """The tool tip of an item."""
@@ -201,7 +213,7 @@ class GraphScene(QGraphicsScene):
             for item in self._items():
                 item.set_far(self._is_far)
             if self._wants_labels:
-                self._place_labels()
+                self._labelling.start()
 
     @qt_slot
     def drawForeground(self, painter: QPainter, area: QRectF) -> None:  # noqa: N802
@@ -301,7 +313,9 @@ class GraphScene(QGraphicsScene):
 
     def drawing_area(self) -> QRectF:
         """The area of the drawing."""
-        return QRectF(self.itemsBoundingRect())
+        if self._area is None:
+            self._area = self.itemsBoundingRect()
+        return QRectF(self._area)
 
     def save_svg(self, path: str) -> None:
         """Write the drawing as SVG.
@@ -334,6 +348,7 @@ class GraphScene(QGraphicsScene):
 
     # Inside
 
+    @qt_slot
     def _place_labels(self) -> None:
         """Place the labels of arrows, in a thread; not before they are large enough to be read."""
         self._wants_labels = True
@@ -356,9 +371,9 @@ class GraphScene(QGraphicsScene):
     def _take_labels(self, places: Mapping[Edge, Rectangle]) -> None:
         for edge, item in self.edges.items():
             item.place_label(places.get(edge))
-        self._is_placing = False
+        self._is_placing, self._area = False, None
         if self._wants_labels:
-            self._place_labels()
+            self._labelling.start()
 
     def _take_no_labels(self, error: Exception) -> None:
         self._is_placing = False

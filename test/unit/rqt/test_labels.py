@@ -77,9 +77,13 @@ def test_a_thousand_labels_are_placed_at_once():
 def test_in_the_drawing_no_label_covers_another_or_a_vertex(qtbot, window):
     scene = window.graph.view.scene()
     until(qtbot, lambda: any(item.is_dropping for item in scene.edges.values()))
-    for mode in (1, 0):
+    for mode, shown in ((1, False), (0, True)):
         window.graph.bar.mode.setCurrentIndex(mode)
-        until(qtbot, lambda: not window.graph._wants_tidy)
+
+        def is_drawn(shown=shown):
+            return ("t_/field/ball" in scene.vertices) is shown and scene.is_labelled
+
+        until(qtbot, is_drawn)
         labels = {e: item.label_area for e, item in scene.edges.items() if item.label}
         placed = [area for area in labels.values() if not area.isEmpty()]
         inked = [area for item in scene.vertices.values() for area in item.inked]
