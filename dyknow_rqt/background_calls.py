@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import logging
 import threading
-from typing import Callable, TypeVar
+from collections import deque
+from typing import Callable, Deque, TypeVar
 
-from python_qt_binding.QtCore import QObject, Signal
+from python_qt_binding.QtCore import QObject, QTimer, Signal
 
 from dyknow.workers import Workers
 
@@ -20,7 +21,7 @@ T = TypeVar("T")
 class BackgroundCalls(QObject):
     """A pool of daemon threads, so that a call that hangs does not hold up the end."""
 
-    _delivered = Signal(object)
+    _delivered = Signal()
 
     def __init__(self, count: int = 4) -> None:
         """Start the threads; to be made in the thread of the window.
@@ -30,7 +31,11 @@ class BackgroundCalls(QObject):
         """
         super().__init__()
         self._closed = threading.Event()
-        self._delivered.connect(self._deliver)
+        self._results: Deque[Callable[[], None]] = deque()
+        self._turns = QTimer(self)
+        self._turns.setInterval(0)
+        self._turns.timeout.connect(self._deliver)
+        self._delivered.connect(self._turns.start)
         self._workers = Workers("dyknow_rqt worker", count)
 
     def run(
@@ -50,10 +55,11 @@ class BackgroundCalls(QObject):
         self._workers.run(work)
 
     def deliver(self, function: Callable[[], None]) -> None:
-        """Call a function in the thread of the window; from any thread."""
+        """Call a function in the thread of the window, in a turn of its own; from any thread."""
         if not self._closed.is_set():
+            self._results.append(function)
             try:
-                self._delivered.emit(function)
+                self._delivered.emit()
             except RuntimeError:
                 self._closed.set()  # Qt has taken the window apart meanwhile
 
@@ -62,10 +68,12 @@ class BackgroundCalls(QObject):
         self._closed.set()
         self._workers.close()
 
-    def _deliver(self, function: Callable[[], None]) -> None:
-        if self._closed.is_set():
+    def _deliver(self) -> None:
+        """Take in one result: what hands do meanwhile comes between it and the next."""
+        if self._closed.is_set() or not self._results:
+            self._turns.stop()
             return
         try:
-            function()
+            self._results.popleft()()
         except Exception:
             _LOG.exception("the result of a call could not be taken in")

@@ -28,7 +28,7 @@ from python_qt_binding.QtWidgets import (
 from dyknow_rqt.qt_slot import qt_slot
 
 #: The number of rows that determine the width of columns.
-_SAMPLED = 200
+_SAMPLED = 40
 #: The most pixels that the first columns take.
 _WIDEST = (160, 115)
 #: The cells of a row, and its tool tip.
