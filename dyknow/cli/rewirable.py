@@ -1,10 +1,11 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""`rewirable`: runs a program of roscpp so that its ports can be connected elsewhere.
+"""`rewirable`: runs a program of roscpp or rospy so that its ports can be connected elsewhere.
 
-It becomes the program, so signals, exit codes and output are the program's own. The library that
-makes a node re-wirable is preloaded. It goes through shells and wrappers, and takes itself out of
+It becomes the program, so signals, exit codes and output are the program's own. A Python script
+becomes DyKnow's host of scripts; for all else the library that makes a node of roscpp re-wirable
+is preloaded. That goes through shells and wrappers, and takes itself out of
 the environment of the first process that is linked with libroscpp, so that the children of a node
 are as they would be without it.
 """
@@ -17,7 +18,7 @@ import sys
 from typing import List, NoReturn, Optional, Sequence
 
 from dyknow.errors import CannotRun
-from dyknow.ros.programs import interpreter
+from dyknow.ros.programs import ELF, first_line, interpreter
 
 #: The library in front of libroscpp.
 LIBRARY = "libdyknow_roscpp.so"
@@ -45,7 +46,6 @@ does:
   dyknow run topic_tools relay /scan /copy __name:=copier
   dyknow connect /other_scan copier:/scan
 """
-_ELF = b"\x7fELF"
 
 
 def main(words: Optional[Sequence[str]] = None) -> int:
@@ -118,11 +118,10 @@ def obstacle(program: str) -> str:
 
     Of a shell script it is not known what it runs.
     """
-    with open(program, "rb") as file:
-        first = file.readline(200)
-    if first.startswith(b"#!") and b"python" in first:
+    first = first_line(program)
+    if first.startswith("#!") and "python" in first:
         return "it is a script for another Python"
-    if not first.startswith((_ELF, b"#!")):
+    if not first.startswith((ELF, "#!")):
         return "it is no program for this machine"
     return ""
 

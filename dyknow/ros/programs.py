@@ -15,7 +15,8 @@ from dyknow.errors import CannotRun
 from dyknow.model.graph import NodeletKind
 from dyknow.model.transformation import Program
 
-_ELF = "\x7fELF"
+#: How a binary begins.
+ELF = "\x7fELF"
 
 
 def find_program(package: str, executable: str) -> str:
@@ -86,7 +87,7 @@ def kind_of(program: Program) -> NodeletKind:
     path = find_program(program.package, program.executable)
     if interpreter(path) is not None:
         return NodeletKind.SCRIPT
-    if _first_line(path).startswith(_ELF):
+    if first_line(path).startswith(ELF):
         return NodeletKind.CPP_NODE
     raise CannotRun(
         f"'{path}' is neither a Python script nor a binary; expected a node of rospy or roscpp"
@@ -99,7 +100,7 @@ def interpreter(path: str) -> Optional[List[str]]:
     Raises:
         CannotRun: the file cannot be read.
     """
-    first = _first_line(path)
+    first = first_line(path)
     if not first.startswith("#!") or "python" not in first or "python2" in first:
         return None
     words = shlex.split(first[2:])
@@ -112,7 +113,12 @@ def interpreter(path: str) -> Optional[List[str]]:
     return words
 
 
-def _first_line(path: str) -> str:
+def first_line(path: str) -> str:
+    """Return the first line of a file, as far as that is of meaning to the system.
+
+    Raises:
+        CannotRun: it cannot be read.
+    """
     try:
         with open(path, "rb") as file:
             return file.readline(200).decode("latin-1")

@@ -16,9 +16,9 @@ import time
 from typing import TYPE_CHECKING, Any, Iterator, List, Mapping, Sequence
 
 from dyknow import names
-from dyknow.cli import completion
 from dyknow.cli.arguments import seconds
 from dyknow.cli.command import Command
+from dyknow.cli.commands.run import program_arguments
 from dyknow.cli.json_output import transformation_json
 from dyknow.cli.shell import Shell
 from dyknow.errors import CannotRun, HostError, ManagerUnreachable, PeerTimeout
@@ -59,16 +59,7 @@ def _probe_arguments(parser: argparse.ArgumentParser) -> None:
         default=20.0,
         help="seconds that its first port may take (default: %(default)s)",
     )
-    completion.complete_with(
-        parser.add_argument("package", metavar="PKG", help="a package"), completion.packages
-    )
-    parser.add_argument("executable", metavar="EXECUTABLE", help="a program of it")
-    parser.add_argument(
-        "words",
-        nargs=argparse.REMAINDER,
-        metavar="ARGUMENT",
-        help="its arguments, remappings and parameters, as for rosrun",
-    )
+    program_arguments(parser)
 
 
 def _probe(arguments: argparse.Namespace, shell: Shell) -> None:

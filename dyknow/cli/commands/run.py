@@ -14,7 +14,8 @@ from dyknow.cli.shell import Shell
 from dyknow.ros.programs import find_program
 
 
-def _run_arguments(parser: argparse.ArgumentParser) -> None:
+def program_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare a program and its arguments, as for rosrun."""
     completion.complete_with(
         parser.add_argument("package", metavar="PKG", help="a package"), completion.packages
     )
@@ -42,7 +43,7 @@ COMMANDS = (
         "dyknow run topic_tools relay /scan /copy __name:=copier\n"
         "dyknow run rospy_tutorials talker.py chatter:=/words\n"
         "dyknow run nodelet nodelet standalone image_proc/resize image:=/camera/image_raw",
-        _run_arguments,
+        program_arguments,
         _run,
     ),
 )

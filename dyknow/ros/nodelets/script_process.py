@@ -29,7 +29,7 @@ from dyknow.nodelet.nodelet import Nodelet
 from dyknow.periodic import in_background
 from dyknow.ros.nodelets.nodelet_manager import NodeletManager, Settings
 from dyknow.ros.scripts.guest import Guest
-from dyknow.ros.scripts.script import ScriptCode
+from dyknow.ros.scripts.script import NodeArguments, ScriptCode
 from dyknow.ros.scripts.script_ports import ScriptHandle
 from dyknow.ros.signals import on_signals
 
@@ -65,7 +65,7 @@ class _ScriptProcess:
         self._guest = Guest(os.path.basename(argv[0]), threading.main_thread(), is_alone=True)
         self._code = ScriptCode(self._guest, argv, self._init_node)
         self._manager: Optional[NodeletManager] = None
-        self._node_args: Any = None
+        self._node_args = NodeArguments()
         self._main_over = threading.Event()
         self._withdrawal_turn = turn_lock("end of a script")
 
@@ -105,14 +105,8 @@ class _ScriptProcess:
     ) -> None:
         """``rospy.init_node``, for the script."""
         args = (name, argv, anonymous, log_level, disable_rostime, disable_signals)
-        if self._node_args is not None:
-            if self._node_args != args:
-                raise rospy.ROSException(
-                    "rospy.init_node() has already been called with different arguments: "
-                    f"{self._node_args}"
-                )
+        if not self._node_args.note(*args):
             return
-        self._node_args = args
         if not disable_signals:
             self._listen_for_signals()
         given = list(self._argv if argv is None else argv)

@@ -22,7 +22,9 @@ DEPENDENTS = Dependents(
 _COPIED = process_view.COPIED | {rospy_view.COPIED}
 
 
-def script_importer(guest: Guest, folders: List[str], init_node: Callable[..., None]) -> Importer:
+def script_importer(
+    guest: Guest, folders: List[str], init_node: Callable[..., object]
+) -> Importer:
     """Make the importer of a script.
 
     Args:

@@ -42,7 +42,9 @@ class ScriptCode:
         SyntaxError: it is not Python.
     """
 
-    def __init__(self, guest: Guest, argv: Sequence[str], init_node: Callable[..., None]) -> None:
+    def __init__(
+        self, guest: Guest, argv: Sequence[str], init_node: Callable[..., object]
+    ) -> None:
         self._guest = guest
         file = script_file(argv[0])
         folders = folders_of(file, argv[0])
@@ -90,7 +92,8 @@ class ScriptNodelet(Nodelet):
         guest = self._guest = Guest(self.name, copies=not by_reference)
         guest.on_refusal = self._refused
         guest.main = threading.Thread(target=self._main, name=f"{self.name} main", daemon=True)
-        self._code = ScriptCode(guest, argv, _NodeInitialiser().init_node)
+        node = NodeArguments()
+        self._code = ScriptCode(guest, argv, lambda *args, **kwds: node.note(args, kwds))
         self.context.close_with(_End(guest, self._code))
         guest.begin(ScriptHandle(self.mt_node_handle))
         guest.main.start()
@@ -160,16 +163,22 @@ class _End(Closable):
             in_background(f"end of {self._guest.name}", self._code.end)
 
 
-class _NodeInitialiser:
-    """``rospy.init_node`` where there is a node already."""
+class NodeArguments:
+    """The arguments of ``rospy.init_node``; as in rospy, each call must have the same."""
 
     def __init__(self) -> None:
+        """Begin before the first call."""
         self._args: Any = None
 
-    def init_node(self, *args: Any, **kwds: Any) -> None:
-        """Note the call; as in rospy, another one must be the same."""
-        if self._args not in (None, (args, kwds)):
+    def note(self, *args: Any) -> bool:
+        """Note a call; returns whether it is the first.
+
+        Raises:
+            rospy.ROSException: an earlier one had other arguments.
+        """
+        before, self._args = self._args, self._args or args
+        if before not in (None, args):
             raise rospy.ROSException(
-                f"rospy.init_node() has already been called with different arguments: {self._args}"
+                f"rospy.init_node() has already been called with different arguments: {before}"
             )
-        self._args = (args, kwds)
+        return before is None
