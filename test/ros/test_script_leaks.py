@@ -29,9 +29,9 @@ PAGE = os.sysconf("SC_PAGE_SIZE") // 1024
 
 class ScriptLeakTest(ManagerCase):
     def test_nothing_is_left(self):
-        # Until caches are full, pools of threads are as large as they become, and the heap has holes
-        # for all that comes and goes: it grows by 18 MB in 60 cycles, and by 2 MB from the 300th to
-        # the 600th.
+        # Until caches are full, pools of threads are as large as they become, and the heap has
+        # holes for all that comes and goes: it grows by 18 MB in 60 cycles, and by 2 MB from the
+        # 300th to the 600th.
         for _ in range(rospy.get_param("~warm")):
             self.cycle()
         before = self.holdings()
