@@ -17,7 +17,7 @@ import signal
 import sys
 import xmlrpc.client
 from pathlib import Path
-from typing import Any, Mapping, Sequence
+from typing import Any, Iterator, Mapping, Sequence
 
 PACKAGES = Path(__file__).resolve().parent.parent / "packages"
 os.environ["ROS_PACKAGE_PATH"] = os.pathsep.join([os.environ["ROS_PACKAGE_PATH"], str(PACKAGES)])
@@ -178,6 +178,40 @@ class LaunchedManagerCase(ManagerCase):
     def take(self, messages: queue.Queue, count: int) -> list[Any]:
         """The next messages that come to a queue."""
         return [messages.get(timeout=TIMEOUT) for _ in range(count)]
+
+
+class Talker:
+    """Publishes a word on a topic, many times a second, until it is closed."""
+
+    def __init__(self, topic: str, word: str) -> None:
+        self._publisher = rospy.Publisher(topic, String, queue_size=10)
+        self._timer = rospy.Timer(rospy.Duration(0.02), lambda _: self._publisher.publish(word))
+
+    def close(self) -> None:
+        self._timer.shutdown()
+        self._publisher.unregister()
+
+
+@contextlib.contextmanager
+def hearing(topic: str, message_class: Any = String) -> Iterator[list[Any]]:
+    """The messages that come on a topic."""
+    heard: list[Any] = []
+    subscriber = rospy.Subscriber(topic, message_class, heard.append)
+    try:
+        yield heard
+    finally:
+        subscriber.unregister()
+
+
+def hears(topic: str, text: str) -> None:
+    """Wait until a text comes on a topic."""
+    with hearing(topic) as heard:
+        eventually(
+            lambda: any(text in each.data for each in list(heard)),
+            10.0,
+            f"'{text}' comes on {topic}",
+            lambda: heard,
+        )
 
 
 def service(name: str, service_class: Any) -> Any:

@@ -14,37 +14,14 @@ import graph
 import rospy
 import rostest
 from cpp_suite import RUN
-from graph import set_config
+from graph import Talker, hears, set_config
 from manager_suite import ManagerCase
 from processes import BUSY, eventually
 from sensor_msgs.msg import CameraInfo, Image
-from std_msgs.msg import String
 
 from dyknow.errors import Refused
 from dyknow.model.graph import NodeletKind
 from dyknow.ros.nodelets.guard_parameters import guards_key
-
-
-class Talker:
-    """Publishes a word on a topic, many times a second, until it is closed."""
-
-    def __init__(self, topic: str, word: str) -> None:
-        self._publisher = rospy.Publisher(topic, String, queue_size=10)
-        self._timer = rospy.Timer(rospy.Duration(0.02), lambda _: self._publisher.publish(word))
-
-    def close(self) -> None:
-        self._timer.shutdown()
-        self._publisher.unregister()
-
-
-def hears(topic: str, word: str) -> None:
-    """Wait until a word comes on a topic."""
-    heard: set[str] = set()
-    subscriber = rospy.Subscriber(topic, String, lambda message: heard.add(message.data))
-    try:
-        eventually(lambda: word in heard, 10.0, f"'{word}' comes on {topic}", lambda: heard)
-    finally:
-        subscriber.unregister()
 
 
 class NodeTest(ManagerCase):

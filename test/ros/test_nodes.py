@@ -12,9 +12,9 @@ import graph
 import rospy
 import rostest
 from cpp_suite import RUN
+from graph import Talker, hears
 from manager_suite import CHILD, ManagerCase, parameters, registrations
 from processes import eventually, finished
-from std_msgs.msg import String
 
 from dyknow.errors import Refused
 from dyknow.manager.specifications.specification import parse
@@ -59,33 +59,6 @@ LIBRARY = """
 
 RATE = Parameter("rate", "int", "30")
 PROBE = ("rosrun", "dyknow", "dyknow", "probe")
-
-
-class Talker:
-    """Publishes a word on a topic, many times a second, until it is closed."""
-
-    def __init__(self, topic: str, word: str) -> None:
-        self._publisher = rospy.Publisher(topic, String, queue_size=10)
-        self._timer = rospy.Timer(rospy.Duration(0.02), lambda _: self._publisher.publish(word))
-
-    def close(self) -> None:
-        self._timer.shutdown()
-        self._publisher.unregister()
-
-
-def hears(topic: str, word: str, timeout: float = 10.0) -> None:
-    """Wait until a word comes on a topic."""
-    heard: list[str] = []
-    subscriber = rospy.Subscriber(topic, String, lambda message: heard.append(message.data))
-    try:
-        eventually(
-            lambda: any(word in each for each in list(heard)),
-            timeout,
-            f"'{word}' comes on {topic}",
-            lambda: heard,
-        )
-    finally:
-        subscriber.unregister()
 
 
 class NodesTest(ManagerCase):

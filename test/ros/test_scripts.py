@@ -21,24 +21,12 @@ import rospy
 import rostest
 from dyknow_msgs.msg import Port
 from dyknow_msgs.srv import GetCounts
-from graph import ManagerCase, get_config, set_config, topics_of_ports
+from graph import ManagerCase, get_config, hearing, hears, set_config, topics_of_ports
 from processes import NODELET, eventually
 from sensor_msgs.msg import JointState
-from std_msgs.msg import String
 
 RUN = [sys.executable, "-m", "dyknow.cli", "run"]
 SCRIPT = "dyknow/Script"
-
-
-@contextlib.contextmanager
-def hearing(topic: str, message_class: Any = String) -> Iterator[List[Any]]:
-    """The messages that come on a topic."""
-    heard: List[Any] = []
-    subscriber = rospy.Subscriber(topic, message_class, heard.append)
-    try:
-        yield heard
-    finally:
-        subscriber.unregister()
 
 
 def said(text: str, heard: List[Any]) -> bool:
@@ -50,17 +38,6 @@ def said_last(heard: List[Any]) -> None:
     """Wait until the last words of `habits.py` have come: the process may have ended before."""
     words = ["stopping", "stopped"]
     eventually(lambda: [each.data for each in heard] == words, 5.0, "last words", lambda: heard)
-
-
-def comes(topic: str, text: str) -> None:
-    """Wait until a text comes on a topic."""
-    with hearing(topic) as heard:
-        eventually(
-            lambda: any(text in each.data for each in list(heard)),
-            10.0,
-            f"'{text}' comes on {topic}",
-            lambda: heard,
-        )
 
 
 def connected(topic: str, publisher: str) -> None:
@@ -100,8 +77,8 @@ class SharedTest(ManagerCase):
         self.load("talker.py", "/robot/b", "--word", "two", **names)
         self.assertEqual(topics_of_ports("/robot/a"), {"words": "/robot/words"})
         self.assertEqual(topics_of_ports("/robot/b"), {"words": "/b_words"})
-        comes("/robot/words", "one 1")
-        comes("/b_words", "two 2")
+        hears("/robot/words", "one 1")
+        hears("/b_words", "two 2")
         with hearing("/b_words") as heard:
             eventually(lambda: heard, 5.0, "connected")
             self.unload("/robot/b")
@@ -163,7 +140,7 @@ class SharedTest(ManagerCase):
         with hearing("/diagnostics", rospy.AnyMsg) as told:
             eventually(lambda: told, 10.0, "diagnostics")
         self.load("libraries.py", "/client", "/server/count")
-        comes("/client/told", "42 2.0")
+        hears("/client/told", "42 2.0")
         self.assertIn("/server/count/goal", graph.registrations("/manager")["subscribers"])
         self.unload("/client")
         self.unload("/server")
@@ -208,7 +185,7 @@ class SharedTest(ManagerCase):
             with self.subTest(what):
                 self.load("ill.py", "/ill", what)
                 eventually(lambda: self.manager.is_free("/ill"), 5.0, "it is unloaded")
-        comes("/words", "hello")
+        hears("/words", "hello")
 
     def test_last_words_are_sent(self):
         self.load("habits.py", "/habits", "spin", **{"/camera": "/left"})
@@ -290,7 +267,7 @@ class CommandTest(graph.TellingCase):
             *NODELET, "load_script", "dyknow_test", "talker.py", "host", "--word", "w",
             "__name:=told", "words:=/told_words", "_rate:=20",
         )  # fmt: skip
-        comes("/told_words", "w 3")
+        hears("/told_words", "w 3")
         self.assertEqual(rospy.get_param("/told/rate"), 20)
         client.stop(signal.SIGKILL)
         manager.wait_for("unloaded nodelet /told", 30.0)
@@ -299,7 +276,7 @@ class CommandTest(graph.TellingCase):
         node = self.start(
             *RUN, "dyknow_test", "talker.py", "--word", "alone", "words:=/here", "_rate:=100"
         )
-        comes("/here", "alone")
+        hears("/here", "alone")
         name = next(n for n in graph.nodes_on("/here")[0])
         self.assertRegex(name, r"^/talker_\d+_\d+$")  # as anonymous nodes are called
         self.assertEqual(topics_of_ports(name), {"words": "/here"})
@@ -345,7 +322,7 @@ class CommandTest(graph.TellingCase):
     def test_libraries_work_between_processes(self):
         self.start(*RUN, "dyknow_test", "libraries.py", "__name:=far_server")
         self.start(*RUN, "dyknow_test", "libraries.py", "/far_server/count", "__name:=far")
-        comes("/far/told", "42 2.0")
+        hears("/far/told", "42 2.0")
         self.assertEqual(topics_of_ports("/far")["/tf_static"], "/tf_static")
 
     def test_what_is_no_node_runs_as_ever(self):
