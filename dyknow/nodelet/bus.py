@@ -35,6 +35,8 @@ from dyknow.periodic import in_background
 _LONGEST_DRAIN = 30.0
 #: Seconds for sending what endpoints have published before they go for good.
 _LAST_WORDS = 0.2
+#: Seconds in which nobody waits for that any more: somebody does not read.
+_NO_WORDS = 2.0
 #: Seconds for receiving what old publishers have sent; it has come to this machine already.
 _LONGEST_DRAIN_IN = 0.1
 
@@ -93,6 +95,7 @@ class Bus:
         self._topics: Dict[str, _Topic] = {}
         self._making: List[_Plan] = []
         self._leaving: List[Tuple[Endpoint, OutsidePublisher]] = []
+        self._patient_from = clock()
 
     def datatype_of(self, topic: str) -> str:
         """Type name of a topic that is alive, in this process or outside; empty if it is not."""
@@ -166,10 +169,13 @@ class Bus:
                     if connection is not None:
                         made.append(connection.outside)
                         self._unlink(connection, discard=True)
-        deadline = self._clock() + _LAST_WORDS
+        now = self._clock()
+        deadline = now + _LAST_WORDS if now >= self._patient_from else now
         for registration in made:
             if isinstance(registration, OutsidePublisher):
-                registration.drain(max(0.0, deadline - self._clock()))
+                left = max(0.0, deadline - self._clock())
+                if not registration.drain(left) and left:
+                    self._patient_from = self._clock() + _NO_WORDS
             if registration is not None:
                 registration.close()
 

@@ -12,8 +12,10 @@ from typing import Any
 
 import pytest
 from unit.nodelet.fakes import (
+    FakeClock,
     Idle,
     Message,
+    World,
     in_thread,
     join,
     numbers,
@@ -24,7 +26,9 @@ from unit.nodelet.fakes import (
 
 from dyknow.errors import HandleClosed, UnknownNodelet
 from dyknow.nodelet import loader as loader_module
+from dyknow.nodelet.handle import PlainNodeHandle
 from dyknow.nodelet.loader import Loader
+from dyknow.nodelet.local import LocalPublisher
 from dyknow.nodelet.nodelet import Nodelet
 
 world = pool_world(3)
@@ -291,6 +295,30 @@ class TestOnShutdown:
         with pytest.raises(Exception, match="ValueError"):
             world.loader(failing=Failing).load("/n", "failing")
         assert ended == []
+
+
+def test_who_does_not_read_last_words_holds_up_one_nodelet_and_not_all(monkeypatch):
+    clock = FakeClock()
+    world = World(clock=clock)
+    waited = []
+
+    def drain(registration, seconds):
+        waited.append(seconds)
+        clock.seconds += seconds
+        return False
+
+    monkeypatch.setattr(LocalPublisher, "drain", drain)
+    contexts = [world.context(f"/{name}") for name in "abc"]
+    for context, name in zip(contexts, "abc"):
+        handle = PlainNodeHandle(context, f"/{name}")
+        for port in ("one", "two"):
+            handle.Publisher(port, Message)
+    for context in contexts[:2]:
+        context.close()
+    clock.seconds += 2.0
+    contexts[2].close()
+    assert waited == pytest.approx([0.2, 0.0, 0.0, 0.0, 0.2, 0.0])
+    assert world.registrations == []
 
 
 def test_publishers_at_full_speed_see_the_unload_as_one_refusal(world):
