@@ -26,7 +26,7 @@ from dyknow_rqt.canvas.view import GraphView
 from dyknow_rqt.ros_remote import RosRemote
 from dyknow_rqt.simulated import SimulatedRemote
 from dyknow_rqt.tree_graph import spawn_relay, tree
-from dyknow_rqt.window import DyKnowWidget
+from dyknow_rqt.window import DyKnowWidget, spare_imports
 
 #: Seconds between two nodelets that come back in the simulated manager.
 _PACE = 0.01
@@ -129,6 +129,7 @@ def real(count: int) -> List[Row]:
 
 @contextlib.contextmanager
 def _window(widget: DyKnowWidget) -> Iterator[DyKnowWidget]:
+    spare_imports()
     widget.resize(1366, 768)
     widget.show()
     widget.start()

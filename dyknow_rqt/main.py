@@ -17,7 +17,7 @@ from python_qt_binding.QtWidgets import QApplication, QMainWindow
 from rosgraph import myargv
 
 from dyknow_rqt.ros_remote import RosRemote
-from dyknow_rqt.window import DyKnowWidget
+from dyknow_rqt.window import DyKnowWidget, spare_imports
 
 _LOG = logging.getLogger("rosout.dyknow_rqt")
 
@@ -77,6 +77,7 @@ def main(argv: Optional[List[str]] = None) -> int:
     alive = QTimer()
     alive.timeout.connect(lambda: None)
     alive.start(200)
+    spare_imports()
     window.show()
     widget.start()
     return int(application.exec_())

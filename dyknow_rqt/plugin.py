@@ -11,7 +11,7 @@ from python_qt_binding.QtCore import QTimer
 from rqt_gui_py.plugin import Plugin
 
 from dyknow_rqt.ros_remote import RosRemote
-from dyknow_rqt.window import DyKnowWidget, make_room
+from dyknow_rqt.window import DyKnowWidget, make_room, spare_imports
 
 _KEY = "dyknow"
 #: Milliseconds until rqt has shown its window.
@@ -27,6 +27,7 @@ class DyKnowPlugin(Plugin):
         self._widget = DyKnowWidget(RosRemote(_manager(context.argv())))
         if context.serial_number() > 1:
             self._widget.setWindowTitle(f"DyKnow ({context.serial_number()})")
+        spare_imports()
         context.add_widget(self._widget)
         self._widget.start()
         # Later: rqt restores its own size after this.

@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import signal
+import time
 
 import graph
 import rospy
@@ -14,7 +15,7 @@ import rostest
 from cpp_suite import RUN
 from graph import Talker, hears
 from manager_suite import CHILD, ManagerCase, parameters, registrations
-from processes import eventually, finished
+from processes import BUSY, eventually, finished
 
 from dyknow.errors import Refused
 from dyknow.manager.specifications.specification import parse
@@ -167,6 +168,19 @@ class NodesTest(ManagerCase):
         eventually(lambda: self.runs("/alone"), 5.0, "it is shown")
         client.destroy("/alone")
         self.assertEqual(registrations("/alone"), [])
+
+    def test_nodes_end_when_nobody_looks_after_them(self) -> None:
+        self.manager.stop()
+        self.manager.parameters["orphan_timeout"] = 1.0
+        self.manager.start()
+        self.manager.client.spawn("copier", "/binary")
+        self.manager.client.spawn("talker", "/script", isolated=True)
+        processes = [self.process(name) for name in ("/binary", "/script")]
+        self.manager.kill()
+        time.sleep(0.5)
+        for process in processes:
+            self.assertTrue(process.alive)
+            self.assertTrue(process.wait(5.0 * BUSY))
 
     def test_a_node_of_others_supplies_and_demands(self) -> None:
         client = self.manager.client
