@@ -173,7 +173,7 @@ def ros_tests(long: bool = False) -> Outcome:
     passed, failed, failures = rostests.run_all(
         suites,
         RESULTS,
-        jobs=int(os.environ.get("ROSTEST_JOBS", "6")),
+        jobs=int(os.environ.get("ROSTEST_JOBS", "7")),
         timeout=LONG_TIMEOUT if long else rostests.SUITE_TIMEOUT,
     )
     return Outcome(passed, failed, "", f"{passed} passed, {failed} failed", failures)
