@@ -5,9 +5,9 @@
 
 It becomes the program, so signals, exit codes and output are the program's own. A Python script
 becomes DyKnow's host of scripts; for all else the library that makes a node of roscpp re-wirable
-is preloaded. That goes through shells and wrappers, and takes itself out of
-the environment of the first process that is linked with libroscpp, so that the children of a node
-are as they would be without it.
+is preloaded. That goes through shells and wrappers, and takes itself out of the environment of the
+first process that is linked with libroscpp, so that the children of a node are as they would be
+without it.
 """
 
 from __future__ import annotations

@@ -203,11 +203,13 @@ def hearing(topic: str, message_class: Any = String) -> Iterator[list[Any]]:
         subscriber.unregister()
 
 
-def hears(topic: str, text: str) -> None:
-    """Wait until a text comes on a topic."""
+def hears(topic: str, text: str, is_whole: bool = False) -> None:
+    """Wait until a text comes on a topic, in a message or as the whole of one."""
     with hearing(topic) as heard:
         eventually(
-            lambda: any(text in each.data for each in list(heard)),
+            lambda: any(
+                text == each.data if is_whole else text in each.data for each in list(heard)
+            ),
             10.0,
             f"'{text}' comes on {topic}",
             lambda: heard,

@@ -44,7 +44,7 @@ class NodeTest(ManagerCase):
 
     def test_a_relay_is_shown_and_rewired(self):
         process = self.run_node(*RUN, "topic_tools", "relay", "/a", "/out", "__name:=copier")
-        hears("/out", "left")
+        hears("/out", "left", is_whole=True)
         node = self.shown("/copier")
         self.assertEqual(
             (node.kind, node.manager, node.transformation), (NodeletKind.CPP_NODE, "", "")
@@ -56,10 +56,10 @@ class NodeTest(ManagerCase):
             lambda: self.manager.topics("/copier"),
         )
         self.manager.client.set_config("/copier", {"/a": "/b"})
-        hears("/out", "right")
+        hears("/out", "right", is_whole=True)
         eventually(lambda: self.manager.topics("/copier")["/a"] == "/b", 2.0, "it is shown")
         self.manager.client.set_config("/copier", {"/out": "/elsewhere"})
-        hears("/elsewhere", "right")
+        hears("/elsewhere", "right", is_whole=True)
         with self.assertRaisesRegex(Refused, "'/estop' is denied"):
             self.manager.client.set_config("/copier", {"/out": "/estop"})
         with self.assertRaisesRegex(Refused, "process of its own; end it with: rosnode kill"):
@@ -73,7 +73,7 @@ class NodeTest(ManagerCase):
     def test_a_node_is_shown_while_it_runs_whichever_side_began_first(self):
         words = ("throttle", "messages", "/a", "20", "/slow", "__name:=slow")
         process = self.run_node(*RUN, "topic_tools", *words)
-        hears("/slow", "left")
+        hears("/slow", "left", is_whole=True)
         self.shown("/slow")
         process.stop(signal.SIGKILL)
         eventually(lambda: self.manager.nodelet("/slow") is None, 3.0, "it is shown no more")
@@ -95,11 +95,11 @@ class NodeTest(ManagerCase):
             file = Path(folder) / "mux.launch"
             file.write_text(text)
             self.run_node("roslaunch", str(file))
-            hears("/out", "left")
+            hears("/out", "left", is_whole=True)
             self.shown("/robot/mux")
             answer = set_config("/robot/mux", **{"/a": "/b"})
             self.assertTrue(answer.success, answer.message)
-            hears("/out", "right")
+            hears("/out", "right", is_whole=True)
 
     def test_a_standalone_nodelet(self):
         with tempfile.TemporaryDirectory() as folder:

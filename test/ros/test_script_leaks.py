@@ -34,11 +34,18 @@ class ScriptLeakTest(ManagerCase):
         # 300th to the 600th.
         for _ in range(rospy.get_param("~warm")):
             self.cycle()
+        eventually(lambda: not self.foreign(), 5.0, "only the manager's own is left", self.foreign)
+        registered = graph.registrations("/manager")
         before = self.holdings()
         cycles = rospy.get_param("~cycles")
         for _ in range(cycles):
             self.cycle()
-        eventually(lambda: not self.foreign(), 5.0, "only the manager's own is left", self.foreign)
+        eventually(
+            lambda: graph.registrations("/manager") == registered,
+            5.0,
+            "registrations",
+            lambda: graph.registrations("/manager"),
+        )
         most = {
             "descriptors": SPARE,
             "threads": SPARE,

@@ -22,9 +22,7 @@ DEPENDENTS = Dependents(
 _COPIED = process_view.COPIED | {rospy_view.COPIED}
 
 
-def script_importer(
-    guest: Guest, folders: List[str], init_node: Callable[..., object]
-) -> Importer:
+def script_importer(guest: Guest, folders: List[str], init_node: Callable[..., None]) -> Importer:
     """Make the importer of a script.
 
     Args:

@@ -45,7 +45,7 @@ _LOGS = [name for name in dir(rospy) if name.startswith("log") and name != "logo
 
 
 def rospy_views(
-    guest: Guest, init_node: Callable[..., object], timer: Callable[[], Module]
+    guest: Guest, init_node: Callable[..., None], timer: Callable[[], Module]
 ) -> Dict[str, Callable[[], Module]]:
     """Return what makes the views of rospy and its submodules, by name.
 
@@ -86,7 +86,7 @@ def _submodule(name: str, members: Mapping[str, Any]) -> View:
     return View(real, {key: value for key, value in members.items() if hasattr(real, key)})
 
 
-def _members(guest: Guest, init_node: Callable[..., object]) -> Dict[str, Any]:
+def _members(guest: Guest, init_node: Callable[..., None]) -> Dict[str, Any]:
     def handle() -> Any:
         """The guest's handle; rospy itself while it has none."""
         return guest.handle or rospy

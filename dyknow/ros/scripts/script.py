@@ -42,9 +42,7 @@ class ScriptCode:
         SyntaxError: it is not Python.
     """
 
-    def __init__(
-        self, guest: Guest, argv: Sequence[str], init_node: Callable[..., object]
-    ) -> None:
+    def __init__(self, guest: Guest, argv: Sequence[str], init_node: Callable[..., None]) -> None:
         self._guest = guest
         file = script_file(argv[0])
         folders = folders_of(file, argv[0])
@@ -92,8 +90,12 @@ class ScriptNodelet(Nodelet):
         guest = self._guest = Guest(self.name, copies=not by_reference)
         guest.on_refusal = self._refused
         guest.main = threading.Thread(target=self._main, name=f"{self.name} main", daemon=True)
-        node = NodeArguments()
-        self._code = ScriptCode(guest, argv, lambda *args, **kwds: node.note(args, kwds))
+        arguments = NodeArguments()
+
+        def init_node(*args: Any, **kwds: Any) -> None:
+            arguments.note(args, kwds)
+
+        self._code = ScriptCode(guest, argv, init_node)
         self.context.close_with(_End(guest, self._code))
         guest.begin(ScriptHandle(self.mt_node_handle))
         guest.main.start()
