@@ -148,6 +148,7 @@ class TopicFollower:
         self._hand_on = hand_on
         self._last_only = last_only
         self._closed = threading.Event()
+        self._is_left = threading.Event()
         self._reader: Optional[TopicReader] = None
 
     @property
@@ -160,7 +161,11 @@ class TopicFollower:
         in_background(self._what, self._run)
 
     def reconnect(self) -> None:
-        """Leave the present connection; the next is to the node that has the name now."""
+        """Leave the present connection, made or in the making.
+
+        The next is to the node that has the name now.
+        """
+        self._is_left.set()
         reader = self._reader
         if reader is not None:
             reader.interrupt()
@@ -176,10 +181,11 @@ class TopicFollower:
             self._closed.wait(_AGAIN)
 
     def _follow(self) -> None:
+        self._is_left.clear()
         try:
             with self._open() as reader:
                 self._reader = reader
-                while not self._closed.is_set():
+                while not (self._is_left.is_set() or self._closed.is_set()):
                     message = reader.read(_READING, self._last_only)
                     if message is not None:
                         attempt(self._what, functools.partial(self._hand_on, message))

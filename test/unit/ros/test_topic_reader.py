@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import queue
 import socket
+import threading
 from io import BytesIO
 from typing import Iterator, List
 
@@ -23,14 +24,25 @@ LONG = 30.0
 
 
 class SmallPublisher(SmallManager):
-    """Sends what it is told to whoever connects."""
+    """Sends what it is told to whoever connects.
+
+    Attributes:
+        requests: an entry for each connection that was asked for.
+        readers: the connections.
+        answers: cleared while requests are not answered.
+    """
 
     def __init__(self) -> None:
         super().__init__()
+        self.requests: queue.SimpleQueue[None] = queue.SimpleQueue()
         self.readers: queue.SimpleQueue[socket.socket] = queue.SimpleQueue()
+        self.answers = threading.Event()
+        self.answers.set()
 
     def _serve(self, connection: socket.socket) -> None:
         self._read(connection)
+        self.requests.put(None)
+        self.answers.wait()
         fields = {"callerid": "/small", "md5sum": String._md5sum, "type": String._type}
         rosgraph.network.write_ros_handshake_header(connection, fields)
         self.readers.put(connection)
@@ -130,6 +142,19 @@ def test_the_next_connection_is_to_the_node_that_has_the_name_now(
             send(successor.readers.get(timeout=LONG), "new")
             assert following.next() == ["new"]
             assert is_left(reader)
+
+
+def test_a_connection_in_the_making_is_left_too(
+    graph: SmallMaster, publisher: SmallPublisher
+) -> None:
+    publisher.answers.clear()
+    with Following(graph) as following, contextlib.closing(publisher):
+        publisher.requests.get(timeout=LONG)
+        graph.nodes["/talker"] = successor = SmallPublisher()
+        following.follower.reconnect()
+        publisher.answers.set()
+        send(successor.readers.get(timeout=LONG), "new")
+        assert following.next() == ["new"]
 
 
 def test_what_cannot_be_taken_in_does_not_end_it(
