@@ -101,7 +101,7 @@ class CheaperPlans:
 
     def report(self) -> None:
         """Look for a cheaper plan for one claim, if anything new is on offer; report it once."""
-        offers = self._planner.offers()
+        offers = self._planner.supplies.offers()
         claims = self._table.living()
         for claim in claims:
             before, reported = self._compared.get(claim.claim_id, (None, ""))

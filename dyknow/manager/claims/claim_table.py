@@ -58,6 +58,11 @@ class ClaimTable:
         """Return the claims that have not ended, by id."""
         return [claim for claim in self.all() if not claim.state.ended]
 
+    def together(self, claim: Claim) -> List[Claim]:
+        """Return the claims whose clients listen where this one's does; this one first."""
+        others = [each for each in self.living() if each.claim_id != claim.claim_id]
+        return [claim, *(each for each in others if each.topic and each.topic == claim.topic)]
+
     def find(self, claim_id: str) -> Optional[Claim]:
         """Return a claim that has not ended, or None."""
         with self._state_lock:

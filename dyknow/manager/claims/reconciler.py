@@ -162,7 +162,7 @@ class StreamReconciler:
                 raise NoPlanFound(known.detail, known.claim_id)
             if known is not None:
                 return Acquired(known, None, (), known.nodelets)
-            self._planner.look(at_once=True)
+            self._planner.supplies.look(at_once=True)
             claim = replace(claim, topic=self._planner.common_topic(claim))
             answer = self._planner.plan(claim, lenient=True)
             if isinstance(answer, NoPlan):
@@ -193,7 +193,7 @@ class StreamReconciler:
             self._manager.guards.check_writable(f"replanning claim '{claim_id}'")
         with self._lock.round() if dry_run else self._lock.request(claim_id):
             claim = self._table.get(claim_id)
-            self._planner.look(at_once=True)
+            self._planner.supplies.look(at_once=True)
             fault = self._repair.diagnose(claim)
             cheaper = self._cheaper_plans.find(claim) if fault is None else None
             answer = cheaper or self._planner.plan(claim, lenient=True)
@@ -240,7 +240,7 @@ class StreamReconciler:
         """
         demand = Demand(frozenset([parse_tag(tag)]), datatype)
         with self._lock.round():
-            self._planner.look()
+            self._planner.supplies.look()
             return self._planner.bindings(demand)
 
     def _intended(self, claim: Claim, plan: Plan) -> Acquired:
@@ -259,7 +259,7 @@ class StreamReconciler:
             if self._ended:
                 return
             self._table.expire_late()
-            self._planner.look()
+            self._planner.supplies.look()
             self._connector.ask()
             self._collector.disconnect()
             self._repair.forget_ended()

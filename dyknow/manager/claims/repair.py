@@ -12,11 +12,12 @@ from dyknow.backoff import Backoff
 from dyknow.errors import DyKnowError, StreamTypeMismatch
 from dyknow.manager.claim import Claim
 from dyknow.manager.claims.assembly import Assembly, Handover
-from dyknow.manager.claims.claim_planner import ClaimPlanner, is_current
+from dyknow.manager.claims.claim_planner import ClaimPlanner
 from dyknow.manager.claims.context import ClaimContext
 from dyknow.manager.claims.garbage_collector import GarbageCollector
 from dyknow.manager.claims.own_nodelets import OwnNodelet
 from dyknow.manager.claims.plan_context import AssemblyRequest, AssemblyResult
+from dyknow.manager.claims.supplies import is_current
 from dyknow.manager.claims.topology import wanted_type
 from dyknow.manager.planning.problem import NoPlan, Plan
 from dyknow.manager.record import Record
@@ -85,7 +86,7 @@ class Repair:
         if not claim.is_made:
             return Fault("it has no stream")
         for topic in claim.sources:
-            if topic not in self._planner.published:
+            if topic not in self._planner.supplies.published:
                 return Fault(f"topic {topic} is not published any more")
             if not self._is_described(topic, claim):
                 return Fault(f"topic {topic} is not described any more as what is needed")
@@ -185,7 +186,7 @@ class Repair:
             unhealthy=self._monitor.unhealthy,
             unresponsive=self._monitor.unresponsive,
             claim_id=claim.claim_id,
-            ordinary=self._planner.ordinary(),
+            ordinary=self._planner.supplies.ordinary(),
             is_stamped=claim.request.max_age > 0,
         )
         assembly = Assembly(self._context, request, self._handover())

@@ -1,0 +1,242 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""What plans can use now: transformations, streams, and nodelets to connect elsewhere."""
+
+from __future__ import annotations
+
+from typing import AbstractSet, Dict, FrozenSet, Hashable, Iterable, List, Mapping, Set, Tuple
+
+from dyknow.errors import HostError, UnknownTransformation
+from dyknow.manager.claim import Claim
+from dyknow.manager.claims.context import ClaimContext
+from dyknow.manager.claims.own_nodelets import OwnNodelet
+from dyknow.manager.claims.relay import is_relay
+from dyknow.manager.claims.streams import live_streams, with_feeders
+from dyknow.manager.library import Library
+from dyknow.manager.planning.problem import NO_LABELS
+from dyknow.manager.planning.wishes import NO_WISHES, TaggedStream, Wishes
+from dyknow.manager.record import Record
+from dyknow.manager.specifications.given import exposed_variables
+from dyknow.manager.specifications.tags import Bindings, Subsumption
+from dyknow.model.graph import State
+from dyknow.model.transformation import Transformation
+
+#: Seconds for which the answer to "which topics are published?" is good enough.
+_FRESH = 0.5
+
+
+class Supplies:
+    """What exists; used under the lock of the claims."""
+
+    def __init__(self, context: ClaimContext, ontology: Subsumption) -> None:
+        """Begin without a look at the topics.
+
+        Args:
+            context: what the parts of the reconciler share.
+            ontology: what is a kind of what.
+        """
+        self._manager = context.manager
+        self._table = context.table
+        self._lock = context.lock
+        self._connector = context.connector
+        self._monitor = context.monitor
+        self._clock = context.clock
+        self._ontology = ontology
+        self._transformations: Dict[str, Transformation] = {}
+        self._transformations_at: Tuple[int, FrozenSet[str]] = (-1, NO_LABELS)
+        self._nodes_at: Tuple[int, FrozenSet[str]] = (-1, NO_LABELS)
+        self._looked = float("-inf")
+        #: Topics of ordinary nodes that had a publisher at the last look.
+        self.published: FrozenSet[str] = frozenset()
+
+    def look(self, at_once: bool = False) -> None:
+        """Ask which topics of ordinary nodes are published: now and then, or ``at_once``.
+
+        The last answer holds until there is another one.
+        """
+        now = self._clock()
+        if now - self._looked < _FRESH and not at_once:
+            return
+        self._looked = now
+        wanted = {each.source for each in self._manager.existing_topics()}
+        wanted.update(topic for claim in self._table.living() for topic in claim.sources)
+        try:
+            self.published = self._manager.host.published(sorted(wanted))
+        except HostError:
+            return  # the ROS master is away, which interrupts no stream
+
+    def ordinary(self) -> FrozenSet[str]:
+        """Topics on which ordinary nodes publish what the library describes."""
+        return self.published & {each.source for each in self._manager.existing_topics()}
+
+    def transformations(self) -> Mapping[str, Transformation]:
+        """Return by label what plans may have steps of; another mapping after each change.
+
+        A node of others is among them while it runs.
+        """
+        library, nodes = self._manager.library, self._described_nodes()
+        if self._transformations_at != (library.revision, nodes):
+            self._transformations_at = library.revision, nodes
+            self._transformations = {
+                each.label: each for each in library.all() if not each.node or each.label in nodes
+            }
+        return self._transformations
+
+    def offers(self) -> Hashable:
+        """Return a value that differs when a plan may have become cheaper."""
+        others = frozenset(
+            record.name
+            for record in self._manager.graph.all()
+            if not record.claimed and record.state is State.RUNNING
+        )
+        return self._manager.library.revision, self.published, others
+
+    def own(self, claim: Claim, transformations: Mapping[str, Transformation]) -> List[OwnNodelet]:
+        """Healthy nodelets that can be connected elsewhere for a claim, the preferred ones first.
+
+        These are the claim's own nodelets and those that no claim needs, and nodes of others that
+        the library describes. Parts that other claims share are among them, unless these claims
+        exclude what this one does not, or have other wishes; they have to go on supplying the
+        same.
+        """
+        sharing = [each for each in self._table.living() if each.claim_id != claim.claim_id]
+        needed = self._table.needed() | self._lock.reserved
+        records = {record.name: record for record in self._manager.graph.all()}
+        idle = [name for name in records if name not in needed]
+        unfit = self._monitor.unhealthy | self._monitor.quality.unfit(self._table.together(claim))
+        topology = self._connector.topology()
+        found: List[OwnNodelet] = []
+        for name in reversed((*idle, *claim.nodelets)):
+            record = records.get(name)
+            users = [each for each in sharing if name in each.wiring]
+            if (
+                record is not None
+                and name not in unfit
+                and _is_connectable(record, transformations)
+                and all(_may_lend(each, claim) for each in users)
+            ):
+                exposed = exposed_variables(transformations[record.label])
+                ways = topology.dependent.ways(name) if exposed else None
+                present = {_restricted(way, exposed) for way in ways or ()}
+                bound = min(present) if len(present) == 1 else ()
+                is_certain = {variable for variable, _ in bound} == exposed
+                if is_certain or not users:
+                    kept = bound if users else tuple(sorted(record.given.items()))
+                    found.append(OwnNodelet(name, record.label, kept, bound))
+        return found
+
+    def streams(
+        self, exclude: AbstractSet[str], without: AbstractSet[str] = frozenset()
+    ) -> List[TaggedStream]:
+        """List the streams that can be relied on.
+
+        Args:
+            exclude: labels that must have no part in them, directly or further up.
+            without: nodelets and topics that must have no part in them.
+        """
+        manager = self._manager
+        published = [
+            each
+            for each in manager.existing_topics()
+            if each.label not in exclude
+            and each.source in self.published
+            and each.source not in self._monitor.silent
+            and each.source not in without
+        ]
+        records = manager.graph.all()
+        excluded = {
+            record.name
+            for record in records
+            if record.label in exclude
+            or (record.claimed and not is_current(manager.library, record))
+        }
+        unfit = without | excluded | self._monitor.unhealthy
+        topology = self._connector.topology()
+        return live_streams(records, published, topology, self._ontology, unfit)
+
+    def feeders(self, claim: Claim, streams: Iterable[TaggedStream]) -> Dict[str, FrozenSet[str]]:
+        """Labels of what feeds each nodelet of streams, where the claim has wishes about it."""
+        if wishes_of(claim) == NO_WISHES:
+            return {}
+        records, ordinary = self._manager.graph.all(), self.ordinary()
+        found = {}
+        for name in {stream.nodelet for stream, _ in streams if stream.nodelet}:
+            fed: Dict[str, Dict[str, str]] = {name: {}}
+            topics: Set[str] = set()
+            with_feeders(records, ordinary, fed, topics, {name})
+            found[name] = frozenset(self.labels(fed.keys() - {name}, topics))
+        return found
+
+    def labels(self, nodelets: Iterable[str], topics: Iterable[str]) -> List[str]:
+        """Labels of nodelets that run, and of ordinary topics."""
+        found = [self._manager.graph.find(name) for name in nodelets]
+        wanted = set(topics)
+        described = [
+            each.label for each in self._manager.existing_topics() if each.source in wanted
+        ]
+        return [record.label for record in found if record is not None] + described
+
+    def without_relays(self, streams: Iterable[TaggedStream]) -> List[TaggedStream]:
+        """Leave out what relays publish: a plan takes it from where they receive it."""
+        relays = {
+            record.name for record in self._manager.graph.all() if is_relay(record.transformation)
+        }
+        return [each for each in streams if each[0].nodelet not in relays]
+
+    def engaged(self, own: Iterable[OwnNodelet]) -> FrozenSet[str]:
+        """Labels of the nodes of others that run, but can be connected as they are alone."""
+        return self._described_nodes() - {each.label for each in own}
+
+    # Inside
+
+    def _described_nodes(self) -> FrozenSet[str]:
+        """Labels of the nodes of others that run, found once for each revision of the graph."""
+        graph = self._manager.graph
+        revision, nodes = self._nodes_at
+        if revision != graph.revision:
+            revision = graph.revision  # first: what comes meanwhile is found the next time
+            nodes = frozenset(
+                each.label
+                for each in graph.all()
+                if each.is_described and each.state is State.RUNNING
+            )
+            self._nodes_at = revision, nodes
+        return nodes
+
+
+def wishes_of(claim: Claim) -> Wishes:
+    """Return what a claim's client would rather have."""
+    request = claim.request
+    return Wishes(tuple(sorted(set(request.prefer))), tuple(sorted(set(request.avoid))))
+
+
+def is_current(library: Library, record: Record) -> bool:
+    """Whether the library still has what a nodelet was made from, perhaps in a newer version."""
+    if is_relay(record.transformation):
+        return True
+    try:
+        library.get(record.label)
+    except UnknownTransformation:
+        return False
+    return True
+
+
+def _is_connectable(record: Record, transformations: Mapping[str, Transformation]) -> bool:
+    """Whether a nodelet runs, is one that plans may connect, and is as today's library says."""
+    return (
+        record.transformation is not None
+        and record.transformation == transformations.get(record.label)
+        and (record.claimed or (record.is_described and record.is_complete))
+        and record.state is State.RUNNING
+    )
+
+
+def _may_lend(user: Claim, claim: Claim) -> bool:
+    """Whether a claim may connect elsewhere what another one uses."""
+    excluded = set(user.request.exclude)
+    return excluded <= set(claim.request.exclude) and wishes_of(user) == wishes_of(claim)
+
+
+def _restricted(way: Mapping[str, str], variables: AbstractSet[str]) -> Bindings:
+    return tuple(sorted((each, way[each]) for each in variables if each in way))
