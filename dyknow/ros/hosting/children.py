@@ -13,34 +13,27 @@ manager that is killed; the next one finds it in a file (``child_records``), els
 from __future__ import annotations
 
 import logging
-import signal
-import sys
-import threading
 import time
-from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import AbstractSet, Callable, Dict, FrozenSet, List, Optional, Tuple
+from typing import AbstractSet, Callable, Dict, FrozenSet, List, Tuple
 
 from dyknow import names
-from dyknow.backoff import Backoff
-from dyknow.errors import HostError, NameTaken, PeerTimeout
+from dyknow.errors import HostError, NameTaken
 from dyknow.locks import state_condition, turn_lock
 from dyknow.manager.host import Crash
 from dyknow.model.graph import NodeletKind
 from dyknow.periodic import in_background
 from dyknow.ros.hosting import child_records
+from dyknow.ros.hosting.child_keeper import (
+    PATIENCE,
+    START_TIMEOUT,
+    Child,
+    ChildKeeper,
+    end_process,
+)
 from dyknow.ros.hosting.child_records import ChildRecord
 from dyknow.ros.hosting.launcher import Launcher
-from dyknow.ros.log_tail import LogTail
-from dyknow.ros.os_process import ProcessId
 
-#: Seconds that a child may take to offer its services.
-START_TIMEOUT = 20.0
-#: Seconds that a child has to end when it is asked to.
-PATIENCE = 3.0
-#: Seconds before a nodelet manager that died twice is started again.
-_FIRST_PAUSE = 0.25
-_STEP = 0.02
 #: Seconds to wait for a child of an earlier manager, which may just have been started.
 _ADOPTION_TIMEOUT = 5.0
 _BASES = {
@@ -51,49 +44,6 @@ _BASES = {
 NO_NAMES: FrozenSet[str] = frozenset()
 
 _log = logging.getLogger("rosout.dyknow")
-
-
-@dataclass
-class Child:
-    """One nodelet manager or node; its thread writes, others read.
-
-    Attributes:
-        record: what is known of it on disk.
-        adopted: whether an earlier manager started its process.
-        up: whether it offers its services.
-        wanted: whether it is to be started again when it dies.
-        gone: set when its name is free again.
-        trouble: why it did not come up; empty if it did.
-        stale: address of a dead predecessor at the master; empty if there is none.
-        log: what it prints.
-        rewirable: whether what it hosts has ports that can be connected elsewhere.
-        command: program and arguments of a node; empty for a nodelet manager.
-        start_timeout: seconds that it may take to offer its services.
-    """
-
-    record: ChildRecord
-    adopted: bool = False
-    up: bool = False
-    wanted: bool = True
-    gone: threading.Event = field(default_factory=threading.Event)
-    trouble: str = ""
-    stale: str = ""
-    log: Optional[LogTail] = None
-    rewirable: bool = True
-    command: Tuple[str, ...] = ()
-    start_timeout: float = START_TIMEOUT
-
-    @property
-    def title(self) -> str:
-        """What it is, with its name."""
-        what = "node" if self.record.kind.is_node else "nodelet manager"
-        return f"{what} {self.record.name}"
-
-    @property
-    def incarnation(self) -> str:
-        """Differs for each process; empty while none is up."""
-        found = self.record.process
-        return f"{found.pid}@{found.started}" if found is not None and self.up else ""
 
 
 class Children:
@@ -120,6 +70,13 @@ class Children:
         self._on_change = on_change
         self._changed = state_condition("children")
         self._writing_turn = turn_lock("records of children")
+        self._keeper = ChildKeeper(
+            launcher,
+            self._changed,
+            on_process=self._write,
+            on_change=on_change,
+            on_crash=self._note,
+        )
         self._children: Dict[str, Child] = {}
         self._crashes: List[Crash] = []
         self._ending = False
@@ -276,8 +233,7 @@ class Children:
         if self._unwritten:
             self._write()
         for child in self.all():
-            if child.log is not None:
-                child.log.copy(sys.stdout)
+            child.echo()
 
     # Starting
 
@@ -318,30 +274,11 @@ class Children:
         reason = child.trouble or "it does not come up"
         raise HostError(f"{child.title}: {reason}")
 
-    # One thread for each child
+    # Keeping, on a thread for each child
 
     def _keep(self, child: Child) -> None:
-        """Run a child, and start it again when it dies."""
-        deaths = Backoff(time.monotonic, _FIRST_PAUSE, tolerated=2)
-        while child.wanted:
-            begin = time.monotonic()
-            try:
-                self._live(child)
-            except (OSError, HostError, PeerTimeout, LookupError) as error:
-                child.trouble = str(error)
-                _log.error("%s: %s", child.title, error)
-            except Exception as error:  # the boundary of the thread: the next start may succeed
-                child.trouble = str(error)
-                _log.exception("%s", child.title)
-            if not child.wanted:
-                break
-            deaths.served(child.record.name, time.monotonic() - begin)
-            deaths.failed(child.record.name)
-            pause = deaths.remaining(child.record.name)
-            with self._changed:
-                self._changed.wait_for(lambda: not child.wanted, pause)
         try:
-            self._launcher.clean_up(child.record)  # before its name is free
+            self._keeper.keep(child)
         finally:
             with self._changed:
                 self._children.pop(child.record.name, None)
@@ -350,100 +287,17 @@ class Children:
         self._write()
         self._on_change()
 
-    def _live(self, child: Child) -> None:
-        name = child.record.name
-        try:
-            if child.record.process is None:
-                self._launch(child)
-            found = child.record.process
-            assert found is not None
-            self._follow_until_up(child, found)
-            if not child.wanted:
-                _end(child.record)
-            status = found.wait_for_rest()
-            if child.wanted:
-                _log.warning("%s (process %d) has died", child.title, found.pid)
-                self._note(self._launcher.examine(child.record.kind, name, found.pid, status))
-        finally:
-            with self._changed:
-                child.up, child.adopted = False, False
-                child.wanted &= (
-                    not child.record.isolated_for
-                )  # an isolated one is not started again
-                child.record = replace(child.record, process=None)
-                self._changed.notify_all()
-        self.echo()
-        self._on_change()
-
-    def _note(self, crash: Optional[Crash]) -> None:
-        """Note a crash, before the child is shown as dead."""
-        if crash is not None:
-            with self._changed:
-                self._crashes.append(crash)
-
-    def _launch(self, child: Child) -> None:
-        name = child.record.name
-        living = self._launcher.living(name)
-        if living is not None:
-            self._take_over(child, living)
-            return
-        child.stale = self._launcher.registered(name)
-        found, child.log = self._launcher.launch(child.record.kind, name, child.command)
+    def _note(self, crash: Crash) -> None:
         with self._changed:
-            child.record = replace(child.record, process=found)
-        self._write()
-
-    def _take_over(self, child: Child, living: ProcessId) -> None:
-        """Adopt a process that an earlier manager started but did not record."""
-        is_node = child.record.kind.is_node
-        if living.pid < 0 or is_node or not self._launcher.is_ours(child.record.name):
-            raise HostError("another node has that name")
-        with self._changed:
-            child.adopted, child.stale = True, ""
-            child.record = replace(child.record, process=living)
-        self._write()
-
-    def _follow_until_up(self, child: Child, found: ProcessId) -> None:
-        """Wait until its services are offered; end a process that is late and lost."""
-        name = child.record.name
-        if child.adopted:
-            child.log = self._launcher.follow(name)
-        deadline = time.monotonic() + child.start_timeout
-        kind = child.record.kind
-        uri = self._launcher.address(kind, name, child.stale)
-        while not uri:
-            if not found.alive or not child.wanted:
-                child.trouble = "it ended at its start"
-                return
-            if time.monotonic() > deadline and self._is_lost(child):
-                _end(child.record)
-                what = "offered no ports" if kind.is_node else "not come up"
-                raise HostError(f"it has {what} within {child.start_timeout:g} s")
-            time.sleep(_STEP)
-            uri = self._launcher.address(kind, name, child.stale)
-        rewirable = self._launcher.is_rewirable(kind, name)
-        with self._changed:
-            child.rewirable = rewirable
-            child.up = child.wanted
-            self._changed.notify_all()
-        self._on_change()
-
-    def _is_lost(self, child: Child) -> bool:
-        """Whether a process that is late will never come up.
-
-        An adopted one may be suspended, and go on later. One that the master does not know belongs
-        to an earlier master, and is lost.
-        """
-        try:
-            return not child.adopted or not self._launcher.registered(child.record.name)
-        except PeerTimeout:
-            return False
+            self._crashes.append(crash)
 
     # Ending
 
     def _end(self, children: List[Child]) -> None:
         records = [child.record for child in children]
-        enders = [in_background(f"ending {each.name}", partial(_end, each)) for each in records]
+        enders = [
+            in_background(f"ending {each.name}", partial(end_process, each)) for each in records
+        ]
         for ender in enders:
             ender.join(2 * PATIENCE)
         for child in children:
@@ -461,10 +315,3 @@ class Children:
                 self._unwritten = True
             else:
                 self._unwritten = False
-
-
-def _end(record: ChildRecord) -> None:
-    """End a process; nodes take leave of the master on SIGINT, as roslaunch sends it."""
-    signals = (signal.SIGINT, signal.SIGTERM) if record.kind.is_node else (signal.SIGTERM,)
-    if record.process is not None:
-        record.process.end(PATIENCE, signals)

@@ -50,7 +50,8 @@ from dyknow.manager.specifications.values import value_of
 from dyknow.model.graph import NodeletKind, PortState
 from dyknow.model.transformation import NODE, Parameter, Program, Transformation
 from dyknow.ros import ages, programs
-from dyknow.ros.hosting.children import Child, Children
+from dyknow.ros.hosting.child_keeper import Child
+from dyknow.ros.hosting.children import Children
 from dyknow.ros.hosting.count_collector import CountCollector
 from dyknow.ros.hosting.external_managers import ExternalManagers
 from dyknow.ros.hosting.guard_handover import GuardHandover
