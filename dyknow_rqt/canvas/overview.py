@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 FAR = 0.3
 #: Below this zoom ovals are dots; smooth ones would take longer than all the rest.
 _DOTS = 0.2
+#: Least size of a title beside names that can be read, as a part of its full one.
+_SMALL = 0.75
 #: Pixels of the screen: the least width that a title is cut to, and its margin.
 _NARROW, _MARGIN = 90.0, 3.0
 
@@ -79,6 +81,8 @@ def paint_titles(
 ) -> None:
     """Write titles so large that they can be read; of two that meet only the first.
 
+    Beside names that can be read they shrink with these, so as to cover none of them.
+
     Args:
         painter: in the coordinates of the drawing.
         titles: what they belong to, and their texts.
@@ -86,25 +90,26 @@ def paint_titles(
         colours: of the drawing.
     """
     zoom = min(1.0, painter.worldTransform().m11())
+    pixel = (1.0 if zoom < FAR else max(_SMALL, zoom)) / zoom
     metrics = QFontMetricsF(font)
     taken: List[QRectF] = []
     ground = QColor(colours.box)
     ground.setAlpha(210)
     painter.setFont(font)
     for owner, title in titles:
-        room = max(_NARROW, owner.width() * zoom - 16)
+        room = max(_NARROW, (owner.width() - 16) / pixel)
         text = metrics.elidedText(title, Qt.ElideMiddle, room)
         size = QRectF(0, 0, metrics.horizontalAdvance(text), metrics.height())
         size = size.adjusted(-_MARGIN, 0, _MARGIN, 0)
         corner = owner.topLeft() + QPointF(8, 3)
-        area = QRectF(corner, size.size() / zoom)
-        inner = area.adjusted(0, 1 / zoom, 0, -1 / zoom)  # letters leave a little room
+        area = QRectF(corner, size.size() * pixel)
+        inner = area.adjusted(0, pixel, 0, -pixel)  # letters leave a little room
         if any(inner.intersects(other) for other in taken):
             continue
         taken.append(area)
         painter.save()
         painter.translate(corner)
-        painter.scale(1 / zoom, 1 / zoom)
+        painter.scale(pixel, pixel)
         painter.fillRect(size, ground)
         painter.setPen(colours.muted)
         painter.drawText(size, Qt.AlignCenter, text)
