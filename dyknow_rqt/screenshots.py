@@ -19,6 +19,7 @@ from python_qt_binding.QtTest import QTest
 from python_qt_binding.QtWidgets import QApplication, QStyleFactory
 
 from dyknow.model.graph import PortRef
+from dyknow_rqt.graph.figure import Boxes
 from dyknow_rqt.simulated import SimulatedRemote
 from dyknow_rqt.soccer_graph import soccer
 from dyknow_rqt.tree_graph import tree
@@ -80,6 +81,7 @@ def main(argv: Optional[List[str]] = None) -> int:
         ("graph", light, _pose_graph),
         ("highlight", light, _pose_highlight),
         ("nodelets_only", light, _pose_nodelets_only),
+        ("hosts", light, _pose_hosts),
         ("library", light, _pose_library),
         ("create", light, _pose_create),
         ("connect", light, _pose_connect),
@@ -161,6 +163,20 @@ def _pose_highlight(widget: DyKnowWidget) -> None:
 def _pose_nodelets_only(widget: DyKnowWidget) -> None:
     wait(lambda: _has_rates(widget), 20.0, "the rates are there")
     widget.graph.bar.mode.setCurrentIndex(1)
+    QTest.qWait(500)
+    widget.graph.tidy()
+    QTest.qWait(500)
+
+
+def _pose_hosts(widget: DyKnowWidget) -> None:
+    """The robot, and the computer beside the field."""
+    remote = widget.monitor.remote
+    assert isinstance(remote, SimulatedRemote)
+    for nodelet in remote.graph().nodelets:
+        remote.client.alter(nodelet.name, host=nodelet.name.split("/")[1])
+    wait(lambda: _has_rates(widget), 20.0, "the rates are there")
+    widget.graph.bar.boxes.setCurrentText(Boxes.HOSTS.value)
+    widget.graph.bar.depth.setValue(2)
     QTest.qWait(500)
     widget.graph.tidy()
     QTest.qWait(500)
