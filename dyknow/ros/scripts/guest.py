@@ -34,6 +34,8 @@ _FORCE = 0.45
 #: Seconds that shutdown hooks may sleep while somebody waits for the unload.
 HOOKS_PATIENCE = 0.25
 _STEP = 0.02
+#: Seconds for which threads sleep that still run then, each time that they wait for something.
+_AFTERWARDS = 1.0
 #: Seconds of a slice of a wait.
 _SLICE = 0.1
 #: Threads after which those that have ended are forgotten.
@@ -161,8 +163,8 @@ class Guest:
         if threading.current_thread() is self._ending_thread:
             seconds = min(seconds, self._end_of_sleep - time.monotonic())
         ends = self.closing.wait(max(0.0, seconds))
-        while self._is_over:  # it caught what was to end it: it would spin
-            time.sleep(3600)
+        if self._is_over:  # it is late, or catches whatever is to end it: that would spin
+            time.sleep(_AFTERWARDS)
         return ends
 
     def pause(self, seconds: float) -> None:
