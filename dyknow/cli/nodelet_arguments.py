@@ -49,7 +49,7 @@ parameter. For example:
 
   rosrun dyknow nodelet manager __name:=cameras
   rosrun dyknow nodelet load dyknow/Throttle cameras __name:=slow in:=/image _rate:=5
-  rosrun dyknow nodelet load_script rospy_tutorials talker.py cameras chatter:=/words
+  rosrun dyknow nodelet load_script topic_tools transform cameras /a /b std_msgs/Float64 2*m.data
 """
 
 

@@ -41,7 +41,7 @@ COMMANDS = (
         "else runs as it is, and says so. In a launch file the same is done by "
         'launch-prefix="rosrun dyknow rewirable".',
         "dyknow run topic_tools relay /scan /copy __name:=copier\n"
-        "dyknow run rospy_tutorials talker.py chatter:=/words\n"
+        "dyknow run topic_tools transform /numbers /doubled std_msgs/Float64 'm.data * 2'\n"
         "dyknow run nodelet nodelet standalone image_proc/resize image:=/camera/image_raw",
         program_arguments,
         _run,
