@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Type
 
 from dyknow.errors import LoadFailed, NameTaken, UnknownNodelet, UnloadedMeanwhile
-from dyknow.locks import state_lock
+from dyknow.locks import state_condition
 from dyknow.nodelet.context import Context, Runtime
 from dyknow.nodelet.middleware import Closable
 from dyknow.nodelet.nodelet import Nodelet
@@ -27,6 +27,8 @@ from dyknow.periodic import in_background
 
 #: Seconds that an unload waits for ``on_shutdown``.
 SHUTDOWN_PATIENCE = 1.0
+#: Seconds that a load waits for a nodelet of that name which is being unloaded.
+_UNLOAD_PATIENCE = 3.0
 #: Seconds that a nodelet has for itself when all are unloaded, before the next one's turn.
 _HEAD_START = 0.05
 
@@ -88,19 +90,19 @@ class Loader:
         self._find_class = find_class
         self._on_attach = on_attach
         self._on_unloaded = on_unloaded
-        self._lock = state_lock("loader")
+        self._changed = state_condition("loader")
         self._entries: Dict[str, _Entry] = {}
 
     def list(self) -> List[str]:
         """Names of the nodelets that run, sorted."""
-        with self._lock:
+        with self._changed:
             return sorted(
                 name for name, entry in self._entries.items() if entry.state is _State.RUNNING
             )
 
     def contexts(self) -> List[Context]:
         """Contexts of the nodelets that run, sorted by name."""
-        with self._lock:
+        with self._changed:
             running = [each for each in self._entries.values() if each.state is _State.RUNNING]
         return sorted((each.context for each in running), key=lambda context: context.name)
 
@@ -110,7 +112,7 @@ class Loader:
         Raises:
             UnknownNodelet: none of that name runs.
         """
-        with self._lock:
+        with self._changed:
             entry = self._entries.get(name)
             if entry is not None and entry.state is _State.RUNNING and entry.nodelet is not None:
                 return entry.nodelet
@@ -125,6 +127,8 @@ class Loader:
     ) -> Nodelet:
         """Make a nodelet and return it once its ``on_init`` has returned.
 
+        One of that name that is being unloaded is waited for.
+
         Args:
             name: global name.
             type_name: declared type, ``package/Class``.
@@ -138,7 +142,8 @@ class Loader:
             LoadFailed: the nodelet raised; nothing of it is left.
             UnloadedMeanwhile: it was unloaded before it was up.
         """
-        with self._lock:
+        with self._changed:
+            self._changed.wait_for(lambda: not self._is_ending(name), _UNLOAD_PATIENCE)
             if name in self._entries:
                 raise NameTaken(name, self._entries[name].state.value)
             context = Context(self.runtime, name, remappings, my_argv)
@@ -155,7 +160,7 @@ class Loader:
             run.done.wait()
             if run.error is not None and not context.closed:
                 raise LoadFailed(name, type_name, run.error) from run.error
-            with self._lock:
+            with self._changed:
                 if entry.state is not _State.LOADING or entry.nodelet is None:
                     raise UnloadedMeanwhile(name, "load")
                 entry.state = _State.RUNNING
@@ -184,7 +189,7 @@ class Loader:
 
         Each has its time for ``on_shutdown``, but those that take long take it together.
         """
-        with self._lock:
+        with self._changed:
             loaded = list(self._entries)
         unloads = []
         for name in reversed(loaded):
@@ -199,7 +204,7 @@ class Loader:
 
     def _begin(self, name: str, only: Optional[_Entry], wanted: bool = True) -> _Unload:
         """Begin an unload: one that was asked for, or (not ``wanted``) the end of the process."""
-        with self._lock:
+        with self._changed:
             entry = self._entries.get(name)
             known = [each for each, one in self._entries.items() if one.state is _State.RUNNING]
             if entry is None or entry.state is _State.UNLOADING or only not in (None, entry):
@@ -235,9 +240,13 @@ class Loader:
         entry.nodelet = nodelet
 
     def _free(self, name: str, entry: _Entry) -> None:
-        with self._lock:
+        with self._changed:
             if self._entries.get(name) is entry:
                 del self._entries[name]
+                self._changed.notify_all()
+
+    def _is_ending(self, name: str) -> bool:
+        return name in self._entries and self._entries[name].state is _State.UNLOADING
 
     def _unload_self(self, name: str, entry: _Entry) -> None:
         # By its entry: another nodelet may have the name by now.

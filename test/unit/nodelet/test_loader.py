@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import threading
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 
 import pytest
 from unit.nodelet.fakes import (
@@ -30,6 +30,7 @@ from dyknow.errors import (
     UnknownNodeletType,
     UnloadedMeanwhile,
 )
+from dyknow.nodelet import loader as loader_module
 from dyknow.nodelet.loader import Loader
 from dyknow.nodelet.nodelet import Nodelet
 
@@ -154,25 +155,40 @@ class TestNameTaken:
         join(thread)
         assert loader.get("/n") is outcome[0]
 
-    def test_while_it_is_being_unloaded_and_free_right_after(self, world):
-        entered, opened = threading.Event(), threading.Event()
+    def test_while_it_is_being_unloaded_it_is_waited_for(self, world):
+        with unloading(world) as (loader, opened):
+            with pytest.raises(UnknownNodelet):
+                loader.unload("/n")
+            thread, outcome = load_in_thread(loader, "/n", "idle")
+            assert not outcome
+            opened.set()
+            join(thread)
+            assert type(outcome[0]) is Idle
 
-        class Slow(Idle):
-            def on_shutdown(self):
-                entered.set()
-                wait_for(opened)
+    def test_while_it_is_being_unloaded_for_long(self, world, monkeypatch):
+        monkeypatch.setattr(loader_module, "_UNLOAD_PATIENCE", 0.05)
+        with unloading(world) as (loader, opened):
+            with pytest.raises(NameTaken, match="'/n' is still being unloaded"):
+                loader.load("/n", "idle")
+            opened.set()
 
-        loader = world.loader(slow=Slow, idle=Idle)
-        loader.load("/n", "slow")
-        thread = in_thread(lambda: loader.unload("/n"))
-        wait_for(entered)
-        with pytest.raises(NameTaken, match="'/n' is still being unloaded"):
-            loader.load("/n", "idle")
-        with pytest.raises(UnknownNodelet):
-            loader.unload("/n")
-        opened.set()
-        join(thread)
-        assert type(loader.load("/n", "idle")) is Idle
+
+@contextmanager
+def unloading(world):
+    """A loader in the midst of the unload of `/n`, and what lets that go on."""
+    entered, opened = threading.Event(), threading.Event()
+
+    class Slow(Idle):
+        def on_shutdown(self):
+            entered.set()
+            wait_for(opened)
+
+    loader = world.loader(slow=Slow, idle=Idle)
+    loader.load("/n", "slow")
+    thread = in_thread(lambda: loader.unload("/n"))
+    wait_for(entered)
+    yield loader, opened
+    join(thread)
 
 
 class TestFailure:
