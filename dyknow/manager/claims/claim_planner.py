@@ -88,7 +88,8 @@ class ClaimPlanner:
 
     def price(self, claim: Claim) -> int:
         """Return what would be saved if a claim's stream did not exist."""
-        saved = sum(self._known[label].cost for label in self._saved(claim).values())
+        own = self._saved(claim, self.own(claim))
+        saved = sum(self._known[label].cost for label in own.values())
         if wishes_of(claim) == NO_WISHES:
             return saved
         exclude = frozenset(claim.request.exclude)
@@ -145,20 +146,20 @@ class ClaimPlanner:
 
     def plan_from_scratch(self, claim: Claim) -> Answer:
         """Plan a claim's stream as if the nodelets that it alone needs did not exist."""
-        self._update()
-        own, together = self._saved(claim), self._table.together(claim)
-        present = [each for each in self.own(claim) if self._known[each.label].node]
+        own, together = self.own(claim), self._table.together(claim)
+        saved = self._saved(claim, own)
+        present = [each for each in own if self._known[each.label].node]
         exclude = frozenset(claim.request.exclude)
-        without = frozenset(own) | self._monitor.quality.unfit(together)
+        without = frozenset(saved) | self._monitor.quality.unfit(together)
         streams = self.supplies.without_relays(self.supplies.streams(exclude, without))
-        paused = self._paused(together) - frozenset(own.values()) | self.supplies.engaged(present)
+        paused = self._paused(together) - frozenset(saved.values())
         demand = demand_of(together)
         return self._planner.plan(
             demand,
             streams,
             exclude,
             {each.label: each.kept for each in present},
-            paused=paused,
+            paused=paused | self.supplies.engaged(present),
             wishes=wishes_of(claim),
             feeders=self.supplies.feeders(claim, streams),
         )
@@ -203,8 +204,8 @@ class ClaimPlanner:
         """Labels of which no nodelet is to be made for these claims now."""
         return self.failures.paused | self._monitor.quality.paused(claims)
 
-    def _saved(self, claim: Claim) -> Dict[str, str]:
-        """Nodelets that nothing would need if these clients needed no stream, with labels."""
+    def _saved(self, claim: Claim, own: Iterable[OwnNodelet]) -> Dict[str, str]:
+        """Those of its own that nothing would need if these clients needed no stream: labels."""
         together = {each.claim_id for each in self._table.together(claim)}
         kept = {
             name
@@ -215,7 +216,7 @@ class ClaimPlanner:
         kept.update(each.name for each in self._manager.graph.all() if each.is_protected)
         return {
             each.name: each.label
-            for each in self.own(claim)
+            for each in own
             if each.name in claim.wiring
             and each.name not in kept
             and not self._known[each.label].node
