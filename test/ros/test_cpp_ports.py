@@ -87,7 +87,7 @@ class MoveTest(CppCase):
                 break
         median, longest = statistics.median(times) * 1e3, max(times) * 1e3
         print(f"{self.id()}: {len(times)} moves, {median:.1f} ms (longest {longest:.0f} ms)")
-        self.assertGreater(len(times), COUNT / 500)
+        self.assertGreater(len(times), COUNT / 200)
 
     def mover_of_both(self) -> Callable[[str], None]:
         """Moves the ports of the sink and the source, one after the other."""
@@ -117,7 +117,7 @@ class MoveTest(CppCase):
                 self.manager.load("Sink", "/sink", {"/in": "/a"}, mt=multithreaded)
                 self.moves_while_sending(COUNT, "/left", "/right", step=self.mover("/sink", "in"))
                 self.assertEqual(flaws("/sink"), FLAWLESS)
-                self.assertGreater(report("/sink")["switches"], COUNT / 500)
+                self.assertGreater(report("/sink")["switches"], COUNT / 200)
                 self.manager.unload_all()
 
     def test_both_ends(self):
@@ -127,12 +127,13 @@ class MoveTest(CppCase):
         self.assert_all_arrived("/sink", COUNT)
 
     def test_a_slow_receiver_with_a_backlog(self):
-        self.manager.load("Sink", "/sink", {"/in": "/a"}, delay=0.002, queue_size=COUNT)
-        self.manager.load("Source", "/source", {"/out": "/a"}, count=COUNT, rate=RATE)
-        self.moves_while_sending(COUNT, "/source", step=self.mover_of_both())
+        count = 2 * COUNT  # each move waits for the receiver, so there are few of them a second
+        self.manager.load("Sink", "/sink", {"/in": "/a"}, delay=0.002, queue_size=count)
+        self.manager.load("Source", "/source", {"/out": "/a"}, count=count, rate=RATE)
+        self.moves_while_sending(count, "/source", step=self.mover_of_both())
         # Not from its report, which waits in its queue for all that came before.
-        self.assertLess(graph.port_statistics("/sink", "in").messages, COUNT)
-        self.assert_all_arrived("/sink", COUNT, 30.0)
+        self.assertLess(graph.port_statistics("/sink", "in").messages, count)
+        self.assert_all_arrived("/sink", count, 30.0)
 
     def test_a_disconnected_out_port_drops(self):
         self.manager.load("Sink", "/sink", {"/in": "/a"})

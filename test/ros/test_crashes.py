@@ -147,7 +147,7 @@ class ClaimsTest(StreamCase):
         self.client.add_transformation(f"<transformations>{CAMERA}{library}</transformations>")
 
     def crashes(self, which: str) -> int:
-        return len(re.findall(rf"{which} crashed", self.manager.output))
+        return len(re.findall(rf": {which} crashed \(", self.manager.output))
 
     def tries_apart(self, times: int) -> bool:
         """Whether it was tried apart; requests a stream that crashed while being made again."""

@@ -167,10 +167,9 @@ class TestNameTaken:
 
     def test_while_it_is_being_unloaded_for_long(self, world, monkeypatch):
         monkeypatch.setattr(loader_module, "_UNLOAD_PATIENCE", 0.05)
-        with unloading(world) as (loader, opened):
-            with pytest.raises(NameTaken, match="'/n' is still being unloaded"):
-                loader.load("/n", "idle")
-            opened.set()
+        refused = pytest.raises(NameTaken, match="'/n' is still being unloaded")
+        with unloading(world) as (loader, _), refused:
+            loader.load("/n", "idle")
 
 
 @contextmanager
@@ -187,8 +186,11 @@ def unloading(world):
     loader.load("/n", "slow")
     thread = in_thread(lambda: loader.unload("/n"))
     wait_for(entered)
-    yield loader, opened
-    join(thread)
+    try:
+        yield loader, opened
+    finally:
+        opened.set()
+        join(thread)
 
 
 class TestFailure:
