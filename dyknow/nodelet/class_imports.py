@@ -21,7 +21,7 @@ from typing import Callable, Dict, FrozenSet, List, Mapping, Optional, Type
 from dyknow.errors import BrokenPlugin
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.importer import Importer, Module
-from dyknow.nodelet.module_files import Stamp, source_files, stamps
+from dyknow.nodelet.module_files import CatkinFinder, Stamp, source_files, stamps
 from dyknow.nodelet.nodelet import Nodelet
 from dyknow.nodelet.plugins import BASE_CLASS, PluginClass
 
@@ -71,6 +71,7 @@ class ClassImports:
     ) -> None:
         self._library_importer = library_importer
         self._generations: Dict[str, _Generation] = {}
+        CatkinFinder.install()
 
     def load(self, declared: PluginClass, context: Context) -> Type[Nodelet]:
         """Import a declared class.

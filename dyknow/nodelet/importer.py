@@ -36,7 +36,7 @@ from typing import (
 )
 
 from dyknow.locks import module_lock
-from dyknow.nodelet.module_files import is_standard, without_relay
+from dyknow.nodelet.module_files import is_standard, package_spec
 
 Module = types.ModuleType
 
@@ -210,7 +210,7 @@ class Importer:
             parent = self._load(above) if above and name not in self.modules else None
             if name in self.modules:
                 return self.modules[name]
-            spec = None if name in self._views else self._spec(name, parent, child)
+            spec = None if name in self._views else self._spec(name, parent)
             if name in self._views:
                 self.modules[name] = self._views[name]()
             elif spec is None:
@@ -230,14 +230,14 @@ class Importer:
                 setattr(parent, child, self.modules[name])
             return self.modules[name]
 
-    def _spec(self, name: str, parent: Optional[Module], child: str) -> Optional[ModuleSpec]:
+    def _spec(self, name: str, parent: Optional[Module]) -> Optional[ModuleSpec]:
         """What to execute for a module; None if it is to be that of the process."""
         if parent is None:
-            spec = PathFinder.find_spec(name, self.path)
+            spec = package_spec(name, self.path)
             is_ours = True
         else:
             spec = PathFinder.find_spec(name, getattr(parent, "__path__", ()))
-            is_ours = child not in _MESSAGES
+            is_ours = name.split(".")[1] not in _MESSAGES
             if isinstance(parent, View):
                 is_ours = self._is_own(name)
         if not is_ours:
@@ -245,7 +245,7 @@ class Importer:
         if spec is None:
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
         if spec.loader is None or isinstance(spec.loader, SourceFileLoader):
-            return without_relay(spec)
+            return spec
         # An extension: the process has it once, unless it is beside a script.
         is_known = importlib.util.find_spec(name.partition(".")[0]) is not None
         return None if is_known else spec

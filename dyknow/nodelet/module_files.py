@@ -4,7 +4,7 @@
 """Where modules come from: which are Python's own, and which need a library.
 
 What catkin puts into a devel space executes the files of the source space; it is followed to
-those.
+those. There is one way to find a package, for shared modules and for copies: ``package_spec``.
 """
 
 from __future__ import annotations
@@ -16,9 +16,21 @@ import os
 import re
 import sys
 import sysconfig
+from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
-from typing import Collection, Dict, FrozenSet, Iterator, List, Mapping, Optional, Tuple
+from types import ModuleType
+from typing import (
+    Collection,
+    Dict,
+    FrozenSet,
+    Iterator,
+    List,
+    Mapping,
+    Optional,
+    Sequence,
+    Tuple,
+)
 
 from dyknow.locks import state_lock
 
@@ -51,8 +63,36 @@ def is_standard(top: str) -> bool:
     return origin.startswith(_STANDARD)
 
 
-def without_relay(spec: ModuleSpec) -> ModuleSpec:
-    """Return where the code of a package is, if catkin's devel space only points there."""
+def package_spec(top: str, path: Collection[str]) -> Optional[ModuleSpec]:
+    """Find a top-level module; of a catkin package, with every folder that holds its modules.
+
+    The modules of a package in a devel space are in two folders: what its authors wrote is in the
+    source space, and what catkin generated (``msg``, ``srv``, ``cfg``) in the devel space. A relay
+    in the latter joins them, but it also puts the source space in front of ``sys.path``, so the
+    next search may find the source folder alone. This finds both, whichever comes first.
+
+    Args:
+        top: its name.
+        path: the folders that are searched.
+    """
+    spec = PathFinder.find_spec(top, list(path))
+    if spec is None or os.path.basename(spec.origin or "") != "__init__.py":
+        return spec
+    found = _without_relay(spec)
+    home = os.path.dirname(spec.origin or "")
+    if found is not spec or os.path.basename(os.path.dirname(home)) in _THIRD_PARTY:
+        return found
+    for folder in path:
+        if os.path.basename(os.path.normpath(folder)) in _THIRD_PARTY:
+            beside = PathFinder.find_spec(top, [folder])
+            if beside is not None and _completes(beside, home):
+                below = beside.submodule_search_locations or ()
+                found.submodule_search_locations = list(dict.fromkeys([home, *below]))
+                break
+    return found
+
+
+def _without_relay(spec: ModuleSpec) -> ModuleSpec:
     for source in _sources(spec):
         file = os.path.join(source, "__init__.py")
         if os.path.isfile(file):
@@ -62,6 +102,37 @@ def without_relay(spec: ModuleSpec) -> ModuleSpec:
             )
             return found or spec
     return spec
+
+
+def _completes(spec: ModuleSpec, home: str) -> bool:
+    """Whether a package holds only what was generated for the one in a source folder."""
+    if any(os.path.realpath(source) == os.path.realpath(home) for source in _sources(spec)):
+        return True
+    try:
+        return not ast.parse(Path(spec.origin or "").read_bytes()).body
+    except (OSError, SyntaxError, ValueError):
+        return False
+
+
+class CatkinFinder(MetaPathFinder):
+    """Lets Python itself import the packages of devel spaces with all of their folders."""
+
+    @classmethod
+    def install(cls) -> None:
+        """Add it to this process, once."""
+        if not any(isinstance(each, cls) for each in sys.meta_path):
+            sys.meta_path.insert(0, cls())
+
+    def find_spec(
+        self, fullname: str, path: Optional[Sequence[str]], target: Optional[ModuleType] = None
+    ) -> Optional[ModuleSpec]:
+        """Find a package that is in a source folder; everything else is left to Python."""
+        if path is not None or fullname in sys.builtin_module_names:
+            return None
+        spec = package_spec(fullname, sys.path)
+        if spec is None or len(spec.submodule_search_locations or ()) < 2:
+            return None
+        return spec if os.path.dirname(os.path.dirname(spec.origin or "")) in sys.path else None
 
 
 def script_file(path: str) -> str:
@@ -82,10 +153,10 @@ def source_files(top: str, path: Optional[Collection[str]] = None) -> Dict[str, 
         top: its name.
         path: where it is searched; by default ``sys.path``.
     """
-    spec = PathFinder.find_spec(top, None if path is None else list(path))
+    spec = package_spec(top, sys.path if path is None else path)
     if spec is None:
         return {}
-    folders = [*_sources(spec), *(spec.submodule_search_locations or ())]
+    folders = spec.submodule_search_locations
     if not folders:
         origin = spec.origin or ""
         return {top: origin} if origin.endswith(".py") else {}

@@ -113,3 +113,65 @@ def test_what_else_is_in_the_folder_stays_the_processs_own(package: Written) -> 
     assert load(imports, package).said == "new"
     module = sys.modules[load(imports, package).__module__]
     assert vars(module)[other.name] is sys.modules[other.name]
+
+
+#: What catkin puts into a devel space, in short.
+RELAY = """# generated from catkin/cmake/template/__init__.py.in
+import os, pkgutil, sys
+__extended_path = '{source}'.split(';')
+sys.path[:0] = __extended_path
+__path__ = pkgutil.extend_path(__path__, __name__)
+exec(open(os.path.join(__extended_path[0], __name__, '__init__.py')).read())
+"""
+GENERATED = """
+import dyknow
+{use}
+class Teller(dyknow.Nodelet):
+    own = Own
+"""
+#: How code imports what catkin generated.
+USES = {
+    "msg": "from {package}.msg import Own",
+    "msg by its own module": "from {package}.msg._Own import Own",
+    "srv": "from {package}.srv import Own",
+    "cfg": "from {package}.cfg.OwnConfig import Own",
+}
+
+
+def in_devel_space(tmp_path: Path, package: Written, relay: str) -> Path:
+    """Write what catkin generates for a package into a devel space, and return its folder."""
+    folder = tmp_path / "devel/lib/python3/dist-packages"
+    for module in ("__init__", "msg/__init__", "msg/_Own", "srv/__init__", "cfg/OwnConfig"):
+        file = folder / package.name / f"{module}.py"
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text("class Own: pass\n")
+    for kind in ("msg", "srv"):
+        init = folder / package.name / kind / "__init__.py"
+        init.write_text(f"from {package.name}.msg._Own import Own\n")
+    (folder / package.name / "cfg" / "__init__.py").touch()
+    (folder / package.name / "__init__.py").write_text(relay)
+    return folder
+
+
+@pytest.mark.parametrize("with_libraries", [False, True], ids=["shared", "with libraries"])
+@pytest.mark.parametrize("source_first", [False, True], ids=["relay first", "source first"])
+@pytest.mark.parametrize("has_relay", [True, False], ids=["relay", "no setup.py"])
+@pytest.mark.parametrize("use", USES)
+def test_what_was_generated_for_a_package_in_a_devel_space(
+    package: Written, use: str, has_relay: bool, source_first: bool, with_libraries: bool
+) -> None:
+    source = package.folder
+    devel = in_devel_space(source, package, RELAY.format(source=source) if has_relay else "")
+    sys.path[:0] = [str(source), str(devel)] if source_first else [str(devel)]
+    package.write("nodelets", GENERATED.format(use=USES[use].format(package=package.name)))
+
+    def own(context: Any, module: str, found: Any) -> Importer:
+        return Importer(found.tops.__contains__, search=found.folders)
+
+    imports_of = ClassImports(own) if with_libraries else ClassImports()
+    first = load(imports_of, package)
+    package.write("more", "")  # begins a generation
+    second = load(imports_of, package)
+    assert first is not second
+    if use != "cfg":  # messages are the same for every module of the process
+        assert first.own is second.own is sys.modules[f"{package.name}.msg"].Own
