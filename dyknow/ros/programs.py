@@ -9,7 +9,7 @@ import functools
 import os
 import shlex
 import sys
-from typing import Any, List, Optional
+from typing import Any, List, Optional, Tuple
 
 from dyknow.errors import CannotRun
 from dyknow.model.graph import NodeletKind
@@ -20,7 +20,10 @@ ELF = "\x7fELF"
 
 
 def find_program(package: str, executable: str) -> str:
-    """Return the path of a package's program.
+    """Return the path of a package's program: the one that rosrun and roslaunch run.
+
+    One that is installed for the package (in a devel space a relay to its source) comes before
+    those in its folder; a path below the folder names one of these.
 
     Raises:
         CannotRun: there is none, or there are several.
@@ -28,32 +31,43 @@ def find_program(package: str, executable: str) -> str:
     import rospkg  # here: who asks for first lines alone does not wait for it
 
     try:
-        found = _found(package, executable)
+        folder, found = _found(package, executable)
     except rospkg.ResourceNotFound as error:
         raise CannotRun(f"there is no package '{package}' on ROS_PACKAGE_PATH") from error
     if not found:
         raise CannotRun(f"package '{package}' has no program '{executable}'")
-    if len(found) > 1:
-        raise CannotRun(f"'{executable}' may be one of {', '.join(found)}: expected one program")
-    return found[0]
+    installed = [path for path in found if not path.startswith(os.path.join(folder, ""))]
+    if len(found) > 1 and len(installed) != 1:
+        raise CannotRun(
+            f"'{executable}' may be one of {', '.join(found)}: expected one program, or its path "
+            f"below {folder}"
+        )
+    return (installed or found)[0]
 
 
-def _found(package: str, executable: str) -> List[str]:
-    """List the programs of that name, as rosrun finds them.
+def _found(package: str, executable: str) -> Tuple[str, List[str]]:
+    """Return the folder of a package, and the programs of that name, as rosrun finds them.
 
     The packages are looked up anew only if there is none: that takes longer than all else.
     """
     import rospkg
     from roslib.packages import find_node
 
+    def look() -> Tuple[str, List[str]]:
+        folder = _packages().get_path(package)
+        if "/" not in executable:
+            return folder, sorted(set(map(str, find_node(package, executable, _packages()))))
+        path = os.path.join(folder, executable)
+        return folder, [path] if os.path.isfile(path) and os.access(path, os.X_OK) else []
+
     try:
-        found = find_node(package, executable, _packages())
+        folder, found = look()
     except rospkg.ResourceNotFound:
         found = []
     if not found:
         _packages.cache_clear()
-        found = find_node(package, executable, _packages())
-    return sorted(set(map(str, found or [])))
+        folder, found = look()
+    return folder, found
 
 
 @functools.lru_cache(maxsize=1)
