@@ -163,6 +163,13 @@ class FakeHost(Host):
         if process.state.kind.is_node:
             del self.processes[manager]
 
+    def reboot(self) -> None:
+        """End every process, and all memory of them, as when the machine is started again."""
+        self.processes.clear()
+        self._hung.clear()
+        self._crashes.clear()
+        self._on_the_way.clear()
+
     def crash(
         self, manager: str, running: Optional[Iterable[str]] = (), unloading: Iterable[str] = ()
     ) -> None:
@@ -517,7 +524,8 @@ class FakeHost(Host):
         return listener
 
     def _new_name(self) -> str:
-        return f"/fake_{len(self.processes)}"
+        candidates = (f"/fake_{number}" for number in itertools.count())
+        return next(name for name in candidates if name not in self.processes)
 
     def _start(self, name: str, kind: NodeletKind, isolated_for: str) -> str:
         self.processes[name] = FakeManager(self._state(name, kind, isolated_for))

@@ -163,7 +163,8 @@ class Lifecycle:
     def restore(self, record: Record) -> Record:
         """Bring back a nodelet that died, where it was or, if it is isolated, in a new process.
 
-        A nodelet that is suspected of having crashed its process is isolated from now on.
+        A nodelet that is suspected of having crashed its process is isolated from now on. One
+        whose nodelet manager exists no more is placed as a new one is.
 
         Returns:
             Its record, which says FAILED, with the reason, if that did not work.
@@ -178,18 +179,20 @@ class Lifecycle:
         record = replace(record, suspicion=suspicion or record.suspicion)
         starting = replace(record, state=State.STARTING, detail=record.suspicion)
         self._graph.put(starting)  # from now on it counts where it will be
-        starting = replace(starting, topics=self.fitting(starting))
         try:
-            if record.isolated:
-                manager = self._host.ensure(record.kind.host, record.name)
-                starting = replace(starting, manager=manager)
+            # Its place is on disk before it is there: the manager's next life finds it.
+            starting = replace(starting, manager=self._place_again(starting))
+            self._graph.put(starting)
+            starting = replace(starting, topics=self.fitting(starting))
             running = self._bring_up(starting)
         except NameTaken:
-            return record  # it is there: the next look finds it
+            return starting  # it is there: the next look finds it
         except DyKnowError as error:
             self._take_down(starting)
             detail = "; ".join(filter(None, (str(error), record.suspicion)))
-            running = replace(record, state=State.FAILED, detail=detail, ports=())
+            running = replace(
+                record, manager=starting.manager, state=State.FAILED, detail=detail, ports=()
+            )
         self._graph.put(running)
         return running
 
@@ -275,6 +278,23 @@ class Lifecycle:
             self._graph.put(running)
 
     # Inside
+
+    def _place_again(self, record: Record) -> str:
+        """Return the nodelet manager for one that died: where it was, if that is there or ours.
+
+        Raises:
+            HostError: no nodelet manager comes up.
+        """
+        if record.isolated:
+            return self._host.ensure(record.kind.host, record.name)
+        state = self._state(record.manager)
+        if state is None:  # it died while there was no manager, and has no successor
+            return placement.choose(
+                self._host, self._graph.all(), record.kind, record.topics.values()
+            )
+        if state.own and not state.alive:
+            self._host.ensure(state.kind)
+        return record.manager
 
     def _unload(self, record: Record) -> None:
         try:

@@ -330,8 +330,6 @@ class Observer:
 
     def _restore(self, record: Record) -> None:
         try:
-            if not record.isolated:
-                self._revive(record.manager)
             restored = self._lifecycle.restore(record)
         except DyKnowError as error:
             _log.warning("%s cannot be brought back yet: %s", record.name, error)
@@ -340,11 +338,6 @@ class Observer:
             _log.info("%s is back", record.name)
         else:
             _log.warning("%s is not back: %s", record.name, restored.detail)
-
-    def _revive(self, manager: str) -> None:
-        for state in self._host.managers():
-            if state.name == manager and not state.alive and state.own:
-                self._host.ensure(state.kind, state.isolated_for)
 
     def _meet(self, name: str, state: ManagerState) -> None:
         try:

@@ -32,6 +32,37 @@ def test_a_dead_nodelet_manager_comes_back_with_everything_it_had(world: World) 
     assert world.host.nodelet("/b").ports["out"].topic == "/o"
 
 
+@pytest.mark.parametrize("isolated", [False, True])
+@pytest.mark.parametrize("label", ["camera", "native", "program"])
+def test_every_kind_of_nodelet_comes_back_after_a_reboot(
+    world: World, label: str, isolated: bool
+) -> None:
+    world.host.sources["pkg/program"] = []
+    world.manager.add_transformation(
+        '<transformation type="node"><label>program</label><source>pkg/program</source>'
+        "</transformation>"
+    )
+    world.spawn(label, "a", isolated=isolated, is_protected=True)
+    before = world.manager.get_model().nodelets
+    world.host.reboot()
+    world.kill_manager()
+    assert world.manager.get_model().nodelets == before
+    assert world.host.running == ["/a"]
+
+
+def test_nodelets_of_a_nodelet_manager_that_exists_no_more_are_placed_again(world: World) -> None:
+    world.spawn("relay", "a")
+    world.host.hang("/fake_0")
+    world.spawn("relay", "b", config={"in": "/i"})
+    world.host.wake("/fake_0")
+    assert world.manager.graph.get("/b").manager == "/fake_1"
+    del world.host.processes["/fake_1"]  # fewer of them are wanted by the next life
+    world.kill_manager()
+    found = world.manager.graph.get("/b")
+    assert (found.state, found.manager) == (State.RUNNING, "/fake_0")
+    assert world.host.nodelet("/b").ports["in"].topic == "/i"
+
+
 @pytest.mark.parametrize("fault", ["hang", "kill"])
 def test_what_a_nodelet_manager_hosts_is_lost_in_one_step(world: World, fault: str) -> None:
     for name in ("a", "b", "c"):
