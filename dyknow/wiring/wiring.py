@@ -10,6 +10,7 @@ from typing import List, Tuple
 from xml.sax.saxutils import quoteattr
 
 from dyknow.errors import DyKnowError
+from dyknow.manager.claims.relay import transformation_of_relay
 from dyknow.model.graph import Model, NodeletStatus, SpawnRequest
 from dyknow.model.transformation import Transformation
 
@@ -53,6 +54,8 @@ def wiring_of(snapshot: Model) -> Tuple[Wiring, List[NodeletStatus]]:
     """
     known = {each.label: each for each in snapshot.transformations}
     own = [nodelet for nodelet in snapshot.nodelets if nodelet.transformation]
+    relays = (transformation_of_relay(each) for each in own if each.transformation not in known)
+    known.update({each.label: each for each in relays if each is not None})
     gone = [
         f"'{each.transformation}' of '{each.name}'"
         for each in own

@@ -14,6 +14,7 @@ from typing import Optional, Tuple
 from dyknow.errors import SpawnFailed
 from dyknow.manager.planning.supply import ANY
 from dyknow.manager.specifications.tags import read_tags
+from dyknow.model.graph import NodeletStatus
 from dyknow.model.transformation import IN, OUT, Parameter, Port, Transformation
 
 #: What a relay costs, as transformations do that say nothing else.
@@ -47,3 +48,11 @@ def is_relay(transformation: Optional[Transformation]) -> bool:
         and transformation.label.startswith(_PREFIX + "/")
         and transformation.source == "dyknow/Relay"
     )
+
+
+def transformation_of_relay(nodelet: NodeletStatus) -> Optional[Transformation]:
+    """Return the transformation of a relay, which no library has; None for any other nodelet."""
+    out = nodelet.port("out")
+    if not nodelet.transformation.startswith(_PREFIX + "/") or out is None or out.datatype in ANY:
+        return None
+    return relay(nodelet.transformation[len(_PREFIX) :], out.datatype, out.tags)

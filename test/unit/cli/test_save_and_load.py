@@ -13,6 +13,7 @@ from unit.manager.world import World
 
 from dyknow.errors import ManagerUnreachable, Refused
 from dyknow.model.graph import NodeletKind, SpawnRequest
+from dyknow.model.streams import StreamRequest
 from dyknow.model.transformation import Parameter, Port, Transformation
 from dyknow.wiring.plan import readers_first
 
@@ -325,6 +326,27 @@ def test_a_transformation_that_is_gone_is_refused(client: FakeClient, tmp_path: 
     assert outcome.code == 1
     assert "the library has no more 'camera' of '/cam'" in outcome.err
     assert not file.exists()
+
+
+def test_relays_of_shared_streams_are_saved(client: FakeClient, tmp_path: Path) -> None:
+    client.host.sources["dyknow/Relay"] = client.host.sources["pkg/Relay"]
+    for tag in ("Raw(camera)", "Raw(?c)"):
+        client.acquire_stream(StreamRequest(tag))
+    relays = [
+        each for each in client.get_graph().nodelets if each.transformation.startswith("relay of ")
+    ]
+    assert len(relays) == 1
+    file, again = tmp_path / "w.xml", tmp_path / "again.xml"
+    outcome = run(client, f"save {file}")
+    assert (outcome.code, outcome.err) == (0, "")
+    for claim in client.list_streams():
+        client.release_stream(claim.claim_id)
+    for each in client.get_graph().nodelets:
+        client.destroy(each.name)
+    assert run(client, f"load {file}").code == 0
+    assert client.get_graph().nodelet(relays[0].name).connections == relays[0].connections
+    assert run(client, f"save {again}").code == 0
+    assert again.read_text() == file.read_text()
 
 
 def test_files_that_cannot_be_used(client: FakeClient, tmp_path: Path) -> None:
