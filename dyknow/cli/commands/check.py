@@ -7,17 +7,16 @@ from __future__ import annotations
 
 import argparse
 import sys
-from typing import TYPE_CHECKING, Any, Dict, Iterable, Iterator, List, Optional, Sequence, Tuple
+from typing import TYPE_CHECKING, Any, Dict, List, Optional, Sequence, Tuple
 
 from dyknow.cli import completion
 from dyknow.cli.command import Command
 from dyknow.cli.shell import FAILED, Shell
 from dyknow.cli.tables import count
-from dyknow.errors import HostError, Problem
+from dyknow.errors import Problem
 
 if TYPE_CHECKING:
     from dyknow.manager.specifications.ontology import Ontology
-    from dyknow.model.transformation import Transformation
 
 STDIN = "-"
 
@@ -102,6 +101,7 @@ def _report(
 ) -> Tuple[Sequence[str], Sequence[Problem], Sequence[Problem]]:
     from dyknow.errors import SpecificationError
     from dyknow.manager.specifications.specification import parse, parse_file
+    from dyknow.ros.installed import missing_here
 
     try:
         if file == STDIN:
@@ -110,21 +110,8 @@ def _report(
             found = parse_file(file, ontology)
     except SpecificationError as error:
         return (), error.problems, error.warnings
-    unknown = _unknown_programs(file, found.transformations)
-    return [each.label for each in found.transformations], (), (*found.warnings, *unknown)
-
-
-def _unknown_programs(file: str, transformations: Iterable[Transformation]) -> Iterator[Problem]:
-    """Say which programs of nodes cannot be run on this machine; elsewhere they may be."""
-    from dyknow.model.transformation import NODE, Program
-    from dyknow.ros import programs
-
-    for each in transformations:
-        if each.type == NODE and not each.is_described:
-            try:
-                programs.kind_of(Program.of(each.source))
-            except HostError as error:
-                yield Problem(file, 0, f"transformation '{each.label}': {error}")
+    missing = missing_here(file, found.transformations)
+    return [each.label for each in found.transformations], (), (*found.warnings, *missing)
 
 
 def _with_warning(problem: Problem) -> str:
@@ -140,8 +127,8 @@ COMMANDS = (
         "check",
         "check specification files without a manager",
         "Find all problems of specification files, with file and line, without a manager or a "
-        "master. The exit code is 1 if there are problems; warnings are none: programs of nodes, "
-        "for instance, that this machine does not have.",
+        "master. The exit code is 1 if there are problems; warnings are none: nodelet types, "
+        "programs and message types, for instance, that this machine does not have.",
         "dyknow check cameras.xml\ndyknow check --ontology soccer.owl *.xml",
         _check_arguments,
         _check,

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import logging
 from pathlib import Path
-from typing import Iterator, Set
+from typing import Dict, Iterable, Iterator, Set
 
 from lxml import etree
 
@@ -19,6 +19,7 @@ from dyknow.locks import state_lock
 from dyknow.model.graph import NodeletKind
 from dyknow.nodelet.plugins import Plugins
 from dyknow.ros.nodelets.packages import exported_files, plugin_files
+from dyknow.similar import did_you_mean
 
 _BASE_CLASS = "nodelet::Nodelet"
 
@@ -50,16 +51,26 @@ class NodeletTypes:
         Raises:
             HostError: no package declares it.
         """
+        undeclared = self.undeclared([source])
         found = self._known(source)
         if found is None:
-            self._refresh()
-            found = self._known(source)
-        if found is None:
-            raise HostError(
-                f"no package declares a nodelet type '{source}': expected it in a <dyknow plugin> "
-                "or a <nodelet plugin> export of a package on ROS_PACKAGE_PATH"
-            )
+            raise HostError(undeclared[source])
         return found
+
+    def undeclared(self, sources: Iterable[str]) -> Dict[str, str]:
+        """Return the sources that no package declares, each with an explanation."""
+        sources = sorted(set(sources))
+        if any(self._known(source) is None for source in sources):
+            self._refresh()
+        with self._state_lock:
+            known = self._python | self._cpp
+        return {
+            source: f"no package declares a nodelet type '{source}': expected it in a "
+            "<dyknow plugin> or a <nodelet plugin> export of a package on ROS_PACKAGE_PATH"
+            + did_you_mean(source, known)
+            for source in sources
+            if source not in known
+        }
 
     def _known(self, source: str) -> NodeletKind | None:
         with self._state_lock:

@@ -199,7 +199,7 @@ class TestCheck:
             ":front a :Camera .\n"
         )
         xml.write_text(
-            "<transformation><label>l(${X})</label><source>p/C</source>\n"
+            "<transformation><label>l(${X})</label><source>dyknow/Relay</source>\n"
             '<args><arg label="X">http://x.org/#Camera</arg></args></transformation>'
         )
         outcome = run(nobody, f"check {xml} --ontology {owl}")
@@ -234,6 +234,29 @@ class TestCheck:
             f"{xml}: 3 transformations: a, b, c",
         ]
 
+    def test_types_that_this_machine_does_not_have(self, tmp_path: Path) -> None:
+        nobody: FakeClient = None  # type: ignore[assignment]
+        xml = tmp_path / "t.xml"
+        xml.write_text(
+            "<transformations><transformation><label>a</label><source>dyknow/Rely</source>"
+            '<ports><port type="in" datatype="sensor_msgs/Imge">in</port></ports></transformation>'
+            "<transformation><label>b</label><source>dyknow/Rely</source></transformation>"
+            '<transformation type="topic"><label>c</label><source>/c</source>'
+            '<ports><port type="out">out</port></ports></transformation></transformations>'
+        )
+        outcome = run(nobody, f"check {xml}")
+        assert outcome.code == 0
+        nodelet_type, message_type, labels = outcome.lines
+        assert nodelet_type.startswith(
+            f"{xml}: warning: transformation 'a': no package declares a nodelet type 'dyknow/Rely'"
+        )
+        assert "did you mean dyknow/Relay" in nodelet_type
+        assert message_type.startswith(
+            f"{xml}: warning: transformation 'a': no message type 'sensor_msgs/Imge' is "
+            "installed; did you mean sensor_msgs/Image"
+        )
+        assert labels == f"{xml}: 3 transformations: a, b, c"
+
     def test_imports_and_labels_of_an_ontology(self, tmp_path: Path) -> None:
         nobody: FakeClient = None  # type: ignore[assignment]
         owl, other, xml = tmp_path / "o.ttl", tmp_path / "other.ttl", tmp_path / "t.xml"
@@ -248,7 +271,7 @@ class TestCheck:
             '<u:C> rdfs:label "C" . <u:x> a <u:C> ; rdfs:label "front"@en, "vorn"@de .'
         )
         xml.write_text(
-            "<transformation><label>l(${X})</label><source>p/C</source>"
+            "<transformation><label>l(${X})</label><source>dyknow/Relay</source>"
             '<args><arg label="X">u:C</arg></args></transformation>'
         )
         check = f"check {xml} --ontology {owl} --catalogue {catalogue}"
@@ -259,7 +282,7 @@ class TestCheck:
     def test_needs_nobody(self, tmp_path: Path) -> None:
         good, bad = tmp_path / "good.xml", tmp_path / "bad.xml"
         good.write_text(
-            "<transformation><label>l</label><source>p/C</source>"
+            "<transformation><label>l</label><source>dyknow/Relay</source>"
             '<params><param name="a-b">1</param></params></transformation>'
         )
         bad.write_text("<transformation>\n<label>l</label>\n</transformation>")
