@@ -29,6 +29,22 @@ def names_of(given: Iterable[Parameter]) -> Tuple[str, ...]:
     return tuple(each.name for each in given if each.name[:1] != "?")
 
 
+def undeclared(transformation: Optional[Transformation], given: Iterable[Parameter]) -> List[str]:
+    """Describe the given parameters that a transformation with parameters does not declare.
+
+    They are set all the same: a nodelet may read more parameters than its transformation declares.
+    """
+    if transformation is None or not transformation.parameters:
+        return []
+    known = {each.name for each in transformation.parameters}
+    return [
+        f"transformation '{transformation.label}' declares no parameter '{shorten(name)}': it is "
+        f"set, but perhaps not read{meant(name, known)}"
+        for name in names_of(given)
+        if name not in known
+    ]
+
+
 def filling(transformation: Transformation, bindings: Mapping[str, str]) -> Tuple[Parameter, ...]:
     """Return what has to be given to a nodelet so that its parameters are filled."""
     used = sorted(filling_variables(transformation))

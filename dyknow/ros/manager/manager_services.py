@@ -24,7 +24,9 @@ from dyknow_msgs.srv import (
 
 from dyknow.errors import DuplicatePort, InvalidConfiguration
 from dyknow.manager.manager import Manager
+from dyknow.manager.specifications.given import undeclared
 from dyknow.model.graph import SpawnRequest
+from dyknow.ros.installed import missing_here
 from dyknow.ros.manager.service_group import ServiceGroup
 from dyknow.ros.messages import config_pairs, parameters_from
 from dyknow.ros.model_messages import ModelMessages
@@ -61,7 +63,8 @@ class ManagerServices:
         def add() -> None:
             found = self._manager.add_transformation(request.specification)
             answer.labels = sorted({each.label for each in found.transformations})
-            answer.message = "\n".join(map(str, found.warnings))
+            missing = missing_here("specification", found.transformations)
+            answer.message = "\n".join(map(str, (*found.warnings, *missing)))
 
         error = self._attempt(request, "adding transformations", add)
         answer.success = error is None
@@ -78,6 +81,8 @@ class ManagerServices:
         return RemoveTransformationResponse(*_answer(self._attempt(request, what, remove)))
 
     def _spawn(self, request: Any) -> SpawnResponse:
+        answer = SpawnResponse()
+
         def spawn() -> None:
             pairs = config_pairs(request.config)
             given = parameters_from(request.parameters)
@@ -90,7 +95,7 @@ class ManagerServices:
                 entries=max(len(pairs), len(given)),
             )
             manager = self._manager.resolve(request.manager) if request.manager else ""
-            self._manager.spawn(
+            made = self._manager.spawn(
                 SpawnRequest(
                     request.label,
                     request.name,
@@ -101,9 +106,14 @@ class ManagerServices:
                     given,
                 )
             )
+            answer.message = "\n".join(undeclared(made.transformation, given))
 
         what = f"spawning '{request.name}' from '{request.label}'"
-        return SpawnResponse(*_answer(self._attempt(request, what, spawn)))
+        error = self._attempt(request, what, spawn)
+        answer.success = error is None
+        if error is not None:
+            answer.message = str(error)
+        return answer
 
     def _destroy(self, request: Any) -> DestroyResponse:
         def destroy() -> None:

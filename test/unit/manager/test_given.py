@@ -12,7 +12,7 @@ from unit.manager.witness import Concepts
 from unit.manager.world import TRACKER, World
 
 from dyknow.errors import InvalidParameters, SpawnFailed
-from dyknow.manager.specifications.given import completed, set_on_load
+from dyknow.manager.specifications.given import completed, set_on_load, undeclared
 from dyknow.model.transformation import Parameter, Port, Transformation
 
 TRANSFORMATION = Transformation(
@@ -35,6 +35,14 @@ def given(**values: str) -> Tuple[Parameter, ...]:
 def values(*parameters: Parameter) -> Dict[str, str]:
     set_ = set_on_load(TRANSFORMATION, completed(TRANSFORMATION, parameters))
     return {each.name: each.text for each in set_}
+
+
+def test_parameters_that_are_not_declared_are_reported() -> None:
+    (remark,) = undeclared(TRANSFORMATION, given(rte="5", rate="5", v_camera="left"))
+    assert "declares no parameter 'rte'" in remark
+    assert remark.endswith("did you mean rate?")
+    bare = TRANSFORMATION._replace(parameters=())
+    assert undeclared(bare, given(rte="5")) == []
 
 
 def problems(*parameters: Parameter) -> Tuple[str, ...]:
