@@ -24,6 +24,7 @@ from dyknow.cli.shell import Shell
 from dyknow.cli.views import shows
 from dyknow.model.graph import PortRef
 from dyknow.model.transformation import IN, OUT
+from dyknow.similar import did_you_mean
 
 
 def _connect_arguments(parser: argparse.ArgumentParser) -> None:
@@ -74,6 +75,7 @@ def _connect(arguments: argparse.Namespace, shell: Shell) -> None:
     source, target = _end(shell, arguments.source), _end(shell, arguments.target)
     if isinstance(source, str) and isinstance(target, PortRef):
         topic, changes = source, connect_to_topic(shell.client, target, source, IN)
+        _warn_without_publisher(shell, source)
     elif isinstance(source, PortRef) and isinstance(target, str):
         topic, changes = target, connect_to_topic(shell.client, source, target, OUT)
     elif isinstance(source, PortRef) and isinstance(target, PortRef):
@@ -90,6 +92,17 @@ def _connect(arguments: argparse.Namespace, shell: Shell) -> None:
         },
         [way + ("" if changes else " (as it was)")],
     )
+
+
+def _warn_without_publisher(shell: Shell, topic: str) -> None:
+    """Warn when no port and no node publishes on a topic: its name may be mistyped."""
+    ports = [port for nodelet in shell.client.get_graph().nodelets for port in nodelet.ports]
+    sources = {port.topic for port in ports if port.direction == OUT}
+    if topic not in sources:
+        published = sources | shell.client.published(())
+        if topic not in published:
+            hint = did_you_mean(topic, published - {""})
+            shell.warn(f"connected, but no node publishes on '{topic}' yet{hint}")
 
 
 def _disconnect_arguments(parser: argparse.ArgumentParser) -> None:

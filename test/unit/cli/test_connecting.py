@@ -64,6 +64,19 @@ def test_an_in_port_is_connected_to_a_topic(client: FakeClient) -> None:
     assert client.calls == [("set_config", "/robot/relay")]
 
 
+def test_a_topic_without_a_publisher_is_reported(client: FakeClient) -> None:
+    client.ordinary.add("/lidar/scan")
+    outcome = run(client, "connect /lidar/scna robot/relay:in")
+    assert outcome.lines == ["/lidar/scna -> /robot/relay:in"]
+    assert outcome.err == (
+        "dyknow: warning: connected, but no node publishes on '/lidar/scna' yet; did you mean "
+        "/lidar/scan?\n"
+    )
+    assert run(client, "connect /lidar/scan robot/relay:in").err == ""
+    run(client, "connect cam:image /raw")
+    assert run(client, "connect /raw robot/relay:in").err == ""
+
+
 def test_an_out_port_is_connected_to_a_topic(client: FakeClient) -> None:
     assert run(client, "connect cam:image /raw --json").json == {
         "out": {"nodelet": "/cam", "port": "image"},
