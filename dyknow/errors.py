@@ -325,7 +325,7 @@ class Protected(NodeletError):
 
     def __init__(self, name: str) -> None:
         super().__init__(
-            name, f"nodelet '{name}' is protected; release it with set_protection first"
+            name, f"nodelet '{name}' is protected; release it first: dyknow unprotect {name}"
         )
 
 
@@ -335,8 +335,8 @@ class ProtectedFromUnloading(NodeletError):
     def __init__(self, name: str) -> None:
         super().__init__(
             name,
-            f"nodelet '{name}' is protected from unloading; release it with set_protection of its "
-            "DyKnow manager first",
+            f"nodelet '{name}' is protected from unloading by its DyKnow manager; release it "
+            f"first: dyknow unprotect {name}",
         )
 
 

@@ -115,7 +115,12 @@ def _instead(command: str, word: str) -> str:
     if name in _ENVIRONMENT:
         return f"set {_ENVIRONMENT[name]} in the environment"
     if command == "spawn":
-        return f"connect a port of the new nodelet with --connect {name}:{value}"
+        if re.match("[a-zA-Z/~]", value):
+            return (
+                f"connect a port of the new nodelet with --connect {name}:{value}, or set a "
+                f"parameter with --param {name}={value}"
+            )
+        return f"set a parameter of the new nodelet with --param {name}={value}"
     return f"'dyknow {command}' takes neither remappings nor parameters"
 
 

@@ -83,6 +83,10 @@ def test_examples_are_understood() -> None:
         (["connect", "a", "b:in", "--topic", "c"], "one end is a topic already"),
         (["spawn", "relay", "a", "in:=/x"], "connect a port of the new nodelet with --connect in"),
         (
+            ["spawn", "relay", "a", "rate:=5"],
+            "set a parameter of the new nodelet with --param rate=5",
+        ),
+        (
             ["list", "__ns:=/robot"],
             "'__ns:=/robot' would have no effect: set ROS_NAMESPACE",
         ),
