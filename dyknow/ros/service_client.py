@@ -21,7 +21,7 @@ import rosgraph.network
 from dyknow.errors import HostError, PeerTimeout
 from dyknow.locks import assert_no_state_lock, state_lock, turn_lock
 from dyknow.ros.master import Master
-from dyknow.ros.tcpros import TcprosConnection
+from dyknow.ros.tcpros import ConnectionRefused, TcprosConnection
 
 #: Seconds in which a connection has to be there.
 CONNECT_TIMEOUT = 2.0
@@ -202,9 +202,10 @@ class ServiceClient:
         seconds = max(0.001, min(deadline - time.monotonic(), CONNECT_TIMEOUT))
         connection = TcprosConnection(host, port, seconds)
         try:
-            answer = connection.shake_hands(self._header(), deadline)
-            if "error" in answer:
-                raise ServiceLost(f"service {self.name}: {answer['error']}")
+            connection.shake_hands(f"service {self.name}", self._header(), deadline)
+        except ConnectionRefused as error:
+            connection.close()
+            raise ServiceFailed(str(error)) from error
         except BaseException:
             connection.close()
             raise

@@ -17,11 +17,23 @@ from typing import Dict, Tuple
 
 import rosgraph.network
 
+from dyknow.errors import HostError
 from dyknow.ros.addresses import connect
 
 _LENGTH = struct.Struct("<I")
 _CHUNK = 1 << 16
 _LEAST_WAIT = 0.001
+
+
+class ConnectionRefused(HostError):
+    """The other side answered the header with an error: another type, or another checksum."""
+
+    def __init__(self, what: str, answer: str) -> None:
+        self.answer = answer
+        advice = ""
+        if "md5sum" in answer:
+            advice = "; its process was started with another version of DyKnow: restart it"
+        super().__init__(f"{what} cannot be used: {answer}{advice}")
 
 
 class TcprosConnection:
@@ -36,15 +48,25 @@ class TcprosConnection:
         self._socket = connect(host, port, seconds)
         self._received = bytearray()
 
-    def shake_hands(self, fields: Dict[str, str], deadline: float) -> Dict[str, str]:
-        """Send the fields of the header, and return those of the other side."""
+    def shake_hands(self, what: str, fields: Dict[str, str], deadline: float) -> None:
+        """Exchange headers.
+
+        Args:
+            what: the service or topic, for the error.
+            fields: of the header that is sent.
+            deadline: for both headers.
+
+        Raises:
+            ConnectionRefused: the header of the other side has an error.
+        """
         self._limit(deadline)
         rosgraph.network.write_ros_handshake_header(self._socket, fields)
         header = self.receive_frame(deadline)
         answer: Dict[str, str] = rosgraph.network.decode_ros_handshake_header(
             _LENGTH.pack(len(header)) + header
         )
-        return answer
+        if "error" in answer:
+            raise ConnectionRefused(what, answer["error"])
 
     def send_frame(self, body: bytes, deadline: float) -> None:
         """Send a frame."""

@@ -19,7 +19,7 @@ from typing import Any, Callable, Optional
 from dyknow.errors import PeerTimeout
 from dyknow.periodic import attempt, in_background
 from dyknow.ros.master import Master
-from dyknow.ros.tcpros import TcprosConnection
+from dyknow.ros.tcpros import ConnectionRefused, TcprosConnection
 
 #: Seconds for a connection to be there.
 _CONNECTING = 5.0
@@ -50,6 +50,7 @@ class TopicReader:
 
         Raises:
             LookupError: the node is unknown, or does not publish the topic.
+            ConnectionRefused: the node's message type is another one.
             PeerTimeout: it does not answer in time.
             OSError: the connection broke.
         """
@@ -115,9 +116,7 @@ class TopicReader:
             "tcp_nodelay": "1",
         }
         try:
-            answer = self._connection.shake_hands(fields, deadline)
-            if "error" in answer:
-                raise LookupError(answer["error"])
+            self._connection.shake_hands(self._what, fields, deadline)
         except BaseException:
             self.close()
             raise
@@ -150,6 +149,7 @@ class TopicFollower:
         self._closed = threading.Event()
         self._is_left = threading.Event()
         self._reader: Optional[TopicReader] = None
+        self._refusal = ""  # logged once
 
     @property
     def is_connected(self) -> bool:
@@ -190,6 +190,10 @@ class TopicFollower:
                     if message is not None:
                         attempt(self._what, functools.partial(self._hand_on, message))
                         self._closed.wait(_PAUSE if self._last_only else 0.0)
+        except ConnectionRefused as error:
+            if str(error) != self._refusal:
+                self._refusal = str(error)
+                _log.warning("%s", error)
         except (PeerTimeout, LookupError, OSError) as error:
             _log.debug("%s: %s", self._what, error)
         finally:

@@ -75,6 +75,7 @@ class SmallManager:
         goes_on: cleared while the process is stopped.
         ended: set when it was told to end.
         connections: how many clients have connected so far.
+        error: sent in the header of each connection; empty: there is none.
     """
 
     def __init__(self) -> None:
@@ -84,6 +85,7 @@ class SmallManager:
         self.goes_on.set()
         self.ended = threading.Event()
         self.connections = 0
+        self.error = ""
         self._listener = socket.create_server(("127.0.0.1", 0))
         where = self._listener.getsockname()
         self._node = _XmlRpc(
@@ -123,6 +125,8 @@ class SmallManager:
         with contextlib.suppress(OSError, struct.error), connection:
             self._read(connection)
             fields = {"callerid": "/small", "md5sum": NodeletList._md5sum, "type": "*"}
+            if self.error:
+                fields = {"error": self.error}
             rosgraph.network.write_ros_handshake_header(connection, fields)
             while True:
                 self._read(connection)

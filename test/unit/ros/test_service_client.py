@@ -18,7 +18,7 @@ from unit.ros.small_graph import SmallManager, small_graph
 
 from dyknow.errors import PeerTimeout
 from dyknow.ros.master import Master
-from dyknow.ros.service_client import ServiceClient, ServiceLost
+from dyknow.ros.service_client import ServiceClient, ServiceFailed, ServiceLost
 from dyknow.ros.tcpros import TcprosConnection
 
 LONG = 30.0
@@ -107,6 +107,19 @@ def test_the_wait_for_other_threads_counts_with_the_call(
     with pytest.raises(PeerTimeout):
         client.call(2.0)
     assert time.monotonic() - began < 3.5
+
+
+@pytest.mark.parametrize("persistent", [False, True])
+def test_a_process_of_another_version_is_reported_with_the_cure(
+    manager: SmallManager, persistent: bool
+) -> None:
+    manager.error = "request from [/client]: md5sums do not match: [a] vs. [b]"
+    with contextlib.closing(make_client(persistent=persistent)) as client:
+        with pytest.raises(ServiceFailed, match="another version of DyKnow: restart it"):
+            client.call(LONG)
+        manager.error = "there is no such service"
+        with pytest.raises(ServiceFailed, match="there is no such service$"):
+            client.call(LONG)
 
 
 def test_a_lost_connection_is_made_again_for_a_persistent_client(
