@@ -10,6 +10,7 @@ call holds. So here the main thread only waits, and everything else has another 
 
 from __future__ import annotations
 
+import contextlib
 import queue
 import signal
 import threading
@@ -17,6 +18,7 @@ from typing import Callable, Optional, Sequence
 
 import rospy
 
+from dyknow.errors import BadParameter, DyKnowError
 from dyknow.nodelet.middleware import Closable
 from dyknow.periodic import in_background
 from dyknow.ros.exit_codes import DONE, FAILED, INTERRUPTED
@@ -40,7 +42,7 @@ class NodeProcess:
         node: default name of the node.
         argv: the command line with ROS's own arguments, program name first.
         start: called once the node is initialised; returns what is to be closed at the end, or
-            None if it failed and has said so.
+            None if it failed and has said so. A `DyKnowError` is logged, and ends the process.
     """
 
     def __init__(
@@ -85,6 +87,10 @@ class NodeProcess:
             rospy.core.add_shutdown_hook(lambda reason: self._shut_down.set())
             rospy.on_shutdown(self._on_shutdown)
             self._running = self._start()
+        except DyKnowError as error:
+            rospy.logfatal("%s", error)
+            if isinstance(error, BadParameter):
+                self._forget(error.name)
         except rospy.ROSInitException:
             if not rospy.is_shutdown():
                 self._told.put(False)
@@ -94,6 +100,21 @@ class NodeProcess:
             raise
         if self._running is None:
             self._told.put(False)
+
+    def _forget(self, parameter: str) -> None:
+        """Delete a private parameter that the command line has set.
+
+        The parameter server would keep it, so that the next start would fail without it being
+        given.
+        """
+        if any(word.startswith(f"_{parameter.lstrip('~')}:=") for word in self._argv):
+            with contextlib.suppress(KeyError, rospy.ROSException):
+                rospy.delete_param(parameter)
+        else:
+            rospy.logfatal(
+                "it is on the parameter server: rosparam set %s VALUE, or rosparam delete it",
+                rospy.resolve_name(parameter),
+            )
 
     def _on_shutdown(self) -> None:
         """Hold up a shutdown by rosnode kill until everything is closed in order."""

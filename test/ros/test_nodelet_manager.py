@@ -108,6 +108,13 @@ class StartTest(Started):
             self.assertIn("num_worker_threads", process.output)
             self.assertIn("expected an integer", process.output)
             self.assertNotIn("Traceback", process.output)
+            self.assertIn("rosparam set /confused/num_worker_threads", process.output)
+
+    def test_a_parameter_without_sense_does_not_outlive_its_command_line(self):
+        process = self.start("rosrun", "dyknow", "nodelet_manager", "_stuck_after:=soon")
+        self.assertEqual(process.exit_code(20.0), 255, process.output)
+        self.assertIn("parameter '~stuck_after' is 'soon'", process.output)
+        self.assertFalse(rospy.has_param("/manager/stuck_after"), process.output)
 
     def test_sigint_at_any_moment_of_the_start(self):
         for tenth in range(1, 8):

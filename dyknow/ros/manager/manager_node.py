@@ -12,7 +12,7 @@ them over.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Dict, List, Optional, Sequence
+from typing import TYPE_CHECKING, Dict, List, Sequence
 
 import rosgraph.names
 import rospy
@@ -30,6 +30,7 @@ from dyknow.ros.hosting.children import Children
 from dyknow.ros.hosting.cpp_nodelets import CppNodelets
 from dyknow.ros.hosting.host import RosHost
 from dyknow.ros.hosting.launcher import Launcher
+from dyknow.ros.installed import missing_here
 from dyknow.ros.manager.manager_services import ManagerServices
 from dyknow.ros.manager.manager_settings import ManagerSettings
 from dyknow.ros.manager.model_publisher import ModelPublisher
@@ -151,7 +152,7 @@ class ManagerNode(Closable):
             except (OSError, ValueError, DyKnowError) as error:
                 rospy.logerr("transformations of '%s' are not added: %s", path, error)
                 continue
-            for warning in found.warnings:
+            for warning in (*found.warnings, *missing_here(path, found.transformations)):
                 rospy.logwarn("%s", warning)
 
     def _forget_transformations(self) -> None:
@@ -241,11 +242,7 @@ def run(argv: Sequence[str]) -> int:
     return FAILED if _is_running(argv) else NodeProcess(_NAME, argv, _start).run()
 
 
-def _start() -> Optional[ManagerNode]:
-    try:
-        node = ManagerNode(ManagerSettings.read())
-    except DyKnowError as error:
-        rospy.logfatal("%s", error)
-        return None
+def _start() -> ManagerNode:
+    node = ManagerNode(ManagerSettings.read())
     node.start()
     return node

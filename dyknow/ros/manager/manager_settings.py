@@ -15,7 +15,7 @@ import rospkg
 import rospy
 
 from dyknow import names
-from dyknow.errors import DyKnowError
+from dyknow.errors import BadParameter, DyKnowError
 from dyknow.guards import NO_GUARDS, Guards
 from dyknow.manager.specifications.limits import DEFAULT_LIMITS, SpecificationLimits
 from dyknow.similar import did_you_mean
@@ -121,7 +121,7 @@ def _warn_of_unknown() -> None:
 
 
 def _refuse(name: str, expected: str, value: Any) -> DyKnowError:
-    return DyKnowError(f"~{name}: expected {expected}, not {value!r}")
+    return BadParameter(f"~{name}", value, expected)
 
 
 def _string(name: str, default: str = "") -> str:

@@ -377,23 +377,18 @@ def _crash_record() -> CrashRecord:
         return CrashRecord()
 
 
-def _make() -> Optional[NodeletManager]:
+def _make() -> NodeletManager:
     faulthandler.enable()  # a crash prints what each thread was at
-    try:
-        return NodeletManager(Settings.read())
-    except DyKnowError as error:
-        rospy.logfatal("%s", error)
-        return None
+    return NodeletManager(Settings.read())
 
 
 def run_manager(argv: Sequence[str], node: str = "manager") -> int:
     """Run a nodelet manager until it is told to end; returns the exit code."""
 
-    def start() -> Optional[NodeletManager]:
+    def start() -> NodeletManager:
         manager = _make()
-        if manager is not None:
-            manager.offer()
-            end_when_displaced(rospy.get_name(), rospy.get_node_uri(), rospy.signal_shutdown)
+        manager.offer()
+        end_when_displaced(rospy.get_name(), rospy.get_node_uri(), rospy.signal_shutdown)
         return manager
 
     process = NodeProcess(node, argv, start)
@@ -406,8 +401,6 @@ def run_standalone(type_name: str, my_argv: Sequence[str], argv: Sequence[str]) 
 
     def start() -> Optional[NodeletManager]:
         manager = _make()
-        if manager is None:
-            return None
         remappings = {
             source: target
             for source, target in rospy.names.get_resolved_mappings().items()
