@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import logging
+import os
 import signal
 import sys
 from types import TracebackType
@@ -46,6 +47,12 @@ class DyKnowWindow(QMainWindow):
         super().closeEvent(event)
 
 
+def _has_screen() -> bool:
+    """Whether Qt finds something to draw on; where it does not, it aborts the process."""
+    given = ("QT_QPA_PLATFORM", "DISPLAY", "WAYLAND_DISPLAY")
+    return not sys.platform.startswith("linux") or any(map(os.environ.get, given))
+
+
 def main(argv: Optional[List[str]] = None) -> int:
     """Run the window until it is closed; returns the exit code."""
     words = myargv(argv if argv is not None else sys.argv)
@@ -58,6 +65,13 @@ def main(argv: Optional[List[str]] = None) -> int:
         help="node name of the manager (default: %(default)s)",
     )
     arguments = parser.parse_args(words[1:])
+    if not _has_screen():
+        print(
+            "dyknow_rqt: there is no screen: set DISPLAY, log in with 'ssh -X', or use the "
+            "command line, 'rosrun dyknow dyknow --help'",
+            file=sys.stderr,
+        )
+        return 1
     application = QApplication(words[:1])
     application.setApplicationName("DyKnow")
     widget = DyKnowWidget(RosRemote(arguments.manager))
