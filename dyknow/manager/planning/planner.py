@@ -13,8 +13,6 @@ between equal costs, so equal problems have equal plans.
 
 from __future__ import annotations
 
-import contextlib
-import gc
 import time
 from types import MappingProxyType
 from typing import (
@@ -23,7 +21,6 @@ from typing import (
     Dict,
     FrozenSet,
     Iterable,
-    Iterator,
     List,
     Mapping,
     Tuple,
@@ -82,8 +79,7 @@ class Planner:
 
     def add(self, transformations: Iterable[Transformation]) -> None:
         """Add transformations; those of known labels are replaced. Topics are no actions."""
-        with _no_collection():
-            self._network.add(transformations)
+        self._network.add(transformations)
 
     def remove(self, label: str) -> None:
         """Forget a transformation, if it is known."""
@@ -122,7 +118,7 @@ class Planner:
         for stream, terms in usable:
             if not used.add(stream, terms):
                 streams.add(stream, terms)
-        with _no_collection(), used:
+        with used:
             goal = network.goal(demand)
             scope = Scope(network, goal, streams, exclude | paused)
             problem = Refinement(scope, free, used.charges)
@@ -174,12 +170,11 @@ class Planner:
         streams = LiveStreams(network.names)
         for stream, terms in live:
             streams.add(stream, terms)
-        with _no_collection():
-            variables = sorted({each for term in demand.tags for each in term.variables})
-            goal = network.goal(demand, variables)
-            reach = Scope(network, goal, streams, NO_LABELS).everything(False)
-            instances = Instances(network, reach, Costs(network, NO_FREE))
-            values = cheapest(instances, is_all=True, budget=Budget(budget, self._clock))
+        variables = sorted({each for term in demand.tags for each in term.variables})
+        goal = network.goal(demand, variables)
+        reach = Scope(network, goal, streams, NO_LABELS).everything(False)
+        instances = Instances(network, reach, Costs(network, NO_FREE))
+        values = cheapest(instances, is_all=True, budget=Budget(budget, self._clock))
         written = network.names.written
         found = [
             tuple(zip(variables, map(written, theta)))
@@ -187,20 +182,3 @@ class Planner:
             if node in values.value
         ]
         return sorted(found), values.is_complete
-
-
-@contextlib.contextmanager
-def _no_collection() -> Iterator[None]:
-    """Keep the garbage collector from walking through a large library again and again."""
-    if not gc.isenabled():
-        yield
-        return
-    gc.disable()
-    try:
-        yield
-    finally:
-        if not gc.get_freeze_count():
-            # Moves new objects to the oldest generation without a walk through them.
-            gc.freeze()
-            gc.unfreeze()
-        gc.enable()

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import gc
 import random
 from typing import Dict, FrozenSet, Iterable, List, Optional, Sequence
 
@@ -361,3 +362,18 @@ def test_one_nodelet_is_free_for_one_instance() -> None:
     assert plan(library, "Rect(cam2)", free={"rectifier": (("?c", "cam1"),)}).cost == 2
     assert plan(library, "Rect(cam2)", free={"rectifier": ()}).cost == 0
     assert plan(library, "Depth", free={"rectifier": ()}).cost == 2
+
+
+def test_what_the_garbage_collector_collects_and_when_is_left_alone() -> None:
+    is_on = []
+    planner = Planner(clock=lambda: float(is_on.append(gc.isenabled()) or 0.0))
+    threshold = gc.get_threshold()
+    gc.set_threshold(10**6)
+    try:
+        young = [planner]
+        planner.add([make("camera", [], ["A"])])
+        assert isinstance(planner.plan(demand("A")), Plan)
+        assert any(each is young for each in gc.get_objects(generation=0))
+    finally:
+        gc.set_threshold(*threshold)
+    assert is_on and all(is_on)
