@@ -140,12 +140,16 @@ class PeriodicWorker:
     def wait_for(self, number: int, timeout: float) -> bool:
         """Wait for the end of a round, as ``wake`` numbers them; returns whether it has ended.
 
+        A worker that is closed finishes the round that is running, and begins no other.
+
         Args:
             number: the round.
             timeout: seconds to wait at most.
         """
         with self._changed:
-            self._changed.wait_for(lambda: self._closed or self._ended >= number, timeout)
+            self._changed.wait_for(
+                lambda: self._ended >= number or (self._closed and self._begun < number), timeout
+            )
             return self._ended >= number
 
     def close(self, timeout: float = 0.0) -> None:

@@ -184,6 +184,27 @@ def test_close_waits_for_a_round_but_not_for_ever(make: Make) -> None:
     assert not worker.running
 
 
+def test_a_round_that_runs_at_the_close_is_waited_for(make: Make) -> None:
+    going_on, go_on = threading.Event(), threading.Event()
+
+    def work() -> None:
+        going_on.set()
+        assert go_on.wait(PATIENCE)
+
+    worker = make(work=work, pause=0.0)
+    number = worker.wake()
+    assert going_on.wait(PATIENCE)
+    later = worker.wake()
+    worker.close()
+    answers: List[bool] = []
+    waiter = in_background("waiting", lambda: answers.append(worker.wait_for(number, PATIENCE)))
+    waiter.join(0.1)
+    go_on.set()
+    waiter.join(PATIENCE)
+    assert answers == [True]
+    assert not worker.wait_for(later, PATIENCE), "no round begins after the close"
+
+
 def test_who_waits_for_a_round_is_let_go_at_the_end(make: Make) -> None:
     worker = make()
     waiter = in_background("waiting", lambda: worker.wait_for(7, PATIENCE))
