@@ -20,7 +20,7 @@ from dyknow.errors import NoMessageClass
 from dyknow.guards import NO_GUARDS, Guards
 from dyknow.locks import state_lock
 from dyknow.nodelet.bus import Bus, Endpoint
-from dyknow.nodelet.endpoints import Publication, Subscription
+from dyknow.nodelet.endpoints import Callback, Publication, Subscription
 from dyknow.nodelet.middleware import Closable, Middleware, Node, Services, Transport
 from dyknow.nodelet.scheduler import Clock, Executor, Strand
 from dyknow.nodelet.timers import Timer, TimerQueue
@@ -30,9 +30,13 @@ _LOG_PAUSE = 1.0
 #: Errors that are told apart; with one more the counts start again.
 _LOG_PLACES = 100
 
-Part = TypeVar("Part")
+Part = TypeVar("Part", bound=Closable)
 
 _log = logging.getLogger("rosout.dyknow")
+
+
+def _no_callback(message: Any) -> None:
+    """Receive a message that no callback is for."""
 
 
 def check_message_class(what: str, datatype: Any) -> None:
@@ -116,6 +120,8 @@ class Context:
         self.on_attach: Callable[[Context, Any], Optional[Closable]] = lambda context, thing: None
         self.attached: Any = None
         self.shutdown_hooks: List[Callable[[], None]] = []
+        #: Called when the nodelet is unloaded and none of its callbacks runs any more.
+        self.last_hooks: List[Callable[[], None]] = []
         self._lock = state_lock("context")
         self._strands = [self.strand]
         self._endpoints: List[Endpoint] = []
@@ -198,7 +204,7 @@ class Context:
         self,
         what: str,
         datatype: Any,
-        receive: Callable[[Any], None],
+        callbacks: Sequence[Callback],
         queue_size: Optional[int],
         strand: Strand,
         **options: Any,
@@ -207,15 +213,26 @@ class Context:
         check_message_class(what, datatype)
         subscription = Subscription(
             datatype,
-            self.runtime.transport.adapt(datatype, receive),
+            _no_callback,
             queue_size,
             strand,
             lambda error: self.failed(f"'{what}'", error),
             self.runtime.clock,
             options,
         )
+        for callback in callbacks:
+            self.add_callback(subscription, callback)
         self._keep(subscription)
         return subscription
+
+    def add_callback(self, subscription: Subscription, callback: Callback) -> int:
+        """Have a subscription call this back too; returns the number of the callback."""
+        subscription.callbacks = (*subscription.callbacks, callback)
+        function, args = callback
+        alone = len(subscription.callbacks) == 1 and not args
+        receive = function if alone else subscription.spread
+        subscription.receive = self.runtime.transport.adapt(subscription.datatype, receive)
+        return len(subscription.callbacks) - 1
 
     def timer(
         self, period: float, callback: Callable[[Any], None], strand: Strand, oneshot: bool
@@ -246,7 +263,12 @@ class Context:
         """Take endpoints of this nodelet off the bus for good."""
         with self._lock:
             self._endpoints = [each for each in self._endpoints if each not in endpoints]
+        self._withdraw(endpoints)
+
+    def _withdraw(self, endpoints: Sequence[Endpoint]) -> None:
         self.runtime.bus.release(endpoints)
+        for endpoint in endpoints:
+            endpoint.let_go()
 
     def close_with(self, closable: Closable) -> None:
         """Close this together with the nodelet."""
@@ -273,9 +295,11 @@ class Context:
             is_new = part is None
             if part is None:
                 part = self.attached = kind(self)
-        opened = self.on_attach(self, part) if is_new else None
-        if opened is not None:
-            self.close_with(opened)
+        if is_new:
+            self.close_with(part)
+            opened = self.on_attach(self, part)
+            if opened is not None:
+                self.close_with(opened)
         return part
 
     @property
@@ -300,7 +324,7 @@ class Context:
             timers, self._timers = self._timers, []
             closables, self._closables = self._closables, []
         steps: List[Tuple[str, Callable[[], None]]] = [
-            ("topics", lambda: self.runtime.bus.release(endpoints))
+            ("topics", lambda: self._withdraw(endpoints))
         ]
         steps += [("a timer", timer.shutdown) for timer in timers]
         steps += [("a registration", closable.close) for closable in reversed(closables)]
@@ -309,3 +333,4 @@ class Context:
                 step()
             except Exception:  # the boundary: one failure must not leave the rest behind
                 _log.exception("%s: closing %s failed", self.name, what)
+        self.shutdown_hooks.clear()

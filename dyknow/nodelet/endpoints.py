@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import collections
 import threading
-from typing import Any, Callable, Deque, Dict, Optional, Sequence, Tuple
+from typing import Any, Callable, Deque, Dict, List, Optional, Sequence, Tuple
 
 from dyknow.nodelet.locking import message_lock
 from dyknow.nodelet.middleware import (
@@ -30,6 +30,9 @@ from dyknow.nodelet.traffic import Traffic
 
 #: Stands for "no message", since a message may be None.
 NOTHING: Any = object()
+
+Callback = Tuple[Callable[..., Any], Tuple[Any, ...]]
+"""A callback of a user, and its arguments after the message."""
 
 _attempt, _wait, _leave = message_lock.attempt, message_lock.wait, message_lock.leave
 
@@ -137,6 +140,7 @@ class Subscription:
     """A callback with a queue on a strand, connected to one topic or to none."""
 
     __slots__ = (
+        "callbacks",
         "clock",
         "closed",
         "connection",
@@ -178,6 +182,8 @@ class Subscription:
         self.failed = failed
         self.clock = clock
         self.options = options or {}
+        #: What ``spread`` calls.
+        self.callbacks: Tuple[Callback, ...] = ()
         #: Name of the nodelet.
         self.owner = ""
         self.traffic = Traffic(clock)
@@ -188,6 +194,21 @@ class Subscription:
     def topic(self) -> str:
         """Global name of the connected topic, empty when disconnected."""
         return self.connection.topic if self.connection is not None else ""
+
+    def spread(self, message: Any) -> None:
+        """Call every one of ``callbacks``."""
+        errors: List[BaseException] = []
+        for callback, args in self.callbacks:
+            try:
+                callback(message, *args)
+            except BaseException as error:  # the boundary, for each callback by itself
+                errors.append(error)
+        while errors:
+            self.failed(errors.pop(0))
+
+    def let_go(self) -> None:
+        """Drop the callbacks after the release: they refer to the nodelet, and it to this."""
+        self.receive, self.callbacks = _ignore, ()
 
 
 class Publication:
@@ -375,6 +396,10 @@ class Publication:
             self.topic = ""
         self._changed()
 
+    def let_go(self) -> None:
+        """Drop what is kept for listeners, after the release."""
+        self.latched, self._watchers = NOTHING, ()
+
     def peers(self) -> Tuple[str, Tuple[Any, ...]]:
         """The topic and its listeners: one for each outside, ``HERE`` for all of this process."""
         with message_lock:
@@ -414,6 +439,10 @@ class Publication:
         if self.latched is not NOTHING:
             for connection in newcomers:
                 connection.push_locked(self.latched)
+
+
+def _ignore(message: Any) -> None:
+    """Receive nothing."""
 
 
 def _hand_over(outside: OutsidePublisher, send: Callable[..., None], *what: Any) -> None:

@@ -26,7 +26,9 @@ from typing import (
     Callable,
     Collection,
     Dict,
+    FrozenSet,
     Iterator,
+    List,
     Mapping,
     MutableMapping,
     Optional,
@@ -134,6 +136,27 @@ class Importer:
         for name, module in list(self.modules.items()):
             if name not in self._views and sys.modules.get(name) is not module:
                 yield getattr(module, "__file__", None) or ""
+
+    def clear(self) -> bool:
+        """Empty the copies, whose functions and variables refer to each other.
+
+        Nothing happens while a thread runs their code, which is returned as False.
+        """
+        copies = [
+            vars(module)
+            for name, module in self.modules.items()
+            if name not in self._views and sys.modules.get(name) is not module
+        ]
+        if _is_running(frozenset(map(id, copies))):
+            return False
+        for space in copies:  # first the objects: their finalizers may need the code
+            for name in [each for each in space if each != "__builtins__"]:
+                if not isinstance(space[name], (type, Module, types.FunctionType)):
+                    space[name] = None
+        for space in copies:
+            space.clear()
+        self.modules.clear()
+        return True
 
     # Inside
 
@@ -260,6 +283,18 @@ class Importer:
         is_blind = module.__name__.partition(".")[0] in self._blind
         module.__dict__["__builtins__"] = self._unseeing if is_blind else self._seeing
         exec(code, module.__dict__)
+
+
+def _is_running(spaces: FrozenSet[int]) -> bool:
+    """Whether a thread runs code with one of these global namespaces, by their identities."""
+    frames: List[Optional[types.FrameType]] = list(sys._current_frames().values())
+    while frames:
+        frame = frames.pop()
+        if frame is not None:
+            if id(frame.f_globals) in spaces:
+                return True
+            frames.append(frame.f_back)
+    return False
 
 
 def _package(namespace: Mapping[str, Any]) -> str:

@@ -15,12 +15,15 @@ import logging
 import threading
 import time
 import traceback
+import weakref
 from dataclasses import dataclass, field
 from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Type
 
 from dyknow.errors import LoadFailed, NameTaken, UnknownNodelet, UnloadedMeanwhile
 from dyknow.locks import state_condition
 from dyknow.nodelet.context import Context, Runtime
+from dyknow.nodelet.cycles import clear_frames
+from dyknow.nodelet.leftovers import Leftovers
 from dyknow.nodelet.middleware import Closable
 from dyknow.nodelet.nodelet import Nodelet
 from dyknow.periodic import in_background
@@ -48,6 +51,11 @@ class _Entry:
     context: Context
     state: _State = _State.LOADING
     nodelet: Optional[Nodelet] = None
+    runs: List[_Run] = field(default_factory=list)
+
+    def is_busy(self) -> bool:
+        """Whether code of the nodelet runs."""
+        return self.context.running or not all(run.done.is_set() for run in self.runs)
 
 
 class _Run:
@@ -60,12 +68,22 @@ class _Run:
         in_background(name, self._run)
 
     def _run(self) -> None:
+        call, self._call = self._call, _nothing
         try:
-            self._call()
+            call()
         except BaseException as error:  # the boundary of the thread; the waiting one raises it
-            self.error = error
+            clear_frames(error)
+            trace = error.__traceback__
+            # Without this frame, which refers to the error again.
+            self.error = error.with_traceback(trace.tb_next if trace is not None else None)
+            del trace
         finally:
+            del call  # first: nobody who sees the end finds a reference to the nodelet here
             self.done.set()
+
+
+def _nothing() -> None:
+    """Do nothing."""
 
 
 class Loader:
@@ -92,6 +110,7 @@ class Loader:
         self._on_unloaded = on_unloaded
         self._changed = state_condition("loader")
         self._entries: Dict[str, _Entry] = {}
+        self._leftovers = Leftovers()
 
     def list(self) -> List[str]:
         """Names of the nodelets that run, sorted."""
@@ -156,16 +175,19 @@ class Loader:
             if context.closed:
                 raise UnloadedMeanwhile(name, "load")
             run = _Run(lambda: self._start(entry, nodelet_class), f"{name} on_init")
+            entry.runs.append(run)
             context.close_with(_Signal(run.done))  # an unload ends the wait
             run.done.wait()
-            if run.error is not None and not context.closed:
-                raise LoadFailed(name, type_name, run.error) from run.error
+            error, run.error = run.error, None
+            if error is not None and not context.closed:
+                raise LoadFailed(name, type_name, error) from error
             with self._changed:
-                if entry.state is not _State.LOADING or entry.nodelet is None:
+                nodelet = entry.nodelet
+                if entry.state is not _State.LOADING or nodelet is None:
                     raise UnloadedMeanwhile(name, "load")
                 entry.state = _State.RUNNING
             context.start()
-            return entry.nodelet
+            return nodelet
         except UnloadedMeanwhile:
             raise
         except BaseException:
@@ -201,6 +223,7 @@ class Loader:
             unloads.append(unload)
         for unload in unloads:
             self._finish(unload)
+        self._leftovers.close()
 
     def _begin(self, name: str, only: Optional[_Entry], wanted: bool = True) -> _Unload:
         """Begin an unload: one that was asked for, or (not ``wanted``) the end of the process."""
@@ -234,16 +257,19 @@ class Loader:
     def _start(entry: _Entry, nodelet_class: Type[Nodelet]) -> None:
         context = entry.context
         with context.runtime.executor.record.noting(context.mark):
-            nodelet = nodelet_class()
+            nodelet = entry.nodelet = nodelet_class()
             nodelet.bind(context)
             nodelet.on_init()
-        entry.nodelet = nodelet
 
     def _free(self, name: str, entry: _Entry) -> None:
+        """Give the name back, and the nodelet's memory."""
         with self._changed:
             if self._entries.get(name) is entry:
                 del self._entries[name]
                 self._changed.notify_all()
+        if entry.nodelet is not None:
+            nodelet, entry.nodelet = weakref.ref(entry.nodelet), None
+            self._leftovers.add(nodelet, entry.is_busy, entry.context.last_hooks)
 
     def _is_ending(self, name: str) -> bool:
         return name in self._entries and self._entries[name].state is _State.UNLOADING
@@ -257,20 +283,23 @@ class Loader:
 
     @staticmethod
     def _shut_down(entry: _Entry, wanted: bool) -> _Run:
-        nodelet, context = entry.nodelet, entry.context
-        assert nodelet is not None
+        context = entry.context
+        assert entry.nodelet is not None
+        hooks = [entry.nodelet.on_shutdown, *context.shutdown_hooks]
 
-        def hooks() -> None:
+        def shut_down() -> None:
             with context.runtime.executor.record.noting(context.mark, unloading=wanted):
-                for hook in (nodelet.on_shutdown, *context.shutdown_hooks):
+                while hooks:
                     try:
-                        hook()
+                        hooks.pop(0)()
                     except BaseException:  # the boundary: the other hooks and the unload go on
                         _log.error(
                             "%s: on_shutdown raised\n%s", context.name, traceback.format_exc()
                         )
 
-        return _Run(hooks, f"{context.name} on_shutdown")
+        run = _Run(shut_down, f"{context.name} on_shutdown")
+        entry.runs.append(run)
+        return run
 
 
 @dataclass

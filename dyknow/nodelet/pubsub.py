@@ -10,7 +10,7 @@ in ``dyknow.proxy``.
 
 from __future__ import annotations
 
-from typing import Any, Callable, List, Optional, Tuple
+from typing import Any, Callable, Optional
 
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.endpoints import Publication
@@ -47,6 +47,7 @@ class Publisher:
             self._events = SubscriberEvents(
                 publication, listener, context.strand, lambda error: context.failed(what, error)
             )
+            context.close_with(self._events)
 
     @property
     def name(self) -> str:
@@ -68,6 +69,7 @@ class Publisher:
 
         self.publish = refuse
         if self._events is not None:
+            self._context.forget(self._events)
             self._events.close()
         self._withdraw()
 
@@ -103,18 +105,10 @@ class Subscriber:
         """
         self._context = context
         self._strand = strand
-        self._callbacks: Tuple[Tuple[Callback, Tuple[Any, ...]], ...] = ()
-        if callback is not None:
-            args = () if callback_args is None else (callback_args,)
-            self._callbacks = ((callback, args),)
-        plain = callback is not None and callback_args is None
+        args = () if callback_args is None else (callback_args,)
+        callbacks = () if callback is None else ((callback, args),)
         self.subscription = context.subscription(
-            name,
-            datatype,
-            callback if plain and callback is not None else self._spread,
-            queue_size,
-            strand,
-            **options,
+            name, datatype, callbacks, queue_size, strand, **options
         )
         self.data_class = datatype
         self.type = datatype._type
@@ -139,22 +133,9 @@ class Subscriber:
         Returns:
             The number of the callback.
         """
-        self._callbacks = (*self._callbacks, (callback, args))
-        adapt = self._context.runtime.transport.adapt
-        self.subscription.receive = adapt(self.data_class, self._spread)
-        return len(self._callbacks) - 1
+        return self._context.add_callback(self.subscription, (callback, args))
 
     def unregister(self) -> None:
         """Stop receiving; messages that wait are dropped."""
         self._context.release(self.subscription)
         self._context.drop_strand(self._strand)
-
-    def _spread(self, message: Any) -> None:
-        errors: List[BaseException] = []
-        for callback, args in self._callbacks:
-            try:
-                callback(message, *args)
-            except BaseException as error:  # the boundary, for each callback by itself
-                errors.append(error)
-        for raised in errors:
-            self.subscription.failed(raised)

@@ -114,7 +114,10 @@ class Strand:
         """
         if noted and self.running:
             self._noted = True
-        self.alive = False
+        with message_lock:
+            self.alive = False
+            dropped, self._tasks = self._tasks, collections.deque()
+        del dropped  # without the lock: whatever goes with the tasks may call anything
 
     # For executors, which hold the lock in ``take`` and ``try_idle``:
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import queue
 from typing import Any, Callable, Dict, Optional, Set, Tuple
 
+from dyknow.errors import HandleClosed
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.middleware import Closable
 
@@ -55,6 +56,7 @@ class Service(Closable):
     def close(self) -> None:
         """Withdraw the service, as part of the unload."""
         self._offered.close()
+        self.handler = _withdrawn  # the handler refers to the nodelet, and that to the service
         for reply in list(self._waiting):
             reply.put(None)
 
@@ -75,9 +77,12 @@ class Service(Closable):
                 f"service '{self.resolved_name}': nodelet {context.name} was unloaded"
             )
         response, error = outcome
-        if error is not None:
-            raise error
-        return response
+        try:
+            if error is not None:
+                raise error
+            return response
+        finally:
+            del error, outcome  # its traceback refers to this frame
 
     def _answer(self, request: Any) -> _Reply:
         try:
@@ -88,3 +93,7 @@ class Service(Closable):
         except BaseException as error:  # sys.exit(): must end neither this worker nor the caller
             self._context.failed(f"service '{self.resolved_name}'", error)
             return None, RuntimeError(f"the handler raised {type(error).__name__}: {error}")
+
+
+def _withdrawn(request: Any) -> Any:
+    raise HandleClosed("the service")

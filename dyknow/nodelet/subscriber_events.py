@@ -18,10 +18,11 @@ import functools
 from typing import Any, Callable, Dict, Tuple
 
 from dyknow.nodelet.endpoints import Publication
+from dyknow.nodelet.middleware import Closable
 from dyknow.nodelet.scheduler import Strand
 
 
-class SubscriberEvents:
+class SubscriberEvents(Closable):
     """Tells one listener of the peers of one publication, on the nodelet's strand."""
 
     def __init__(
@@ -45,13 +46,12 @@ class SubscriberEvents:
         self._failed = failed
         self._told: Dict[Tuple[str, Any], None] = {}
         self._due = False
-        self._closed = False
         publication.watch(self._changed)
         self._changed()
 
     def close(self) -> None:
-        """End the calls."""
-        self._closed = True
+        """End the calls, and drop the listener: mostly it refers to the publisher's nodelet."""
+        self._listener = None
         self._publication.unwatch(self._changed)
 
     def _changed(self) -> None:
@@ -61,7 +61,8 @@ class SubscriberEvents:
 
     def _compare(self) -> None:
         self._due = False  # first: what changes from now on is compared again
-        if self._closed:
+        listener = self._listener
+        if listener is None:
             return
         topic, peers = self._publication.peers()
         present = [(topic, peer) for peer in peers]
@@ -69,10 +70,10 @@ class SubscriberEvents:
         for each in [each for each in present if each not in self._told]:
             self._told[each] = None
             to_peer = functools.partial(self._publication.publish_to, *each)
-            self._tell(self._listener.peer_subscribe, topic, self._publication.publish, to_peer)
+            self._tell(listener.peer_subscribe, topic, self._publication.publish, to_peer)
         for each in [each for each in self._told if each not in present]:
             del self._told[each]
-            self._tell(self._listener.peer_unsubscribe, each[0], len(self._told))
+            self._tell(listener.peer_unsubscribe, each[0], len(self._told))
 
     def _tell(self, method: Callable[..., Any], *args: Any) -> None:
         try:

@@ -61,6 +61,7 @@ class Timer:
         """Call back no more; a callback that runs is not waited for."""
         self._done = True
         self._queue.discard(self)
+        self._let_go()
 
     def fire(self, due: float) -> None:
         """Queue the callback that is due then, unless the last one still waits."""
@@ -75,13 +76,19 @@ class Timer:
         start = ticker.now()
         event = ticker.event(self._last, due, start, self._took)
         self._last = event
+        callback = self._callback
         if self.oneshot:
             self._done = True
+            self._let_go()
         try:
-            self._callback(event)
+            callback(event)
         except BaseException as error:  # the boundary, as for subscriptions
             self._failed(error)
         self._took = ticker.now() - start
+
+    def _let_go(self) -> None:
+        """Drop the callback at the end: it refers to the nodelet, and mostly that to the timer."""
+        self._callback = _ignore
 
 
 class TimerQueue:
@@ -176,6 +183,10 @@ class TimerQueue:
                 self.ticker.wait(self.tick())
             except Exception:  # the boundary of the thread: timers of others must go on
                 _log.exception("the timer thread goes on after an error")
+
+
+def _ignore(event: Any) -> None:
+    """Call nobody back."""
 
 
 def _pause(timer: Timer) -> float:

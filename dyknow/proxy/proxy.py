@@ -32,6 +32,7 @@ from dyknow.model.transformation import IN
 from dyknow.nodelet.bus import Endpoint
 from dyknow.nodelet.context import Context, check_message_class
 from dyknow.nodelet.handle import PlainNodeHandle
+from dyknow.nodelet.middleware import Closable
 from dyknow.nodelet.scheduler import Strand
 from dyknow.proxy.port import (
     InPort,
@@ -48,7 +49,7 @@ Change = Tuple[ProxyPort, str]
 ReconfigureCallback = Callable[[Dict[str, str], Dict[str, str]], None]
 
 
-class NodeletProxy:
+class NodeletProxy(Closable):
     """Ports of one nodelet and where they are connected."""
 
     def __init__(self, context: Context) -> None:
@@ -70,6 +71,11 @@ class NodeletProxy:
     def name(self) -> str:
         """Name of the nodelet."""
         return self._context.name
+
+    def close(self) -> None:
+        """Drop the callbacks of the nodelet and of the host."""
+        self._callback = None
+        self.on_change = lambda: None
 
     # What the services offer
 

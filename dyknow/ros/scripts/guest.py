@@ -85,6 +85,8 @@ class Guest:
         self.hooks_before: List[Callable[[str], None]] = []
         self.hooks_after: List[Callable[[str], None]] = []
         self.exits: List[Callable[[], Any]] = []
+        #: Its topics and services, which refer to its callbacks.
+        self.ends: weakref.WeakSet[Any] = weakref.WeakSet()
         self.is_ending = False
         self._ending_thread: Optional[threading.Thread] = None
         self._end_of_sleep = math.inf
@@ -280,6 +282,17 @@ class Guest:
         """Call what was registered with ``atexit``."""
         while self.exits:
             self._attempt(self.exits.pop(), "atexit")
+
+    def let_go(self) -> None:
+        """Drop all callbacks at the end, so that no reference cycle keeps its objects."""
+        for end in list(self.ends):
+            end.let_go()
+        for hooks in (self.hooks, self.hooks_before, self.hooks_after):
+            hooks.clear()
+        self.on_refusal = lambda refusal: None
+        for thread in [each for each in self.threads if not each.is_alive()]:
+            vars(thread).pop("run", None)
+            vars(thread).pop("_callback", None)  # of a ``rospy.Timer``
 
     def _attempt(self, call: Callable[[], Any], what: str) -> None:
         try:

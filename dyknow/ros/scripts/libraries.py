@@ -41,4 +41,5 @@ def importer_with_libraries(context: Context, module: str, package: Package) -> 
         guest.run_exits()
 
     context.shutdown_hooks.append(end)
+    context.last_hooks.append(guest.let_go)
     return importer

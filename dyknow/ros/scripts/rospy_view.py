@@ -222,6 +222,10 @@ def _bound(base: Type[Any], guest: Guest) -> Type[Any]:
     return type(base.__name__[len("Guest") :], (base,), {"guest": guest, "__doc__": base.__doc__})
 
 
+def _gone(request: Any) -> Any:
+    raise HandleClosed("the service")
+
+
 class _Topic:
     """What rospy's publishers and subscribers have in common."""
 
@@ -239,6 +243,10 @@ class _Topic:
         self.type = data_class._type
         self.md5sum = data_class._md5sum
         self._end: Any = None
+        self.guest.ends.add(self)
+
+    def let_go(self) -> None:
+        """Drop the callback at the end of the guest."""
 
     @property
     def name(self) -> str:
@@ -333,6 +341,10 @@ class GuestSubscriber(_Topic):
 
         self.guest.with_handle(make)
 
+    def let_go(self) -> None:
+        """Drop the callback at the end of the guest."""
+        self.callback = self.callback_args = None
+
     def _copying(self, callback: Callable[..., Any]) -> Callable[..., Any]:
         call = self.guest.call
         if not self.guest.copies:
@@ -371,6 +383,7 @@ class GuestService:
         self.handler = handler
         self.resolved_name = name
         self._offered: Any = None
+        self.guest.ends.add(self)
         answer = functools.partial(self.guest.call, handler)
 
         def make(handle: PlainNodeHandle) -> None:
@@ -378,6 +391,10 @@ class GuestService:
             self.resolved_name = self._offered.resolved_name
 
         self.guest.with_handle(make)
+
+    def let_go(self) -> None:
+        """Drop the handler at the end of the guest."""
+        self.handler = _gone
 
     def shutdown(self, reason: str = "") -> None:
         """Withdraw it."""

@@ -64,6 +64,12 @@ class ScriptCode:
         self._guest.end_threads(frozenset(self.importer.files()))
         self._guest.run_exits()
 
+    def let_go(self) -> None:
+        """Free all that its modules hold, unless a thread does not end."""
+        self._guest.let_go()
+        if not self.importer.clear():
+            _log.info("%s: its memory is kept for the code that still runs", self._guest.name)
+
 
 class ScriptNodelet(Nodelet):
     """Runs a script that is written for a process of its own: ``my_argv`` is its command line.
@@ -97,12 +103,14 @@ class ScriptNodelet(Nodelet):
 
         self._code = ScriptCode(guest, argv, init_node)
         self.context.close_with(_End(guest, self._code))
+        self.context.last_hooks.append(self._code.let_go)
         guest.begin(ScriptHandle(self.mt_node_handle))
         guest.main.start()
         guest.settled.wait(PATIENCE)
-        if self._error is not None:
+        error, self._error = self._error, None
+        if error is not None:
             guest.closing.set()
-            raise self._error
+            raise error
 
     def on_shutdown(self) -> None:
         """End it as the end of a process would."""

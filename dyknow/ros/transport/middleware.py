@@ -15,6 +15,7 @@ import rospy.msg
 
 from dyknow.errors import PeerTimeout
 from dyknow.locks import assert_no_state_lock
+from dyknow.nodelet.cycles import clear_frames
 from dyknow.nodelet.middleware import (
     Closable,
     Handler,
@@ -141,7 +142,13 @@ class RospyService(Closable):
     def __init__(
         self, name: str, service_class: Any, handler: Handler, options: Dict[str, Any]
     ) -> None:
-        options = {"error_handler": functools.partial(_log_failure, name), **options}
+        told = options.get("error_handler") or functools.partial(_log_failure, name)
+
+        def failed(error: Any, error_type: Any, value: Any, trace: Any) -> None:
+            told(error, error_type, value, trace)
+            clear_frames(error)  # rospy's frame refers to the traceback, and that to all of them
+
+        options = {**options, "error_handler": failed}
         self._service = rospy.Service(name, service_class, handler, **options)
 
     def close(self) -> None:

@@ -57,7 +57,7 @@ class Bench:
             context, log = self.contexts[n // 2], self.logs[n // 2]
             receive = lambda message, n=n, log=log: log.append((n, message.number))  # noqa: E731
             self.ends.append(
-                context.subscription(str(n), Message, receive, queue_size, context.strand)
+                context.subscription(str(n), Message, [(receive, ())], queue_size, context.strand)
             )
         self.topics = [""] * len(self.ends)
         self.released = set()

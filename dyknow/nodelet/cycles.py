@@ -1,0 +1,111 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Frees an object that is held by nothing but itself.
+
+A nodelet that keeps an object of a library (message_filters, actionlib, dynamic_reconfigure)
+and gave it one of its methods as a callback is part of a reference cycle. Python frees it with
+its next full collection. That comes after a number of new objects, whatever their size, so a
+few nodelets with large buffers fill the memory first; and a collection on request would stop
+every other nodelet of the process for some 0.1 s. So one object is examined as the garbage
+collector examines all: does every reference to it come from an object that it reaches itself?
+"""
+
+from __future__ import annotations
+
+import gc
+import sys
+import traceback
+import types
+import weakref
+from typing import Any, Dict, List, Optional, Set, Tuple, Type
+
+#: Objects that are looked at for one that may be free; with more it is left to Python.
+_MOST = 20_000
+#: What is not looked into: it refers to what the whole process shares, or to what runs.
+_OPAQUE: Tuple[Type[Any], ...] = (
+    type,
+    types.ModuleType,
+    types.CodeType,
+    types.FrameType,
+    types.TracebackType,
+    types.GeneratorType,
+    types.CoroutineType,
+)
+
+
+def break_cycles(
+    reference: weakref.ReferenceType[Any], opaque: Tuple[Type[Any], ...] = ()
+) -> bool:
+    """Empty an object if only reference cycles through itself hold it; returns whether it is gone.
+
+    An object with a finalizer is left to Python, which calls that before it breaks cycles.
+
+    Args:
+        reference: the object.
+        opaque: further types that are not looked into: they do not refer to the object.
+    """
+    found = [reference()]
+    if found[0] is None:
+        return True
+    if not hasattr(type(found[0]), "__del__") and _is_garbage(found, (*_OPAQUE, *opaque)):
+        vars(found[0]).clear()
+    found.clear()
+    return reference() is None
+
+
+def clear_frames(error: BaseException) -> None:
+    """Empty the frames that an exception came through, and those of its causes.
+
+    An exception that is kept would keep all their variables; its traceback stays readable.
+    """
+    waiting: List[Optional[BaseException]] = [error]
+    seen: Set[int] = set()
+    while waiting:
+        each = waiting.pop()
+        if each is not None and id(each) not in seen:
+            seen.add(id(each))
+            traceback.clear_frames(each.__traceback__)
+            waiting += [each.__cause__, each.__context__]
+
+
+def _is_garbage(found: List[Any], opaque: Tuple[Type[Any], ...]) -> bool:
+    """Whether nothing holds the one object in ``found`` but what it refers to, which is added."""
+    places = {id(found[0]): 0}
+    edges: List[List[int]] = []
+    held: Dict[int, int] = {}
+    for each in found:  # which grows
+        inner: List[int] = []
+        for other in _referents(each, opaque):
+            if not gc.is_tracked(other):
+                continue
+            place = places.setdefault(id(other), len(found))
+            if place == len(found):
+                if place >= _MOST:
+                    return False
+                found.append(other)
+            inner.append(place)
+            held[place] = held.get(place, 0) + 1
+        edges.append(inner)
+    each = other = None
+    found.append(object())  # refers to nothing, and nothing here to it
+    own = sys.getrefcount(found[-1])
+    found.pop()
+    waiting = [
+        place
+        for place in range(len(found))
+        if sys.getrefcount(found[place]) - held.get(place, 0) > own
+    ]
+    alive = set(waiting)
+    while waiting:
+        for place in edges[waiting.pop()]:
+            if place not in alive:
+                alive.add(place)
+                waiting.append(place)
+    return 0 not in alive
+
+
+def _referents(each: Any, opaque: Tuple[Type[Any], ...]) -> List[Any]:
+    if isinstance(each, types.FunctionType):
+        return [part for part in (each.__closure__, each.__defaults__) if part is not None]
+    return [] if isinstance(each, opaque) else gc.get_referents(each)

@@ -1,0 +1,299 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""After its unload a nodelet's memory is free, without any garbage collection."""
+
+from __future__ import annotations
+
+import functools
+import gc
+import threading
+import weakref
+from typing import Any, Callable, Iterator, Type
+
+import message_filters
+import pytest
+from unit.nodelet.fakes import (
+    Message,
+    World,
+    in_thread,
+    join,
+    pool_world,
+    wait_for,
+    wait_until,
+)
+
+import dyknow
+from dyknow.errors import LoadFailed
+from dyknow.nodelet.cycles import break_cycles
+from dyknow.nodelet.nodelet import Nodelet
+
+world = pool_world(3)
+
+
+@pytest.fixture(autouse=True)
+def no_collections() -> Iterator[None]:
+    gc.collect()
+    gc.disable()
+    yield
+    gc.enable()
+
+
+class Block:
+    """Stands for much memory."""
+
+
+class Holding(Nodelet):
+    """A nodelet that holds a block, and what a test gives it to make."""
+
+    make: Callable[[Any], Any]
+    block: Any
+    blocks: Any
+
+    def on_init(self):
+        self.block = Block()
+        type(self).blocks = weakref.ref(self.block)
+        type(self).make(self)
+
+    def on_message(self, *args):
+        pass
+
+    on_two = peer_subscribe = peer_unsubscribe = on_message
+
+
+def holding(make: Callable[[Any], Any]) -> Type[Holding]:
+    return type("Some", (Holding,), {"make": make})
+
+
+def keep(**made: Callable[[Holding], Any]) -> Callable[[Holding], None]:
+    def make(nodelet: Holding) -> None:
+        for name, call in made.items():
+            setattr(nodelet, name, call(nodelet))
+
+    return make
+
+
+def port(nodelet: Holding) -> Any:
+    nodelet.nh = dyknow.NodeHandle(nodelet.node_handle)
+    return nodelet.nh
+
+
+def filtered(nodelet: Holding) -> Any:
+    nh = port(nodelet)
+    inputs = [nh.Subscriber(name, Message) for name in "ab"]
+    both = message_filters.TimeSynchronizer(inputs, 10)
+    both.registerCallback(nodelet.on_two)
+    return both
+
+
+def reconfigured(nodelet: Holding) -> None:
+    port(nodelet).set_reconfigure_callback(nodelet.on_message)
+
+
+def latched(nodelet: Holding) -> Any:
+    publisher = nodelet.node_handle.Publisher("out", Message, latch=True)
+    publisher.publish(Message(nodelet.block))
+    return publisher
+
+
+KINDS = {
+    "nothing": keep(),
+    "subscriber": keep(sub=lambda n: n.node_handle.Subscriber("in", Message, n.on_message)),
+    "arguments": keep(sub=lambda n: n.node_handle.Subscriber("in", Message, n.on_message, n)),
+    "further callback": keep(
+        sub=lambda n: n.node_handle.Subscriber("in", Message),
+        number=lambda n: n.sub.registerCallback(n.on_message, n),
+    ),
+    "overlapping": keep(sub=lambda n: n.mt_node_handle.Subscriber("in", Message, n.on_message)),
+    "in-port": keep(sub=lambda n: port(n).Subscriber("in", Message, n.on_message)),
+    "out-port": keep(pub=lambda n: port(n).Publisher("out", Message, n)),
+    "listener": keep(pub=lambda n: n.node_handle.Publisher("out", Message, n)),
+    "latched message": keep(pub=latched),
+    "timer": keep(timer=lambda n: n.node_handle.Timer(1.0, n.on_message)),
+    "single timer": keep(timer=lambda n: n.node_handle.Timer(1.0, n.on_message, oneshot=True)),
+    "service": keep(service=lambda n: n.node_handle.Service("service", object, n.on_message)),
+    "reconfigure callback": reconfigured,
+    "shutdown hook": keep(hook=lambda n: n.node_handle.on_shutdown(n.on_message)),
+    "message filter": keep(both=filtered),
+    "lambda": keep(call=lambda n: lambda: n.block),
+    "partial": keep(call=lambda n: [functools.partial(n.on_message, n)]),
+    "itself": keep(me=lambda n: {"me": n}),
+    "unregistered": keep(
+        sub=lambda n: n.node_handle.Subscriber("in", Message, n.on_message),
+        end=lambda n: n.sub.unregister(),
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_an_unload_frees_the_nodelet(world: World, kind: str) -> None:
+    some = holding(KINDS[kind])
+    loader = world.loader(some=some)
+    loader.load("/n", "some")
+    world.transport.send("/in", Message())
+    world.ticker.advance(1.5)
+    world.drain()
+    assert some.blocks() is not None
+    loader.unload("/n")
+    assert some.blocks() is None
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_load_that_fails_frees_the_nodelet(world: World, kind: str) -> None:
+    def make(nodelet: Holding) -> None:
+        KINDS[kind](nodelet)
+        raise RuntimeError("injected")
+
+    some = holding(make)
+    loader = world.loader(some=some)
+    with pytest.raises(LoadFailed) as failure:
+        loader.load("/n", "some")
+    assert some.blocks() is None, "although the error is still there"
+    assert "injected" in str(failure.value)
+
+
+def test_an_error_with_causes_frees_the_nodelet(world: World) -> None:
+    def make(nodelet: Holding) -> None:
+        try:
+            nodelet.missing()
+        except AttributeError:
+            raise RuntimeError("injected") from ValueError("first")
+
+    some = holding(make)
+    with pytest.raises(LoadFailed):
+        world.loader(some=some).load("/n", "some")
+    assert some.blocks() is None
+
+
+def test_callbacks_that_raise_hold_nothing(world: World) -> None:
+    class Raising(Holding):
+        def on_message(self, *args):
+            raise RuntimeError("injected")
+
+    some = type(
+        "Some",
+        (Raising,),
+        {
+            "make": keep(
+                sub=lambda n: n.node_handle.Subscriber("in", Message, n.on_message),
+                timer=lambda n: n.node_handle.Timer(1.0, n.on_message),
+                service=lambda n: n.node_handle.Service("service", object, n.on_message),
+            )
+        },
+    )
+    loader = world.loader(some=some)
+    loader.load("/n", "some")
+    world.transport.send("/in", Message())
+    world.ticker.advance(1.5)
+    with pytest.raises(RuntimeError):
+        world.services.call("/service", object())
+    world.drain()
+    loader.unload("/n")
+    assert some.blocks() is None
+
+
+def test_a_callback_that_outlives_the_nodelet_frees_it_at_its_end(world: World) -> None:
+    started, release, ended = threading.Event(), threading.Event(), threading.Event()
+
+    class Hanging(Holding):
+        def on_message(self, *args):
+            started.set()
+            wait_for(release)
+            assert self.block is not None, "it has all that it needs until its end"
+            ended.set()
+
+    def make(nodelet: Holding) -> None:
+        KINDS["message filter"](nodelet)
+        nodelet.plain = nodelet.node_handle.Subscriber("in", Message, nodelet.on_message)
+
+    some = type("Some", (Hanging,), {"make": make})
+    loader = world.loader(some=some)
+    loader.load("/n", "some")
+    world.transport.send("/in", Message())
+    wait_for(started)
+    loader.unload("/n")
+    assert some.blocks() is not None
+    release.set()
+    wait_for(ended)
+    wait_until(lambda: some.blocks() is None)
+
+
+def test_a_callback_may_unload_its_own_nodelet(world: World) -> None:
+    class Ending(Holding):
+        def on_message(self, *args):
+            self.node_handle.signal_shutdown()
+
+    some = type("Some", (Ending,), {"make": KINDS["subscriber"]})
+    world.loader(some=some).load("/n", "some")
+    world.transport.send("/in", Message())
+    wait_until(lambda: some.blocks() is None)
+
+
+def test_what_a_thread_still_uses_is_left_alone(world: World) -> None:
+    release, seen = threading.Event(), []
+
+    def make(nodelet: Holding) -> None:
+        def work() -> None:
+            wait_for(release)
+            seen.append(nodelet.block is not None)
+
+        nodelet.thread = in_thread(work)
+        nodelet.me = nodelet
+
+    some = holding(make)
+    loader = world.loader(some=some)
+    loader.load("/n", "some")
+    thread = loader.get("/n").thread
+    loader.unload("/n")
+    assert some.blocks() is not None
+    release.set()
+    join(thread)
+    assert seen == [True]
+
+
+def test_messages_that_wait_go_with_the_nodelet(world: World) -> None:
+    started, release = threading.Event(), threading.Event()
+
+    class Hanging(Holding):
+        def on_message(self, *args):
+            started.set()
+            wait_for(release)
+
+    some = type("Some", (Hanging,), {"make": KINDS["subscriber"]})
+    loader = world.loader(some=some)
+    loader.load("/n", "some")
+    message = Message()
+    waiting = weakref.ref(message)
+    world.transport.send("/in", Message())
+    wait_for(started)
+    world.transport.send("/in", message)
+    del message
+    loader.unload("/n")
+    assert waiting() is None
+    release.set()
+
+
+def test_an_object_with_a_finalizer_is_left_to_python() -> None:
+    class Finalized:
+        def __del__(self) -> None:
+            pass
+
+    each = Finalized()
+    each.me = each  # type: ignore[attr-defined]
+    reference = weakref.ref(each)
+    del each
+    assert not break_cycles(reference)
+    each = reference()
+    assert each is not None
+    del each.me
+
+
+def test_an_object_among_very_many_is_left_to_python(monkeypatch: pytest.MonkeyPatch) -> None:
+    each = Block()
+    each.many = [[number, each] for number in range(100)]  # type: ignore[attr-defined]
+    reference = weakref.ref(each)
+    del each
+    monkeypatch.setattr("dyknow.nodelet.cycles._MOST", 50)
+    assert not break_cycles(reference)
+    monkeypatch.undo()
+    assert break_cycles(reference)
