@@ -19,6 +19,7 @@ from dyknow.cli.tables import columns
 from dyknow.cli.views import unknown_nodelet
 from dyknow.cli.watching import Screen
 from dyknow.errors import DyKnowError, NodeletUnreachable, Refused
+from dyknow.model.transformation import IN, OUT
 
 if TYPE_CHECKING:
     from dyknow.model.statistics import NodeletStatistics
@@ -121,14 +122,17 @@ def _json(answers: Dict[str, Answer]) -> dict[str, object]:
 
 def table(answers: Dict[str, Answer]) -> List[str]:
     """Write a line of statistics for each port; times in milliseconds."""
-    rows = [("NODELET", "PORT", "", "HZ", "MESSAGES", "DROPPED", "MEAN", "MAX", "ERRORS", "TOPIC")]
+    rows = [
+        ("NODELET", "PORT", "", "HZ", "MESSAGES", "DROPPED", "UNSENT", "MEAN", "MAX", "ERRORS")
+        + ("TOPIC",)
+    ]
     for name, answer in answers.items():
         if isinstance(answer, DyKnowError):
-            rows.append((name, "(does not answer)", "", "", "", "", "", "", "", ""))
+            rows.append((name, "(does not answer)", *[""] * 9))
             continue
         errors = _count(answer.callback_errors)
         if not answer.ports:
-            rows.append((name, "(no ports)", "", "", "", "", "", "", errors, ""))
+            rows.append((name, "(no ports)", *[""] * 7, errors, ""))
         for port in sorted(answer.ports, key=lambda port: port.port):
             rows.append(
                 (
@@ -137,14 +141,15 @@ def table(answers: Dict[str, Answer]) -> List[str]:
                     port.direction,
                     "-" if port.rate is None else f"{port.rate:.1f}",
                     _count(port.messages),
-                    _count(port.dropped),
+                    _count(port.dropped) if port.direction == IN else "-",
+                    _count(port.dropped) if port.direction == OUT else "-",
                     _milliseconds(port.mean_callback),
                     _milliseconds(port.max_callback),
                     errors,
                     port.topic or "-",
                 )
             )
-    return columns(rows, right=(3, 4, 5, 6, 7, 8))
+    return columns(rows, right=(3, 4, 5, 6, 7, 8, 9))
 
 
 def _count(number: Optional[int]) -> str:
@@ -159,9 +164,9 @@ COMMANDS = (
     Command(
         "stats",
         "show the rates of the ports",
-        "Show the traffic of the ports: rate in Hz, messages and drops since the nodelet was "
-        "loaded, mean and longest callback of an in-port in ms, and the number of callback "
-        "errors of the nodelet.",
+        "Show the traffic of the ports: rate in Hz, messages since the nodelet was loaded, DROPPED "
+        "from the full queue of an in-port, UNSENT because an out-port was disconnected, mean and "
+        "longest callback of an in-port in ms, and the number of callback errors of the nodelet.",
         "dyknow stats\ndyknow stats camera undistort\ndyknow stats --watch\n"
         "dyknow stats --watch 0.5 --count 10 --json",
         _arguments,

@@ -328,17 +328,19 @@ class TestStats:
     def test_a_line_for_each_port(self, chain: FakeClient) -> None:
         lines = run(chain, "stats").lines
         assert lines[0].split() == [
-            *("NODELET", "PORT", "HZ", "MESSAGES", "DROPPED", "MEAN", "MAX", "ERRORS", "TOPIC")
+            *("NODELET", "PORT", "HZ", "MESSAGES", "DROPPED", "UNSENT"),
+            *("MEAN", "MAX", "ERRORS", "TOPIC"),
         ]
         assert lines[1].split() == [
-            *("/cam", "image", "out", "5.0", "300", "4", "1.00", "2.50", "2", "/raw")
+            *("/cam", "image", "out", "5.0", "300", "-", "4", "1.00", "2.50", "2", "/raw")
         ]
+        assert lines[2].split()[4:7] == ["300", "4", "-"]
         assert len(lines) == 4
 
     def test_what_nobody_counts_is_not_shown_as_zero(self, chain: FakeClient) -> None:
         chain.uncounted.add("/cam")
         line = run(chain, "stats").lines[1].split()
-        assert line == ["/cam", "image", "out", *"------", "/raw"]
+        assert line == ["/cam", "image", "out", *"-------", "/raw"]
         nodelet = run(chain, "stats --json").json["nodelets"][0]
         assert nodelet["callback_errors"] is None
         assert nodelet["ports"][0] == {
