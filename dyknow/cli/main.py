@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import argparse
+import logging
 import os
 import signal
 import sys
@@ -17,6 +18,18 @@ from dyknow.errors import DyKnowError, ManagerUnreachable
 
 if TYPE_CHECKING:
     from dyknow.ros.shell_client import ShellClient
+
+
+class _Warnings(logging.Handler):
+    """Prints the warnings of the client as those of the command."""
+
+    def __init__(self, shell: Shell) -> None:
+        super().__init__(logging.WARNING)
+        self._shell = shell
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Print one."""
+        self._shell.warn(record.getMessage())
 
 
 def main(words: Optional[Sequence[str]] = None) -> int:
@@ -61,8 +74,10 @@ def _run(words: Sequence[str]) -> int:
 
         return ShellClient(arguments.manager_node, arguments.timeout)
 
+    shell = Shell(connect, arguments.json)
+    logging.getLogger("rosout.dyknow").addHandler(_Warnings(shell))
     try:
-        code = execute(arguments, Shell(connect, arguments.json))
+        code = execute(arguments, shell)
         sys.stdout.flush()
     except BrokenPipeError:
         # The reader of our output is gone; the interpreter's own flush at exit must not complain.

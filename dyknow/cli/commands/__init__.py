@@ -11,6 +11,7 @@ from dyknow.cli.command import Command
 from dyknow.cli.commands import (
     acquire,
     check,
+    doctor,
     graph,
     inspect,
     launch,
@@ -27,7 +28,7 @@ from dyknow.cli.commands import (
 
 #: Titles and commands, in the order of the help.
 GROUPS: Tuple[Tuple[str, Tuple[Command, ...]], ...] = (
-    ("What runs", (*inspect.COMMANDS, *statistics.COMMANDS, *graph.COMMANDS)),
+    ("What runs", (*inspect.COMMANDS, *statistics.COMMANDS, *graph.COMMANDS, *doctor.COMMANDS)),
     ("Nodelets and nodes", (*nodelets.COMMANDS, *run.COMMANDS, *launch.COMMANDS)),
     ("Connections", wiring.COMMANDS),
     ("Streams on request", (*tags.COMMANDS, *acquire.COMMANDS, *streams.COMMANDS)),

@@ -27,6 +27,11 @@ if TYPE_CHECKING:
 _WORKERS = 16
 _PERIOD = 1.0
 
+_HEAD = (
+    *("NODELET", "PORT", "", "HZ", "MESSAGES", "DROPPED", "UNSENT"),
+    *("MEAN", "MAX", "ERRORS", "TOPIC"),
+)
+
 #: The statistics of a nodelet, or the error.
 Answer = Union["NodeletStatistics", DyKnowError]
 
@@ -122,10 +127,7 @@ def _json(answers: Dict[str, Answer]) -> dict[str, object]:
 
 def table(answers: Dict[str, Answer]) -> List[str]:
     """Write a line of statistics for each port; times in milliseconds."""
-    rows = [
-        ("NODELET", "PORT", "", "HZ", "MESSAGES", "DROPPED", "UNSENT", "MEAN", "MAX", "ERRORS")
-        + ("TOPIC",)
-    ]
+    rows = [_HEAD]
     for name, answer in answers.items():
         if isinstance(answer, DyKnowError):
             rows.append((name, "(does not answer)", *[""] * 9))
@@ -164,9 +166,10 @@ COMMANDS = (
     Command(
         "stats",
         "show the rates of the ports",
-        "Show the traffic of the ports: rate in Hz, messages since the nodelet was loaded, DROPPED "
-        "from the full queue of an in-port, UNSENT because an out-port was disconnected, mean and "
-        "longest callback of an in-port in ms, and the number of callback errors of the nodelet.",
+        "Show the traffic of the ports: rate in Hz, messages since the nodelet was loaded, "
+        "messages that were DROPPED from the full queue of an in-port, or are UNSENT because an "
+        "out-port was disconnected, mean and longest callback of an in-port in ms, and the number "
+        "of callback errors of the nodelet.",
         "dyknow stats\ndyknow stats camera undistort\ndyknow stats --watch\n"
         "dyknow stats --watch 0.5 --count 10 --json",
         _arguments,

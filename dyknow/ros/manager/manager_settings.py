@@ -20,7 +20,8 @@ from dyknow.guards import NO_GUARDS, Guards
 from dyknow.manager.specifications.limits import DEFAULT_LIMITS, SpecificationLimits
 from dyknow.similar import did_you_mean
 
-_PARAMETERS = (
+#: The private parameters that a DyKnow manager reads.
+PARAMETERS = (
     "nodelet_managers",
     "num_nodelet_managers",
     "state_dir",
@@ -43,7 +44,7 @@ class ManagerSettings:
     Attributes:
         nodelet_managers: global names of nodelet managers of others to use as well.
         num_nodelet_managers: nodelet managers of its own.
-        state_dir: folder of the durable state.
+        state_dir: folder of the durable state; empty for the default.
         ontologies: files with the concepts of templates and tags.
         catalogues: files that say where imported ontologies are.
         language: the language of the labels that are preferred as names.
@@ -81,9 +82,7 @@ class ManagerSettings:
                 for name in _strings("nodelet_managers")
             ),
             num_nodelet_managers=_integer("num_nodelet_managers", 1),
-            state_dir=os.path.expanduser(
-                _string("state_dir") or os.path.join(rospkg.get_ros_home(), "dyknow")
-            ),
+            state_dir=_string("state_dir"),
             ontologies=_strings("ontologies"),
             catalogues=_strings("catalogues"),
             language=_string("language", cls.language),
@@ -105,18 +104,31 @@ class ManagerSettings:
 
     def state_path(self, ending: str) -> str:
         """Return a file of the durable state, of which each master and node name has its own."""
-        host, port = rosgraph.network.parse_http_host_and_port(rosgraph.get_master_uri())
-        key = re.sub(r"[^A-Za-z0-9.]+", "-", f"{host}-{port}{rospy.get_name()}")
-        return os.path.join(self.state_dir, f"{key}.{ending}")
+        return state_path(self.state_dir, rosgraph.get_master_uri(), rospy.get_name(), ending)
+
+
+def state_path(folder: str, master: str, node: str, ending: str) -> str:
+    """Return a file of the durable state of a DyKnow manager.
+
+    Args:
+        folder: the value of ~state_dir; empty for the default, below ROS_HOME.
+        master: address of the ROS master.
+        node: global name of the manager's node.
+        ending: of the file's name.
+    """
+    folder = os.path.expanduser(folder or os.path.join(rospkg.get_ros_home(), "dyknow"))
+    host, port = rosgraph.network.parse_http_host_and_port(master)
+    key = re.sub(r"[^A-Za-z0-9.]+", "-", f"{host}-{port}{node}")
+    return os.path.join(folder, f"{key}.{ending}")
 
 
 def _warn_of_unknown() -> None:
     """Warn of unknown parameters, which would change nothing without a word."""
     given = rospy.get_param("~", {})
     for name in sorted(given) if isinstance(given, dict) else ():
-        if name not in _PARAMETERS:
-            hint = did_you_mean(name, _PARAMETERS, at_most=1, prefix="~")
-            hint = hint or "; known: ~" + " ~".join(_PARAMETERS)
+        if name not in PARAMETERS:
+            hint = did_you_mean(name, PARAMETERS, at_most=1, prefix="~")
+            hint = hint or "; known: ~" + " ~".join(PARAMETERS)
             rospy.logwarn("unknown parameter ~%s%s", name, hint)
 
 

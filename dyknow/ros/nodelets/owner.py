@@ -91,6 +91,15 @@ def wait_until_orphaned(path: str, timeout: float) -> None:
             return
 
 
+def is_taken(path: str) -> bool:
+    """Whether a process has the lock; False where there is no such file."""
+    try:
+        with open(path + ".owner") as file:
+            return not _lock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except OSError:
+        return False
+
+
 def _made(path: str) -> TextIO:
     """Open a file to be locked; it is made if need be, but may be on a read-only disk as well."""
     try:

@@ -43,7 +43,7 @@ def test_other_words_are_refused(capsys):
 def test_the_manager_describes_all_its_parameters():
     described = parameters(MANAGER)
     plain = {name.split("/")[0] for name in described} | {"limits"}
-    assert plain == set(manager_settings._PARAMETERS)
+    assert plain == set(manager_settings.PARAMETERS)
     for name in ("num_nodelet_managers", "spawn_timeout", "orphan_timeout"):
         assert float(described[name][0]) == getattr(ManagerSettings, name)
     assert described["language"] == [ManagerSettings.language]

@@ -1,0 +1,394 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Examines a running system: each check yields findings, each of them with a cure.
+
+A check asks the processes themselves, with a time limit, and changes nothing. What only the kernel
+knows (descriptors, disks, the age of a process) is examined for the processes of this machine.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import socket
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Callable, Dict, Iterator, List, Optional, Set, Tuple
+
+import psutil
+import rosgraph
+import rospkg
+
+import dyknow
+from dyknow import names
+from dyknow.errors import DyKnowError, PeerTimeout
+from dyknow.manager.specifications.given import undeclared
+from dyknow.model.graph import Model, NodeletStatus, State
+from dyknow.model.streams import ClaimState
+from dyknow.ros.hosting import child_records
+from dyknow.ros.installed import missing_here
+from dyknow.ros.manager.manager_settings import PARAMETERS, state_path
+from dyknow.ros.master import Master
+from dyknow.ros.nodelets.guard_parameters import guards_key
+from dyknow.ros.nodelets.owner import is_taken
+from dyknow.ros.shell_client import ShellClient
+from dyknow.similar import did_you_mean
+
+#: Seconds for each answer of a node.
+PATIENCE = 2.0
+#: Share of the descriptors in use from which a process is reported.
+_MANY_DESCRIPTORS = 0.8
+#: Share of a disk, and bytes, below which the free space is reported.
+_LITTLE_SPACE = 0.05, 200 * 2**20
+_ASKERS = 16
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A defect of the system.
+
+    Attributes:
+        subject: the node, nodelet, topic, transformation, host or folder that has it.
+        problem: the observed state.
+        cure: what a user can do.
+        is_error: whether something does not work now; else it may soon, or be a mistake.
+    """
+
+    subject: str
+    problem: str
+    cure: str
+    is_error: bool = True
+
+
+@dataclass(frozen=True)
+class NodeFacts:
+    """A registered node.
+
+    Attributes:
+        name: its name.
+        uri: its address.
+        pid: its process, 0 if it does not answer.
+        trouble: the error of the connection.
+    """
+
+    name: str
+    uri: str
+    pid: int = 0
+    trouble: Optional[BaseException] = None
+
+    @property
+    def host(self) -> str:
+        """The host in its address."""
+        return str(rosgraph.network.parse_http_host_and_port(self.uri)[0])
+
+
+@dataclass
+class Doctor:
+    """Examines the system of one DyKnow manager.
+
+    Attributes:
+        client: speaks with the manager.
+        code: folder of the installed code.
+        disk_usage: returns total, used and free bytes of the disk that holds a path.
+    """
+
+    client: ShellClient
+    code: Path = Path(dyknow.__file__).resolve().parent
+    disk_usage: Callable[[str], Tuple[int, int, int]] = shutil.disk_usage
+    _master: Master = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Use the master that the environment names."""
+        self._master = Master(f"/dyknow_{os.getpid()}", timeout=PATIENCE)
+
+    def checks(self) -> List[Tuple[str, Callable[[], Iterator[Finding]]]]:
+        """List the checks, each with the name of its subject."""
+        return [
+            ("names of hosts", self.names_of_hosts),
+            ("nodes", self.dead_nodes),
+            ("processes of an earlier master", self.unregistered_processes),
+            ("DyKnow manager", self.manager),
+            ("nodelets", self.nodelets),
+            ("streams", self.streams),
+            ("guards", self.guards),
+            ("library", self.library),
+            ("parameters", self.parameters),
+            ("versions", self.versions),
+            ("descriptors", self.descriptors),
+            ("disks", self.disks),
+        ]
+
+    # The graph
+
+    @cached_property
+    def nodes(self) -> Dict[str, NodeFacts]:
+        """Every registered node, by name."""
+        state = self._master.ask("getSystemState")
+        found = sorted({node for side in state for _, nodes in side for node in nodes})
+        with ThreadPoolExecutor(_ASKERS) as pool:
+            return {each.name: each for each in pool.map(self._ask_node, found)}
+
+    def _ask_node(self, name: str) -> NodeFacts:
+        uri = self._master.node(name)
+        try:
+            return NodeFacts(name, uri, self._master.pid(name, uri, PATIENCE))
+        except (PeerTimeout, LookupError) as error:
+            return NodeFacts(name, uri, trouble=error.__cause__ or error)
+
+    @cached_property
+    def model(self) -> Model:
+        """The model with its transformations; empty where the manager does not answer."""
+        try:
+            return self.client.get_model()
+        except DyKnowError:
+            return Model(0, 0, ())
+
+    def names_of_hosts(self) -> Iterator[Finding]:
+        """Find names of hosts that this machine cannot resolve, its own among them."""
+        own = rosgraph.network.get_host_name()
+        hosts = {each.host: each.name for each in self.nodes.values() if each.uri}
+        for host, node in sorted({**hosts, own: "this machine"}.items()):
+            try:
+                socket.getaddrinfo(host, None)
+            except OSError as error:
+                yield Finding(
+                    host,
+                    f"the name of the host of {node} does not resolve here: {error.strerror}",
+                    "set ROS_IP or ROS_HOSTNAME where the node starts, or add the name to "
+                    "/etc/hosts on every host",
+                )
+
+    def dead_nodes(self) -> Iterator[Finding]:
+        """Find nodes that are registered and gone, or do not answer."""
+        for node in self.nodes.values():
+            if isinstance(node.trouble, ConnectionRefusedError):
+                yield Finding(
+                    node.name,
+                    f"is registered, but no process answers at {node.uri}",
+                    "rosnode cleanup",
+                )
+            elif node.trouble is not None and not isinstance(node.trouble, socket.gaierror):
+                yield Finding(
+                    node.name,
+                    f"does not answer within {PATIENCE:g} s at {node.uri}",
+                    f"see whether its host is reachable and its process is suspended (kill -CONT "
+                    f"PID); else end it: rosnode kill {node.name}",
+                )
+
+    def unregistered_processes(self) -> Iterator[Finding]:
+        """Find a DyKnow manager and its processes that run, but are unknown to the master."""
+        if self.client.manager not in self.nodes and is_taken(self._state_path("lock")):
+            yield Finding(
+                self.client.manager,
+                "its process runs, but this ROS master does not know it: the master was "
+                "restarted, or another one was used before",
+                "end the process, and start the DyKnow manager again; nodelets and claims come "
+                "back",
+            )
+        try:
+            children = child_records.read(self._state_path("children.json"))
+        except (OSError, ValueError):
+            return
+        for child in children:
+            node = self.nodes.get(child.name)
+            if child.process is not None and (
+                node is None or node.pid not in (0, child.process.pid)
+            ):
+                yield Finding(
+                    child.name,
+                    f"its process {child.process.pid} runs, but this ROS master does not know it: "
+                    "the master was restarted, or another one was used before",
+                    f"kill {child.process.pid}; the DyKnow manager starts it again",
+                )
+
+    # DyKnow
+
+    def manager(self) -> Iterator[Finding]:
+        """Find a DyKnow manager that does not answer."""
+        try:
+            self.client.get_graph()
+        except DyKnowError as error:
+            problem, _, advice = str(error).partition(": ")
+            yield Finding(self.client.manager, problem, advice or "rosrun dyknow manager")
+
+    def nodelets(self) -> Iterator[Finding]:
+        """Find nodelets that do not run, hang, or have errors."""
+        running = [each for each in self.model.nodelets if each.state is State.RUNNING]
+        for each in self.model.nodelets:
+            if each.state in (State.LOST, State.FAILED):
+                yield Finding(
+                    each.name,
+                    f"is {each.state.name}: {each.detail}",
+                    f"dyknow info {each.name}; see the log of {each.node}",
+                )
+            elif each.detail:
+                yield Finding(each.name, each.detail, f"dyknow info {each.name}", is_error=False)
+        with ThreadPoolExecutor(_ASKERS) as pool:
+            yield from (found for found in pool.map(self._statistics, running) if found)
+
+    def _statistics(self, nodelet: NodeletStatus) -> Optional[Finding]:
+        if nodelet.rewired_by_reload:
+            return None  # in a stock C++ nodelet manager it has no proxy
+        try:
+            errors = self.client.get_statistics(nodelet.name).callback_errors
+        except DyKnowError as error:
+            return Finding(nodelet.name, str(error), f"dyknow info {nodelet.name}")
+        if not errors:
+            return None
+        return Finding(
+            nodelet.name,
+            f"{errors} of its callbacks raised an exception",
+            f"see the tracebacks in the log of {nodelet.node}",
+            is_error=False,
+        )
+
+    def streams(self) -> Iterator[Finding]:
+        """Find claims whose stream does not flow as it was requested."""
+        if not self.model.revision:
+            return
+        for each in self.client.list_streams():
+            if not each.state.ended and each.state is not ClaimState.ACTIVE:
+                yield Finding(
+                    f"claim {each.claim_id} ({each.tag})",
+                    f"is {each.state.name}: {each.detail}",
+                    f"dyknow plan '{each.tag}'",
+                    is_error=each.state is ClaimState.FAILED,
+                )
+
+    def guards(self) -> Iterator[Finding]:
+        """Find processes that host nodelets without the guards of the manager."""
+        if not self.model.revision:
+            return
+        hosts = {each.node for each in self.model.nodelets if not each.rewired_by_reload}
+        for host in sorted(hosts & set(self.nodes)):
+            parameter = names.join(host, guards_key(self.client.manager))
+            try:
+                self._master.ask("getParam", parameter)
+            except LookupError:
+                yield Finding(
+                    host,
+                    f"has no guards: the parameter {parameter} is gone",
+                    "restart the DyKnow manager, which hands them over again",
+                )
+
+    def library(self) -> Iterator[Finding]:
+        """Find transformations whose nodelet type, program or message type is not installed."""
+        for problem in missing_here("library", self.model.transformations):
+            yield Finding(
+                "library",
+                problem.message,
+                "build and source the package on every host, or import a corrected specification",
+                is_error=False,
+            )
+
+    def parameters(self) -> Iterator[Finding]:
+        """Find parameters that nothing reads."""
+        manager = self.client.manager
+        try:
+            given = self._master.ask("getParam", manager)
+        except LookupError:
+            given = {}
+        for name in sorted(given) if isinstance(given, dict) else ():
+            if name not in PARAMETERS:
+                yield Finding(
+                    names.join(manager, name),
+                    "the DyKnow manager has no such parameter"
+                    + did_you_mean(name, PARAMETERS, at_most=1, prefix="~"),
+                    f"rosparam delete {names.join(manager, name)}",
+                    is_error=False,
+                )
+        known = {each.label: each for each in self.model.transformations}
+        for nodelet in self.model.nodelets:
+            for problem in undeclared(known.get(nodelet.transformation), nodelet.parameters):
+                yield Finding(
+                    nodelet.name, problem, "destroy it, and spawn it again", is_error=False
+                )
+
+    # This machine
+
+    @cached_property
+    def _processes(self) -> List[Tuple[str, psutil.Process]]:
+        """The processes of DyKnow on this machine, each with a node that it is."""
+        hosts = {each.node for each in self.model.nodelets} | {self.client.manager}
+        found: Dict[int, Tuple[str, psutil.Process]] = {}
+        for node in self.nodes.values():
+            if node.name in hosts and node.pid and rosgraph.network.is_local_address(node.host):
+                try:
+                    found[node.pid] = node.name, psutil.Process(node.pid)
+                except psutil.Error:
+                    continue
+        return list(found.values())
+
+    def versions(self) -> Iterator[Finding]:
+        """Find processes that run older code than the installed one."""
+        changed = max(file.stat().st_mtime for file in self.code.rglob("*.py"))
+        for name, process in self._processes:
+            try:
+                started = process.create_time()
+            except psutil.Error:
+                continue
+            if started < changed:
+                yield Finding(
+                    name,
+                    f"was started before DyKnow was changed on disk (at {_moment(changed)}), and "
+                    "may be of another version",
+                    "restart it",
+                    is_error=False,
+                )
+
+    def descriptors(self) -> Iterator[Finding]:
+        """Find processes that are about to run out of file descriptors."""
+        for name, process in self._processes:
+            try:
+                used = process.num_fds()
+                limit, hard = process.rlimit(psutil.RLIMIT_NOFILE)
+            except psutil.Error:
+                continue
+            if used >= _MANY_DESCRIPTORS * limit:
+                raised = f"ulimit -n {hard}" if hard > limit else "the system's limit"
+                yield Finding(
+                    name,
+                    f"uses {used} of {limit} file descriptors",
+                    f"spread the nodelets with ~num_nodelet_managers, or raise {raised} where it "
+                    "is started",
+                )
+
+    def disks(self) -> Iterator[Finding]:
+        """Find disks of the durable state and of the logs that are nearly full."""
+        seen: Set[int] = set()
+        for what, path in (
+            ("the state of the DyKnow manager", os.path.dirname(self._state_path(""))),
+            ("the logs of ROS", rospkg.get_log_dir()),
+        ):
+            path = _existing(path)
+            device = os.stat(path).st_dev
+            total, _, free = self.disk_usage(path)
+            if device not in seen and free < min(_LITTLE_SPACE[0] * total, _LITTLE_SPACE[1]):
+                yield Finding(
+                    path,
+                    f"the disk that holds {what} has {free / 2**20:.0f} MiB left",
+                    "free space, for instance: rosclean purge",
+                )
+            seen.add(device)
+
+    def _state_path(self, ending: str) -> str:
+        try:
+            folder = self._master.ask("getParam", names.join(self.client.manager, "state_dir"))
+        except LookupError:
+            folder = ""
+        return state_path(str(folder), self._master.uri, self.client.manager, ending)
+
+
+def _existing(path: str) -> str:
+    """Return the path, or the innermost folder above it that exists."""
+    while not os.path.exists(path):
+        path = os.path.dirname(path)
+    return path
+
+
+def _moment(seconds: float) -> str:
+    return time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(seconds))

@@ -1,0 +1,138 @@
+#!/usr/bin/env python3
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""`dyknow doctor`: a healthy system has no findings, and each defect is named with its cure."""
+
+from __future__ import annotations
+
+import signal
+import tempfile
+import time
+from pathlib import Path
+
+import psutil
+import rospy
+import rostest
+from manager_suite import CHILD, MANAGER, ManagerCase, eventually, specification
+from processes import Running
+from test_dyknow_command import Done
+
+from dyknow.model.transformation import Parameter
+from dyknow.ros.doctor import Doctor
+from dyknow.ros.master import Master
+from dyknow.ros.nodelets.guard_parameters import guards_key
+from dyknow.ros.shell_client import ShellClient
+
+
+class DoctorTest(ManagerCase):
+    def findings(self, check: str, **options: object) -> list[tuple[str, str, str]]:
+        """The findings of one check: subject, problem and cure."""
+        checks = dict(Doctor(ShellClient(MANAGER), **options).checks())
+        return [(each.subject, each.problem, each.cure) for each in checks[check]()]
+
+    def found(self, check: str, subject: str, said: str, cure: str) -> None:
+        """Wait until a check finds a defect: the system changes while it is examined."""
+        eventually(
+            lambda: any(
+                each[0] == subject and said in each[1] and cure in each[2]
+                for each in self.findings(check)
+            ),
+            30.0,
+            f"{check}: {subject}: {said}",
+            lambda: str(self.findings(check)),
+        )
+
+    def test_a_healthy_system_has_no_findings(self):
+        manager = self.started()
+        manager.client.remove_transformation("unknown")  # its source is not installed
+        manager.client.spawn("counter", "c")
+        done = Done("doctor", "--json")
+        self.assertEqual((done.code, done.json["findings"]), (0, []), done.out + done.err)
+        self.assertEqual(len(done.json["checks"]), 12)
+
+    def test_mistakes_in_the_library_and_in_parameters(self):
+        manager = self.started(ontolgies="/x.owl")
+        manager.client.add_transformation(specification("lost", "dyknow/Sourse", ">out"))
+        manager.client.spawn("counter", "c", parameters=[Parameter("rte", "", "5")])
+        done = Done("doctor", "--quiet")
+        self.assertEqual(done.code, 1, done.out)
+        self.assertIn("transformation 'lost': no package declares", done.out)
+        self.assertIn("did you mean dyknow/Source", done.out)
+        self.assertIn(f"{MANAGER}/ontolgies: the DyKnow manager has no such parameter", done.out)
+        self.assertIn(f"cure: rosparam delete {MANAGER}/ontolgies", done.out)
+        self.assertIn("declares no parameter 'rte'", done.out)
+        self.assertNotIn("\nok ", done.out)
+
+    def test_a_node_that_was_killed(self):
+        with Running("rosrun", "topic_tools", "relay", "/a", "/b", "__name:=gone") as relay:
+            eventually(lambda: Master("/test").node("/gone"), 20.0, "the node is up")
+            relay.stop(signal.SIGKILL)
+            self.found("nodes", "/gone", "no process answers", "rosnode cleanup")
+
+    def test_a_nodelet_manager_that_is_suspended(self):
+        manager = self.started()
+        manager.client.spawn("counter", "c")
+        child = manager.child()
+        child.signal(signal.SIGSTOP)
+        try:
+            self.found("nodes", CHILD, "does not answer", "kill -CONT")
+            self.found("nodelets", "/c", "is LOST", "dyknow info /c")
+        finally:
+            child.signal(signal.SIGCONT)
+
+    def test_a_process_that_the_master_does_not_know(self):
+        manager = self.started()
+        manager.client.spawn("counter", "c")
+        master = Master("/test")
+        master.purge(CHILD, master.node(CHILD))
+        pid = manager.child().pid
+        self.found("processes of an earlier master", CHILD, f"process {pid} runs", f"kill {pid}")
+
+    def test_a_manager_that_does_not_run(self):
+        self.found("DyKnow manager", MANAGER, "is not running", "rosrun dyknow manager")
+        self.assertEqual(Done("doctor", ROS_MASTER_URI="http://localhost:1").code, 3)
+
+    def test_guards_that_are_gone(self):
+        manager = self.started(denied_topics=["/e_stop"])
+        manager.client.spawn("counter", "c")
+        # It cannot hand them over again while it is suspended, and is not waited for.
+        doctor = Doctor(ShellClient(MANAGER))
+        self.assertEqual(list(doctor.guards()), [])
+        manager.process.send_signal(signal.SIGSTOP)
+        try:
+            rospy.delete_param(f"{CHILD}/{guards_key(MANAGER)}")
+            (found,) = doctor.guards()
+            self.assertEqual(found.subject, CHILD)
+            self.assertIn("has no guards", found.problem)
+        finally:
+            manager.process.send_signal(signal.SIGCONT)
+
+    def test_a_process_with_few_descriptors_left(self):
+        manager = self.started()
+        process = psutil.Process(manager.process.pid)
+        self.assertEqual(self.findings("descriptors"), [])
+        _, hard = process.rlimit(psutil.RLIMIT_NOFILE)
+        process.rlimit(psutil.RLIMIT_NOFILE, (process.num_fds() + 8, hard))
+        self.found("descriptors", MANAGER, "file descriptors", f"ulimit -n {hard}")
+
+    def test_a_process_of_another_version(self):
+        self.started()
+        with tempfile.TemporaryDirectory() as folder:
+            code = Path(folder) / "changed.py"
+            code.touch()
+            started = psutil.Process().create_time()
+            self.assertGreater(time.time(), started)
+            found = self.findings("versions", code=Path(folder))
+            self.assertIn(MANAGER, [each[0] for each in found])
+
+    def test_a_disk_that_is_nearly_full(self):
+        manager = self.started()
+        full = self.findings("disks", disk_usage=lambda path: (2**40, 2**40 - 2**20, 2**20))
+        self.assertIn("1 MiB left", full[0][1])
+        self.assertTrue(manager.state.startswith(full[0][0]), full)
+        self.assertEqual(self.findings("disks", disk_usage=lambda path: (2**40, 2**39, 2**39)), [])
+
+
+if __name__ == "__main__":
+    rostest.rosrun("dyknow", "doctor", DoctorTest)
