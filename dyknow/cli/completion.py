@@ -17,10 +17,10 @@ from typing import TYPE_CHECKING, Any, Callable, Iterable, List, Sequence
 
 from dyknow import names
 from dyknow.cli.arguments import default_manager
+from dyknow.datatypes import types_fit
 from dyknow.errors import CannotLaunch, DyKnowError
 from dyknow.model.graph import PortRef
 from dyknow.model.transformation import IN, OUT
-from dyknow.wiring.ports import types_fit
 from dyknow.wiring.topics import topics_of
 
 if TYPE_CHECKING:

@@ -23,6 +23,7 @@ from typing import (
 )
 
 from dyknow import names
+from dyknow.datatypes import types_fit
 from dyknow.errors import HostError, HostTimeout, NameTaken
 from dyknow.locks import assert_no_state_lock
 from dyknow.manager.host import (
@@ -474,7 +475,7 @@ class FakeHost(Host):
             )
         for port, topic in config.items():
             found, mine = self._type_of(topic, name), ports[port].datatype
-            if topic and "*" not in (found, mine) and found not in ("", mine):
+            if topic and not types_fit(found, mine):
                 raise HostError(f"topic '{topic}' carries {found}")
         self._apply(ports, config)
 

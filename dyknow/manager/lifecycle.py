@@ -11,6 +11,7 @@ from dataclasses import replace
 from typing import Callable, Dict, Iterable, List, Mapping, Optional, Set, Tuple
 
 from dyknow import names
+from dyknow.datatypes import types_fit
 from dyknow.errors import (
     DyKnowError,
     HostError,
@@ -391,7 +392,7 @@ class Lifecycle:
                     f"port '{port.name}' is an {real.direction}-port, "
                     f"the transformation says {port.direction}"
                 )
-            elif port.datatype and port.datatype != real.datatype and real.datatype != "*":
+            elif not types_fit(port.datatype, real.datatype):
                 wrong.append(
                     f"port '{port.name}' carries {real.datatype}, "
                     f"the transformation says {port.datatype}"

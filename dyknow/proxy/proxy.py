@@ -13,6 +13,7 @@ from __future__ import annotations
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple, Union
 
 from dyknow import names
+from dyknow.datatypes import types_fit
 from dyknow.errors import (
     DuplicatePort,
     DyKnowError,
@@ -268,7 +269,7 @@ class NodeletProxy(Closable):
             types[topic] = self._context.runtime.bus.datatype_of(topic)
         present = types.get(topic) or wanted
         types[topic] = present
-        if present not in ("*", wanted):
+        if not types_fit(present, wanted):
             raise TypeMismatch(topic, f"{wanted} (port '{port.name}')", present)
 
     def _maps(self, changes: Sequence[Change]) -> Tuple[Dict[str, str], Dict[str, str]]:

@@ -19,13 +19,13 @@ from typing import (
     Tuple,
 )
 
+from dyknow.datatypes import types_fit
 from dyknow.errors import InvalidParameters
 from dyknow.manager.specifications.findings import shorten
 from dyknow.manager.specifications.given import bindings_of, completed, set_on_load
 from dyknow.manager.specifications.values import value_of
 from dyknow.model.graph import Model, NodeletStatus, SpawnRequest
 from dyknow.model.transformation import TOPIC, Transformation
-from dyknow.wiring.ports import types_fit
 from dyknow.wiring.wiring import Wiring
 
 #: Tells which values the parameter server has for parameters of a nodelet, by their names.

@@ -8,24 +8,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Container, Dict, Iterable, List
 
 from dyknow import names
+from dyknow.datatypes import types_fit
 from dyknow.errors import DyKnowError
 from dyknow.model.transformation import IN, OUT
 
 if TYPE_CHECKING:
     from dyknow.model.graph import NodeletStatus, PortState
 
-#: The type of ports that take any.
-ANY = "*"
-
 
 def by_name(ports: Iterable[PortState]) -> List[PortState]:
     """Sort ports: the manager shows them in the order in which the nodelet made them."""
     return sorted(ports, key=lambda port: port.name)
-
-
-def types_fit(one: str, other: str) -> bool:
-    """Whether streams of two types may be connected; an unknown type fits every one."""
-    return one == other or not one or not other or ANY in (one, other)
 
 
 class CannotConnect(DyKnowError):

@@ -8,9 +8,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Dict, Iterable, List, Sequence, Tuple
 
+from dyknow.datatypes import ANY
 from dyknow.model.graph import NodeletStatus, PortRef, PortState
 from dyknow.model.transformation import OUT
-from dyknow.wiring.ports import ANY, by_name
+from dyknow.wiring.ports import by_name
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,7 @@ def topics_of(nodelets: Iterable[NodeletStatus]) -> List[Topic]:
 
 
 def _topic(name: str, ends: Sequence[Tuple[PortRef, PortState]]) -> Topic:
-    types = (port.datatype for _, port in ends if port.datatype not in ("", ANY))
+    types = (port.datatype for _, port in ends if port.datatype not in ANY)
     out_ports = [port for _, port in ends if port.direction == OUT]
     return Topic(
         name,

@@ -8,10 +8,11 @@ from __future__ import annotations
 from typing import Iterator, List, Tuple
 
 from dyknow import names
+from dyknow.datatypes import types_fit
 from dyknow.model.graph import PortRef, PortState
 from dyknow.model.transformation import IN
 from dyknow.wiring import ports
-from dyknow.wiring.ports import CannotConnect, types_fit
+from dyknow.wiring.ports import CannotConnect
 from dyknow_rqt.graph.changes import Rewire
 from dyknow_rqt.graph.snapshot import Snapshot
 

@@ -9,6 +9,7 @@
 #include <algorithm>
 #include <thread>
 
+#include "datatypes.h"
 #include "deadline.h"
 #include "guards.h"
 #include "master_state.h"
@@ -310,7 +311,7 @@ void NodeletProxy::checkType(const NamedPort& port, const std::string& topic, co
   {
     present = wanted;
   }
-  if (present != wanted)
+  if (!isSameType(present, wanted))
   {
     throw typeMismatch(topic, wanted + " (port '" + port.name + "')", present);
   }

@@ -24,6 +24,7 @@ from dyknow_msgs.msg import NodeletChanges, Port, PortConfig
 from dyknow_msgs.srv import GetConfig, GetCounts, SetConfig
 from dynamic_reconfigure.msg import Config, DoubleParameter
 from dynamic_reconfigure.srv import Reconfigure
+from geometry_msgs.msg import Vector3
 from graph import set_config, set_config_pairs, topics_of_ports
 from nodelet.srv import NodeletLoad
 from processes import BUSY, Running, eventually
@@ -196,6 +197,7 @@ class PortTest(CppCase):
                 "loop_out": "/robot/loop",
                 "loop_in": "/robot/loop",
                 "text": "/robot/text",
+                "point": "/robot/point",
             },
         )
         self.assertEqual(ports["loop_in"].direction, Port.IN)
@@ -392,6 +394,14 @@ class RefusalTest(CppCase):
             set_config("/n", out="/inside"),
             errors.TypeMismatch("/inside", wanted, "std_msgs/String"),
         )
+
+    def test_a_topic_with_the_same_type_under_another_name(self):
+        publisher = rospy.Publisher("/outside", Vector3, queue_size=1)
+        self.addCleanup(publisher.unregister)
+        eventually(lambda: graph.nodes_on("/outside")[0], 5.0, "it is registered")
+        self.manager.load("Names", "/names")
+        answer = set_config("/names", point="/outside")  # geometry_msgs/Point: equal checksums
+        self.assertTrue(answer.success, answer.message)
 
     def test_the_type_of_a_publisher_that_is_gone_does_not_count(self):
         for topic, gone, present in (("/one", String, Header), ("/two", Header, String)):

@@ -14,6 +14,7 @@ from __future__ import annotations
 import contextlib
 from typing import Callable, Dict, Iterable, List, Mapping, Optional, Tuple
 
+from dyknow.datatypes import ANY, types_fit
 from dyknow.errors import DyKnowError, NameTaken, SpawnFailed, StreamTypeMismatch
 from dyknow.manager.claims.context import ClaimContext
 from dyknow.manager.claims.own_nodelets import instance_of
@@ -29,7 +30,6 @@ from dyknow.manager.claims.streams import with_feeders
 from dyknow.manager.claims.transaction import Transaction
 from dyknow.manager.host import Count, Host
 from dyknow.manager.planning.problem import Live, New, PlanStep, Source
-from dyknow.manager.planning.supply import ANY
 from dyknow.manager.record import Record, ports_on
 from dyknow.manager.specifications.given import filling
 from dyknow.model.graph import SpawnRequest, State
@@ -189,7 +189,7 @@ class Assembly:
         present = self._topic_of(goal)
         datatype = self._plan.type_of(goal)
         wanted = self._request.datatype
-        if wanted not in ANY and datatype not in (*ANY, wanted):
+        if not types_fit(wanted, datatype):
             raise StreamTypeMismatch(self._request.tag, wanted, datatype, goal.label)
         is_stamped = datatype in ANY or self._manager.host.is_stamped(datatype)
         if self._request.is_stamped and is_stamped is False:

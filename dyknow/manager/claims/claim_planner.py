@@ -23,6 +23,7 @@ from typing import (
 )
 
 from dyknow.backoff import Backoff
+from dyknow.datatypes import ANY
 from dyknow.errors import StreamTypeMismatch
 from dyknow.manager.claim import Claim
 from dyknow.manager.claims.context import ClaimContext
@@ -32,7 +33,7 @@ from dyknow.manager.claims.supplies import Supplies, wishes_of
 from dyknow.manager.claims.topology import demand_of, may_share
 from dyknow.manager.planning.planner import BUDGET, Planner
 from dyknow.manager.planning.problem import NO_LABELS, Answer, Live, NoPlan, Plan
-from dyknow.manager.planning.supply import ANY, Demand, ways_to_meet
+from dyknow.manager.planning.supply import Demand, ways_to_meet
 from dyknow.manager.planning.wishes import NO_WISHES, TaggedStream
 from dyknow.manager.specifications.tags import Bindings, Subsumption
 from dyknow.model.transformation import Transformation

@@ -10,13 +10,13 @@ from dataclasses import dataclass, field
 from typing import AbstractSet, Dict, Iterator, List, Mapping, Sequence, Set, Tuple
 
 from dyknow import names
+from dyknow.datatypes import ANY, types_fit
 from dyknow.errors import StreamTypeMismatch
 from dyknow.manager.claims.claim_table import ClaimTable
 from dyknow.manager.claims.own_nodelets import Instance, instance_of
 from dyknow.manager.claims.topology import Topology
 from dyknow.manager.manager import Manager
 from dyknow.manager.planning.problem import Live, New, Plan, PlanStep, Source
-from dyknow.manager.planning.supply import ANY
 from dyknow.manager.record import Record, ports_on
 from dyknow.manager.specifications.tags import Bindings, Term, read_tags
 from dyknow.model.graph import State
@@ -160,7 +160,7 @@ class PlanContext:
         types = {port.name: port.datatype for port in record.ports}
         for port, source in step.inputs:
             wanted, found = types.get(port, ""), self.type_of(source)
-            if wanted not in ANY and found not in (*ANY, wanted):
+            if not types_fit(wanted, found):
                 what = f"for port '{port}' of transformation '{step.action.label}'"
                 raise StreamTypeMismatch(what, wanted, found, source.label)
 

@@ -11,8 +11,8 @@ from __future__ import annotations
 
 from typing import Optional, Tuple
 
+from dyknow.datatypes import ANY
 from dyknow.errors import SpawnFailed
-from dyknow.manager.planning.supply import ANY
 from dyknow.manager.specifications.tags import read_tags
 from dyknow.model.graph import NodeletStatus
 from dyknow.model.transformation import IN, OUT, Parameter, Port, Transformation

@@ -22,6 +22,7 @@ from typing import (
     Tuple,
 )
 
+from dyknow.datatypes import same_type
 from dyknow.manager.claim import Claim
 from dyknow.manager.claims.bound_tags import Way
 from dyknow.manager.claims.dependent_nodelets import DependentNodelets
@@ -59,7 +60,7 @@ def may_share(claim: Claim, other: Claim) -> bool:
     mine, theirs = claim.request, other.request
     return (
         parse_tag(mine.tag) == parse_tag(theirs.tag)
-        and wanted_type(claim) in ("", wanted_type(other))
+        and (not wanted_type(claim) or same_type(wanted_type(claim), wanted_type(other)))
         and set(mine.exclude) == set(theirs.exclude)
         and mine.min_rate <= theirs.min_rate
         and (not mine.max_age or 0 < theirs.max_age <= mine.max_age)

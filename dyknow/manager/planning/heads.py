@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import Dict, Iterable, Mapping, NamedTuple, Optional, Tuple
 
+from dyknow.datatypes import types_fit
 from dyknow.manager.planning.index import AtomIndex
 from dyknow.manager.planning.patterns import (
     Argument,
@@ -23,7 +24,6 @@ from dyknow.manager.planning.patterns import (
 )
 from dyknow.manager.planning.problem import New
 from dyknow.manager.planning.rules import Rule
-from dyknow.manager.planning.supply import ANY
 from dyknow.manager.specifications.tags import read_tags
 from dyknow.model.transformation import Port
 
@@ -153,4 +153,4 @@ def goes_with(datatype: str, rate: float, pattern: Pattern) -> bool:
     """Whether a stream of a type, and of a rate that is stated or 0, may supply a pattern."""
     if rate and rate < pattern.min_rate:
         return False
-    return pattern.datatype in ANY or datatype in (*ANY, pattern.datatype)
+    return types_fit(datatype, pattern.datatype)

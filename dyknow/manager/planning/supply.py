@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import Dict, FrozenSet, Iterable, Iterator, Mapping, NamedTuple
 
+from dyknow.datatypes import types_fit
 from dyknow.demand_text import write_demand
 from dyknow.manager.specifications.tags import (
     NO_BINDINGS,
@@ -15,9 +16,6 @@ from dyknow.manager.specifications.tags import (
     Term,
     unify_all,
 )
-
-#: ROS types that go with every other: one that is not known, and one that carries all.
-ANY = ("", "*")
 
 
 class Demand(NamedTuple):
@@ -73,5 +71,5 @@ def ways_to_meet(
         ontology: what is a kind of what.
         bindings: what variables stand for already.
     """
-    if demand.datatype in ANY or datatype in (*ANY, demand.datatype):
+    if types_fit(datatype, demand.datatype):
         yield from unify_all(tags, sorted(demand.tags), ontology, bindings)

@@ -1,6 +1,7 @@
 // SPDX-FileCopyrightText: 2026 the DyKnow developers
 // SPDX-License-Identifier: BSD-3-Clause
 
+#include <geometry_msgs/Point.h>
 #include <nodelet/nodelet.h>
 #include <ros/ros.h>
 #include <std_msgs/Header.h>
@@ -30,6 +31,7 @@ class Names : public nodelet::Nodelet
     subscribers_.push_back(nh.subscribe("loop", 1, &Names::onMessage, this));
     subscribers_.push_back(nh.subscribe("/clock", 1, &Names::onMessage, this));
     strings_ = nh.advertise<std_msgs::String>("text", 1);
+    points_ = nh.advertise<geometry_msgs::Point>("point", 1);
   }
 
   void advertise(ros::NodeHandle nh, const std::string& topic)
@@ -42,6 +44,7 @@ class Names : public nodelet::Nodelet
   std::vector<ros::Publisher> publishers_;
   std::vector<ros::Subscriber> subscribers_;
   ros::Publisher strings_;
+  ros::Publisher points_;
 };
 
 }  // namespace dyknow_cpp_test
