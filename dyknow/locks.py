@@ -25,6 +25,7 @@ OTHER_STATE_LOCKS = "every other state lock"
 
 #: Every turn, the outermost first.
 TURNS: Tuple[str, ...] = (
+    "end of a script",
     "simulated manager",
     "claim request",
     "claim work",
@@ -41,7 +42,6 @@ TURNS: Tuple[str, ...] = (
     "listening to nodelet managers",
     "words of a bond",
     "output of a child",
-    "end of a script",
     "service client",
     "state file",
 )
