@@ -103,7 +103,7 @@ class Workspace:
 
     def run_in(self, space: str, command: str) -> str:
         """What a shell command prints in a space of the workspace; it must end with 0."""
-        return self._run(["/bin/sh", "-c", f". {self.folder}/{space}/setup.sh; {command}"])
+        return self._run(["/bin/sh", "-c", f". {self.folder / space}/setup.sh; {command}"])
 
     def test_results(self) -> str:
         """The sum of what the tests of its packages came to."""
