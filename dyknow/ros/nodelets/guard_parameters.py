@@ -15,7 +15,7 @@ from __future__ import annotations
 from typing import Any, Dict, Sequence
 
 import rospy
-from rospy.impl.paramserver import get_param_server_cache
+from rospy.impl.paramserver import ParamServerCache, get_param_server_cache
 
 from dyknow.errors import PeerTimeout, ProtectedFromUnloading
 from dyknow.guards import NO_GUARDS, Guards, together
@@ -69,8 +69,10 @@ class GuardParameters:
         """Begin to follow the parameters; the node must be initialised."""
         self._name: str = rospy.resolve_name("~" + _GUARDS)
         self._master = Master(rospy.get_name())
-        _take_up_new_keys(self._name)
-        rospy.get_param_cached(self._name, {})
+        self._values = ParamServerCache()
+        _keep_apart(self._name, self._values)
+        address = rospy.core.get_node_uri()
+        self._values.set(self._name, self._master.ask("subscribeParam", address, self._name))
 
     def current(self) -> Guards:
         """Return the guards of this moment, those of all owners together."""
@@ -104,12 +106,10 @@ class GuardParameters:
                 raise ProtectedFromUnloading(name)
 
     def _read(self) -> Dict[str, Any]:
-        # Not by get_param_cached: it asks the master again as long as the parameter is not set.
         try:
-            value = get_param_server_cache().get(self._name)
-        except KeyError:
+            return _by_owner(self._values.get(self._name))
+        except KeyError:  # it is not set
             return {}
-        return _by_owner(value)
 
     def _ask(self) -> Dict[str, Any]:
         try:
@@ -121,21 +121,21 @@ class GuardParameters:
 
 
 def _by_owner(value: Any) -> Dict[str, Any]:
-    # A parameter that was deleted is an empty dictionary in rospy's cache.
     parameters = value.items() if isinstance(value, dict) else ()
     return {key: guards for key, guards in parameters if isinstance(guards, dict) and guards}
 
 
-def _take_up_new_keys(name: str) -> None:
-    """Let rospy note parameters below ``name`` that are set while we run.
+def _keep_apart(name: str, values: ParamServerCache) -> None:
+    """Let rospy put news of parameters at and below ``name`` into a cache of ours.
 
-    Its cache refuses news of a parameter that it does not have yet.
+    Its own cache refuses those of a parameter that it does not have yet. If it had ours, it would
+    answer ``get_param("~")`` with them alone: of a namespace it returns what it has.
     """
     cache = get_param_server_cache()
     update = cache.update
 
     def note(key: str, value: Any) -> None:
-        (cache.set if key.startswith(name + "/") else update)(key, value)
+        (values.set if f"{key}/".startswith(f"{name}/") else update)(key, value)
 
     cache.update = note
 
