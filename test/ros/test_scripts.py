@@ -313,6 +313,17 @@ class CommandTest(graph.TellingCase):
                 self.assertIn(said, node.output)
                 self.assertNotIn("dyknow/ros", node.output)
 
+    def test_a_program_sees_itself_as_without_dyknow(self):
+        words = ("dyknow_test", "mirror.py", "here:=there", "_word:=5", "__ns:=/mirrors")
+        seen = []
+        for run in (["rosrun"], RUN):
+            node = self.start(*run, *words)
+            self.assertEqual(node.exit_code(60.0), 0, node.output)
+            lines = node.output.splitlines()
+            seen.append([line for line in lines if line and "[INFO]" not in line])
+        self.assertEqual(len(seen[0]), 9)
+        self.assertEqual(*seen)
+
     def test_what_cannot_share_a_process_runs_alone(self):
         for what in ("fork", "chdir", "alarm", "stdin"):
             with self.subTest(what):

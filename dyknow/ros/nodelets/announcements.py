@@ -39,10 +39,12 @@ class Announcer:
             everything: names for new listeners, which may have missed some.
         """
         self._everything = everything
+        #: Global names of the topics that it publishes.
+        self.topics = (rospy.resolve_name(f"~{TOPIC}"), NODES_TOPIC)
         self._lock = state_lock("announcer")
         self._names: Set[str] = set()
         self._publisher = rospy.Publisher(
-            f"~{TOPIC}",
+            self.topics[0],
             NodeletChanges,
             subscriber_listener=_Newcomers(self),
             queue_size=_QUEUE_SIZE,

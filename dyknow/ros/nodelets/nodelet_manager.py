@@ -55,6 +55,7 @@ from dyknow.ros.nodelets.packages import plugin_files
 from dyknow.ros.nodelets.proxy_services import ProxyServices
 from dyknow.ros.scripts.libraries import importer_with_libraries
 from dyknow.ros.transport.middleware import rospy_middleware
+from dyknow.ros.transport.own_topics import hide_topics
 
 #: Seconds, at the end, for clients that end at the same time.
 CLIENTS_PATIENCE = 0.5
@@ -164,6 +165,7 @@ class NodeletManager(Closable):
         """
         self._kind = kind
         name = rospy.get_name()
+        hide_topics(self._announcer.topics)
         self.loader.load(name, kind.value, remappings)
         self._announcer.tell(name)
         self._services.append(rospy.Service("~get_counts", GetCounts, self._get_counts))

@@ -110,7 +110,7 @@ class _ScriptProcess:
         if not disable_signals:
             self._listen_for_signals()
         given = list(self._argv if argv is None else argv)
-        mappings = rosgraph.names.load_mappings(given)
+        mappings = self._guest.mappings = rosgraph.names.load_mappings(given)
         renamed = {source: to for source, to in mappings.items() if not source.startswith("__")}
         # Names are remapped by the proxy, which connects ports to any topic: not by rospy.
         kept = [word for word in given if word.partition(":=")[0] not in renamed]

@@ -18,7 +18,7 @@ import time
 import traceback
 import weakref
 from functools import partial
-from typing import Any, Callable, Collection, List, Optional, Set
+from typing import Any, Callable, Collection, List, Mapping, Optional, Set
 
 from dyknow.errors import NeedsProcess
 from dyknow.locks import state_lock
@@ -54,6 +54,7 @@ class Guest:
         is_alone: whether the process is its own.
         copies: whether it gets and sends copies of messages.
         argv: its command line, the program first; it may change that.
+        mappings: the remappings of its command line, as they are written there.
         closing: set when its code is to end.
         settled: set when its main thread waits for the first time, or has ended.
         threads: those that it started.
@@ -75,6 +76,7 @@ class Guest:
         self.is_alone = is_alone
         self.copies = copies
         self.argv: List[str] = sys.argv
+        self.mappings: Mapping[str, str] = {}
         self.handle: Optional[PlainNodeHandle] = None
         self.closing = threading.Event()
         self.settled = threading.Event()

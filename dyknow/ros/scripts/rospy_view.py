@@ -40,7 +40,9 @@ _SUBMODULES = ("client", "core", "names", "rostime", "service", "topics")
 COPIED = "rospy.timer"
 _TIMING = ("Rate", "Timer", "sleep")
 #: Functions that are those of the guest's handle.
-_OF_HANDLE = ("get_param get_param_cached set_param has_param delete_param search_param").split()
+_OF_HANDLE = "get_param get_param_cached set_param has_param delete_param search_param".split()
+#: Functions that are rospy's own for a guest with a process of its own.
+_OF_NODE = "get_name get_caller_id get_namespace".split()
 _LOGS = [name for name in dir(rospy) if name.startswith("log") and name != "logout"]
 
 
@@ -56,7 +58,7 @@ def rospy_views(
     """
     members = _members(guest, init_node)
     views: Dict[str, Module] = {f"rospy.{n}": _submodule(n, members) for n in _SUBMODULES}
-    top = _Rospy(members, timer)
+    top = _Rospy({key: value for key, value in members.items() if hasattr(rospy, key)}, timer)
     for name, view in views.items():
         setattr(top, name.rpartition(".")[2], view)
     views["rospy"] = top
@@ -186,7 +188,28 @@ def _members(guest: Guest, init_node: Callable[..., None]) -> Dict[str, Any]:
         add_preshutdown_hook=guest.hooks_before.append,
         add_shutdown_hook=guest.hooks_after.append,
     )
+    if guest.is_alone:
+        for name in _OF_NODE:
+            del members[name]
+        members.update({name: _remapping(guest, name) for name in _OF_HANDLE})
+        members["get_mappings"] = lambda: dict(guest.mappings)
     return members
+
+
+def _remapping(guest: Guest, name: str) -> Callable[..., Any]:
+    """Return rospy's function for parameters, which in this process knows no remappings."""
+
+    def remapped(param_name: str) -> str:
+        if name == "search_param":  # in rospy, too, a search begins with the name as it is given
+            return guest.mappings.get(param_name, param_name)
+        if not param_name or not isinstance(param_name, str) or guest.context is None:
+            return param_name
+        return guest.context.remappings.get(rospy.resolve_name(param_name), param_name)
+
+    def call(param_name: str, *args: Any, **kwds: Any) -> Any:
+        return getattr(rospy, name)(remapped(param_name), *args, **kwds)
+
+    return call
 
 
 def _wait(guest: Guest, condition: Callable[[float], bool], timeout: Any, what: str) -> None:
