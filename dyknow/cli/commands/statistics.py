@@ -127,7 +127,7 @@ def _json(answers: Dict[str, Answer]) -> dict[str, object]:
 
 def table(answers: Dict[str, Answer]) -> List[str]:
     """Write a line of statistics for each port; times in milliseconds."""
-    rows = [_HEAD]
+    rows: List[Tuple[str, ...]] = [_HEAD]
     for name, answer in answers.items():
         if isinstance(answer, DyKnowError):
             rows.append((name, "(does not answer)", *[""] * 9))
