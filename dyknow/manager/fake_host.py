@@ -48,12 +48,14 @@ class FakeNodelet:
         ports: by name.
         sent: messages by out-port.
         latched: out-ports that keep a message for subscribers that connect later.
+        reconfigurations: how often its ports were connected elsewhere.
     """
 
     request: LoadRequest
     ports: Dict[str, PortState] = field(default_factory=dict)
     sent: Dict[str, int] = field(default_factory=dict)
     latched: set[str] = field(default_factory=set)
+    reconfigurations: int = 0
 
     def topics(self, direction: str) -> List[str]:
         """Return the topics of its ``in``-ports or its ``out``-ports."""
@@ -215,7 +217,7 @@ class FakeHost(Host):
             if process.state.name in self._hung:
                 self._on_the_way.append((nodelet, config))
                 continue
-            self._apply(nodelet.ports, config)
+            self._apply(nodelet, config)
             arrived.append(name)
         return arrived
 
@@ -467,7 +469,8 @@ class FakeHost(Host):
         if process is not None and (name in self.slow or process.state.name in self._hung):
             self._on_the_way.append((process.nodelets[name], dict(config)))
             raise HostTimeout(f"nodelet '{name}' did not answer in time")
-        ports = self._process_of(name).nodelets[name].ports
+        nodelet = self._process_of(name).nodelets[name]
+        ports = nodelet.ports
         unknown = [port for port in config if port not in ports]
         if unknown:
             raise HostError(
@@ -477,7 +480,7 @@ class FakeHost(Host):
             found, mine = self._type_of(topic, name), ports[port].datatype
             if topic and not types_fit(found, mine):
                 raise HostError(f"topic '{topic}' carries {found}")
-        self._apply(ports, config)
+        self._apply(nodelet, config)
 
     def published(self, topics: Iterable[str]) -> FrozenSet[str]:
         """Return those of the topics that are published."""
@@ -553,9 +556,11 @@ class FakeHost(Host):
             raise HostError(f"nodelet manager '{manager}' does not run")
         return process
 
-    def _apply(self, ports: Dict[str, PortState], config: Mapping[str, str]) -> None:
+    def _apply(self, nodelet: FakeNodelet, config: Mapping[str, str]) -> None:
+        before = dict(nodelet.ports)
         for port, topic in config.items():
-            ports[port] = replace(ports[port], topic=topic)
+            nodelet.ports[port] = replace(nodelet.ports[port], topic=topic)
+        nodelet.reconfigurations += nodelet.ports != before
         self.on_change()
 
     def _type_of(self, topic: str, but: str) -> str:

@@ -29,7 +29,13 @@ from dyknow.locks import state_condition
 from dyknow.manager import placement
 from dyknow.manager.graph import Graph
 from dyknow.manager.host import Host, LoadRequest, ManagerState
-from dyknow.manager.record import Record, declared_ports, missing_connections, seen_ports
+from dyknow.manager.record import (
+    NOTHING_HEARD,
+    Record,
+    declared_ports,
+    missing_connections,
+    seen_ports,
+)
 from dyknow.manager.specifications.given import completed, names_of, set_on_load
 from dyknow.manager.specifications.tags import Subsumption
 from dyknow.manager.suspects import Suspects
@@ -178,7 +184,9 @@ class Lifecycle:
             # Without the name of the process that it leaves, which does not end with it.
             record = replace(record, isolated=True, manager="", kind=record.kind.alone)
         record = replace(record, suspicion=suspicion or record.suspicion)
-        starting = replace(record, state=State.STARTING, detail=record.suspicion)
+        starting = replace(
+            record, state=State.STARTING, detail=record.suspicion, heard=NOTHING_HEARD
+        )
         self._graph.put(starting)  # from now on it counts where it will be
         try:
             # Its place is on disk before it is there: the manager's next life finds it.
@@ -361,6 +369,7 @@ class Lifecycle:
             incarnation=state.incarnation if state is not None else "",
             host=state.host if state is not None else "",
             rewired_by_reload=state is not None and not state.rewirable,
+            heard=NOTHING_HEARD,
         )
         if record.rewired_by_reload:
             return replace(record, ports=declared_ports(record))

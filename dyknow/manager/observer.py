@@ -24,6 +24,7 @@ from dyknow.manager.graph import Graph
 from dyknow.manager.host import Crash, Host, ManagerState
 from dyknow.manager.lifecycle import Lifecycle
 from dyknow.manager.record import (
+    NOTHING_HEARD,
     Record,
     declared_ports,
     missing_connections,
@@ -267,6 +268,7 @@ class Observer:
             state=State.RUNNING,
             detail=record.suspicion,
             incarnation=incarnation,
+            heard=record.heard if record.incarnation == incarnation else NOTHING_HEARD,
             host=state.host if state is not None else record.host,
         )
         if (closely or came_back) and not record.rewired_by_reload:

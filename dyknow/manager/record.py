@@ -7,11 +7,30 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Dict, Iterable, List, Mapping, Optional, Tuple
+from typing import Dict, Iterable, List, Mapping, NamedTuple, Optional, Tuple
 
 from dyknow.manager.specifications.given import bindings_of
+from dyknow.manager.specifications.tags import Bindings
 from dyknow.model.graph import NodeletKind, NodeletStatus, PortState, State
 from dyknow.model.transformation import Parameter, Transformation
+
+
+class Heard(NamedTuple):
+    """What a nodelet has received since its in-ports were connected as they are.
+
+    It may remember that, even if nothing sends there any more, until it is reconfigured.
+
+    Attributes:
+        topics: its in-ports with variables, and their topics.
+        ways: what its variables stand for, in all ways that agree with what it received.
+    """
+
+    topics: Tuple[Tuple[str, Tuple[str, ...]], ...] = ()
+    ways: Tuple[Bindings, ...] = ()
+
+
+NOTHING_HEARD = Heard()
+"""A nodelet has received nothing that binds a variable."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +58,7 @@ class Record:
         parameters: those that were given to it, which it keeps for life.
         kind: what it is.
         host: machine that it was seen on, as ROS names it.
+        heard: what its variables stood for in what it has received.
     """
 
     name: str
@@ -58,6 +78,7 @@ class Record:
     parameters: Tuple[Parameter, ...] = ()
     kind: NodeletKind = NodeletKind.PYTHON
     host: str = ""
+    heard: Heard = NOTHING_HEARD
 
     @cached_property
     def given(self) -> Dict[str, str]:

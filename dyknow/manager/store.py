@@ -17,7 +17,7 @@ from typing import Any, Callable, Dict, Iterable, List, Mapping, Optional, TypeV
 
 from dyknow import names
 from dyknow.errors import DyKnowError
-from dyknow.manager.record import Record
+from dyknow.manager.record import Heard, Record
 from dyknow.manager.specifications.given import set_on_load
 from dyknow.manager.state_file import IN_MEMORY, StateFile
 from dyknow.manager.well_typed import check_types
@@ -210,8 +210,11 @@ class Store:
 
 def _body(record: Record) -> str:
     made_from: Optional[str] = pack(record.transformation) if record.transformation else None
+    # Left out where there is nothing: earlier versions do not read it.
+    heard = {"heard": record.heard} if record.heard.ways else {}
     return json.dumps(
         {
+            **heard,
             "transformation": made_from,
             "manager": record.manager,
             "is_protected": record.is_protected,
@@ -240,8 +243,19 @@ def _record(name: str, text: str) -> Record:
     kind = NodeletKind(body.pop("kind", plain))  # which earlier versions did not write
     transformation = unpack(made_from) if made_from else None
     given = tuple(Parameter(*each) for each in body.pop("parameters", ()))
+    connections, ways = body.pop("heard", ((), ()))
+    heard = Heard(
+        tuple((port, tuple(topics)) for port, topics in connections),
+        tuple(tuple((variable, value) for variable, value in way) for way in ways),
+    )
     record = Record(
-        name=name, transformation=transformation, state=state, parameters=given, kind=kind, **body
+        name=name,
+        transformation=transformation,
+        state=state,
+        parameters=given,
+        kind=kind,
+        heard=heard,
+        **body,
     )
     check_types(record)
     if names.check(name, "nodelet name") != name or name[:1] != "/":

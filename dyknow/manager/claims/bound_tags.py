@@ -38,11 +38,13 @@ class Inlet(NamedTuple):
     sources: Tuple[Sent, ...]
 
 
-def ways_to_bind(given: Way, inlets: Iterable[Inlet], ontology: Subsumption) -> List[Way]:
+def ways_to_bind(
+    known: Iterable[Way], inlets: Iterable[Inlet], ontology: Subsumption
+) -> List[Way]:
     """List the ways in which every in-port receives what it demands.
 
     Args:
-        given: what variables stand for in any case.
+        known: what variables stand for in any case, in each way.
         inlets: in-ports of one nodelet.
         ontology: what is a kind of what.
 
@@ -50,7 +52,7 @@ def ways_to_bind(given: Way, inlets: Iterable[Inlet], ontology: Subsumption) -> 
         All ways, each once, in a deterministic order; none if the in-ports contradict each other.
         All of them bind the same variables.
     """
-    found: List[Way] = [given]
+    found: List[Way] = list(known)
     for demand, sources in inlets:
         for tags, datatype in sources:
             more = (

@@ -7,12 +7,16 @@ Before a producer comes to a topic, consumers there whose demand it does not mee
 A consumer never comes to a topic with a producer that does not meet its demand. A nodelet that
 cannot be asked counts on each topic on which it may be.
 
+A nodelet may remember what it has received. Before it receives the same variable from another
+individual, all its in-ports that share the variable are disconnected, and connected again as one.
+
 A connection that was not answered in time may be made later. Its nodelet is asked until it
 answers, and for a while after that its ports count on the topics that they were sent to.
 """
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import replace
 from typing import Callable, Dict, Iterator, List, Mapping, Optional, Set, Tuple
 
@@ -21,7 +25,7 @@ from dyknow.manager.claims.claim_table import ClaimTable
 from dyknow.manager.claims.ends import Consumer, NodeletEnds, Producer, ends_of
 from dyknow.manager.claims.topology import Topology
 from dyknow.manager.manager import Manager
-from dyknow.manager.record import Record, seen_ports, topics_of
+from dyknow.manager.record import NOTHING_HEARD, Record, seen_ports, topics_of
 from dyknow.manager.specifications.tags import Subsumption
 from dyknow.model.graph import State
 
@@ -68,12 +72,18 @@ class Connector:
 
     # The topology
 
-    def topology(self, changed: Optional[Record] = None, is_replaced: bool = False) -> Topology:
+    def topology(
+        self,
+        changed: Optional[Record] = None,
+        is_replaced: bool = False,
+        is_forgetful: bool = False,
+    ) -> Topology:
         """Return the topology of this moment.
 
         Args:
             changed: a nodelet as it would be; it counts besides what it is.
             is_replaced: whether it counts instead of what it is.
+            is_forgetful: whether nodelets count as if they remembered nothing.
         """
         nodelets = self._nodelets(changed.name if changed is not None and is_replaced else "")
         if changed is not None:
@@ -82,6 +92,8 @@ class Connector:
                 for port in changed.ports
             )
             nodelets.append(ends_of(replace(changed, ports=tuple(ports))))
+        if is_forgetful:
+            nodelets = [ends._replace(heard=()) for ends in nodelets]
         return Topology(
             nodelets,
             self._manager.existing_topics(),
@@ -117,10 +129,17 @@ class Connector:
             if (topic, producer, consumer) not in before
         )
 
-    def in_the_way(self, record: Record, config: Config) -> Dict[str, Dict[str, str]]:
+    def in_the_way(
+        self, record: Record, config: Config, is_forgetful: bool = False
+    ) -> Dict[str, Dict[str, str]]:
         """List what has to be disconnected before a nodelet's ports may be connected so.
 
-        What they feed in turn is listed once that is done: it depends on what is left then.
+        Once that is done there may be more: it depends on what is left then.
+
+        Args:
+            record: the nodelet.
+            config: topics by port.
+            is_forgetful: whether nodelets count as if they remembered nothing.
 
         Returns:
             For each nodelet its ports, each with an empty topic.
@@ -131,35 +150,76 @@ class Connector:
         changed = replace(record, topics={**record.topics, **config})
         cut: Dict[str, Dict[str, str]] = {}
         topics = set(config.values()) - {""}
-        topology = self.topology(changed)
+        topology = self.topology(changed, is_forgetful=is_forgetful)
         for topic, producer, consumer in topology.mismatches(topics):
             if _is_at(consumer, record.name, config, topic) or (
                 not consumer.nodelet and _is_at(producer, record.name, config, topic)
             ):
                 raise WrongStream(topic, producer.nodelet, consumer.nodelet)
             if _is_at(producer, record.name, config, topic):
-                cut.setdefault(consumer.nodelet, {})[consumer.port] = ""
-        for topic, producer, consumer in self._first(changed) if topology.dependent else ():
+                ports = dict.fromkeys(topology.ports_of(consumer), "")
+                cut.setdefault(consumer.nodelet, {}).update(ports)
+        if cut:
+            return cut
+        feeding = self._first(changed, is_forgetful) if topology.dependent else ()
+        for topic, producer, consumer in feeding:
             if not consumer.nodelet or _is_at(consumer, record.name, config, topic):
                 raise WrongStream(topic, producer.nodelet, consumer.nodelet)
-            cut.setdefault(consumer.nodelet, {})[consumer.port] = ""
+            ports = dict.fromkeys(topology.ports_of(consumer), "")
+            cut.setdefault(consumer.nodelet, {}).update(ports)
         return cut
 
-    def _first(self, changed: Record) -> List[Tuple[str, Producer, Consumer]]:
+    def stale(self) -> Dict[str, Dict[str, str]]:
+        """List the nodelets that receive another individual than they remember.
+
+        Returns:
+            For each nodelet its ports that share the variables, with their topics.
+        """
+        found: Dict[str, Dict[str, str]] = {}
+        topology = self.topology()
+        wrong = [each for each in topology.mismatches() if each[2].ends >= 0]
+        if not wrong:
+            return found
+        forgetful = self.topology(is_forgetful=True)
+        lasting = {(topic, *consumer[:2]) for topic, _, consumer in forgetful.mismatches()}
+        for topic, _, consumer in wrong:
+            if (topic, *consumer[:2]) not in lasting:
+                topics = self._graph.get(consumer.nodelet).topics
+                ports = {each: topics.get(each, "") for each in topology.ports_of(consumer)}
+                found.setdefault(consumer.nodelet, {}).update(ports)
+        return found
+
+    def remember(self) -> None:
+        """Note what nodelets with variables receive now."""
+        for name, heard in self.topology().dependent.heard().items():
+            known = self._graph.find(name)
+            if known is None or known.heard == heard or known.state is not State.RUNNING:
+                continue
+            with contextlib.suppress(Busy), self._graph.changing(
+                name, patience=_PATIENCE
+            ) as record:
+                if record is not None and heard.topics in ((), ends_of(record).listening):
+                    self._graph.put(replace(record, heard=heard))
+
+    def _first(self, changed: Record, is_forgetful: bool) -> List[Tuple[str, Producer, Consumer]]:
         """Return what ``_changed`` yields, without what the others of it feed; a circle entire."""
-        found = list(self._changed(changed))
+        found = list(self._changed(changed, is_forgetful))
         fed = {consumer.nodelet for _, one, consumer in found if one.nodelet != consumer.nodelet}
         return [each for each in found if each[1].nodelet not in fed] or found
 
-    def _changed(self, changed: Record) -> Iterator[Tuple[str, Producer, Consumer]]:
+    def _changed(
+        self, changed: Record, is_forgetful: bool
+    ) -> Iterator[Tuple[str, Producer, Consumer]]:
         """Yield each consumer of what would send something else from now on.
 
         Those whose nodelet sent nothing before, and clients, need not be cut if they want it.
 
         Args:
             changed: a nodelet as it would be.
+            is_forgetful: whether nodelets count as if they remembered nothing.
         """
-        before, after = self.topology(), self.topology(changed, is_replaced=True)
+        before = self.topology(is_forgetful=is_forgetful)
+        after = self.topology(changed, is_replaced=True, is_forgetful=is_forgetful)
         elsewhere = before.dependent.supplies()
         for place, possible in sorted(after.dependent.supplies().items()):
             known = elsewhere.get(place, possible)
@@ -186,6 +246,7 @@ class Connector:
             self._manager.guards.check_topic(topic)
         if self._graph.get(name).rewired_by_reload:
             self._manager.lifecycle.reload(name, config)
+            self.remember()
             return
         try:
             self._manager.host.connect(name, config)
@@ -198,6 +259,7 @@ class Connector:
             self._unknown[name] = self._clock()
             raise
         self._show(name, config)
+        self.remember()
 
     def is_known(self, name: str) -> bool:
         """Whether it is known how a nodelet is connected."""
@@ -261,9 +323,10 @@ class Connector:
                         replace(port, topic=config.get(port.name, port.topic))
                         for port in record.ports
                     )
-                    self._graph.put(
-                        replace(record, topics=topics, ports=seen_ports(record, ports))
-                    )
+                    after = replace(record, topics=topics, ports=seen_ports(record, ports))
+                    if ends_of(after).listening != record.heard.topics:
+                        after = replace(after, heard=NOTHING_HEARD)
+                    self._graph.put(after)
         except Busy:
             self._unknown[name] = self._clock()
             raise

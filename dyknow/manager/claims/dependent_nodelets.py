@@ -3,9 +3,10 @@
 
 """Nodelets with variables: what they send follows from what they receive.
 
-Where it is not certain what a nodelet receives, each possibility counts. As long as a variable of
-an out-port is unbound, the nodelet has received nothing and sends nothing there. What people
-connect to a topic of which nothing is known may receive anything there.
+Where it is not certain what a nodelet receives, each possibility counts. What it has received
+since it was connected as it is binds its variables, even if nothing sends there any more. As long
+as a variable of an out-port is unbound, the nodelet has received nothing and sends nothing there.
+What people connect to a topic of which nothing is known may receive anything there.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from typing import Callable, Dict, FrozenSet, Iterable, List, Optional, Sequence
 from dyknow.manager.claims.bound_tags import Inlet, Sent, Way, supplied, ways_to_bind
 from dyknow.manager.claims.ends import Consumer, NodeletEnds, Producer
 from dyknow.manager.planning.supply import Demand, ways_to_meet
+from dyknow.manager.record import NOTHING_HEARD, Heard
 from dyknow.manager.specifications.tags import Subsumption, Term
 
 #: Possibilities that are told apart; beyond, nothing is known to be supplied.
@@ -107,13 +109,13 @@ class DependentNodelets:
         return is_changed
 
     def _ways(self, number: int, inlets: Iterable[Inlet]) -> List[Way]:
-        return ways_to_bind(self._nodelets[number].given, inlets, self._ontology)
+        return ways_to_bind(self._nodelets[number].known, inlets, self._ontology)
 
     def _inlets(self, number: int, but: str = "") -> List[Tuple[Inlet, ...]]:
         """List what the in-ports of a nodelet, ``but`` one, may receive at the same time."""
         choices: List[List[Optional[Inlet]]] = []
         for port, (consumer, topics) in self._inputs[number].items():
-            if port == but or not any(tag.variables for tag in consumer.demand.tags):
+            if port == but or not consumer.variables:
                 continue
             found: Dict[Tuple[Sent, ...], None] = {}
             for topic in topics:
@@ -167,13 +169,37 @@ class DependentNodelets:
         possible = [inlets for number in numbers for inlets in self._inlets(number)]
         return self._ways(numbers[0], possible[0]) if len(possible) == 1 else None
 
+    def heard(self) -> Dict[str, Heard]:
+        """Return what each nodelet has received by now, where that is certain."""
+        found: Dict[str, Heard] = {}
+        for number, ends in enumerate(self._nodelets):
+            possible = self._inlets(number) if ends.listening else []
+            ways = self._ways(number, possible[0]) if len(possible) == 1 else []
+            if ways:
+                name = next(iter(self._inputs[number].values()))[0].nodelet
+                bound = tuple(tuple(sorted(way.items())) for way in ways)
+                is_more = ways != [ends.given]
+                found[name] = Heard(ends.listening, bound) if is_more else NOTHING_HEARD
+        return found
+
+    def ports_beside(self, consumer: Consumer) -> List[str]:
+        """Return the in-ports that have to be changed with one, since they share variables."""
+        variables, size = consumer.variables, -1
+        inputs = [each for each, topics in self._inputs[consumer.ends].values() if topics]
+        while len(variables) > size:
+            size = len(variables)
+            for each in inputs:
+                if each.variables & variables:
+                    variables |= each.variables
+        return [each.port for each in inputs if each.variables & variables]
+
     def fits(self, producer: Producer, consumer: Consumer) -> bool:
         """Whether a producer sends what an in-port demands, beside what its nodelet receives."""
         key = consumer.ends, consumer.port
         if key not in self._beside:
-            given = self._nodelets[consumer.ends].given
+            known = list(self._nodelets[consumer.ends].known)
             others = self._inlets(*key)
-            self._beside[key] = [self._ways(key[0], inlets) or [given] for inlets in others]
+            self._beside[key] = [self._ways(key[0], inlets) or known for inlets in others]
         tags, datatype, demand = producer.tags, producer.datatype, consumer.demand
         return all(
             any(

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import List, NamedTuple, Tuple
+from typing import FrozenSet, List, NamedTuple, Tuple
 
 from dyknow.manager.claims.bound_tags import Way
 from dyknow.manager.claims.relay import is_relay
@@ -48,6 +48,11 @@ class Consumer(NamedTuple):
     demand: Demand
     ends: int = -1
 
+    @property
+    def variables(self) -> FrozenSet[str]:
+        """Variables of its demand, which the stream binds."""
+        return frozenset(name for tag in self.demand.tags for name in tag.variables)
+
 
 class NodeletEnds(NamedTuple):
     """What a nodelet contributes to a topology, each end with the topics on which it is.
@@ -59,8 +64,9 @@ class NodeletEnds(NamedTuple):
         producers: its out-ports.
         consumers: its tagged in-ports.
         given: what its variables stand for in any case.
-        has_variables: whether what it receives at one port says what it may receive at another,
-            or what it sends.
+        listening: its in-ports with variables, and their topics.
+        heard: what its variables stood for in what it received there, in each way.
+        has_variables: whether what it receives says what else it may receive, or what it sends.
         is_by_hand: whether it was not made for claims: anybody may have connected it to anything.
     """
 
@@ -68,8 +74,15 @@ class NodeletEnds(NamedTuple):
     producers: Tuple[Tuple[Producer, Tuple[str, ...]], ...]
     consumers: Tuple[Tuple[Consumer, Tuple[str, ...]], ...]
     given: Way = NO_BINDINGS
+    listening: Tuple[Tuple[str, Tuple[str, ...]], ...] = ()
+    heard: Tuple[Way, ...] = ()
     has_variables: bool = False
     is_by_hand: bool = False
+
+    @property
+    def known(self) -> Tuple[Way, ...]:
+        """What its variables stand for before it receives anything more, in each way."""
+        return self.heard or (self.given,)
 
 
 def ends_of(record: Record) -> NodeletEnds:
@@ -88,18 +101,16 @@ def ends_of(record: Record) -> NodeletEnds:
         elif tags:
             demand = Demand(frozenset(tags), port.datatype)
             consumers.append((Consumer(record.name, port.name, demand), where))
-    in_ports = [
-        variable
-        for each, _ in consumers
-        for variable in {name for tag in each.demand.tags for name in tag.variables}
-    ]
+    listening = tuple((each.port, where) for each, where in consumers if each.variables)
+    is_as_then = record.heard.topics == listening
     return NodeletEnds(
         is_relay(record.transformation),
         tuple(producers),
         tuple(consumers),
         record.given,
-        bool(record.given)
-        or len(set(in_ports)) < len(in_ports)
+        listening,
+        tuple(map(dict, record.heard.ways)) if is_as_then else (),
+        bool(record.given or listening)
         or any(not tag.is_ground for producer, _ in producers for tag in producer.tags),
         not record.claimed,
     )

@@ -14,6 +14,7 @@ from dyknow.errors import DyKnowError
 from dyknow.manager.claim import Claim
 from dyknow.manager.claims.context import ClaimContext
 from dyknow.manager.claims.ends import Consumer, Producer
+from dyknow.manager.claims.transaction import Transaction
 from dyknow.manager.record import Record, movable_ports
 from dyknow.model.graph import State
 from dyknow.model.streams import ClaimState
@@ -38,6 +39,7 @@ class GarbageCollector:
             context: what the parts of the reconciler share.
             linger: seconds that a nodelet is kept after the last claim needed it.
         """
+        self._manager = context.manager
         self._graph = context.manager.graph
         self._lifecycle = context.manager.lifecycle
         self._table = context.table
@@ -83,8 +85,19 @@ class GarbageCollector:
                 )
             # In one call, since a nodelet of a stock C++ manager is loaded again by each.
             self._disconnect(record, ports)
+        self._reconfigure()
         for topic, producer, consumer in self._connector.topology().mismatches():
             self._separate(topic, producer, consumer, wires)
+
+    def _reconfigure(self) -> None:
+        """Reconfigure nodelets where people have put another individual on a topic."""
+        for name, ports in sorted(self._connector.stale().items()):
+            record = self._graph.find(name)
+            if record is not None and self._is_reachable(record):
+                transaction = Transaction(
+                    self._manager, self._connector, self._monitor.unresponsive
+                )
+                self._try(record, partial(transaction.reconfigure, name, ports))
 
     def _separate(
         self, topic: str, producer: Producer, consumer: Consumer, wires: AbstractSet[Wire]

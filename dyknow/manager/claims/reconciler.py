@@ -261,6 +261,7 @@ class StreamReconciler:
             self._table.expire_late()
             self._planner.supplies.look()
             self._connector.ask()
+            self._connector.remember()
             self._collector.disconnect()
             self._repair.forget_ended()
             for name in self._monitor.read():

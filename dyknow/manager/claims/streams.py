@@ -57,7 +57,7 @@ def live_streams(
             Inlet(demand, (on_topic.get(record.topics.get(port, ""), ((), "")),))
             for port, demand in _demands(record)
         ]
-        return ways_to_bind(record.given, inlets, ontology)
+        return ways_to_bind([record.given], inlets, ontology)
 
     for each in published:
         port = each.ports[0]

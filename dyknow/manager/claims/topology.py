@@ -166,6 +166,11 @@ class Topology:
         """Whether the library describes what ordinary nodes send on a topic."""
         return any(not producer.nodelet for producer in self.producers(topic))
 
+    def ports_of(self, consumer: Consumer) -> List[str]:
+        """Return the in-ports of a nodelet that are connected elsewhere together with one."""
+        together = self.dependent.ports_beside(consumer) if consumer.ends >= 0 else []
+        return together or [consumer.port]
+
     def consumers(self, topic: str) -> List[Consumer]:
         """Return the consumers of a topic."""
         return self._consumers.get(topic, [])

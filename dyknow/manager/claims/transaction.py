@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 from dataclasses import replace
 from functools import partial
-from typing import AbstractSet, Callable, Dict, Iterable, List, Mapping, Optional, Set, Tuple
+from typing import AbstractSet, Callable, Dict, Iterable, List, Mapping, Optional, Tuple
 
 from dyknow.errors import DyKnowError, HostError
 from dyknow.manager.claims.connector import Connector
@@ -61,10 +61,12 @@ class Transaction:
             topics=request.config,
             parameters=request.parameters,
         )
-        self._make_way(planned, request.config)
+        cut = self._make_way(planned, request.config)
         record = self._manager.lifecycle.spawn(transformation, request, True, near)
         self.spawned.append(record.name)
         self._before.append((record.name, None))
+        self._connector.remember()
+        self._connect_again(cut)
 
     def connect(self, name: str, config: Mapping[str, str]) -> None:
         """Connect ports of a nodelet that are not connected so already.
@@ -78,9 +80,25 @@ class Transaction:
         before = {port: record.topics.get(port, "") for port in config}
         if before == dict(config) and self._connector.is_known(name):
             return
-        self._make_way(record, config)
+        cut = self._make_way(record, config)
         self._before.append((name, before))  # what was not answered may have been done, too
         self._connector.connect(name, config)
+        self._connect_again(cut)
+
+    def reconfigure(self, name: str, ports: Mapping[str, str]) -> None:
+        """Disconnect ports of a nodelet and connect them again: it forgets what it received.
+
+        They stay disconnected if they do not fit together by then.
+
+        Args:
+            name: of the nodelet.
+            ports: those that share variables, with their topics.
+
+        Raises:
+            DyKnowError: the nodelet refused, or did not answer.
+        """
+        self.connect(name, dict.fromkeys(ports, ""))
+        self._connect_if_fitting(self._manager.graph.get(name), ports)
 
     def undo(self, needed: AbstractSet[str]) -> None:
         """Undo everything, the latest change first; nodelets that are ``needed`` by now stay."""
@@ -91,21 +109,54 @@ class Transaction:
             elif name not in self.spawned or name not in needed:
                 _attempt(partial(self._reconnect, name, before))
 
-    def _make_way(self, record: Record, config: Mapping[str, str]) -> None:
-        cut: Dict[str, Set[str]] = {}
+    def _make_way(self, record: Record, config: Mapping[str, str]) -> Dict[str, Mapping[str, str]]:
+        """Disconnect what is in the way of a connection.
+
+        Returns:
+            By nodelet the ports that were disconnected, with the topics that they had.
+        """
+        cut: Dict[str, Dict[str, str]] = {}
+        is_forgetful = False
         while True:
-            found = self._connector.in_the_way(record, config)
+            found = self._connector.in_the_way(record, config, is_forgetful)
             more = {
-                name: ports for name, ports in found.items() if ports.keys() - cut.get(name, ())
+                name: ports
+                for name, ports in found.items()
+                if ports.keys() - cut.get(name, {}).keys()
             }
             if not more:
-                return
-            for name, ports in sorted(more.items()):
-                other = self._manager.graph.get(name)
-                if other.state is not State.RUNNING or name in self._unresponsive:
-                    raise HostError(f"{name} has to be disconnected first, and does not answer")
+                return dict(sorted(cut.items()))
+            reached = {name: ports for name, ports in more.items() if self._is_reachable(name)}
+            if not reached:
+                if is_forgetful or self._connector.in_the_way(record, config, True):
+                    raise HostError(
+                        f"{min(more)} has to be disconnected first, and does not answer"
+                    )
+                is_forgetful = True  # they are reconfigured as soon as they answer
+            for name, ports in sorted(reached.items()):
+                topics = self._manager.graph.get(name).topics
                 self.connect(name, ports)
-                cut.setdefault(name, set()).update(ports)
+                before = {port: topics.get(port, "") for port in ports}
+                cut.setdefault(name, {}).update(before)
+
+    def _is_reachable(self, name: str) -> bool:
+        is_running = self._manager.graph.get(name).state is State.RUNNING
+        return is_running and name not in self._unresponsive
+
+    def _connect_again(self, cut: Mapping[str, Mapping[str, str]]) -> None:
+        """Connect those that people connected, and that fit together again, as one.
+
+        What claims need is connected by their repair, with all that changes there.
+        """
+        for name, ports in cut.items():
+            record = self._manager.graph.find(name)
+            if record is not None and not record.claimed:
+                self._connect_if_fitting(record, ports)
+
+    def _connect_if_fitting(self, record: Record, ports: Mapping[str, str]) -> None:
+        fits = self._connector.fitting(replace(record, topics={**record.topics, **ports}))
+        if all(fits.get(port) == topic for port, topic in ports.items()):
+            self.connect(record.name, ports)
 
     def _reconnect(self, name: str, before: Dict[str, str]) -> None:
         record = self._manager.graph.find(name)

@@ -76,7 +76,7 @@ def test_all_ways_are_found_that_trying_all_names_finds(
     inlets: Inlets, known: Dict[str, str], outputs: Sequence[str]
 ) -> None:
     found = ways_to_bind(
-        known,
+        [known],
         [
             Inlet(
                 Demand(frozenset(map(parse_tag, patterns))),

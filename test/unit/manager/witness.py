@@ -86,6 +86,8 @@ class Witness:
         by_hand: nodelets made by hand.
         given: returns what the variables of a nodelet were said to stand for.
         wrong: what is wrong now.
+        confused: nodelets that have received what no one individual sends, at ports that share a
+            variable, and were not connected elsewhere in between.
         guilt: what went wrong by a change that the manager made, with its last call.
     """
 
@@ -98,6 +100,8 @@ class Witness:
         self.given: Callable[[str], Mapping[str, str]] = lambda name: {}
         self.claims: Callable[[], List[Claim]] = list
         self.wrong: Set[Wrong] = set()
+        self.confused: Set[str] = set()
+        self._heard: Dict[str, Tuple[Tuple[int, int], Dict[Tuple[Tags, Tags], None]]] = {}
         self._willed: Set[Tuple[str, str, str]] = set()  # where people want what does not fit
         self.guilt: List[Tuple[Wrong, Tuple[str, str]]] = []
         host.on_change = self._watch
@@ -105,6 +109,7 @@ class Witness:
     def excuse(self) -> None:
         """Attribute the present violations to others than the manager."""
         self.wrong = self.look(hidden=True)
+        self.confused = self._listen()
         self._willed |= {each[:3] for each in self.look() if each[0] in self.by_hand}
 
     def _watch(self) -> None:
@@ -112,6 +117,47 @@ class Witness:
             if not self._is_will(each):
                 self.guilt.append((each, self.host.calls[-1]))
         self.wrong = self.look(hidden=True)
+        confused = self._listen()
+        for name in sorted(confused - self.confused):
+            self.guilt.append(((name, "", "", "another individual"), self.host.calls[-1]))
+        self.confused = confused
+
+    def _listen(self) -> Set[str]:
+        """Note what each nodelet receives now; return those whose variables stand for nothing.
+
+        A nodelet forgets what it received when it is connected elsewhere, and when it is loaded.
+        """
+        sources, before = self._sources(), self._heard
+        self._heard = {}
+        for name, port, direction, topic in self._ports():
+            nodelet = self.host.nodelet(name)
+            state = id(nodelet), nodelet.reconfigurations
+            asked = self._signature(name).get(port, ())
+            known = before.get(name, (state, {}))
+            heard = self._heard.setdefault(name, known if known[0] == state else (state, {}))[1]
+            if direction == "in" and variables_in(asked):
+                for _, tags in sources.get(topic, ()):
+                    if tags != SILENT and self._fits_alone(asked, tags):
+                        heard[asked, tags] = None
+        given = self.given
+        return {
+            name for name, (_, heard) in self._heard.items() if not self._read(given(name), heard)
+        }
+
+    def _fits_alone(self, asked: Tags, tags: Tags) -> bool:
+        return bool(self._read({}, [(asked, tags)]))
+
+    def _read(
+        self, given: Mapping[str, str], receives: Iterable[Tuple[Tags, Tags]]
+    ) -> List[Dict[str, str]]:
+        """Try all names for the variables of what is received."""
+        receives = list(receives)
+        unknown = variables_in(tag for asked, _ in receives for tag in asked) - given.keys()
+        return [
+            {**given, **names}
+            for names in self._guesses(unknown, [tags for _, tags in receives])
+            if all(self._serves(tags, asked, {**given, **names}) for asked, tags in receives)
+        ]
 
     def _is_will(self, wrong: Wrong) -> bool:
         """Whether people connected the two; nodelets that died come back with such connections."""
@@ -219,13 +265,7 @@ class Witness:
             for _, tags in sources.get(topic, ())
             if tags != SILENT
         ]
-        given = dict(self.given(name))
-        unknown = variables_in(tag for asked, _ in receives for tag in asked) - given.keys()
-        return [
-            {**given, **names}
-            for names in self._guesses(unknown, [tags for _, tags in receives])
-            if all(self._serves(tags, asked, {**given, **names}) for asked, tags in receives)
-        ]
+        return self._read(self.given(name), receives)
 
     def _guesses(self, variables: Set[str], supplied: Iterable[Tags]) -> Iterator[Dict[str, str]]:
         names = {
