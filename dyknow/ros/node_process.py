@@ -11,12 +11,16 @@ call holds. So here the main thread only waits, and everything else has another 
 from __future__ import annotations
 
 import contextlib
+import enum
+import os
 import queue
 import signal
+import sys
 import threading
-from typing import Callable, Optional, Sequence
+from typing import Any, Callable, Mapping, Optional, Sequence
 
 import rospy
+from rospy.impl.masterslave import ROSHandler
 
 from dyknow.errors import BadParameter, DyKnowError
 from dyknow.nodelet.middleware import Closable
@@ -33,6 +37,16 @@ _CLOSE_PATIENCE = 10.0
 _SHUTDOWN_PATIENCE = 2.0
 #: The same for a node that was never initialised: there is nothing to take back.
 _SHORT_PATIENCE = 0.5
+#: In the text with which the master tells a node to end whose name another one has registered.
+_DISPLACED = "new node registered with same name"
+
+
+class _Order(enum.Enum):
+    """What ends the main thread's wait."""
+
+    END = enum.auto()
+    FAIL = enum.auto()
+    START_AGAIN = enum.auto()
 
 
 class NodeProcess:
@@ -43,29 +57,48 @@ class NodeProcess:
         argv: the command line with ROS's own arguments, program name first.
         start: called once the node is initialised; returns what is to be closed at the end, or
             None if it failed and has said so. A `DyKnowError` is logged, and ends the process.
+        on_displaced: called when the master says that another node has registered under this
+            name; by default that ends the node, as rosnode kill does.
     """
 
     def __init__(
-        self, node: str, argv: Sequence[str], start: Callable[[], Optional[Closable]]
+        self,
+        node: str,
+        argv: Sequence[str],
+        start: Callable[[], Optional[Closable]],
+        on_displaced: Optional[Callable[[], None]] = None,
     ) -> None:
         self._node = node
         self._argv = list(argv)
         self._start = start
+        self._on_displaced = on_displaced
         self._running: Optional[Closable] = None
-        self._told: queue.SimpleQueue[bool] = queue.SimpleQueue()
+        self._told: queue.SimpleQueue[_Order] = queue.SimpleQueue()
+        self._variables: Mapping[str, str] = {}
         self._closed = threading.Event()
         self._shut_down = threading.Event()
         self._shut_down.set()
 
     def end(self) -> None:
         """End it as SIGTERM does; from any thread, and at any time, even before it runs."""
-        self._told.put(True)
+        self._told.put(_Order.END)
+
+    def start_again(self, variables: Mapping[str, str]) -> None:
+        """Let the same process run the same command line afresh, as if it had been killed.
+
+        Args:
+            variables: further variables of its environment.
+        """
+        self._variables = variables
+        self._told.put(_Order.START_AGAIN)
 
     def run(self) -> int:
         """Run, and return the exit code."""
         on_signals((signal.SIGINT, signal.SIGTERM), self.end)
         starting = in_background("start", self._begin)
-        to_end = self._told.get()
+        order = self._told.get()
+        if order is _Order.START_AGAIN:
+            _execute_again(self._variables)
         if not rospy.core.is_initialized():
             _shut_down(_SHORT_PATIENCE)  # also ends the wait for a master
         starting.join(_START_PATIENCE)
@@ -75,12 +108,14 @@ class NodeProcess:
         _shut_down(_SHORT_PATIENCE if self._shut_down.is_set() else _SHUTDOWN_PATIENCE)
         # It returns at once if another thread (rosnode kill) is at it; that one has to finish.
         self._shut_down.wait(_SHUTDOWN_PATIENCE)
-        if not to_end:
+        if order is _Order.FAIL:
             return FAILED
         return DONE if self._running is not None else INTERRUPTED
 
     def _begin(self) -> None:
         try:
+            if self._on_displaced is not None:
+                _hear_of_displacement(self._on_displaced)
             rospy.init_node(self._node, argv=self._argv, disable_signals=True)
             enlarge_queue()
             self._shut_down.clear()
@@ -93,13 +128,13 @@ class NodeProcess:
                 self._forget(error.name)
         except rospy.ROSInitException:
             if not rospy.is_shutdown():
-                self._told.put(False)
+                self._told.put(_Order.FAIL)
                 raise
         except BaseException:
-            self._told.put(False)
+            self._told.put(_Order.FAIL)
             raise
         if self._running is None:
-            self._told.put(False)
+            self._told.put(_Order.FAIL)
 
     def _forget(self, parameter: str) -> None:
         """Delete a private parameter that the command line has set.
@@ -129,3 +164,25 @@ def _shut_down(patience: float) -> None:
     after the shutdown.
     """
     in_background("shutdown", lambda: rospy.signal_shutdown("told to end")).join(patience)
+
+
+def _hear_of_displacement(displaced: Callable[[], None]) -> None:
+    """Call ``displaced`` in place of the shutdown that the master asks for."""
+    shutdown = ROSHandler.shutdown
+
+    def heard(handler: Any, caller_id: Any, msg: Any = "") -> Any:
+        if _DISPLACED not in str(msg):
+            return shutdown(handler, caller_id, msg)
+        displaced()
+        return 1, "another node bears the name; this one looks which of them goes on", 0
+
+    ROSHandler.shutdown = heard
+
+
+def _execute_again(variables: Mapping[str, str]) -> None:
+    """Put a new run of this process's command line in its place; does not return."""
+    with open("/proc/self/cmdline", "rb") as file:
+        command = file.read().split(b"\0")[:-1]
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os.execve(sys.executable, command, {**os.environ, **variables})

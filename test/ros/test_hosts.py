@@ -6,18 +6,22 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 import tempfile
 from pathlib import Path
 
 import hosts_suite
+import rospy
+from hosts import Host
 from hosts_suite import CALL_TIMEOUT, NOTICED, ClaimOverHosts, HostsCase, Split
-from manager_suite import LIBRARY, eventually
+from manager_suite import LIBRARY, ManagerProcess, eventually
+from stream_suite import GOAL
 from stream_suite import LIBRARY as STREAMS
 
 from dyknow.errors import Refused
 from dyknow.model.graph import State
-from dyknow.model.streams import ClaimState
+from dyknow.model.streams import ClaimState, StreamRequest
 from dyknow.ros.master import Master
 
 CLIENT = [sys.executable, str(Path(__file__).resolve().parent / "stream_client.py")]
@@ -100,6 +104,44 @@ class AbsentHostsTest(HostsCase):
 class SplitTest(Split):
     def test_of_two_nodelet_managers_of_one_name_the_newcomer_survives(self):
         self.newcomer_survives(lambda manager: None)
+
+
+class TwoManagersTest(HostsCase):
+    """Two DyKnow managers of one name, on hosts that could not see each other."""
+
+    def manager_on(self, host: Host) -> ManagerProcess:
+        manager = self.make()
+        manager.command = host.command(*manager.command)
+        manager.start()
+        manager.client.add_transformation(STREAMS)
+        return manager
+
+    def test_the_elder_goes_on_with_all_it_had_and_the_other_one_leaves(self):
+        robot, base = self.host(), self.host()
+        elder = self.manager_on(robot)
+        elder.client.spawn("camera", "/kept", {"out": "/kept/out"}, is_protected=True)
+        claim = elder.client.acquire_stream(StreamRequest(GOAL))
+        flow = self.flow(claim.topic)
+        flow.wait()
+        with self.network.cut(robot):
+            younger = self.manager_on(base)
+            younger.client.spawn("camera", "/other", {"out": "/other/out"}, is_protected=True)
+            younger.client.acquire_stream(StreamRequest("Raw(own)"))
+        eventually(lambda: younger.process.poll() is not None, 30.0, "the younger one leaves")
+
+        def is_whole() -> bool:
+            with contextlib.suppress(Exception):
+                found = elder.nodelet("/kept")
+                is_met = self.claim(elder, claim.claim_id).state is ClaimState.ACTIVE
+                return is_met and found.is_protected and found.state is State.RUNNING
+            return False
+
+        eventually(is_whole, 30.0, "the elder has everything", lambda: elder.output)
+        flow.wait()
+        self.stays(3.0, is_whole, lambda: elder.output)
+        self.assertEqual(len(Master(rospy.get_name()).publishers(claim.topic)), 1)
+        self.assertIsNone(elder.process.poll(), elder.output)
+        self.assertIn("leaves; its state stays", younger.output)
 
 
 class ClaimTest(ClaimOverHosts):

@@ -7,12 +7,15 @@ Who owns what: ``ManagerNode`` owns the store, the nodelet managers that it star
 manager, and its connections with ROS: services, the topic of the model, the streams, the watch and
 the workers that bring nodelets back. SIGINT, SIGTERM and rosnode kill end it on purpose: nodelets,
 claims and nodelet managers end too. A manager that is killed leaves them, and its next life takes
-them over.
+them over. The master's word that another node bears the name is no such end
+(``dyknow.ros.manager.tenure``).
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Dict, List, Sequence
+import functools
+import os
+from typing import TYPE_CHECKING, Any, Dict, List, Sequence
 
 import rosgraph.names
 import rospy
@@ -35,6 +38,7 @@ from dyknow.ros.manager.manager_services import ManagerServices
 from dyknow.ros.manager.manager_settings import ManagerSettings
 from dyknow.ros.manager.model_publisher import ModelPublisher
 from dyknow.ros.manager.stream_node import StreamNode
+from dyknow.ros.manager.tenure import VARIABLE, Tenure
 from dyknow.ros.manager.watch import Watch
 from dyknow.ros.master import Master
 from dyknow.ros.model_messages import ModelMessages
@@ -100,6 +104,8 @@ class ManagerNode(Closable):
         self._cpp = CppNodelets(self.manager)
         self._watch = Watch(self.manager, self._after_look)
         self._listener = Listener(self._watch.refresh)
+        #: Whether another manager goes on in this name: then the end is not on purpose.
+        self.leaves = False
 
     def start(self) -> None:
         """Take over the nodelets of an earlier life, and offer the services."""
@@ -125,6 +131,9 @@ class ManagerNode(Closable):
 
     def close(self) -> None:
         """End on purpose, with all nodelets and nodelet managers."""
+        if self.leaves:
+            self._leave()
+            return
         rospy.loginfo("the manager %s ends, and its nodelets with it", rospy.get_name())
         self._services.close()
         self._streams.close()
@@ -142,6 +151,29 @@ class ManagerNode(Closable):
         self._owner.release()
 
     # Inside
+
+    def _leave(self) -> None:
+        """End for the elder manager of this name, which has the name's nodelets and claims.
+
+        Nothing is forgotten: the state on disk is that of a manager that was killed. The nodelet
+        managers end, whose names those of the elder bear; what runs in others is the elder's.
+        """
+        rospy.logwarn(
+            "an older manager %s goes on, so this one leaves; its state stays in %s",
+            rospy.get_name(),
+            self._settings.state_dir,
+        )
+        self._services.close()
+        self._streams.suspend()
+        self._listener.close()
+        self._watch.close(1.0)
+        self._publisher.close()
+        self._cpp.close()
+        self._children.end_all()
+        self._workers.close(_WORKERS_PATIENCE)
+        self._host.close()
+        self._store.close()
+        self._owner.release()
 
     def _load_transformations(self) -> None:
         for path in self._settings.transformations:
@@ -202,14 +234,15 @@ class ManagerNode(Closable):
         self._children.echo()
 
 
-def _is_running(argv: Sequence[str]) -> bool:
-    """Whether a manager of that name runs already.
-
-    The master would tell that one to end, and its nodelets with it.
-    """
+def _name_of(argv: Sequence[str]) -> str:
+    """Global name that the node will have."""
     mappings = rosgraph.names.load_mappings(argv)
     namespace = mappings.get("__ns", rosgraph.names.get_ros_namespace(argv=[]))
-    name = names.join(str(namespace), str(mappings.get("__name", _NAME)))
+    return names.join(str(namespace), str(mappings.get("__name", _NAME)))
+
+
+def _is_running(name: str) -> bool:
+    """Whether a manager of that name runs already, and answers."""
     master = Master(name)
     try:
         uri = master.node(name)
@@ -239,7 +272,32 @@ def run(argv: Sequence[str]) -> int:
     Args:
         argv: the command line, program name first.
     """
-    return FAILED if _is_running(argv) else NodeProcess(_NAME, argv, _start).run()
+    name = _name_of(argv)
+    tenure = Tenure(name, kept=os.environ.pop(VARIABLE, ""))
+    if not tenure.is_resumed and _is_running(name):
+        return FAILED
+    tenure.take()
+
+    def start() -> ManagerNode:
+        parameters = rospy.get_param("~", {})
+        node = _start()
+        back = functools.partial(come_back, parameters)
+        tenure.watch(rospy.get_node_uri(), functools.partial(leave, node), back)
+        return node
+
+    def leave(node: ManagerNode) -> None:
+        node.leaves = True
+        process.end()
+
+    def come_back(parameters: Any) -> None:
+        rospy.logwarn("another manager took the name %s; taking it back", name)
+        tenure.take_back(parameters)
+        process.start_again(tenure.variables)
+
+    process = NodeProcess(_NAME, argv, start, tenure.wake)
+    code = process.run()
+    tenure.give_back()
+    return code
 
 
 def _start() -> ManagerNode:

@@ -18,6 +18,7 @@ from dyknow import names
 from dyknow.errors import BadParameter, DyKnowError
 from dyknow.guards import NO_GUARDS, Guards
 from dyknow.manager.specifications.limits import DEFAULT_LIMITS, SpecificationLimits
+from dyknow.ros.manager import tenure
 from dyknow.similar import did_you_mean
 
 #: The private parameters that a DyKnow manager reads.
@@ -126,7 +127,7 @@ def _warn_of_unknown() -> None:
     """Warn of unknown parameters, which would change nothing without a word."""
     given = rospy.get_param("~", {})
     for name in sorted(given) if isinstance(given, dict) else ():
-        if name not in PARAMETERS:
+        if name not in (*PARAMETERS, tenure.PARAMETER):
             hint = did_you_mean(name, PARAMETERS, at_most=1, prefix="~")
             hint = hint or "; known: ~" + " ~".join(PARAMETERS)
             rospy.logwarn("unknown parameter ~%s%s", name, hint)

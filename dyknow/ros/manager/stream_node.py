@@ -75,6 +75,12 @@ class StreamNode:
         in_background("ending the claims", self._reconciler.end).join(_END_PATIENCE)
         self._bonds.close()  # the topic is withdrawn with the node, when the last is sent
 
+    def suspend(self) -> None:
+        """Do nothing more for the claims, and leave them as they are."""
+        self._services.close()
+        self._reconciling.close(_END_PATIENCE)
+        self._bonds.close()
+
     def _has_work(self) -> bool:
         return any(not claim.state.ended for claim in self._reconciler.claims()) or any(
             record.claimed for record in self._manager.graph.all()

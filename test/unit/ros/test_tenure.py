@@ -1,0 +1,163 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Of two managers of one name exactly one goes on, whoever looks or registers first."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any, Dict, List, Tuple
+
+import pytest
+
+from dyknow.errors import PeerTimeout
+from dyknow.ros.manager.tenure import PATIENCE, VARIABLE, Tenure, TenureVerdict
+
+NAME = "/dyknow_manager"
+
+
+class Parameters:
+    """A master as far as tenures need one: parameters, and who registered last."""
+
+    def __init__(self) -> None:
+        self.values: Dict[str, Any] = {}
+        self.holder = ""
+        self.is_away = False
+
+    def ask(self, question: str, key: str, *values: Any) -> Any:
+        if self.is_away:
+            raise PeerTimeout("the master", 1.0)
+        if question == "setParam" and key == NAME:
+            for name, value in values[0].items():
+                self.values[f"{NAME}/{name}"] = value
+        elif question == "setParam":
+            self.values[key] = values[0]
+        elif key not in self.values:
+            raise LookupError(key)
+        elif question == "getParam":
+            return self.values[key]
+        else:
+            del self.values[key]
+        return 0
+
+    def node(self, name: str) -> str:
+        return self.holder
+
+
+class Side:
+    """One manager, whose registration and look are separate steps."""
+
+    def __init__(self, master: Parameters, uri: str, kept: str = "") -> None:
+        self.now = 0.0
+        self.master, self.uri = master, uri
+        self.tenure = Tenure(NAME, master, kept, lambda: self.now)  # type: ignore[arg-type]
+        self.verdict = TenureVerdict.HOLD
+
+    def start(self) -> None:
+        self.tenure.take()
+        self.tenure._uri = self.uri
+        self.register()
+
+    def register(self) -> None:
+        self.master.holder = self.uri
+
+    def look(self) -> None:
+        if self.verdict is not TenureVerdict.HOLD:
+            return
+        self.verdict = self.tenure.look()
+        if self.verdict is TenureVerdict.RETURN:
+            self.tenure.take_back({})
+            kept = self.tenure.variables[VARIABLE]
+            self.tenure = Tenure(NAME, self.master, kept, lambda: self.now)  # type: ignore[arg-type]
+            assert self.tenure.is_resumed
+            self.start()
+            self.verdict = TenureVerdict.HOLD
+
+
+@pytest.fixture
+def pair() -> Tuple[Side, Side]:
+    """The elder, which was cut off, and the one that was started meanwhile."""
+    master = Parameters()
+    elder, younger = Side(master, "http://elder:1/"), Side(master, "http://younger:1/")
+    elder.start()
+    younger.start()
+    return elder, younger
+
+
+Steps = List[str]
+
+
+@pytest.mark.parametrize(
+    "steps", sorted(set(itertools.permutations(["elder", "younger", "stray", "elder", "younger"])))
+)
+def test_the_elder_goes_on_in_whatever_order_they_look(
+    pair: Tuple[Side, Side], steps: Steps
+) -> None:
+    elder, younger = pair
+    for step in (*steps, "elder", "younger"):
+        if step == "stray":  # what the elder sent before it could be told arrives
+            elder.register()
+        else:
+            (elder if step == "elder" else younger).look()
+    assert younger.verdict is TenureVerdict.LEAVE
+    assert elder.verdict is TenureVerdict.HOLD
+    assert elder.master.holder == elder.uri
+
+
+def test_a_manager_that_is_alone_holds_its_name() -> None:
+    side = Side(Parameters(), "http://elder:1/")
+    side.start()
+    for _ in range(3):
+        side.look()
+        side.now += PATIENCE
+    assert side.verdict is TenureVerdict.HOLD
+    assert side.master.holder == side.uri
+
+
+def test_a_new_master_gets_the_entry_again() -> None:
+    side = Side(Parameters(), "http://elder:1/")
+    side.start()
+    side.master.values.clear()
+    side.look()
+    assert side.master.values[f"{NAME}/tenure"] == list(side.tenure.entry or ())
+
+
+def test_a_master_that_is_away_decides_nothing(pair: Tuple[Side, Side]) -> None:
+    elder, younger = pair
+    elder.master.is_away = True
+    elder.look()
+    younger.look()
+    assert elder.verdict is younger.verdict is TenureVerdict.HOLD
+
+
+def test_who_starts_while_the_master_is_away_is_still_the_younger() -> None:
+    master = Parameters()
+    elder, younger = Side(master, "http://elder:1/"), Side(master, "http://younger:1/")
+    elder.start()
+    master.is_away = True
+    younger.start()
+    master.is_away = False
+    for side in (younger, elder, younger):
+        side.look()
+    assert (elder.verdict, younger.verdict) == (TenureVerdict.HOLD, TenureVerdict.LEAVE)
+
+
+def test_a_name_that_a_process_without_entry_took_is_taken_back_after_a_while() -> None:
+    side = Side(Parameters(), "http://elder:1/")
+    side.start()
+    side.master.holder = "http://stranger:1/"
+    side.look()
+    side.now += PATIENCE / 2
+    side.look()
+    assert side.master.holder == "http://stranger:1/"
+    side.now += PATIENCE
+    side.look()
+    assert side.master.holder == side.uri
+
+
+def test_an_end_on_purpose_removes_only_its_own_entry(pair: Tuple[Side, Side]) -> None:
+    elder, younger = pair
+    elder.tenure.give_back()
+    assert younger.tenure.look() is TenureVerdict.HOLD
+    younger.tenure.give_back()
+    assert f"{NAME}/tenure" not in younger.master.values
