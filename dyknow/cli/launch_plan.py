@@ -17,7 +17,7 @@ from fnmatch import fnmatchcase
 from typing import Any, Callable, List, Optional, Sequence, Tuple
 
 from dyknow import names
-from dyknow.cli.rewirable import LIBRARY, find_library, obstacle
+from dyknow.cli.rewirable import NO_LIBRARY, find_library, obstacle
 from dyknow.errors import CannotRun
 from dyknow.ros.programs import interpreter
 
@@ -167,7 +167,7 @@ class LaunchPlanner:
             trouble = str(error)
         trouble = trouble or obstacle(program)
         if not trouble and find_library() is None:
-            trouble = f"{LIBRARY} is not there: DyKnow was built without roscpp"
+            trouble = NO_LIBRARY
         return (How.AS_IT_IS, trouble) if trouble else (How.LIBRARY, "")
 
     def _prefix(self, words: Sequence[str], local: bool, in_its_folder: bool) -> str:

@@ -15,13 +15,18 @@ from __future__ import annotations
 import os
 import shutil
 import sys
-from typing import List, NoReturn, Optional, Sequence
+from typing import Dict, List, NoReturn, Optional, Sequence
 
 from dyknow.errors import CannotRun
 from dyknow.ros.programs import ELF, first_line, interpreter
 
 #: The library in front of libroscpp.
 LIBRARY = "libdyknow_roscpp.so"
+#: Why it cannot be put there.
+NO_LIBRARY = (
+    f"{LIBRARY} is not there: no workspace on CMAKE_PREFIX_PATH has it; DyKnow was built without "
+    "roscpp, or its path has a colon"
+)
 #: Runs scripts in Python.
 SCRIPT_HOST = "dyknow.ros.nodelets.script_process"
 _USAGE = "usage: rosrun dyknow rewirable COMMAND [ARGUMENT ...]"
@@ -85,16 +90,30 @@ def become(command: Sequence[str]) -> NoReturn:
     environment = dict(os.environ)
     library, trouble = find_library(), obstacle(program)
     if library is None:
-        trouble = f"{LIBRARY} is not there: DyKnow was built without roscpp"
-    if trouble:
+        trouble = NO_LIBRARY
+    if trouble or library is None:
         print(f"rewirable: '{command[0]}' runs as it is: {trouble}", file=sys.stderr, flush=True)
     else:
-        present = environment.get("LD_PRELOAD", "").replace(":", " ").split()
-        environment["LD_PRELOAD"] = ":".join([str(library), *present])
+        _preload(library, environment)
     try:
         os.execve(program, list(command), environment)
     except OSError as error:
         raise CannotRun(f"'{program}' cannot be run: {error.strerror}") from error
+
+
+def _preload(library: str, environment: Dict[str, str]) -> None:
+    """Put a library in front of those of a program.
+
+    The linker splits LD_PRELOAD at white space, and nothing quotes that there. It finds a library
+    that is named without its folder by LD_LIBRARY_PATH, which may have such folders.
+    """
+    present = environment.get("LD_PRELOAD", "").replace(":", " ").split()
+    if library.split() != [library]:
+        folder, library = os.path.split(library)
+        folders = list(filter(None, environment.get("LD_LIBRARY_PATH", "").split(":")))
+        if folder not in folders:
+            environment["LD_LIBRARY_PATH"] = ":".join([*folders, folder])
+    environment["LD_PRELOAD"] = ":".join([library, *present])
 
 
 def become_script(command: Sequence[str]) -> NoReturn:

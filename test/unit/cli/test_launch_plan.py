@@ -18,7 +18,7 @@ from roslaunch.core import Machine, Node
 from roslaunch.xmlloader import XmlLoader
 
 from dyknow.cli.launch_plan import LEFT_ALONE, How, LaunchPlanner, NodeFilter, Treatment
-from dyknow.cli.rewirable import LIBRARY
+from dyknow.cli.rewirable import LIBRARY, NO_LIBRARY
 
 REWIRABLE = "/ws/lib/dyknow/rewirable"
 
@@ -81,7 +81,7 @@ def test_without_the_library_programs_are_left_alone(
     planner: LaunchPlanner, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setenv("CMAKE_PREFIX_PATH", str(tmp_path / "lib"))
-    assert treat(planner).why == f"{LIBRARY} is not there: DyKnow was built without roscpp"
+    assert treat(planner).why == NO_LIBRARY
 
 
 @pytest.mark.parametrize(

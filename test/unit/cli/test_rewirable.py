@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -14,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from dyknow.cli.parser import parse
-from dyknow.cli.rewirable import LIBRARY, CannotRun, become, obstacle
+from dyknow.cli.rewirable import LIBRARY, CannotRun, become, find_library, obstacle
 
 SHOW = "import os, sys; print(os.environ.get('LD_PRELOAD'), sys.argv[1:]); sys.exit(7)"
 
@@ -22,7 +23,7 @@ SHOW = "import os, sys; print(os.environ.get('LD_PRELOAD'), sys.argv[1:]); sys.e
 def run(*words: str, library: bool = True, preloaded: str = "", tmp_path: Path) -> str:
     """Run `rewirable` with an empty file for the library, which the linker complains of."""
     (tmp_path / "lib").mkdir(exist_ok=True)
-    if library:
+    if library and not (tmp_path / "lib" / LIBRARY).exists():
         (tmp_path / "lib" / LIBRARY).touch()
     environment = {**os.environ, "CMAKE_PREFIX_PATH": str(tmp_path), "LD_PRELOAD": preloaded}
     command = [sys.executable, "-m", "dyknow.cli.rewirable", *words]
@@ -40,6 +41,18 @@ def test_a_program_gets_the_library_before_others(tmp_path: Path) -> None:
     other = tmp_path / "other.so"
     answer = run(sys.executable, "-c", SHOW, preloaded=str(other), tmp_path=tmp_path)
     assert f"{library}:{other} []\n" in answer
+
+
+def test_a_folder_with_a_space(tmp_path: Path) -> None:
+    library = find_library()
+    if library is None:
+        pytest.skip("DyKnow was built without roscpp")
+    folder = tmp_path / "a b\tc"
+    (folder / "lib").mkdir(parents=True)
+    (folder / "lib" / LIBRARY).symlink_to(library)
+    maps = ["grep", "-c", LIBRARY, "/proc/self/maps"]
+    answer = run("sh", "-c", 'exec "$@"', "sh", *maps, tmp_path=folder)
+    assert re.fullmatch(r"0 [1-9]\d*\n", answer)
 
 
 def test_a_script_for_another_python_runs_as_it_is(tmp_path: Path) -> None:
