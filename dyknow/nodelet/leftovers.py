@@ -18,12 +18,13 @@ from dyknow.locks import state_lock
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.cycles import break_cycles
 from dyknow.nodelet.handle import PlainNodeHandle
+from dyknow.nodelet.memory import return_free_memory
 from dyknow.nodelet.pubsub import Publisher, Subscriber
 from dyknow.nodelet.service import Service
 from dyknow.nodelet.timers import Timer
 from dyknow.periodic import PeriodicWorker
 
-#: Seconds between two looks.
+#: Seconds between two looks, and at least between two returns of memory to the system.
 _PERIOD = 0.5
 #: Looks after the last code has ended, until a nodelet that is not free is left to Python.
 _LOOKS = 4
@@ -51,11 +52,17 @@ class _Leftover:
 class Leftovers:
     """The nodelets of one loader that were unloaded and are not gone yet."""
 
-    def __init__(self) -> None:
+    def __init__(self, give_back: Callable[[], object] = return_free_memory) -> None:
+        """Begin without any.
+
+        Args:
+            give_back: returns free memory to the system, after unloads.
+        """
         self._lock = state_lock("leftovers")
         self._left: List[_Leftover] = []
+        self._give_back = give_back
         self._worker = PeriodicWorker(
-            "freeing nodelets", self._look, lambda: _PERIOD if self._left else None
+            "freeing nodelets", self._look, lambda: _PERIOD if self._left else None, _PERIOD
         )
 
     def add(
@@ -75,8 +82,8 @@ class Leftovers:
         if not left.is_gone():
             with self._lock:
                 self._left.append(left)
-            self._worker.start()
-            self._worker.wake()
+        self._worker.start()
+        self._worker.wake()
 
     def close(self) -> None:
         """Look no more."""
@@ -86,3 +93,4 @@ class Leftovers:
         gone = [each for each in list(self._left) if each.is_gone()]
         with self._lock:
             self._left = [each for each in self._left if each not in gone]
+        self._give_back()

@@ -23,8 +23,10 @@ import rospy
 from rospy.impl.masterslave import ROSHandler
 
 from dyknow.errors import BadParameter, DyKnowError
+from dyknow.nodelet.memory import use_one_heap
 from dyknow.nodelet.middleware import Closable
 from dyknow.periodic import in_background
+from dyknow.ros import descriptors
 from dyknow.ros.exit_codes import DONE, FAILED, INTERRUPTED
 from dyknow.ros.listening import enlarge_queue
 from dyknow.ros.signals import on_signals
@@ -94,6 +96,7 @@ class NodeProcess:
 
     def run(self) -> int:
         """Run, and return the exit code."""
+        use_one_heap()
         on_signals((signal.SIGINT, signal.SIGTERM), self.end)
         starting = in_background("start", self._begin)
         order = self._told.get()
@@ -116,6 +119,7 @@ class NodeProcess:
         try:
             if self._on_displaced is not None:
                 _hear_of_displacement(self._on_displaced)
+            descriptors.spare()
             rospy.init_node(self._node, argv=self._argv, disable_signals=True)
             enlarge_queue()
             self._shut_down.clear()

@@ -43,6 +43,7 @@ from dyknow.nodelet.nodelet import Nodelet
 from dyknow.nodelet.plugins import Plugins
 from dyknow.nodelet.scheduler import WorkerPool
 from dyknow.proxy.proxy import NodeletProxy
+from dyknow.ros import descriptors
 from dyknow.ros.bonding.bonds import Bonds
 from dyknow.ros.log_text import for_log
 from dyknow.ros.messages import counts_message
@@ -205,6 +206,7 @@ class NodeletManager(Closable):
             self._guards.check_caller(caller, f"loading '{name}'")
         for target in remappings.values():
             guards.check_topic(target)
+        descriptors.check_left()
         self.loader.load(name, type_name, remappings, my_argv)
         self._announcer.tell(name)
         if bond_id:

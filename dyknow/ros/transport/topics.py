@@ -155,7 +155,6 @@ class RospyPublisher(OutsidePublisher):
         if self.sent is not None and self._implementation.latch is self.sent:
             self._implementation.latch = successor
         self._publisher.unregister()
-        _put_away(self._implementation)
         self._intraprocess.retire(self._topic)
 
     def _outwards(self, message: Any, peer: Any = None) -> None:
@@ -268,7 +267,6 @@ class RospySubscriber(OutsideSubscriber):
     def close(self) -> None:
         """Unregister."""
         self._subscriber.unregister()
-        _put_away(self._implementation)
 
 
 def _publishers(topic: str) -> FrozenSet[str]:
@@ -276,20 +274,6 @@ def _publishers(topic: str) -> FrozenSet[str]:
     name = rospy.get_name()
     master = Master(name)
     return frozenset(map(master.node, master.publishers(topic) - {name})) - {""}
-
-
-def _put_away(implementation: Any) -> None:
-    """Close the epoll descriptor of a topic that rospy is done with.
-
-    rospy leaves it to the garbage collector, since the object that holds it refers to itself; a
-    nodelet manager that is re-wired often would run out of descriptors before the next collection.
-    """
-    poll = getattr(implementation, "connection_poll", None)
-    close = getattr(getattr(poll, "poller", None), "close", None)
-    if implementation.closed and poll is not None and close is not None:
-        poll.add_fd = poll.remove_fd = poll.noop  # for connections that end late
-        poll.error_iter = poll.noop_iter
-        close()
 
 
 def _unread(connection: Any) -> int:
