@@ -76,6 +76,8 @@ class Suspects:
             marks = frozenset(names.mark(name) for name in hosted)
         now = self._clock()
         with self._state_lock:
+            recent = {k: each for k, each in self._accounts.items() if now - each.last <= MEMORY}
+            self._accounts = recent
             for mark in {self._accused(mark) for mark in marks}:
                 past = self._recent(mark, now)
                 count = past.accusations if past is not None else 0

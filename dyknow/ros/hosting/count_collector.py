@@ -62,17 +62,17 @@ class CountCollector:
             found.update(clients[manager].answers(number, wanted[manager], deadline))
         return found
 
-    def forget(self, manager: str) -> None:
-        """Close the connection to a nodelet manager that is gone for good."""
+    def keep(self, managers: Collection[str]) -> None:
+        """Close the connections to all other nodelet managers: they are gone for good."""
         with self._state_lock:
-            client = self._clients.pop(manager, None)
-        if client is not None:
+            gone = [name for name in self._clients if name not in managers]
+            clients = [self._clients.pop(name) for name in gone]
+        for client in clients:
             client.close()
 
     def close(self) -> None:
         """Close all connections; answers that are due are not waited for."""
-        for manager in list(self._clients):
-            self.forget(manager)
+        self.keep(())
 
     def _client_of(self, manager: str) -> _CountClient:
         with self._state_lock:

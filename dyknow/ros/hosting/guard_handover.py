@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
-from typing import Dict, Mapping, Sequence, Tuple
+from typing import Collection, Dict, Mapping, Sequence, Tuple
 
 from dyknow import names
 from dyknow.errors import HostError, PeerTimeout
@@ -90,11 +90,12 @@ class GuardHandover:
         if why is not None:
             raise HostError(f"nodelet manager '{manager}' does not have the guards yet: {why}")
 
-    def forget(self, manager: str) -> None:
-        """Forget a nodelet manager that is gone for good."""
+    def keep(self, managers: Collection[str]) -> None:
+        """Forget all other nodelet managers: they are gone for good."""
         with self._state_lock:
-            self._done.pop(manager, None)
-            self._failed.pop(manager, None)
+            for table in (self._done, self._failed):
+                for name in [name for name in table if name not in managers]:
+                    del table[name]
 
     def withdraw(self, manager: str) -> None:
         """Take the guards off a nodelet manager, as far as the master answers."""

@@ -147,6 +147,7 @@ class RosHost(Host):
         states = [self._state_of_child(child) for child in self._children.all()]
         states += [each.state for each in self._external.all()]
         states += self._nodes.all()
+        self._forget_others({state.name for state in states})
         for state in states:
             self._guards.hand_over(state)
         return sorted(states, key=lambda state: state.name)
@@ -180,9 +181,7 @@ class RosHost(Host):
     def retire(self, manager: str) -> None:
         """End a child."""
         self._children.end(manager)
-        self._guards.forget(manager)
-        self._collector.forget(manager)
-        self._list_clients.forget(manager)
+        self.managers()  # forgets it
 
     def list(self, manager: str) -> List[str]:
         """Ask over the kept connection."""
@@ -347,6 +346,15 @@ class RosHost(Host):
             rewirable=child.rewirable,
             host=rosgraph.network.get_host_name(),
         )
+
+    def _forget_others(self, managers: Collection[str]) -> None:
+        """Forget what is known of processes that are not among these: they are gone."""
+        self._guards.keep(managers)
+        self._collector.keep(managers)
+        self._list_clients.keep(managers)
+        with self._state_lock:
+            for key in [key for key in self._failures if key[0] not in managers]:
+                del self._failures[key]
 
     def _child(self, name: str) -> Optional[Child]:
         return next((each for each in self._children.all() if each.record.name == name), None)

@@ -12,7 +12,7 @@ import os
 import re
 import signal
 import sys
-from typing import Any, Mapping, Optional, Sequence, Tuple
+from typing import Any, List, Mapping, Optional, Sequence, Tuple
 
 import rosgraph
 import rospkg
@@ -20,6 +20,7 @@ from roslib.packages import find_node
 
 from dyknow import names
 from dyknow.errors import HostError, PeerTimeout
+from dyknow.locks import state_lock
 from dyknow.manager.host import Crash
 from dyknow.model.graph import NodeletKind
 from dyknow.nodelet import crash_record
@@ -43,6 +44,8 @@ _CRASH_RECORD = "crash_record"
 _REWIRABLE = (sys.executable, "-m", "dyknow.cli.rewirable")
 #: Bytes at the end of an output in which its last line is looked for.
 _LAST_WORDS = 2000
+#: Outputs that are kept of processes that have ended for good.
+_OUTPUTS = 10
 
 _log = logging.getLogger("rosout.dyknow")
 
@@ -75,6 +78,8 @@ class Launcher:
         host, port = rosgraph.network.parse_http_host_and_port(master.uri)
         self._log_folder = os.path.join(rospkg.get_log_dir(), f"dyknow-{host}-{port}")
         os.makedirs(self._log_folder, exist_ok=True)
+        self._state_lock = state_lock("outputs of children")
+        self._ended: List[str] = []  # outputs, the oldest first
 
     def launch(
         self, kind: NodeletKind, name: str, command: Sequence[str] = ()
@@ -94,7 +99,7 @@ class Launcher:
         """
         for key, value in self._parameters_of(kind, name).items():
             self._master.ask("setParam", names.join(name, key), value)
-        output = self._output(name)
+        output = self._used_output(name)
         program = (*_REWIRABLE, *command) if kind.is_node else self._command(kind)
         node = (f"__name:={name.rpartition('/')[2]}", f"__ns:={names.parent(name)}")
         found = os_process.start((*program, *node), output, rospkg.get_ros_home())
@@ -104,7 +109,7 @@ class Launcher:
 
     def follow(self, name: str) -> LogTail:
         """Follow the output of one that runs already."""
-        return LogTail(self._output(name), at_end=True)
+        return LogTail(self._used_output(name), at_end=True)
 
     def last_line(self, name: str) -> str:
         """Return the last line that one printed; empty if it printed nothing."""
@@ -145,9 +150,11 @@ class Launcher:
     def clean_up(self, child: ChildRecord) -> None:
         """Remove what an ended one left: registrations, parameters, its crash record.
 
-        If another process bears its name by now, nothing is removed.
+        If another process bears its name by now, nothing is removed. Its output stays until those
+        of a number of others are newer.
         """
         kind, name = child.kind, child.name
+        self._limit_outputs(self._used_output(name))
         try:
             uri = self._master.node(name)
             if self.living(name) is not None:
@@ -258,6 +265,22 @@ class Launcher:
         if not found:
             raise HostError("C++ nodelets need the package 'nodelet', which is not installed")
         return (found[0], "manager")
+
+    def _used_output(self, name: str) -> str:
+        """Return the file for the output of a process, which is not to be removed now."""
+        output = self._output(name)
+        with self._state_lock:
+            self._ended = [each for each in self._ended if each != output]
+        return output
+
+    def _limit_outputs(self, ended: str) -> None:
+        with self._state_lock:
+            self._ended.append(ended)
+            old, self._ended = self._ended[:-_OUTPUTS], self._ended[-_OUTPUTS:]
+        for output in old:
+            for file in (output, output + ".owner"):
+                with contextlib.suppress(OSError):
+                    os.remove(file)
 
     def _crash_record(self, name: str) -> str:
         return self._file(name, "running")

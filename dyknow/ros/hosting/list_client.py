@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import Dict, List, Tuple
+from typing import Collection, Dict, List, Tuple
 
 from dyknow_msgs.srv import GetCounts
 from nodelet.srv import NodeletList
@@ -103,14 +103,14 @@ class ListClients:
         known, client = self._clients.get(manager, ("", None))
         return client is None or known != incarnation or client.answers
 
-    def forget(self, manager: str) -> None:
-        """Close the connection to a nodelet manager that is gone for good."""
+    def keep(self, managers: Collection[str]) -> None:
+        """Close the connections to all other processes: they are gone for good."""
         with self._state_lock:
-            _, client = self._clients.pop(manager, ("", None))
-        if client is not None:
+            gone = [name for name in self._clients if name not in managers]
+            clients = [self._clients.pop(name)[1] for name in gone]
+        for client in clients:
             client.close()
 
     def close(self) -> None:
         """Close all connections."""
-        for manager in list(self._clients):
-            self.forget(manager)
+        self.keep(())

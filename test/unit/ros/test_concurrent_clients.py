@@ -87,7 +87,7 @@ def test_a_client_that_is_replaced_while_it_is_asked_refuses_or_answers(
         except HostError:
             return
 
-    together(ask, ask, ask, lambda: clients.forget(NAME))
+    together(ask, ask, ask, lambda: clients.keep(()))
     clients.close()
     assert answers
     assert all(each == ["/a", "/b"] for each in answers)
