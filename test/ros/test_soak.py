@@ -1,0 +1,271 @@
+#!/usr/bin/env python3
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Thousands of random operations: neither the manager nor its nodelet managers grow.
+
+Nothing collects garbage here: what Python frees by itself is what a robot has, too.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import random
+import time
+from pathlib import Path
+from typing import Any, Callable
+
+import graph
+import psutil
+import rosgraph
+import rospy
+import rostest
+from cpp_suite import RUN
+from graph import Ended
+from manager_suite import ManagerCase, eventually
+from stream_suite import CAMERA, CEILING, FILTER, GOAL, TRACKER
+
+from dyknow.errors import DyKnowError
+from dyknow.model.streams import StreamRequest
+
+OPERATIONS = int(os.environ.get("DYKNOW_SOAK_OPERATIONS", "10000"))
+SEED = int(os.environ.get("DYKNOW_SOAK_SEED", "1"))
+#: Operations until caches are full and pools as large as they become.
+WARM = 1000
+#: Operations between two readings.
+STRETCH = 500
+#: Bytes that a process may grow in 1,000 operations.
+MOST = 1_000_000
+NODELETS, CLAIMS, PROCESSES = 10, 4, 3
+LAUNCH = ("rosrun", "dyknow", "dyknow", "launch", "--skip-log-check")
+LAUNCH_FILE = str(Path(__file__).resolve().parent.parent / "launch" / "soak.launch")
+
+PLAIN = ("counter", "relay", "relay", "heavy")
+MORE = (
+    "<transformations>"
+    "<transformation><label>heavy</label><source>dyknow_manager_test/Heavy</source>"
+    '<ports><port type="in">in</port><port type="out">out</port></ports></transformation>'
+    '<transformation type="node"><label>script</label>'
+    "<source>dyknow_test/both_ways.py</source></transformation>"
+    f"{CAMERA}{CEILING}{FILTER}{TRACKER}</transformations>"
+)
+
+
+class SoakTest(ManagerCase):
+    def test_nothing_grows(self):
+        print(f"{OPERATIONS} operations, DYKNOW_SOAK_SEED={SEED}", flush=True)
+        # Where a claim's nodelets go at once, a reading need not wait for it.
+        self.manager = self.started(linger=0.0, num_nodelet_managers=2)
+        self.client = self.manager.client
+        self.client.add_transformation(MORE)
+        self.random = random.Random(SEED)
+        self.nodelets: dict[str, str] = {}
+        self.claims: list[str] = []
+        self.processes: list[Ended] = []
+        self.addCleanup(self.end_processes)
+        self.number, self.refused = 0, 0
+        self.counts: dict[str, int] = {}
+        self.rest()
+        readings: dict[int, dict[str, Any]] = {}
+        began = time.monotonic()
+        for number in range(1, OPERATIONS + 1):
+            self.operate()
+            if number % STRETCH == 0:
+                self.rest()
+                readings[number] = self.reading()
+                seconds = time.monotonic() - began
+                print(f"{number}: {seconds:.0f} s, {readings[number]}", flush=True)
+        print(f"{self.counts}, {self.refused} refused")
+        self.judge(readings)
+
+    def judge(self, readings: dict[int, dict[str, Any]]) -> None:
+        warm, last = readings[WARM], readings[max(readings)]
+        grown = {}
+        for key, after in last.items():
+            before = warm[key]
+            if key.endswith(" memory"):
+                share = (after - before) / max(1, max(readings) - WARM) * 1000
+                print(f"{key}: {share / 1e6:.2f} MB in 1,000 operations")
+                if share > MOST:
+                    grown[key] = (before, after)
+            elif after > before:
+                grown[key] = (before, after)
+        self.assertEqual(grown, {})
+
+    # Operations
+
+    def operate(self) -> None:
+        kinds: dict[Callable[[], None], float] = {
+            self.spawn: 25,
+            self.destroy: 25,
+            self.connect: 30,
+            self.acquire: 8,
+            self.release: 8,
+            self.reload: 2,
+            self.specify: 2,
+            self.load_a_failing_one: 1,
+            self.spawn_script: 3,
+            self.spawn_isolated: 1.5,
+            self.run_node: 0.3,
+            self.launch: 0.1,
+            self.stop: 0.4,
+        }
+        operation = self.random.choices(list(kinds), list(kinds.values()))[0]
+        self.counts[operation.__name__] = self.counts.get(operation.__name__, 0) + 1
+        try:
+            operation()
+        except DyKnowError as error:
+            self.refused += 1
+            if self.refused < 10:
+                print(f"{operation.__name__}: {error}", flush=True)
+
+    def spawn(self, label: str = "", isolated: bool = False) -> None:
+        if len(self.nodelets) >= NODELETS:
+            self.destroy()
+        label = label or self.random.choice(PLAIN)
+        # Names come again, as on a robot.
+        name = f"/{label}_{self.random.randrange(40)}"
+        if name in self.nodelets:
+            return
+        config = {} if label == "script" else self.topics(label)
+        self.client.spawn(label, name, config, isolated=isolated)
+        self.nodelets[name] = label
+
+    def spawn_script(self) -> None:
+        self.spawn("script")
+
+    def spawn_isolated(self) -> None:
+        self.spawn(isolated=True)
+
+    def topics(self, label: str) -> dict[str, str]:
+        ports = ["out"] if label == "counter" else ["in", "out"]
+        return {port: f"/t{self.random.randrange(12)}" for port in ports}
+
+    def destroy(self) -> None:
+        if self.nodelets:
+            name = self.random.choice(sorted(self.nodelets))
+            self.client.destroy(name)
+            del self.nodelets[name]
+
+    def connect(self) -> None:
+        names = sorted(name for name, label in self.nodelets.items() if label != "script")
+        if names:
+            name = self.random.choice(names)
+            self.client.set_config(name, self.topics(self.nodelets[name]))
+
+    def acquire(self) -> None:
+        if len(self.claims) >= CLAIMS:
+            self.release()
+        goal = self.random.choice([GOAL, "Filtered(ball)", "Raw(?which)"])
+        self.claims.append(self.client.acquire_stream(StreamRequest(goal)).claim_id)
+
+    def release(self) -> None:
+        if self.claims:
+            self.client.release_stream(self.claims.pop(self.random.randrange(len(self.claims))))
+
+    def reload(self) -> None:
+        """Unload and load a nodelet behind the manager's back."""
+        names = sorted(name for name, label in self.nodelets.items() if label != "script")
+        if not names:
+            return
+        name = self.random.choice(names)
+        found = self.manager.nodelet(name)
+        if found is None:
+            return
+        services = graph.ManagerServices(found.manager)
+        services.unload(name)
+        del self.nodelets[name]
+        eventually(lambda: self.manager.nodelet(name) is None, 10.0, f"{name} is forgotten")
+
+    def specify(self) -> None:
+        """Add or remove a transformation."""
+        label = f"more {self.random.randrange(10)}"
+        if self.random.random() < 0.5:
+            specification = CAMERA.replace("camera", label).replace("own", "other")
+            self.client.add_transformation(specification)
+        else:
+            with contextlib.suppress(DyKnowError):
+                self.client.remove_transformation(label)
+
+    def load_a_failing_one(self) -> None:
+        with self.assertRaises(DyKnowError):
+            self.client.spawn("fails", "/fails", {})
+
+    def run_node(self) -> None:
+        self.number += 1
+        name = f"__name:=other_{self.number}"
+        self.start(*RUN, "topic_tools", "relay", "/t1", "/t2", name)
+
+    def launch(self) -> None:
+        self.number += 1
+        self.start(*LAUNCH, LAUNCH_FILE, f"name:=launched_{self.number}")
+
+    def start(self, *command: str) -> None:
+        if len(self.processes) >= PROCESSES:
+            self.stop()
+        self.processes.append(Ended(*command))
+
+    def stop(self) -> None:
+        if self.processes:
+            self.processes.pop(self.random.randrange(len(self.processes))).__exit__()
+
+    def end_processes(self) -> None:
+        while self.processes:
+            self.processes.pop().__exit__()
+
+    # Readings
+
+    def rest(self) -> None:
+        """End everything, and wait until the manager has done so too."""
+        self.end_processes()
+        for claim in self.claims:
+            self.client.release_stream(claim)
+        self.claims.clear()
+        for name in sorted(self.nodelets):
+            with contextlib.suppress(DyKnowError):
+                self.client.destroy(name)
+        self.nodelets.clear()
+        eventually(
+            lambda: not self.client.get_model().nodelets,
+            30.0,
+            "nothing runs any more",
+            lambda: self.client.get_model().nodelets,
+        )
+        self.settled()
+
+    def settled(self) -> None:
+        """Wait until counts of what comes and goes by itself stand still for a while."""
+        last: Any = None
+        since = time.monotonic()
+        while time.monotonic() - since < 8.0:  # longer than idle threads and connections stay
+            now = {key: value for key, value in self.reading().items() if "memory" not in key}
+            if now != last:
+                last, since = now, time.monotonic()
+            time.sleep(0.25)
+
+    def reading(self) -> dict[str, Any]:
+        found: dict[str, Any] = {}
+        children = self.manager.children()
+        pids = {"manager": self.manager.process.pid}
+        pids.update({name: child.pid for name, child in sorted(children.items())})
+        for name, pid in pids.items():
+            process = psutil.Process(pid)
+            found[f"{name} memory"] = process.memory_info().rss
+            found[f"{name} descriptors"] = process.num_fds()
+            found[f"{name} threads"] = process.num_threads()
+        state = rosgraph.Master(rospy.get_name()).getSystemState()
+        found["registrations"] = sum(len(nodes) for part in state for _, nodes in part)
+        found["parameters"] = len(rospy.get_param_names())
+        found["state files"] = len(list(Path(self.manager.state).rglob("*")))
+        logs = Path(os.environ["ROS_HOME"], "log")
+        # What ROS writes for each node, whoever starts it, is not ours.
+        found["outputs of children"] = sum(
+            len(list(each.iterdir())) for each in logs.glob("dyknow-*")
+        )
+        return found
+
+
+if __name__ == "__main__":
+    rospy.init_node("soak_test")
+    rostest.rosrun("dyknow", "soak", "__main__")
