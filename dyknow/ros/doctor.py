@@ -31,12 +31,11 @@ from dyknow.model.graph import Model, NodeletStatus, State
 from dyknow.model.streams import ClaimState
 from dyknow.ros.hosting import child_records
 from dyknow.ros.installed import missing_here
-from dyknow.ros.manager.manager_settings import PARAMETERS, state_path
+from dyknow.ros.manager.manager_settings import state_path, unknown_parameters
 from dyknow.ros.master import Master
 from dyknow.ros.nodelets.guard_parameters import guards_key
 from dyknow.ros.nodelets.owner import is_taken
 from dyknow.ros.shell_client import ShellClient
-from dyknow.similar import did_you_mean
 
 #: Seconds for each answer of a node.
 PATIENCE = 2.0
@@ -292,15 +291,13 @@ class Doctor:
             given = self._master.ask("getParam", manager)
         except LookupError:
             given = {}
-        for name in sorted(given) if isinstance(given, dict) else ():
-            if name not in PARAMETERS:
-                yield Finding(
-                    names.join(manager, name),
-                    "the DyKnow manager has no such parameter"
-                    + did_you_mean(name, PARAMETERS, at_most=1, prefix="~"),
-                    f"rosparam delete {names.join(manager, name)}",
-                    is_error=False,
-                )
+        for name, hint in unknown_parameters(given):
+            yield Finding(
+                names.join(manager, name),
+                f"the DyKnow manager has no such parameter{hint}",
+                f"rosparam delete {names.join(manager, name)}",
+                is_error=False,
+            )
         known = {each.label: each for each in self.model.transformations}
         for nodelet in self.model.nodelets:
             for problem in undeclared(known.get(nodelet.transformation), nodelet.parameters):

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import re
 from dataclasses import dataclass
-from typing import Any, Dict, Tuple
+from typing import Any, Dict, List, Tuple
 
 import rosgraph
 import rospkg
@@ -123,14 +123,25 @@ def state_path(folder: str, master: str, node: str, ending: str) -> str:
     return os.path.join(folder, f"{key}.{ending}")
 
 
+def unknown_parameters(given: Any) -> List[Tuple[str, str]]:
+    """List the private parameters that the manager does not read, each with a suggestion.
+
+    Args:
+        given: the node's namespace on the parameter server.
+    """
+    present = sorted(given) if isinstance(given, dict) else []
+    return [
+        (name, did_you_mean(name, PARAMETERS, at_most=1, prefix="~"))
+        for name in present
+        if name not in (*PARAMETERS, tenure.PARAMETER)
+    ]
+
+
 def _warn_of_unknown() -> None:
     """Warn of unknown parameters, which would change nothing without a word."""
-    given = rospy.get_param("~", {})
-    for name in sorted(given) if isinstance(given, dict) else ():
-        if name not in (*PARAMETERS, tenure.PARAMETER):
-            hint = did_you_mean(name, PARAMETERS, at_most=1, prefix="~")
-            hint = hint or "; known: ~" + " ~".join(PARAMETERS)
-            rospy.logwarn("unknown parameter ~%s%s", name, hint)
+    for name, hint in unknown_parameters(rospy.get_param("~", {})):
+        hint = hint or "; known: ~" + " ~".join(PARAMETERS)
+        rospy.logwarn("unknown parameter ~%s%s", name, hint)
 
 
 def _refuse(name: str, expected: str, value: Any) -> DyKnowError:
