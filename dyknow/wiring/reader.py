@@ -6,10 +6,11 @@
 from __future__ import annotations
 
 import contextlib
-from typing import Dict, List
+from typing import Callable, Dict, List
 
 from dyknow import names
 from dyknow.errors import InvalidName
+from dyknow.guards import NO_GUARDS
 from dyknow.manager.specifications.findings import EnoughProblems, Findings
 from dyknow.manager.specifications.grammar import TRANSFORMATIONS
 from dyknow.manager.specifications.limits import DEFAULT_LIMITS
@@ -48,18 +49,27 @@ _WIRING = Element(
 )
 
 
-def read_wiring(data: bytes, file: str) -> Wiring:
+def too_many_nodelets(limit: int) -> str:
+    """Say that there are more nodelets in a wiring than may run."""
+    return f"more than {limit} nodelets; the manager allows no more (its ~limits/nodelets)"
+
+
+def read_wiring(
+    data: bytes, file: str, limit: Callable[[], int] = lambda: NO_GUARDS.nodelets
+) -> Wiring:
     """Read a wiring.
 
     Args:
         data: The XML, in UTF-8.
         file: The name to use in messages.
+        limit: Returns how many nodelets there may be. It is called for the first nodelet beyond
+            the default limit, and reading ends there if that is the limit.
 
     Raises:
         SpecificationError: with every problem of the file.
     """
     findings = Findings(file, DEFAULT_LIMITS.problems)
-    reader = _WiringReader(findings)
+    reader = _WiringReader(findings, limit)
     transformations: List[Transformation] = []
     with contextlib.suppress(EnoughProblems):
         transformations.extend(transformations_of(reader.drafts(data), findings))
@@ -77,8 +87,10 @@ class _WiringReader(SpecificationReader):
         nodelets: those that were read; to be used only if no problem was noted.
     """
 
-    def __init__(self, findings: Findings) -> None:
+    def __init__(self, findings: Findings, limit: Callable[[], int]) -> None:
         super().__init__(findings, DEFAULT_LIMITS, _WIRING)
+        self._limit = limit
+        self._most = NO_GUARDS.nodelets
         self.nodelets: List[SpawnRequest] = []
         self._lines: Dict[str, int] = {}
         self._connections: Dict[str, str] = {}
@@ -93,6 +105,11 @@ class _WiringReader(SpecificationReader):
             raise EnoughProblems  # what another version means is not known
 
     def _begin_nodelet(self, attributes: Attributes, line: int) -> None:
+        if len(self.nodelets) >= self._most:
+            self._most = self._limit()
+        if len(self.nodelets) >= self._most:
+            self._findings.problem(line, too_many_nodelets(self._most))
+            raise EnoughProblems
         self._connections = {}
         self._parameters = []
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from typing import Any, Dict, Iterator, List, Optional
+from typing import TYPE_CHECKING, Any, Callable, Dict, Iterator, List, Optional
 
 from dyknow.cli import completion
 from dyknow.cli.command import Command
@@ -16,11 +16,15 @@ from dyknow.cli.shell import FAILED, Shell
 from dyknow.cli.tables import count
 from dyknow.cli.views import shows
 from dyknow.errors import Problem, SpecificationError
+from dyknow.guards import NO_GUARDS
 from dyknow.wiring.load import steps_of
 from dyknow.wiring.plan import LoadPlan, plan_load
-from dyknow.wiring.reader import read_wiring
+from dyknow.wiring.reader import read_wiring, too_many_nodelets
 from dyknow.wiring.steps import carry_out
 from dyknow.wiring.wiring import Wiring, wiring_of
+
+if TYPE_CHECKING:
+    from dyknow.ros.shell_client import ShellClient
 
 STDIO = "-"
 
@@ -88,13 +92,13 @@ def _load_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _load(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
+    client = shell.client
     try:
-        wiring = _read(arguments.file)
+        wiring = _read(arguments.file, lambda: _limit(client))
     except SpecificationError as error:
         for each in error.problems:
             shell.error(each)
         return FAILED
-    client = shell.client
     plan = plan_load(
         wiring,
         client.get_model(),
@@ -104,6 +108,9 @@ def _load(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
         arguments.any_manager,
         client.stored_parameters,
     )
+    most = _limit(client)
+    if len(wiring.nodelets) > most:
+        plan.problems.append(too_many_nodelets(most))
     if plan.problems:
         for problem in plan.problems:
             shell.error(f"{arguments.file}: {problem}")
@@ -126,12 +133,19 @@ def _load(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
     return FAILED if failed else None
 
 
-def _read(file: str) -> Wiring:
+def _limit(client: ShellClient) -> int:
+    """How many nodelets may run."""
+    name = "limits/nodelets"
+    limit = client.stored_parameters(client.manager, [name]).get(name)
+    return limit if isinstance(limit, int) else NO_GUARDS.nodelets
+
+
+def _read(file: str, limit: Callable[[], int]) -> Wiring:
     if file == STDIO:
-        return read_wiring(sys.stdin.buffer.read(), "standard input")
+        return read_wiring(sys.stdin.buffer.read(), "standard input", limit)
     try:
         with open(file, "rb") as opened:
-            return read_wiring(opened.read(), file)
+            return read_wiring(opened.read(), file, limit)
     except OSError as error:
         problem = Problem(file, 0, f"cannot be read: {error.strerror}")
         raise SpecificationError([problem]) from error

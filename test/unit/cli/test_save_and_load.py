@@ -459,3 +459,15 @@ def test_nodes_are_saved_with_their_parameters_and_those_of_others_are_connected
     assert graph(other) == graph(client)
     assert other.world.manager.graph.get("/copier").parameters == given
     assert run(other, f"load {file} --replace").code == 0
+
+
+def test_more_nodelets_than_the_manager_allows_are_refused_before_the_first_is_made(
+    client: FakeClient, file: Path
+) -> None:
+    client.world.host.parameters[f"{client.manager}/limits/nodelets"] = 2
+    outcome = run(client, f"load {file}")
+    assert outcome.code == 1
+    assert "more than 2 nodelets; the manager allows no more" in outcome.err
+    assert graph(client) == []
+    client.world.host.parameters[f"{client.manager}/limits/nodelets"] = 3
+    assert run(client, f"load {file} --dry-run").code == 0

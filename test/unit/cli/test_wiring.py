@@ -135,3 +135,25 @@ def test_every_problem_is_told_with_its_line() -> None:
 def test_a_wiring_may_be_empty() -> None:
     assert read_wiring(b'<wiring version="1"/>', "w.xml") == Wiring()
     assert read_wiring(Wiring().to_xml().encode(), "w.xml") == Wiring()
+
+
+def test_a_wiring_of_too_many_nodelets_is_read_no_further() -> None:
+    asked = []
+
+    def limit() -> int:
+        asked.append(True)
+        return 2500
+
+    nodelet = '<nodelet name="/n{}" transformation="a"/>\n'
+    text = "".join(map(nodelet.format, range(2500)))
+    wiring = '<wiring version="1"><nodelets>\n{}</nodelets></wiring>'
+    with pytest.raises(SpecificationError):
+        read_wiring(wiring.format(text).encode(), "w.xml")
+    assert len(read_wiring(wiring.format(text).encode(), "w.xml", limit).nodelets) == 2500
+    with pytest.raises(SpecificationError) as refused:
+        # What comes after the limit is not even XML.
+        read_wiring(wiring.format(text + nodelet.format("") + "<<").encode(), "w.xml", limit)
+    (problem,) = refused.value.problems
+    assert "more than 2500 nodelets; the manager allows no more" in str(problem)
+    assert problem.line == 2502
+    assert asked, "the manager may allow more than it does by default"
