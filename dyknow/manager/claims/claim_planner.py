@@ -9,14 +9,17 @@ satisfy them all.
 
 from __future__ import annotations
 
+import contextlib
 from typing import (
     AbstractSet,
     Dict,
     FrozenSet,
     Hashable,
     Iterable,
+    Iterator,
     List,
     Mapping,
+    NamedTuple,
     Optional,
     Sequence,
     Tuple,
@@ -25,6 +28,7 @@ from typing import (
 from dyknow.backoff import Backoff
 from dyknow.datatypes import ANY
 from dyknow.errors import StreamTypeMismatch
+from dyknow.locks import turn_lock
 from dyknow.manager.claim import Claim
 from dyknow.manager.claims.context import ClaimContext
 from dyknow.manager.claims.own_nodelets import Instance, OwnNodelet, assigned, instance_of
@@ -34,8 +38,8 @@ from dyknow.manager.claims.topology import demand_of, may_share
 from dyknow.manager.planning.planner import BUDGET, Planner
 from dyknow.manager.planning.problem import NO_LABELS, Answer, Live, NoPlan, Plan
 from dyknow.manager.planning.supply import Demand, ways_to_meet
-from dyknow.manager.planning.wishes import NO_WISHES, TaggedStream
-from dyknow.manager.specifications.tags import Bindings, Subsumption
+from dyknow.manager.planning.wishes import NO_WISHES, TaggedStream, Wishes
+from dyknow.manager.specifications.tags import Bindings, Subsumption, Term
 from dyknow.model.transformation import Transformation
 
 #: Outdated terms that the planner may keep, if the library has fewer transformations.
@@ -43,6 +47,50 @@ _WASTE = 1_000
 #: Seconds of the first pause of a transformation that failed: longer than a round of the
 #: reconciler, so that another way is tried in between.
 _FIRST_PAUSE = 1.0
+
+
+class Situation(NamedTuple):
+    """All that a plan follows from, as it was at one moment.
+
+    Attributes:
+        demand: what is demanded of the stream.
+        topic: where the clients listen; empty for wherever the stream is.
+        streams: what can be relied on.
+        usable: those of the streams that steps may receive.
+        own: nodelets that can be connected elsewhere.
+        exclude: labels that must have no part in it.
+        paused: labels of which nothing is to be made since they failed lately.
+        engaged: labels of nodes of others that can only be used as they are connected.
+        wishes: what the client would rather have.
+        feeders: labels of what feeds each nodelet of the streams, where there are wishes.
+        budget: seconds that the improvement of the plan may take.
+        known: transformations by label.
+    """
+
+    demand: Demand
+    topic: str
+    streams: Tuple[TaggedStream, ...]
+    usable: Tuple[TaggedStream, ...]
+    own: Tuple[OwnNodelet, ...]
+    exclude: FrozenSet[str]
+    paused: FrozenSet[str]
+    engaged: FrozenSet[str]
+    wishes: Wishes
+    feeders: Mapping[str, FrozenSet[str]]
+    budget: float
+    known: Mapping[str, Transformation]
+
+    def tags(self, live: Live) -> Optional[FrozenSet[Term]]:
+        """Return what a stream supplies; None if it is not there."""
+        found = [tags for each, tags in self.streams if each[:4] == live[:4]]
+        return frozenset(found[0]) if found else None
+
+
+class Proposal(NamedTuple):
+    """An answer, and the situation that it was found for."""
+
+    situation: Situation
+    answer: Answer
 
 
 class ClaimPlanner:
@@ -57,9 +105,13 @@ class ClaimPlanner:
         """
         self._manager = context.manager
         self._table = context.table
+        self._lock = context.lock
         self._monitor = context.monitor
         self._ontology = ontology
-        self._planner = Planner(ontology)
+        self._rounds = KeptPlanner(ontology)
+        # Of their own, since a planner is used by one thread at a time.
+        self._requests = KeptPlanner(ontology)
+        self._turn = turn_lock("plans of requests")
         self._known: Mapping[str, Transformation] = {}
         #: What exists.
         self.supplies = Supplies(context, ontology)
@@ -78,10 +130,11 @@ class ClaimPlanner:
             self._monitor.quality.signature,
         )
 
-    def own(self, claim: Claim) -> List[OwnNodelet]:
+    def own(self, claim: Claim, without: AbstractSet[str] = frozenset()) -> List[OwnNodelet]:
         """Return the nodelets that can be connected elsewhere for a claim (``Supplies.own``)."""
         self._update()
-        return self.supplies.own(claim, self._known)
+        own = self.supplies.own(claim, self._known)
+        return [each for each in own if each.name not in without]
 
     def assigned(self, plan: Plan, own: Sequence[OwnNodelet]) -> Dict[Instance, str]:
         """Choose nodelets for the steps of a plan; the other steps need new ones."""
@@ -96,7 +149,7 @@ class ClaimPlanner:
         exclude = frozenset(claim.request.exclude)
         streams = self.supplies.streams(exclude)
         demand = demand_of(self._table.together(claim))
-        charges = self._planner.charges(demand, streams, exclude, wishes_of(claim))
+        charges = self._rounds.at(self._known).charges(demand, streams, exclude, wishes_of(claim))
         return saved + sum(
             charges.get(label, 0) for label in self.supplies.labels(claim.nodelets, claim.sources)
         )
@@ -109,25 +162,63 @@ class ClaimPlanner:
         return sharing[0].topic if sharing else ""
 
     def plan(
-        self, claim: Claim, lenient: bool = False, avoid: FrozenSet[str] = NO_LABELS
+        self,
+        claim: Claim,
+        lenient: bool = False,
+        avoid: FrozenSet[str] = NO_LABELS,
+        without: AbstractSet[str] = frozenset(),
     ) -> Answer:
         """Plan a claim's stream; its own nodelets cost nothing.
+
+        A request lets rounds pass meanwhile: ``still_fits`` says whether it can be used then.
 
         Args:
             claim: whose stream it is.
             lenient: use transformations that failed lately too, if there is no other way.
             avoid: labels that turned out to be of no use.
+            without: nodelets that must have no part in it.
         """
-        self._update()
-        together = self._table.together(claim)
-        paused = self._paused(together)
-        answer = self._plan(together, claim.topic, paused, avoid)
-        if isinstance(answer, NoPlan) and lenient and paused:
-            answer = self._plan(together, claim.topic, NO_LABELS, avoid)
+        return self.propose(claim, lenient, avoid, without).answer
+
+    def propose(
+        self,
+        claim: Claim,
+        lenient: bool = False,
+        avoid: FrozenSet[str] = NO_LABELS,
+        without: AbstractSet[str] = frozenset(),
+    ) -> Proposal:
+        """Plan a claim's stream as ``plan`` does; returns what it was planned from, too."""
+        situation = self.situation(claim, avoid, without)
+        answer = self._solved(situation, situation.paused)
+        if isinstance(answer, NoPlan) and lenient and situation.paused:
+            answer = self._solved(situation, NO_LABELS)
         if isinstance(answer, Plan) and self._is_unstamped(claim, answer):
-            stamped = self.plan(claim, lenient, avoid | {answer.goal.label})
-            answer = stamped if isinstance(stamped, Plan) else answer
-        return answer
+            stamped = self.propose(claim, lenient, avoid | {answer.goal.label}, without)
+            if isinstance(stamped.answer, Plan):
+                return stamped
+        return Proposal(situation, answer)
+
+    def situation(
+        self,
+        claim: Claim,
+        avoid: FrozenSet[str] = NO_LABELS,
+        without: AbstractSet[str] = frozenset(),
+    ) -> Situation:
+        """Read all that a plan for a claim follows from."""
+        return self._situation(self._table.together(claim), claim.topic, avoid, without)
+
+    def still_fits(self, claim: Claim, proposal: Proposal) -> bool:
+        """Whether all that a plan uses is still there, and is what it was."""
+        before, now = proposal.situation, self.situation(claim)
+        if isinstance(proposal.answer, NoPlan):
+            return before == now
+        steps = {step.action.label for step in proposal.answer.steps}
+        return (
+            before.demand == now.demand
+            and not steps & now.exclude
+            and all(now.known.get(label) == before.known[label] for label in steps)
+            and all(before.tags(live) == now.tags(live) for live in proposal.answer.live)
+        )
 
     def check_stamped(self, claim: Claim, plan: Plan) -> None:
         """Check that messages of a plan bear a stamp if the claim needs one, as far as is known.
@@ -141,9 +232,8 @@ class ClaimPlanner:
 
     def is_waiting(self, claim: Claim) -> bool:
         """Whether there would be a plan if nothing had failed lately."""
-        return bool(self._paused([claim])) and isinstance(
-            self._plan([claim], claim.topic, NO_LABELS), Plan
-        )
+        situation = self._situation([claim], claim.topic)
+        return bool(situation.paused) and isinstance(self._solved(situation, NO_LABELS), Plan)
 
     def plan_from_scratch(self, claim: Claim) -> Answer:
         """Plan a claim's stream as if the nodelets that it alone needs did not exist."""
@@ -155,38 +245,46 @@ class ClaimPlanner:
         streams = self.supplies.without_relays(self.supplies.streams(exclude, without))
         paused = self._paused(together) - frozenset(saved.values())
         demand = demand_of(together)
-        return self._planner.plan(
-            demand,
-            streams,
-            exclude,
-            {each.label: each.kept for each in present},
-            paused=paused | self.supplies.engaged(present),
-            wishes=wishes_of(claim),
-            feeders=self.supplies.feeders(claim, streams),
-        )
+        paused |= self.supplies.engaged(present)
+        feeders = self.supplies.feeders(claim, streams)
+        with self._planning(self._known) as (planner, _):
+            return planner.plan(
+                demand,
+                streams,
+                exclude,
+                {each.label: each.kept for each in present},
+                paused=paused,
+                wishes=wishes_of(claim),
+                feeders=feeders,
+            )
 
     def bindings(self, demand: Demand) -> Tuple[List[Bindings], bool]:
         """Find what the variables of a demand can stand for now, and whether that is all."""
         self._update()
-        return self._planner.bindings(
-            demand, self.supplies.without_relays(self.supplies.streams(NO_LABELS))
-        )
+        streams = self.supplies.without_relays(self.supplies.streams(NO_LABELS))
+        with self._planning(self._known) as (planner, _):
+            return planner.bindings(demand, streams)
 
     def with_own(self, plan: Plan, own: Sequence[OwnNodelet]) -> Plan:
         """Return a plan in which nodelets that exist cost nothing, and the others their price."""
+        return self._with_own(plan, own, self._known)
+
+    # Inside
+
+    def _with_own(
+        self, plan: Plan, own: Sequence[OwnNodelet], known: Mapping[str, Transformation]
+    ) -> Plan:
         used = self.assigned(plan, own)
         steps = tuple(
             step._replace(
                 action=step.action._replace(
-                    cost=0 if instance_of(step) in used else self._known[step.action.label].cost
+                    cost=0 if instance_of(step) in used else known[step.action.label].cost
                 )
             )
             for step in plan.steps
         )
         plan = plan._replace(steps=steps)
         return plan._replace(cost=plan.total, least_cost=min(plan.total, plan.least_cost))
-
-    # Inside
 
     def _is_unstamped(self, claim: Claim, plan: Plan) -> bool:
         """Whether a claim needs stamped messages, and a plan is known to make others."""
@@ -223,57 +321,87 @@ class ClaimPlanner:
             and not self._known[each.label].node
         }
 
-    def _plan(
+    def _situation(
         self,
         claims: List[Claim],
         topic: str,
-        paused: AbstractSet[str],
         avoid: FrozenSet[str] = NO_LABELS,
-    ) -> Answer:
-        demand = demand_of(claims)
+        without: AbstractSet[str] = frozenset(),
+    ) -> Situation:
+        """Read all that a plan for claims follows from."""
+        first = claims[0]
         exclude = avoid | {label for claim in claims for label in claim.request.exclude}
-        own = [each for each in self.own(claims[0]) if each.label not in exclude]
-        streams = self.supplies.streams(exclude, self._monitor.quality.unfit(claims))
-        present = self._present(demand, streams, topic)
-        if present is not None:
-            return present
-        streams = self.supplies.without_relays(streams)
-        free = {each.label: each.kept for each in reversed(own)}
-        budget = max(claim.request.budget for claim in claims) or BUDGET
-        feeders = self.supplies.feeders(claims[0], streams)
-        paused |= self.supplies.engaged(own)
-        while True:
-            answer = self._planner.plan(
-                demand,
-                streams,
-                exclude,
-                free,
-                paused - free.keys(),
-                budget,
-                wishes_of(claims[0]),
-                feeders,
-            )
-            if isinstance(answer, NoPlan):
-                return answer
-            divided = self._divided(answer, own)
-            if not divided:
-                return self.with_own(answer, own)
-            paused |= divided
-            free = {label: free[label] for label in free.keys() - divided}
-
-    def _divided(self, plan: Plan, own: Sequence[OwnNodelet]) -> FrozenSet[str]:
-        """Labels of nodes of others that a plan needs more than once: no further one is made."""
-        used = self.assigned(plan, own)
-        steps = [step for step in plan.steps if instance_of(step) not in used]
-        return frozenset(
-            step.action.label for step in steps if self._known[step.action.label].node
+        own = tuple(each for each in self.own(first, without) if each.label not in exclude)
+        unfit = self._monitor.quality.unfit(claims) | without
+        streams = tuple(self.supplies.streams(exclude, unfit))
+        return Situation(
+            demand_of(claims),
+            topic,
+            streams,
+            tuple(self.supplies.without_relays(streams)),
+            own,
+            exclude,
+            self._paused(claims),
+            self.supplies.engaged(own),
+            wishes_of(first),
+            self.supplies.feeders(first, streams),
+            max(claim.request.budget for claim in claims) or BUDGET,
+            self._known,
         )
 
-    def _present(
-        self, demand: Demand, streams: Iterable[TaggedStream], topic: str
-    ) -> Optional[Plan]:
+    @contextlib.contextmanager
+    def _planning(self, known: Mapping[str, Transformation]) -> Iterator[Tuple[Planner, bool]]:
+        """Let rounds pass while a request plans with transformations.
+
+        Returns:
+            What to plan with, and whether rounds may pass.
+        """
+        with self._lock.pause() as is_aside:
+            if not is_aside:
+                yield self._rounds.at(known), False
+                return
+            with self._turn:
+                yield self._requests.at(known), True
+
+    def _solved(self, situation: Situation, paused: FrozenSet[str]) -> Answer:
+        """Plan; in a round no longer than is usual, whatever clients allow."""
+        present = self._present(situation)
+        if present is not None:
+            return present
+        free = {each.label: each.kept for each in reversed(situation.own)}
+        paused |= situation.engaged
+        with self._planning(situation.known) as (planner, is_aside):
+            while True:
+                answer = planner.plan(
+                    situation.demand,
+                    situation.usable,
+                    situation.exclude,
+                    free,
+                    paused - free.keys(),
+                    situation.budget if is_aside else min(situation.budget, BUDGET),
+                    situation.wishes,
+                    situation.feeders,
+                )
+                if isinstance(answer, NoPlan):
+                    return answer
+                divided = self._divided(answer, situation)
+                if not divided:
+                    return self._with_own(answer, situation.own, situation.known)
+                paused |= divided
+                free = {label: free[label] for label in free.keys() - divided}
+
+    def _divided(self, plan: Plan, situation: Situation) -> FrozenSet[str]:
+        """Labels of nodes of others that a plan needs more than once: no further one is made."""
+        used = self.assigned(plan, situation.own)
+        steps = [step for step in plan.steps if instance_of(step) not in used]
+        return frozenset(
+            step.action.label for step in steps if situation.known[step.action.label].node
+        )
+
+    def _present(self, situation: Situation) -> Optional[Plan]:
         """Find a stream that will do and is where the client listens already."""
-        for stream, terms in sorted(streams):
+        demand, topic = situation.demand, situation.topic
+        for stream, terms in sorted(situation.streams):
             is_good = demand.is_fast(stream.rate) and demand.is_soon(stream.latency)
             if topic and stream.topic == topic and is_good:
                 ways = ways_to_meet(terms, stream.datatype, demand, self._ontology)
@@ -283,14 +411,28 @@ class ClaimPlanner:
         return None
 
     def _update(self) -> None:
-        """Bring the planner up to date with what its plans may have steps of."""
+        """Read what plans may have steps of."""
+        self._known = self.supplies.transformations()
+
+
+class KeptPlanner:
+    """A planner that follows the library; used by one thread at a time."""
+
+    def __init__(self, ontology: Subsumption) -> None:
+        """Start with an empty library."""
+        self._ontology = ontology
+        self._planner = Planner(ontology)
+        self._known: Mapping[str, Transformation] = {}
+
+    def at(self, present: Mapping[str, Transformation]) -> Planner:
+        """Return a planner for these transformations, by label."""
         if self._planner.waste > max(_WASTE, len(self._planner)):
             self._planner = Planner(self._ontology)
             self._known = {}
-        known, present = self._known, self.supplies.transformations()
-        if known is present:
-            return
-        for label in [label for label in known if label not in present]:
-            self._planner.remove(label)
-        self._planner.add(each for each in present.values() if known.get(each.label) != each)
-        self._known = present
+        known = self._known
+        if known is not present:
+            for label in [label for label in known if label not in present]:
+                self._planner.remove(label)
+            self._planner.add(each for each in present.values() if known.get(each.label) != each)
+            self._known = present
+        return self._planner

@@ -20,9 +20,9 @@ class ClaimLock:
     """Two turns with an order of precedence.
 
     Requests of clients come one at a time; in between, the reconciler makes its rounds. A request
-    that waits for a nodelet to come up lets rounds pass meanwhile: streams that break are repaired
-    although another one takes long to be made. A round lets no request pass, which could make a
-    second time what the round is about to make.
+    that waits for a plan, or for a nodelet to come up, lets rounds pass meanwhile: streams that
+    break are repaired although another one takes long to be made. A round lets no request pass,
+    which could make a second time what the round is about to make.
     """
 
     def __init__(self) -> None:
@@ -49,6 +49,16 @@ class ClaimLock:
                 self.reserved.clear()
 
     @contextlib.contextmanager
+    def reading(self) -> Iterator[None]:
+        """Read what plans are made from; what is computed in a pause holds up no other work."""
+        with self._work:
+            self._may_pause = True
+            try:
+                yield
+            finally:
+                self._may_pause = False
+
+    @contextlib.contextmanager
     def round(self) -> Iterator[None]:
         """Work on all claims."""
         with self._work:
@@ -63,18 +73,21 @@ class ClaimLock:
             self.reserved.update(names)
 
     @contextlib.contextmanager
-    def pause(self) -> Iterator[None]:
+    def pause(self) -> Iterator[bool]:
         """Let rounds pass while a request waits; in a round, change nothing.
 
         Called with the lock held. Afterwards nodelets may have other topics, or be gone.
+
+        Returns:
+            Whether rounds may pass.
         """
         if not self._may_pause:
-            yield
+            yield False
             return
         self._may_pause = False
         self._work.release()
         try:
-            yield
+            yield True
         finally:
             self._work.acquire()
             self._may_pause = True

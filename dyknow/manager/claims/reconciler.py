@@ -7,11 +7,13 @@ The claims are the desired state, the graph is the observed one. Whatever has ha
 asks the same question of each claim: what is wrong with its stream? If anything is, the stream is
 planned and made from what exists now. The client's topic stays.
 
-One change of claims at a time (``ClaimLock``). Listing, renewing and ending claims waits for none.
+One change of claims at a time (``ClaimLock``). Listing, renewing and ending claims waits for none,
+and a plan for a client holds up none.
 """
 
 from __future__ import annotations
 
+import itertools
 import logging
 import time
 import uuid
@@ -22,7 +24,7 @@ from dyknow.errors import DyKnowError, NoPlanFound, StreamTypeMismatch
 from dyknow.manager.claim import Claim, ClaimEvent, check_request
 from dyknow.manager.claims.advice import CheaperPlans, refusal
 from dyknow.manager.claims.assembly import Handover
-from dyknow.manager.claims.claim_planner import ClaimPlanner
+from dyknow.manager.claims.claim_planner import ClaimPlanner, Proposal
 from dyknow.manager.claims.claim_table import ClaimTable
 from dyknow.manager.claims.connector import Connector
 from dyknow.manager.claims.context import ClaimContext, ClaimLock
@@ -37,6 +39,9 @@ from dyknow.manager.planning.problem import NoPlan, Plan
 from dyknow.manager.planning.supply import Demand
 from dyknow.manager.specifications.tags import Bindings, parse_tag
 from dyknow.model.streams import ClaimState, StreamRequest
+
+#: Times that a request is planned because what its plan uses went meanwhile.
+_ATTEMPTS = 3
 
 _log = logging.getLogger("rosout.dyknow")
 
@@ -156,26 +161,32 @@ class StreamReconciler:
             raise StreamTypeMismatch(request.tag, STAMPED, request.datatype)
         if not dry_run:
             self._manager.guards.check_writable(f"acquiring '{request.tag}'")
-        with self._lock.round() if dry_run else self._lock.request():
-            known = None if dry_run else self._table.same(request)
-            if known is not None and not known.topic:
-                raise NoPlanFound(known.detail, known.claim_id)
-            if known is not None:
-                return Acquired(known, None, (), known.nodelets)
-            self._planner.supplies.look(at_once=True)
-            claim = replace(claim, topic=self._planner.common_topic(claim))
-            answer = self._planner.plan(claim, lenient=True)
-            if isinstance(answer, NoPlan):
-                if not dry_run:
+        self._planner.supplies.look(at_once=True)
+        if dry_run:
+            return self._explained(*self._drafted(claim))
+        for attempt in itertools.count(1):
+            known = self._table.same(request)
+            claim, proposal = (known, None) if known is not None else self._drafted(claim)
+            with self._lock.request():
+                known = self._table.same(request)
+                if known is not None and not known.topic:
+                    raise NoPlanFound(known.detail, known.claim_id)
+                if known is not None:
+                    return Acquired(known, None, (), known.nodelets)
+                if proposal is None or (
+                    attempt < _ATTEMPTS and not self._is_current(claim, proposal)
+                ):
+                    continue
+                answer = proposal.answer
+                if isinstance(answer, NoPlan):
                     self._table.add(replace(claim, topic="", detail=str(answer)), "requested")
-                reason = refusal(self._manager, answer, request.exclude)
-                raise NoPlanFound(reason, claim.claim_id)
-            self._planner.check_stamped(claim, answer)
-            if dry_run:
-                return self._intended(claim, answer)
-            plan, done = self._repair.make(claim, answer, lenient=True)
-            claim = self._table.add(replace(claim, **outcome(done)), "requested")
-        return _made(claim, plan, done)
+                    missing = answer
+                    break
+                self._planner.check_stamped(claim, answer)
+                plan, done = self._repair.make(claim, answer, lenient=True)
+                claim = self._table.add(replace(claim, **outcome(done)), "requested")
+                return _made(claim, plan, done)
+        raise NoPlanFound(refusal(self._manager, missing, request.exclude), claim.claim_id)
 
     def replan(self, claim_id: str, dry_run: bool = False) -> Acquired:
         """Use the cheapest plan of today, if it is cheaper than the stream or that is broken.
@@ -191,23 +202,26 @@ class StreamReconciler:
         """
         if not dry_run:
             self._manager.guards.check_writable(f"replanning claim '{claim_id}'")
-        with self._lock.round() if dry_run else self._lock.request(claim_id):
-            claim = self._table.get(claim_id)
+        for attempt in itertools.count(1):
             self._planner.supplies.look(at_once=True)
-            fault = self._repair.diagnose(claim)
-            cheaper = self._cheaper_plans.find(claim) if fault is None else None
-            answer = cheaper or self._planner.plan(claim, lenient=True)
-            if isinstance(answer, NoPlan):
-                reason = refusal(self._manager, answer, claim.request.exclude)
-                raise NoPlanFound(reason, claim_id)
+            claim, proposal = self._redrafted(claim_id)
             if dry_run:
-                return self._intended(claim, answer)
-            plan, done = self._repair.make(claim, answer, lenient=True)
-            changed = self._table.change(
-                claim_id, with_remarks("replanned on request", done), **outcome(done)
-            )
-            self._collector.clear_topics()
-        return _made(changed or claim, plan, done)
+                return self._explained(claim, proposal)
+            with self._lock.request(claim_id):
+                claim = self._table.get(claim_id)
+                if attempt < _ATTEMPTS and not self._planner.still_fits(claim, proposal):
+                    continue
+                answer = proposal.answer
+                if isinstance(answer, NoPlan):
+                    missing = answer
+                    break
+                plan, done = self._repair.make(claim, answer, lenient=True)
+                changed = self._table.change(
+                    claim_id, with_remarks("replanned on request", done), **outcome(done)
+                )
+                self._collector.clear_topics()
+                return _made(changed or claim, plan, done)
+        raise NoPlanFound(refusal(self._manager, missing, claim.request.exclude), claim_id)
 
     def release(self, claim_id: str) -> None:
         """End a claim; one that has ended, or is unknown, is no error."""
@@ -239,9 +253,47 @@ class StreamReconciler:
             InvalidTag: the tag is no term.
         """
         demand = Demand(frozenset([parse_tag(tag)]), datatype)
-        with self._lock.round():
-            self._planner.supplies.look()
+        self._planner.supplies.look()
+        with self._lock.reading():
             return self._planner.bindings(demand)
+
+    # Plans of requests: other work goes on meanwhile, so they are checked before they are used
+
+    def _drafted(self, claim: Claim) -> Tuple[Claim, Proposal]:
+        """Plan a new claim's stream; returns the claim with the topic that it may share."""
+        with self._lock.reading():
+            claim = replace(claim, topic=self._planner.common_topic(claim))
+            return claim, self._planner.propose(claim, lenient=True)
+
+    def _is_current(self, claim: Claim, proposal: Proposal) -> bool:
+        """Whether a new claim would be planned alike now."""
+        is_there = claim.topic == self._planner.common_topic(claim)
+        return is_there and self._planner.still_fits(claim, proposal)
+
+    def _redrafted(self, claim_id: str) -> Tuple[Claim, Proposal]:
+        """Plan a claim's stream again: a cheaper way if there is one."""
+        with self._lock.reading():
+            claim = self._table.get(claim_id)
+            situation = self._planner.situation(claim)
+            is_whole = self._repair.diagnose(claim) is None
+            cheaper = self._cheaper_plans.find(claim) if is_whole else None
+            if cheaper is not None:
+                return claim, Proposal(situation, cheaper)
+            return claim, self._planner.propose(claim, lenient=True)
+
+    def _explained(self, claim: Claim, proposal: Proposal) -> Acquired:
+        """Answer a dry run.
+
+        Raises:
+            NoPlanFound: nothing supplies it.
+            StreamTypeMismatch: its messages have no header, for ``max_age``.
+        """
+        plan = proposal.answer
+        if isinstance(plan, NoPlan):
+            raise NoPlanFound(refusal(self._manager, plan, claim.request.exclude), claim.claim_id)
+        self._planner.check_stamped(claim, plan)
+        with self._lock.reading():
+            return self._intended(claim, plan)
 
     def _intended(self, claim: Claim, plan: Plan) -> Acquired:
         """Answer a dry run: labels of what would be made, and names of what would be used."""

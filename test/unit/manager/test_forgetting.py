@@ -22,8 +22,9 @@ def field(monkeypatch: pytest.MonkeyPatch) -> Iterator[Field]:
 
 
 def numbers(field: Field) -> int:
-    network = field.reconciler._planner._planner._network
-    return len(network.labels) + len(network.patterns)
+    planner = field.reconciler._planner
+    networks = [each._planner._network for each in (planner._rounds, planner._requests)]
+    return max(len(network.labels) + len(network.patterns) for network in networks)
 
 
 def test_tags_that_were_asked_for_once(field: Field) -> None:
