@@ -107,6 +107,7 @@ class FakeHost(Host):
             1 where nothing is said. The nodelet's own entry comes before that of its type.
         delays: seconds that a nodelet, type or ordinary topic adds to the age of messages; 0 where
             nothing is said, None for one that sends them without a stamp.
+        unnoticed: stopped nodelet managers that seem to be well until they are called.
         unstamped: ROS types without a header.
         slow: nodelets to which a connection takes longer than the manager waits: it fails, and is
             made later all the same (``arrive``).
@@ -140,6 +141,7 @@ class FakeHost(Host):
         self.silent: set[str] = set()
         self.dividers: Dict[str, int] = {}
         self.delays: Dict[str, Optional[float]] = {}
+        self.unnoticed: set[str] = set()
         self.unstamped: set[str] = set()
         self.slow: set[str] = set()
         self.fail: Callable[[str, str], object] = lambda operation, argument: None
@@ -362,9 +364,9 @@ class FakeHost(Host):
 
     def managers(self) -> List[ManagerState]:
         """List the nodelet managers."""
+        hung = self._hung - self.unnoticed
         return [
-            self._cut.get(name)
-            or replace(self.processes[name].state, responsive=name not in self._hung)
+            self._cut.get(name) or replace(self.processes[name].state, responsive=name not in hung)
             for name in sorted(self.processes)
         ]
 
@@ -467,6 +469,7 @@ class FakeHost(Host):
         self._step("connect", name)
         process = self._place_of(name)
         if process is not None and (name in self.slow or process.state.name in self._hung):
+            self.unnoticed.discard(process.state.name)
             self._on_the_way.append((process.nodelets[name], dict(config)))
             raise HostTimeout(f"nodelet '{name}' did not answer in time")
         nodelet = self._process_of(name).nodelets[name]
@@ -551,6 +554,7 @@ class FakeHost(Host):
         assert_no_state_lock(f"asking nodelet manager {manager}")
         process: Optional[FakeManager] = self.processes.get(manager)
         if manager in self._hung or manager in self._cut:
+            self.unnoticed.discard(manager)
             raise HostTimeout(f"nodelet manager '{manager}' does not answer")
         if process is None or not process.state.alive:
             raise HostError(f"nodelet manager '{manager}' does not run")

@@ -15,7 +15,7 @@ import contextlib
 from typing import Callable, Dict, Iterable, List, Mapping, Optional, Tuple
 
 from dyknow.datatypes import ANY, types_fit
-from dyknow.errors import DyKnowError, NameTaken, SpawnFailed, StreamTypeMismatch
+from dyknow.errors import DyKnowError, HostTimeout, NameTaken, SpawnFailed, StreamTypeMismatch
 from dyknow.manager.claims.context import ClaimContext
 from dyknow.manager.claims.own_nodelets import instance_of
 from dyknow.manager.claims.plan_context import (
@@ -92,6 +92,13 @@ class Handover:
             return listening.count
         wanted = {record.manager: (record.name,)}
         return lambda: (self._host.counts(wanted).get(record.name) or {}).get(port)
+
+
+def timed_out(error: Optional[BaseException]) -> bool:
+    """Whether an error comes from a nodelet manager, or a nodelet, that did not answer."""
+    while error is not None and not isinstance(error, HostTimeout):
+        error = error.__cause__
+    return error is not None
 
 
 def _shows_messages(count: Optional[Count], since: float) -> bool:
@@ -288,8 +295,9 @@ class Assembly:
                     self._transaction.spawn(transformation, request, inputs.values())
             except NameTaken:
                 continue
-            except DyKnowError:
-                self.culprit = transformation.label
+            except DyKnowError as error:
+                if not timed_out(error):
+                    self.culprit = transformation.label
                 raise
             self._connect(name, {port: wiring[port] for port in outputs})
             return name

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import contextlib
 from dataclasses import replace
-from typing import Callable, Dict, Iterator, List, Mapping, Optional, Set, Tuple
+from typing import Callable, Dict, FrozenSet, Iterator, List, Mapping, Optional, Set, Tuple
 
 from dyknow.errors import Busy, DyKnowError, HostError, HostTimeout, WrongStream
 from dyknow.manager.claims.claim_table import ClaimTable
@@ -260,6 +260,11 @@ class Connector:
             raise
         self._show(name, config)
         self.remember()
+
+    @property
+    def unknown(self) -> FrozenSet[str]:
+        """Nodelets of which it is not known how they are connected."""
+        return frozenset(self._unknown)
 
     def is_known(self, name: str) -> bool:
         """Whether it is known how a nodelet is connected."""

@@ -6,12 +6,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Callable, Dict, Hashable, List, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, FrozenSet, Hashable, List, Optional, Sequence, Tuple
 
 from dyknow.backoff import Backoff
 from dyknow.errors import DyKnowError, StreamTypeMismatch
 from dyknow.manager.claim import Claim
-from dyknow.manager.claims.assembly import Assembly, Handover
+from dyknow.manager.claims.assembly import Assembly, Handover, timed_out
 from dyknow.manager.claims.claim_planner import ClaimPlanner
 from dyknow.manager.claims.context import ClaimContext
 from dyknow.manager.claims.garbage_collector import GarbageCollector
@@ -136,7 +136,8 @@ class Repair:
     def make(self, claim: Claim, plan: Plan, lenient: bool = False) -> Tuple[Plan, AssemblyResult]:
         """Make a claim's stream by a plan.
 
-        Another plan is made where types turn out wrong, or parts went while others came up.
+        Another plan is made where types turn out wrong, or parts went while others came up, or a
+        nodelet manager does not answer.
 
         Args:
             claim: whose stream it is.
@@ -148,9 +149,10 @@ class Repair:
             DyKnowError: a step failed; what was made is undone.
         """
         wrong: Dict[str, StreamTypeMismatch] = {}
+        late: FrozenSet[str] = frozenset()
         attempts = 0
         while True:
-            own = self._planner.own(claim)
+            own = self._planner.own(claim, late)
             try:
                 return plan, self._assemble(claim, plan, own)
             except StreamTypeMismatch as error:
@@ -160,13 +162,26 @@ class Repair:
                 failure: DyKnowError = next(iter(wrong.values()))
             except DyKnowError as error:
                 attempts += 1
-                if attempts == _ATTEMPTS or self._are_running(plan, own):
+                is_late = timed_out(error)
+                if attempts == _ATTEMPTS or (not is_late and self._are_running(plan, own)):
                     raise
+                if is_late:
+                    late |= self._late_ones()
                 failure = error
-            answer = self._planner.plan(claim, lenient, frozenset(wrong))
+            answer = self._planner.plan(claim, lenient, frozenset(wrong), late)
             if isinstance(answer, NoPlan):
                 raise failure
             plan = answer
+
+    def _late_ones(self) -> FrozenSet[str]:
+        """Find out who does not answer; what runs there is lost from now on.
+
+        Returns:
+            Nodelets of which it is not known how they are connected.
+        """
+        with self._context.lock.pause():
+            self._context.manager.look()
+        return self._context.connector.unknown
 
     def _are_running(self, plan: Plan, own: Sequence[OwnNodelet]) -> bool:
         """Whether the nodelets that a plan counted on still run."""

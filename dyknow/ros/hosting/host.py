@@ -230,6 +230,7 @@ class RosHost(Host):
         except PeerTimeout as error:
             with self._state_lock:
                 self._failures[key] = _Failure.LATE
+            self._listed(manager)  # a timeout of the nodelet manager, if that hangs
             raise HostError(f"'{request.source}' was not up within {timeout:g} s") from error
         except ServiceFailed as error:
             with self._state_lock:
