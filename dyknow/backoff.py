@@ -22,10 +22,11 @@ _MOST_DOUBLINGS = 16
 
 @dataclass(frozen=True)
 class _Failures:
-    """Failures in a row, and when the last one was counted."""
+    """Failures in a row, when the last one was counted, and how long its pause is at most."""
 
     count: int
     last: float
+    longest: float
 
 
 class Backoff:
@@ -56,13 +57,20 @@ class Backoff:
         self._state_lock = state_lock("failures")
         self._failures: Dict[str, _Failures] = {}
 
-    def failed(self, name: str) -> None:
-        """Count a failure, or an attempt that is one unless good service follows it."""
+    def failed(self, name: str, after: float = 0.0) -> None:
+        """Count a failure, or an attempt that is one unless good service follows it.
+
+        Args:
+            name: what failed.
+            after: seconds of good service that it ended. If these are no fewer than the first
+                pause, the next pause is no longer than they were.
+        """
         now = self._clock()
+        longest = min(after, self._longest) if after >= self._first else self._longest
         with self._state_lock:
             kept = {key: each for key, each in self._failures.items() if now - each.last <= MEMORY}
             count = kept[name].count if name in kept else 0
-            self._failures = {**kept, name: _Failures(count + 1, now)}
+            self._failures = {**kept, name: _Failures(count + 1, now, longest)}
 
     def served(self, name: str, seconds: float) -> None:
         """Note good service that has ended; the failures before it are forgiven if it was long."""
@@ -94,5 +102,5 @@ class Backoff:
         if failures is None or failures.count <= self._tolerated:
             return 0.0
         doublings = min(failures.count - self._tolerated - 1, _MOST_DOUBLINGS)
-        pause = min(self._longest, self._first * 2.0**doublings)
+        pause = min(failures.longest, self._first * 2.0**doublings)
         return max(0.0, failures.last + pause - self._clock())

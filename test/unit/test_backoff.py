@@ -70,3 +70,13 @@ def test_failures_of_long_ago_are_not_remembered() -> None:
         life.backoff.failed(f"/{number}")
         life.now += MEMORY / 10
     assert len(life.backoff._failures) < 15
+
+
+def test_a_pause_is_no_longer_than_the_service_that_it_follows() -> None:
+    life = Life()
+    for _ in range(12):
+        life.now += 5.0
+        life.backoff.failed("/a", after=5.0)
+    assert life.backoff.remaining("/a") == 5.0
+    life.backoff.failed("/a", after=FIRST / 2)
+    assert life.backoff.remaining("/a") == LONGEST

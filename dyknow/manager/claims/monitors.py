@@ -75,6 +75,12 @@ class StreamMonitor:
             _log.warning("%s", self.silent[name])
         return fallen
 
+    def service(self, name: str, lifetime: float) -> float:
+        """Seconds for which a nodelet that lived so long has sent messages; all if not watched."""
+        flows = [flow for (each, _), flow in list(self._meter.flows.items()) if each == name]
+        silences = [flow.silence if flow.begun else lifetime for flow in flows]
+        return max(0.0, lifetime - max(silences, default=0.0))
+
     def restart(self, claim: Claim, goal: Place, topic: str, rewired: Iterable[str]) -> str:
         """Restart with a stream that was changed just now; returns the detail of its claim.
 

@@ -313,8 +313,9 @@ class Repair:
     def blame(self, record: Record) -> None:
         """Count a nodelet's death, or silence, against its transformation."""
         failures = self._planner.failures
-        failures.served(record.label, self._graph.lifetime(record.name))
-        failures.failed(record.label)
+        lifetime = self._graph.lifetime(record.name)
+        failures.served(record.label, lifetime)
+        failures.failed(record.label, self._monitor.service(record.name, lifetime))
 
     def forget_ended(self) -> None:
         """Forget claims that have ended."""

@@ -221,3 +221,22 @@ def test_what_was_stopped_is_not_silent_when_it_goes_on(field: Field) -> None:
     field.settle(10.0)
     assert not [reason for reason in field.reasons() if "silent" in reason]
     assert field.living()[0].state is ClaimState.ACTIVE
+
+
+@pytest.mark.parametrize("service", [1.0, 3.0, 7.0])
+def test_two_that_fall_silent_in_turns_replace_each_other_at_once(
+    field: Field, service: float
+) -> None:
+    """What has served between two failures is not left alone for longer than it has served."""
+    claim = field.acquire("YUV(field)", max_silence=1.0).claim
+    field.settle(10.0)
+    for _ in range(16):
+        (camera,) = field.claim(claim.claim_id).nodelets
+        field.host.silent.add(camera)
+        begin = field.now
+        while field.claim(claim.claim_id).nodelets == (camera,):
+            field.tick(0.1)
+            assert field.now - begin <= 2.0
+        field.host.silent.clear()
+        for _ in range(int(service / 0.1)):
+            field.tick(0.1)
