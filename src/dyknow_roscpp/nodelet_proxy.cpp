@@ -70,9 +70,21 @@ private:
 NodeletProxy::NodeletProxy(std::string name, std::map<std::string, std::string> remappings,
                            std::function<void(const std::string&)> on_change)
   : name(std::move(name))
-  , remappings(std::move(remappings))
   , on_change_(std::move(on_change))
+  , remappings_(std::move(remappings))
 {
+}
+
+std::map<std::string, std::string> NodeletProxy::remappings() const
+{
+  std::lock_guard<std::mutex> lock(state_lock_);
+  return remappings_;
+}
+
+void NodeletProxy::add(const std::map<std::string, std::string>& remappings)
+{
+  std::lock_guard<std::mutex> lock(state_lock_);
+  remappings_.insert(remappings.begin(), remappings.end());
 }
 
 std::shared_ptr<Port> NodeletProxy::declare(const PortName& port_name, Direction direction,
@@ -277,6 +289,7 @@ std::vector<std::shared_ptr<Port>> NodeletProxy::find(const std::string& text,
 std::shared_ptr<Port> NodeletProxy::portToCome(const std::string& text) const
 {
   const std::string origin = names::globalOf(text, name);
+  const auto remappings = this->remappings();
   const auto remapping = remappings.find(origin);
   if (text.empty() || remapping == remappings.end())
   {

@@ -25,7 +25,7 @@ class MasterState;
 /// A change is checked as a whole, then applied as a whole. Every method is safe from any thread.
 ///
 /// Locks: `turn_lock_` is held over a reconfiguration, which waits for the ROS master at most 1 s, for peers
-/// at most 0.5 s, and for no callback; `state_lock_` guards the table of ports. Neither is held by who opens or closes an end.
+/// at most 0.5 s, and for no callback; `state_lock_` guards the tables of ports and remappings. Neither is held by who opens or closes an end.
 class NodeletProxy
 {
 public:
@@ -44,10 +44,12 @@ public:
                std::function<void(const std::string&)> on_change);
 
   const std::string name;
-  const std::map<std::string, std::string> remappings;
   const Clock::time_point started = Clock::now();
   std::atomic<bool> is_offered{false};  ///< its services are
   const std::shared_ptr<ReconfigureListener> listener = std::make_shared<ReconfigureListener>();
+
+  std::map<std::string, std::string> remappings() const;
+  void add(const std::map<std::string, std::string>& remappings);
 
   /// The port of a name; the first call makes it.
   ///
@@ -89,6 +91,7 @@ private:
   const std::function<void(const std::string&)> on_change_;
   std::timed_mutex turn_lock_;
   mutable std::mutex state_lock_;
+  std::map<std::string, std::string> remappings_;
   std::vector<std::shared_ptr<Port>> ports_;
   std::uint32_t reconfigurations_ = 0;
   bool is_closed_ = false;

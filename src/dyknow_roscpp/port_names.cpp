@@ -34,7 +34,7 @@ std::map<std::string, std::map<std::string, std::string>>& table()
 
 std::map<std::string, std::string> remappingsOf(const NodeletProxy& owner)
 {
-  auto all = owner.remappings;
+  auto all = owner.remappings();
   for (const auto& each : ros::names::getRemappings())
   {
     all.insert(each);

@@ -64,11 +64,22 @@ std::shared_ptr<NodeletProxy> Registry::enter(const std::string& nodelet,
                                               const std::map<std::string, std::string>& remappings,
                                               const std::vector<ros::CallbackQueueInterface*>& queues)
 {
-  const auto proxy = std::make_shared<NodeletProxy>(nodelet, remappings, announceChange);
   std::unique_lock<std::shared_mutex> lock(state_lock_);
   for (const auto* queue : queues)
   {
-    queues_[queue] = nodelet;
+    if (queue != nullptr)
+    {
+      queues_[queue] = nodelet;
+    }
+  }
+  auto& owner = owners_[nodelet];
+  if (owner)
+  {
+    owner->add(remappings);
+  }
+  else
+  {
+    owner = std::make_shared<NodeletProxy>(nodelet, remappings, announceChange);
   }
   return owners_[nodelet] = proxy;
 }

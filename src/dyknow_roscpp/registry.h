@@ -36,7 +36,8 @@ public:
 
   // Owners
 
-  /// A nodelet begins; its handles use these queues.
+  /// A nodelet begins; its handles use these queues. A standalone one has the name of its node, and the node's
+  /// proxy: what its constructor made before is among its ports.
   std::shared_ptr<NodeletProxy> enter(const std::string& nodelet,
                                       const std::map<std::string, std::string>& remappings,
                                       const std::vector<ros::CallbackQueueInterface*>& queues);
