@@ -37,11 +37,22 @@ using PublishMethod = void (ros::TopicManager::*)(const std::string&,
                                                   const boost::function<ros::SerializedMessage(void)>&,
                                                   ros::SerializedMessage&);
 
-/// Whether a handle's topic is a port. What belongs to the process rather than to the code in it is none.
-bool isPort(const std::string& topic, const std::string& datatype)
+/// What roscpp publishes of the messages that come: from under its own locks, whoever's message it is.
+constexpr char STATISTICS[] = "rosgraph_msgs/TopicStatistics";
+
+/// Whether a handle's topic is a port. What belongs to the process rather than to the code in it is none, nor is
+/// what roscpp refuses.
+template <class Options>
+bool isPort(const ros::NodeHandle& handle, const Options& options)
 {
-  return topic != "/rosout" && topic != "/clock" && datatype != "bond/Status" &&
-         datatype.compare(0, 12, "dyknow_msgs/") != 0;
+  const auto& datatype = options.datatype;
+  if (options.md5sum.empty() || datatype.empty() || datatype == "bond/Status" || datatype == STATISTICS ||
+      datatype.compare(0, 12, "dyknow_msgs/") == 0)
+  {
+    return false;
+  }
+  const std::string topic = handle.resolveName(options.topic);
+  return topic != "/rosout" && topic != "/clock";
 }
 
 /// Makes what is behind a handle, and the handle with it: `make` gets the options with the key as topic.
@@ -150,7 +161,7 @@ bool master::execute(const std::string& method, const XmlRpc::XmlRpcValue& reque
 Publisher NodeHandle::advertise(AdvertiseOptions& ops)
 {
   static const auto next = dyknow::behind(static_cast<dyknow::AdvertiseMethod>(&NodeHandle::advertise));
-  if (!dyknow::areHooksReached() || !dyknow::isPort(resolveName(ops.topic), ops.datatype))
+  if (!dyknow::areHooksReached() || !dyknow::isPort(*this, ops) || !ops.helper)
   {
     return next(this, ops);
   }
@@ -161,7 +172,7 @@ Publisher NodeHandle::advertise(AdvertiseOptions& ops)
 Subscriber NodeHandle::subscribe(SubscribeOptions& ops)
 {
   static const auto next = dyknow::behind(static_cast<dyknow::SubscribeMethod>(&NodeHandle::subscribe));
-  if (!dyknow::areHooksReached() || !dyknow::isPort(resolveName(ops.topic), ops.datatype))
+  if (!dyknow::areHooksReached() || !dyknow::isPort(*this, ops) || ops.datatype == "*" || ops.md5sum == "*")
   {
     return next(this, ops);
   }
@@ -259,7 +270,10 @@ void TopicManager::publish(const std::string& topic, const boost::function<Seria
     publication->publish(serfunc, m);
     return;
   }
-  dyknow::topics::publish(topic, serfunc, m);
+  else if (!Registry::isKey(topic))  // a handle that is shut down meanwhile
+  {
+    dyknow::topics::publish(topic, serfunc, m);
+  }
 }
 
 std::size_t TopicManager::getNumSubscribers(const std::string& topic)
@@ -279,7 +293,6 @@ void TopicManager::incrementSequence(const std::string& topic)
   if (const auto publication = Registry::instance().publication(topic))
   {
     publication->incrementSequence();
-    return;
   }
   dyknow::topics::incrementSequence(topic);
 }
@@ -289,7 +302,7 @@ std::string Publisher::getTopic() const
   static const auto next = dyknow::behind(&Publisher::getTopic);
   const std::string key = next(this);
   const auto publication = Registry::instance().publication(key);
-  return publication ? publication->port().topic() : key;
+  return publication ? publication->port().topic() : Registry::topicOf(key);
 }
 
 std::string Subscriber::getTopic() const
@@ -297,7 +310,7 @@ std::string Subscriber::getTopic() const
   static const auto next = dyknow::behind(&Subscriber::getTopic);
   const std::string key = next(this);
   const auto subscription = Registry::instance().subscription(key);
-  return subscription ? subscription->port().topic() : key;
+  return subscription ? subscription->port().topic() : Registry::topicOf(key);
 }
 
 void SubscriptionQueue::push(const SubscriptionCallbackHelperPtr& helper,
@@ -305,7 +318,7 @@ void SubscriptionQueue::push(const SubscriptionCallbackHelperPtr& helper,
                              const VoidConstWPtr& tracked_object, bool nonconst_need_copy,
                              ros::Time receipt_time, bool* was_full)
 {
-  if (typeid(*helper) == typeid(dyknow::Connection))
+  if (helper && typeid(*helper) == typeid(dyknow::Connection))
   {
     const bool is_lost = static_cast<dyknow::Connection&>(*helper).take(
         {boost::static_pointer_cast<dyknow::Connection>(helper), deserializer, receipt_time,

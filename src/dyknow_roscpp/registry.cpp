@@ -81,7 +81,7 @@ std::shared_ptr<NodeletProxy> Registry::enter(const std::string& nodelet,
   {
     owner = std::make_shared<NodeletProxy>(nodelet, remappings, announceChange);
   }
-  return owners_[nodelet] = proxy;
+  return owner;
 }
 
 std::shared_ptr<NodeletProxy> Registry::leave(const ros::CallbackQueueInterface* queue)
@@ -169,6 +169,16 @@ std::string Registry::makeKey(const std::string& topic)
 {
   std::unique_lock<std::shared_mutex> lock(state_lock_);
   return topic + MARK + std::to_string(++last_number_);
+}
+
+bool Registry::isKey(const std::string& text)
+{
+  return numberOf(text) != 0;
+}
+
+std::string Registry::topicOf(const std::string& key)
+{
+  return isKey(key) ? key.substr(0, key.rfind(MARK)) : key;
 }
 
 void Registry::add(const std::string& key, std::shared_ptr<PortSubscription> subscription)

@@ -55,6 +55,9 @@ public:
   // Handles
 
   std::string makeKey(const std::string& topic);
+  static bool isKey(const std::string& text);
+  /// What a key was made for; of other texts, the text itself.
+  static std::string topicOf(const std::string& key);
   void add(const std::string& key, std::shared_ptr<PortSubscription> subscription);
   void add(const std::string& key, std::shared_ptr<PortPublication> publication);
   std::shared_ptr<PortSubscription> subscription(const std::string& key) const;
