@@ -5,6 +5,7 @@
 #include <ros/init.h>
 #include <ros/master.h>
 #include <ros/node_handle.h>
+#include <ros/statistics.h>
 #include <ros/subscription_queue.h>
 #include <ros/this_node.h>
 #include <ros/topic_manager.h>
@@ -122,6 +123,7 @@ std::vector<void*> roscppHooks()
       addressOf(&ros::Publisher::getTopic),
       addressOf(&ros::Subscriber::getTopic),
   };
+      addressOf(&ros::StatisticsLogger::init),
 }
 
 }  // namespace dyknow
@@ -240,7 +242,8 @@ bool TopicManager::advertise(const AdvertiseOptions& ops, const SubscriberCallba
       return false;
     }
   }
-  const dyknow::topics::WiringLock lock;
+  using dyknow::topics::WiringLock;
+  const WiringLock lock(ops.datatype == dyknow::STATISTICS ? WiringLock::PATIENCE * 0 : WiringLock::PATIENCE);
   return dyknow::topics::advertise(lock, ops, callbacks);
 }
 
@@ -256,6 +259,12 @@ bool TopicManager::unadvertise(const std::string& topic, const SubscriberCallbac
   return next(this, topic, callbacks);
 }
 
+  if (callbacks && callbacks->callback_queue_ != nullptr)
+  {
+    // Waits for callbacks of the node, which must not be waited for under the lock.
+    callbacks->callback_queue_->removeByID(reinterpret_cast<std::uint64_t>(callbacks.get()));
+  }
+  const dyknow::topics::WiringLock lock;
 bool TopicManager::unregisterPublisher(const std::string& topic)
 {
   static const auto next = dyknow::behind(&TopicManager::unregisterPublisher);
@@ -335,3 +344,13 @@ void SubscriptionQueue::push(const SubscriptionCallbackHelperPtr& helper,
 }
 
 }  // namespace ros
+void StatisticsLogger::init(const SubscriptionCallbackHelperPtr& helper)
+{
+  static const auto next = dyknow::behind(&StatisticsLogger::init);
+  next(this, helper);
+  if (enable_statistics)
+  {
+    dyknow::topics::noteStatistics();
+  }
+}
+

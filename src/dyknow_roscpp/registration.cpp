@@ -109,7 +109,7 @@ void Registration::advertise(const topics::WiringLock& lock, ros::AdvertiseOptio
   };
   const Setting<bool> joining(t_joining, topics::isAdvertised(lock, topic));
   is_advertised_ = topics::advertise(lock, options, callbacks, &known_subscribers_);
-  publication_ = topics::publication(lock, topic);
+  publication_ = topics::publication(topic);
   if (!is_advertised_ || !publication_)  // there is none any more when ROS shuts down
   {
     throw Refusal("cannot advertise '" + topic + "'");

@@ -3,10 +3,12 @@
 
 #include "topics.h"
 
+#include <ros/console.h>
 #include <ros/poll_manager.h>
 #include <ros/publication.h>
 #include <ros/topic_manager.h>
 
+#include <atomic>
 #include <vector>
 
 #include "deadline.h"
@@ -27,16 +29,28 @@ struct UnregisterPublisher
 
 template struct PrivateMethod<UnregisterPublisher, &ros::TopicManager::unregisterPublisher>;
 
+/// Names the private lock that roscpp publishes under.
+struct PublishingLock
+{
+  using Member = boost::recursive_mutex ros::TopicManager::*;
+  friend Member pointerTo(PublishingLock);
+};
+
+template struct PrivateMember<PublishingLock, &ros::TopicManager::advertised_topics_mutex_>;
+
 namespace topics
 {
 namespace
 {
 
-std::timed_mutex& wiringMutex()
+std::recursive_timed_mutex& wiringMutex()
 {
-  static auto& mutex = *new std::timed_mutex;  // leaked, see later.cpp
+  static auto& mutex = *new std::recursive_timed_mutex;  // leaked, see later.cpp
   return mutex;
 }
+
+std::atomic<bool> g_is_shut_down{false};
+std::atomic<bool> g_has_statistics{false};
 
 thread_local std::vector<std::string>* t_unregistered = nullptr;
 thread_local std::size_t* t_known = nullptr;
@@ -48,7 +62,14 @@ ros::TopicManager* manager()
 
 }  // namespace
 
-WiringLock::WiringLock() : lock_(wiringMutex()) {}
+WiringLock::WiringLock(std::chrono::milliseconds patience)
+  : lock_(wiringMutex(), forWaiting(Clock::now() + patience))
+{
+  if (!lock_.owns_lock() && patience.count() > 0)
+  {
+    ROS_WARN_THROTTLE(10.0, "dyknow: another registration with the ROS master takes long; going on beside it");
+  }
+}
 
 WiringLock::WiringLock(Clock::time_point deadline) : lock_(wiringMutex(), forWaiting(deadline))
 {
@@ -58,10 +79,26 @@ WiringLock::WiringLock(Clock::time_point deadline) : lock_(wiringMutex(), forWai
   }
 }
 
+void noteStart()
+{
+  g_is_shut_down = false;
+}
+
+void noteShutdown()
+{
+  const WiringLock lock;  // what is being registered now is withdrawn by roscpp
+  g_is_shut_down = true;
+}
+
+void noteStatistics()
+{
+  g_has_statistics = true;
+}
+
 bool subscribe(const WiringLock&, const ros::SubscribeOptions& options)
 {
   static const auto next = behind(&ros::TopicManager::subscribe);
-  return next(manager(), options);
+  return !g_is_shut_down && next(manager(), options);
 }
 
 void unsubscribe(const WiringLock&, const std::string& topic,
@@ -76,7 +113,7 @@ bool advertise(const WiringLock&, const ros::AdvertiseOptions& options,
 {
   static const auto next = behind(&ros::TopicManager::advertise);
   const Setting<std::size_t*> asking(t_known, known);
-  return next(manager(), options, callbacks);
+  return !g_is_shut_down && next(manager(), options, callbacks);
 }
 
 void noteAnswer(const std::string& question, XmlRpc::XmlRpcValue& answer)
@@ -94,7 +131,7 @@ bool isAdvertised(const WiringLock&, const std::string& topic)
   return found && found->getNumCallbacks() > 0;
 }
 
-ros::PublicationPtr publication(const WiringLock&, const std::string& topic)
+ros::PublicationPtr publication(const std::string& topic)
 {
   return manager()->lookupPublication(topic);
 }
@@ -143,6 +180,17 @@ void publish(const std::string& topic, const boost::function<ros::SerializedMess
 void publish(ros::Publication& publication, const boost::function<ros::SerializedMessage()>& serialise,
              ros::SerializedMessage& message)
 {
+  if (publication.isDropped())
+  {
+    return;  // by a shutdown of roscpp
+  }
+  // roscpp takes this lock before those of the publication and its subscribers. Where it publishes statistics,
+  // it takes it under these as well.
+  boost::unique_lock<boost::recursive_mutex> lock(manager()->*pointerTo(PublishingLock()), boost::defer_lock);
+  if (g_has_statistics)
+  {
+    lock.lock();
+  }
   if (!publication.hasSubscribers() && !publication.isLatching())
   {
     publication.incrementSequence();

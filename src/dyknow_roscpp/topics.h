@@ -22,21 +22,40 @@ namespace dyknow::topics
 {
 
 /// Held over every registration: roscpp itself races when one thread subscribes while another unsubscribes or
-/// advertises. User code never runs under it (see DirectQueue), so it need not be recursive.
+/// advertises.
 ///
-/// While the master is down roscpp holds on for ever in a registration, and this lock with it. So whoever
-/// answers a service takes it with a deadline.
+/// Callbacks never run under it (see DirectQueue), but destructors may, of the node's objects and of roscpp's
+/// publisher of statistics, and these register too: the lock is recursive.
+///
+/// While the master is down roscpp holds on for ever in a registration, and this lock with it. So it is always
+/// waited for with a deadline.
 class WiringLock
 {
 public:
-  WiringLock();
+  /// How long a node waits for the lock, which then goes on as it would without us.
+  static constexpr std::chrono::milliseconds PATIENCE{2000};
 
-  /// Raises Refusal if somebody else holds it until the deadline.
+  /// Goes on without the lock, and says so, if another thread holds it for that long.
+  ///
+  /// @param patience 0: for calls under locks that the holder may wait for
+  explicit WiringLock(std::chrono::milliseconds patience = PATIENCE);
+
+  /// Raises Refusal if another thread holds it until the deadline.
   explicit WiringLock(Clock::time_point deadline);
 
 private:
-  std::unique_lock<std::timed_mutex> lock_;
+  std::unique_lock<std::recursive_timed_mutex> lock_;
 };
+
+/// roscpp starts, for the first time or again.
+void noteStart();
+
+/// roscpp is about to shut down and to withdraw what is registered: nothing is registered from now on, or it
+/// would be left at the master.
+void noteShutdown();
+
+/// roscpp publishes statistics of messages, from under its own locks.
+void noteStatistics();
 
 bool subscribe(const WiringLock&, const ros::SubscribeOptions& options);
 
@@ -62,7 +81,7 @@ void* unregisterPublisherHook();
 bool putOffUnregistration(const std::string& topic);
 
 /// What roscpp has for a topic that a publisher of this process is on; null if none is.
-ros::PublicationPtr publication(const WiringLock&, const std::string& topic);
+ros::PublicationPtr publication(const std::string& topic);
 
 void publish(const std::string& topic, const boost::function<ros::SerializedMessage()>& serialise,
              ros::SerializedMessage& message);
