@@ -12,6 +12,7 @@
 
 #include <boost/align/aligned_allocator.hpp>
 
+#include <algorithm>
 #include <typeinfo>
 
 #include "later.h"
@@ -106,6 +107,7 @@ std::vector<void*> roscppHooks()
                                                 const ros::VoidConstWPtr&, bool, ros::Time, bool*);
   return {
       reinterpret_cast<void*>(static_cast<void (*)()>(&ros::start)),
+      reinterpret_cast<void*>(static_cast<void (*)()>(&ros::shutdown)),
       reinterpret_cast<void*>(static_cast<ExecuteFunction>(&ros::master::execute)),
       addressOf(static_cast<AdvertiseMethod>(&ros::NodeHandle::advertise)),
       addressOf(static_cast<SubscribeMethod>(&ros::NodeHandle::subscribe)),
@@ -118,12 +120,13 @@ std::vector<void*> roscppHooks()
       addressOf(&ros::TopicManager::getNumSubscribers),
       addressOf(&ros::TopicManager::getNumPublishers),
       addressOf(&ros::TopicManager::incrementSequence),
+      addressOf(&ros::TopicManager::getAdvertisedTopics),
       topics::unregisterPublisherHook(),
       addressOf(static_cast<Push>(&ros::SubscriptionQueue::push)),
+      addressOf(&ros::StatisticsLogger::init),
       addressOf(&ros::Publisher::getTopic),
       addressOf(&ros::Subscriber::getTopic),
   };
-      addressOf(&ros::StatisticsLogger::init),
 }
 
 }  // namespace dyknow
@@ -136,6 +139,7 @@ using dyknow::Registry;
 void start()
 {
   static const auto next = dyknow::behind(static_cast<void (*)()>(&ros::start));
+  dyknow::topics::noteStart();
   next();
   // Later: this is called while the first NodeHandle is made, under the lock that the next one needs.
   dyknow::later(
@@ -146,6 +150,13 @@ void start()
           dyknow::offerProcessServices();
         }
       });
+}
+
+void shutdown()
+{
+  static const auto next = dyknow::behind(static_cast<void (*)()>(&ros::shutdown));
+  dyknow::topics::noteShutdown();
+  next();
 }
 
 bool master::execute(const std::string& method, const XmlRpc::XmlRpcValue& request,
@@ -163,7 +174,7 @@ bool master::execute(const std::string& method, const XmlRpc::XmlRpcValue& reque
 Publisher NodeHandle::advertise(AdvertiseOptions& ops)
 {
   static const auto next = dyknow::behind(static_cast<dyknow::AdvertiseMethod>(&NodeHandle::advertise));
-  if (!dyknow::areHooksReached() || !dyknow::isPort(*this, ops) || !ops.helper)
+  if (!dyknow::areHooksReached() || !dyknow::isPort(*this, ops) || ops.datatype == "*" || ops.md5sum == "*")
   {
     return next(this, ops);
   }
@@ -174,7 +185,7 @@ Publisher NodeHandle::advertise(AdvertiseOptions& ops)
 Subscriber NodeHandle::subscribe(SubscribeOptions& ops)
 {
   static const auto next = dyknow::behind(static_cast<dyknow::SubscribeMethod>(&NodeHandle::subscribe));
-  if (!dyknow::areHooksReached() || !dyknow::isPort(*this, ops) || ops.datatype == "*" || ops.md5sum == "*")
+  if (!dyknow::areHooksReached() || !dyknow::isPort(*this, ops) || !ops.helper)
   {
     return next(this, ops);
   }
@@ -201,10 +212,6 @@ std::string NodeHandle::resolveName(const std::string& name, bool remap) const
 
 bool TopicManager::subscribe(const SubscribeOptions& ops)
 {
-  if (dyknow::Probe::note())
-  {
-    return false;
-  }
   if (const auto subscription = Registry::instance().subscription(ops.topic))
   {
     return subscription->open(ops);
@@ -227,10 +234,6 @@ bool TopicManager::unsubscribe(const std::string& topic, const SubscriptionCallb
 
 bool TopicManager::advertise(const AdvertiseOptions& ops, const SubscriberCallbacksPtr& callbacks)
 {
-  if (dyknow::Probe::note())
-  {
-    return false;
-  }
   if (const auto publication = Registry::instance().publication(ops.topic))
   {
     try
@@ -256,15 +259,15 @@ bool TopicManager::unadvertise(const std::string& topic, const SubscriberCallbac
     return true;
   }
   static const auto next = dyknow::behind(&TopicManager::unadvertise);
-  return next(this, topic, callbacks);
-}
-
   if (callbacks && callbacks->callback_queue_ != nullptr)
   {
     // Waits for callbacks of the node, which must not be waited for under the lock.
     callbacks->callback_queue_->removeByID(reinterpret_cast<std::uint64_t>(callbacks.get()));
   }
   const dyknow::topics::WiringLock lock;
+  return next(this, topic, callbacks);
+}
+
 bool TopicManager::unregisterPublisher(const std::string& topic)
 {
   static const auto next = dyknow::behind(&TopicManager::unregisterPublisher);
@@ -277,7 +280,6 @@ void TopicManager::publish(const std::string& topic, const boost::function<Seria
   if (const auto publication = Registry::instance().publication(topic))
   {
     publication->publish(serfunc, m);
-    return;
   }
   else if (!Registry::isKey(topic))  // a handle that is shut down meanwhile
   {
@@ -302,8 +304,21 @@ void TopicManager::incrementSequence(const std::string& topic)
   if (const auto publication = Registry::instance().publication(topic))
   {
     publication->incrementSequence();
+    return;
   }
   dyknow::topics::incrementSequence(topic);
+}
+
+void TopicManager::getAdvertisedTopics(V_string& names)
+{
+  static const auto next = dyknow::behind(&TopicManager::getAdvertisedTopics);
+  if (dyknow::Probe::note())
+  {
+    return;
+  }
+  next(this, names);
+  // A node sees itself as it would without us, in its messages to the log as well.
+  names.erase(std::remove_if(names.begin(), names.end(), dyknow::isOwnTopic), names.end());
 }
 
 std::string Publisher::getTopic() const
@@ -343,7 +358,6 @@ void SubscriptionQueue::push(const SubscriptionCallbackHelperPtr& helper,
        was_full);
 }
 
-}  // namespace ros
 void StatisticsLogger::init(const SubscriptionCallbackHelperPtr& helper)
 {
   static const auto next = dyknow::behind(&StatisticsLogger::init);
@@ -354,3 +368,4 @@ void StatisticsLogger::init(const SubscriptionCallbackHelperPtr& helper)
   }
 }
 
+}  // namespace ros

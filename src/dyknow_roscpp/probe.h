@@ -10,7 +10,7 @@
 namespace dyknow
 {
 
-/// While it lives, the hooks of the topic manager do nothing in this thread but note that they were reached.
+/// While it lives, TopicManager::getAdvertisedTopics does nothing in this thread but note that it was reached.
 class Probe
 {
 public:
@@ -21,7 +21,7 @@ public:
 
   bool isReached() const { return is_reached_; }
 
-  /// Called by the hooks: whether the call is a probe.
+  /// Called by the hook: whether the call is a probe.
   static bool note();
 
 private:

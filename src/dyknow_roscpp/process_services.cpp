@@ -167,9 +167,19 @@ bool getCounts(GetCountsEvent& event)
   return true;
 }
 
+/// The topic on which this process announces changes.
+std::string changesTopic()
+{
+  return names::join(ros::this_node::getName(), "changes");
+}
+
 /// What this process offers; leaked on purpose, see later.cpp.
 ///
-/// Without any ros::NodeHandle: a node ends with its last one, which must not be ours.
+/// Without any ros::NodeHandle: a node ends with its last one, which must not be ours. The next one may start
+/// roscpp again, and nothing is offered then that was before.
+///
+/// Locks: `turn_lock_` is held over everything that is offered or withdrawn, which asks the ROS master;
+/// `state_lock_` guards the changes to announce.
 class Services
 {
 public:
@@ -181,20 +191,30 @@ public:
 
   void offer(const std::shared_ptr<NodeletProxy>& proxy)
   {
-    advertise<GetConfigEvent>(proxy->name + "/get_config",
-                              [proxy](GetConfigEvent& event) { return getConfig(*proxy, event); });
-    advertise<SetConfigEvent>(proxy->name + "/set_config",
-                              [proxy](SetConfigEvent& event) { return setConfig(*proxy, event); });
-    advertise<GetStatisticsEvent>(proxy->name + "/get_statistics", [proxy](GetStatisticsEvent& event)
-                                  { return getStatistics(*proxy, event); });
-    if (proxy->name == ros::this_node::getName())
-    {
-      advertise(NODES, &Services::tellName);  // last: who hears of it asks at once
-    }
+    const std::lock_guard<std::mutex> turn(turn_lock_);
+    offerInTurn(proxy);
   }
 
-  void withdraw(const NodeletProxy& proxy)
+  void offerEverything()
   {
+    {
+      const std::lock_guard<std::mutex> turn(turn_lock_);
+      offerProcessInTurn();
+      for (const auto& each : Registry::instance().owners())
+      {
+        if (each->is_offered)
+        {
+          offerInTurn(each);
+        }
+      }
+    }
+    tell();  // what was to be told when roscpp was shut down
+  }
+
+  void withdraw(NodeletProxy& proxy)
+  {
+    const std::lock_guard<std::mutex> turn(turn_lock_);
+    proxy.is_offered = false;
     for (const char* each : {"/get_config", "/set_config", "/get_statistics"})
     {
       ros::ServiceManager::instance()->unadvertiseService(proxy.name + each);
@@ -212,14 +232,33 @@ public:
   }
 
 private:
-  Services() : changes_(names::join(ros::this_node::getName(), "changes"))
+  Services()
   {
-    advertise(changes_, &Services::tellEverything);
-    advertise<GetCountsEvent>(names::join(ros::this_node::getName(), "get_counts"), getCounts);
     for (int i = 0; i < THREADS; ++i)
     {
       // No ros::AsyncSpinner: it has a ros::NodeHandle, and wakes up ten times a second.
       std::thread(&Services::serve, this).detach();
+    }
+  }
+
+  void offerProcessInTurn()
+  {
+    advertise(changesTopic(), &Services::tellEverything);
+    advertise<GetCountsEvent>(names::join(ros::this_node::getName(), "get_counts"), getCounts);
+  }
+
+  void offerInTurn(const std::shared_ptr<NodeletProxy>& proxy)
+  {
+    offerProcessInTurn();
+    advertise<GetConfigEvent>(proxy->name + "/get_config",
+                              [proxy](GetConfigEvent& event) { return getConfig(*proxy, event); });
+    advertise<SetConfigEvent>(proxy->name + "/set_config",
+                              [proxy](SetConfigEvent& event) { return setConfig(*proxy, event); });
+    advertise<GetStatisticsEvent>(proxy->name + "/get_statistics", [proxy](GetStatisticsEvent& event)
+                                  { return getStatistics(*proxy, event); });
+    if (proxy->name == ros::this_node::getName())
+    {
+      advertise(NODES, &Services::tellName);  // last: who hears of it asks at once
     }
   }
 
@@ -231,9 +270,13 @@ private:
     }
   }
 
-  /// Begins to publish a topic; `greet` is called with everybody who begins to listen.
+  /// Publishes a topic unless it is; `greet` is called with everybody who begins to listen.
   void advertise(const std::string& topic, const ros::SubscriberStatusCallback& greet)
   {
+    if (topics::publication(topic))
+    {
+      return;
+    }
     const ros::SubscriberStatusCallback none;
     const auto options = ros::AdvertiseOptions::create<dyknow_msgs::NodeletChanges>(
         topic, QUEUE_SIZE, greet, none, ros::VoidConstPtr(), &queue_);
@@ -243,9 +286,14 @@ private:
         boost::make_shared<ros::SubscriberCallbacks>(greet, none, ros::VoidConstPtr(), &queue_));
   }
 
+  /// Offers a service unless it is.
   template <class Event, class Answer>
   void advertise(const std::string& name, Answer answer)
   {
+    if (ros::ServiceManager::instance()->lookupServicePublication(name))
+    {
+      return;
+    }
     ros::AdvertiseServiceOptions options;
     options.initBySpecType<Event>(name, answer);
     options.callback_queue = &queue_;
@@ -282,12 +330,17 @@ private:
       changed_.clear();
       told_ = Clock::now();
     }
-    ros::SerializedMessage serialised;
-    topics::publish(changes_, [&message] { return ros::serialization::serializeMessage(message); }, serialised);
+    const auto publication = topics::publication(changesTopic());
+    if (publication && !message.nodelets.empty())
+    {
+      ros::SerializedMessage serialised;
+      topics::publish(
+          *publication, [&message] { return ros::serialization::serializeMessage(message); }, serialised);
+    }
   }
 
-  const std::string changes_;
   ros::CallbackQueue queue_;
+  std::mutex turn_lock_;
   std::mutex state_lock_;
   std::set<std::string> changed_;
   Clock::time_point told_;
@@ -304,7 +357,7 @@ void offerServices(const std::shared_ptr<NodeletProxy>& proxy)
   }
 }
 
-void withdrawServices(const NodeletProxy& proxy)
+void withdrawServices(NodeletProxy& proxy)
 {
   Services::instance().withdraw(proxy);
   announceChange(proxy.name);
@@ -312,7 +365,12 @@ void withdrawServices(const NodeletProxy& proxy)
 
 void offerProcessServices()
 {
-  Services::instance();
+  Services::instance().offerEverything();
+}
+
+bool isOwnTopic(const std::string& topic)
+{
+  return topic == NODES || topic == changesTopic();
 }
 
 void announceChange(const std::string& nodelet)

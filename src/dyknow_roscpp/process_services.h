@@ -17,14 +17,18 @@ namespace dyknow
 {
 
 /// Offers get_config, set_config and get_statistics in the name of a nodelet, and tells of it on `~changes`;
-/// once is enough.
+/// once is enough, however often roscpp is shut down and started again.
 void offerServices(const std::shared_ptr<NodeletProxy>& proxy);
 
 /// Withdraws them, and tells of it.
-void withdrawServices(const NodeletProxy& proxy);
+void withdrawServices(NodeletProxy& proxy);
 
-/// Offers what the process offers: the service `~get_counts` and the topic `~changes`. Once is enough.
+/// Offers what the process offers, the service `~get_counts` and the topic `~changes`, and again what
+/// `offerServices` has offered: a shutdown of roscpp withdraws all of it. To be called after each start.
 void offerProcessServices();
+
+/// Whether a topic is one of those that the process offers.
+bool isOwnTopic(const std::string& topic);
 
 /// Tells on `~changes` that a nodelet, or a port of it, has changed; returns at once.
 void announceChange(const std::string& nodelet);

@@ -17,9 +17,6 @@ namespace dyknow
 /// The first call decides for the life of the process.
 bool areHooksReached();
 
-/// What is wrong; empty: nothing, or `areHooksReached` was not called yet.
-std::vector<std::string> selfCheckProblems();
-
 }  // namespace dyknow
 
 #endif
