@@ -1,0 +1,163 @@
+// SPDX-FileCopyrightText: 2026 the DyKnow developers
+// SPDX-License-Identifier: BSD-3-Clause
+
+/// @file A node with habits of public ones: it starts roscpp again and again, subscribes anew, looks at itself,
+/// and makes mistakes that roscpp answers.
+///
+/// habits N PAUSE...: N times a handle that lives for an instant; then for each pause (s) such a handle (if it is
+/// not negative), the pause, and a relay that works until SIGUSR1.
+#include <ros/callback_queue.h>
+#include <ros/ros.h>
+#include <std_msgs/String.h>
+#include <std_srvs/Trigger.h>
+
+#include <algorithm>
+#include <csignal>
+#include <cstdio>
+#include <cstdlib>
+
+namespace
+{
+
+volatile std::sig_atomic_t g_is_over = 0;
+
+void onSignal(int)
+{
+  g_is_over = 1;
+}
+
+class Relay
+{
+public:
+  Relay()
+    : out_(nh_.advertise<std_msgs::String>("out", 10))
+    , in_(subscribe())
+    , again_(private_nh_.advertiseService("again", &Relay::onAgain, this))
+    , seen_(private_nh_.advertiseService("seen", &Relay::onSeen, this))
+    , refused_(private_nh_.advertiseService("refused", &Relay::onRefused, this))
+  {
+  }
+
+private:
+  using Request = std_srvs::Trigger::Request;
+  using Answer = std_srvs::Trigger::Response;
+
+  ros::Subscriber subscribe() { return nh_.subscribe("in", 10, &Relay::onMessage, this); }
+
+  void onMessage(const std_msgs::StringConstPtr& message) { out_.publish(message); }
+
+  bool onAgain(Request&, Answer& answer)
+  {
+    in_.shutdown();
+    in_ = subscribe();
+    answer.success = true;
+    return true;
+  }
+
+  /// What the node knows of its topics.
+  bool onSeen(Request&, Answer& answer)
+  {
+    ros::V_string advertised;
+    ros::V_string subscribed;
+    ros::this_node::getAdvertisedTopics(advertised);
+    ros::this_node::getSubscribedTopics(subscribed);
+    for (auto* topics : {&advertised, &subscribed})
+    {
+      std::sort(topics->begin(), topics->end());
+      for (const auto& each : *topics)
+      {
+        answer.message += each + " ";
+      }
+    }
+    ros::Publisher gone = nh_.advertise<std_msgs::String>("gone", 1);
+    const ros::Publisher copy = gone;
+    gone.shutdown();
+    answer.message += out_.getTopic() + " " + in_.getTopic() + " " + copy.getTopic();
+    answer.success = true;
+    ROS_INFO("seen");
+    return true;
+  }
+
+  /// What roscpp throws.
+  bool onRefused(Request&, Answer& answer)
+  {
+    for (const char* type : {"", "*", "std_msgs/String"})
+    {
+      for (const char* md5sum : {"", "*", ros::message_traits::md5sum<std_msgs::String>()})
+      {
+        ros::SubscribeOptions subscription;
+        subscription.topic = "refused";
+        subscription.datatype = type;
+        subscription.md5sum = md5sum;
+        answer.message += refusal([&] { nh_.subscribe(subscription); });
+        ros::AdvertiseOptions publication("refused", 1, md5sum, type, "string data\n");
+        answer.message += refusal([&] { nh_.advertise(publication); });
+      }
+    }
+    answer.message += refusal([&] { nh_.subscribe("not a name", 1, &Relay::onMessage, this); });
+    answer.success = true;
+    return true;
+  }
+
+  template <class Call>
+  std::string refusal(Call call)
+  {
+    try
+    {
+      call();
+    }
+    catch (const ros::Exception& error)
+    {
+      return std::string(error.what()) + "\n";
+    }
+    return "taken\n";
+  }
+
+  ros::NodeHandle nh_;
+  ros::NodeHandle private_nh_{"~"};
+  ros::Publisher out_;
+  ros::Subscriber in_;
+  ros::ServiceServer again_;
+  ros::ServiceServer seen_;
+  ros::ServiceServer refused_;
+};
+
+/// A parameter by way of a handle of its own: where it is the only one, roscpp is started and shut down.
+void readParameter()
+{
+  ros::NodeHandle("~").param("unset", 0);
+}
+
+}  // namespace
+
+int main(int argc, char** argv)
+{
+  std::signal(SIGUSR1, &onSignal);
+  ros::init(argc, argv, "habits");
+  for (int i = 0; argc > 1 && i < std::atoi(argv[1]); ++i)
+  {
+    readParameter();
+    ros::WallDuration(0.001 * (i % 20)).sleep();
+  }
+  for (int i = 2; i < argc; ++i)
+  {
+    if (const double pause = std::atof(argv[i]); pause >= 0)
+    {
+      readParameter();
+      ros::WallDuration(pause).sleep();
+    }
+    const Relay relay;
+    g_is_over = 0;
+    std::printf("relay %d\n", i - 1);
+    std::fflush(stdout);
+    while (g_is_over == 0)
+    {
+      if (!ros::ok())
+      {
+        return 0;
+      }
+      ros::getGlobalCallbackQueue()->callAvailable(ros::WallDuration(0.01));
+    }
+  }
+  return 0;
+}

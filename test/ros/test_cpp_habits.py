@@ -1,0 +1,243 @@
+#!/usr/bin/env python3
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Habits of public nodes: they see what they see without live ports, and none of them hangs."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+import signal
+from typing import Iterator
+from unittest import mock
+
+import graph
+import rospy
+import rostest
+from cpp_suite import RUN
+from dyknow_msgs.msg import NodeletChanges, PortConfig
+from dyknow_msgs.srv import GetConfig, GetCounts, SetConfig
+from graph import Talker, hearing, hears
+from processes import BUSY, eventually
+from rosgraph_msgs.msg import Log, TopicStatistics
+from rospy.impl.statistics import SubscriberStatisticsLogger
+from std_srvs.srv import Trigger
+from telling import TellingCase
+
+from dyknow.ros.master import Master
+from dyknow.ros.nodelets.announcements import NODES_TOPIC
+from dyknow.ros.service_client import ServiceClient
+
+PROGRAM = ("dyknow", "dyknow_cpp_test_habits")
+#: Moves of each node with statistics; more in the long run.
+MOVES = int(os.environ.get("DYKNOW_TEST_MOVES", 2))
+WORDS = {"/a": "left", "/b": "right"}
+
+
+class HabitsCase(TellingCase):
+    def setUp(self):
+        for topic, word in WORDS.items():
+            talker = Talker(topic, word)
+            self.addCleanup(talker.close)
+
+    def run_node(self, *command: str) -> graph.Ended:
+        process = graph.Ended(*command)
+        self.addCleanup(process.__exit__)
+        return process
+
+    def call(self, service: str, service_class=Trigger, *args):
+        """Calls a service that has to answer in time, once it is there."""
+        node = service.rpartition("/")[0]
+        eventually(lambda: service in graph.services_of(node), 20.0, f"{service} is there")
+        client = ServiceClient(Master("/tests"), service, service_class)
+        try:
+            return client.call(5.0 * BUSY, *args)
+        finally:
+            client.close()
+
+    def move(self, node: str, port: str, topic: str) -> None:
+        answer = self.call(f"{node}/set_config", SetConfig, [PortConfig(port, topic)])
+        self.assertTrue(answer.success, answer.message)
+
+
+class CyclesTest(HabitsCase):
+    """roscpp is shut down with the last handle of a node, and started again with the next one."""
+
+    def setUp(self):
+        super().setUp()
+        self.told: list[str] = []
+        subscriber = rospy.Subscriber(
+            "/habits/changes", NodeletChanges, lambda message: self.told.extend(message.nodelets)
+        )
+        self.addCleanup(subscriber.unregister)
+
+    def test_ports_live_in_every_cycle(self):
+        pauses = ("0", "0.05", "0.5", "1", "0")
+        node = self.run_node(*RUN, *PROGRAM, "12", *pauses, "__name:=habits", "/in:=/a")
+        topics = itertools.cycle(("/b", "/a"))
+        heard = "left"
+        for cycle, pause in enumerate(pauses, 1):
+            with self.subTest(cycle=cycle, pause=pause):
+                node.wait_for(f"relay {cycle}\n", 20.0)
+                hears("/out", heard, is_whole=True)
+                counts = self.call("/habits/get_counts", GetCounts, [])
+                self.assertEqual([each.nodelet for each in counts.nodelets], ["/habits"])
+                eventually(lambda: self.told, 5.0, "it is told")
+                del self.told[:]
+                topic = next(topics)
+                heard = WORDS[topic]
+                self.move("/habits", "in", topic)
+                hears("/out", heard, is_whole=True)
+                eventually(lambda: self.told, 5.0, "the move is told")
+                del self.told[:]
+                self.move("/habits", "out", "/moved")
+                hears("/moved", heard, is_whole=True)
+                self.move("/habits", "out", "/out")
+                self.assert_registered(topic)
+            if cycle < len(pauses):
+                node.stop(signal.SIGUSR1)
+        node.stop()
+        self.assertEqual(node.exit_code(5.0 * BUSY), 0, node.output)
+        self.assertFalse(any(graph.registrations("/habits").values()))
+
+    def assert_registered(self, topic: str) -> None:
+        """All that is registered is of this cycle, and known to the process."""
+        expected = {
+            "publishers": [NODES_TOPIC, "/habits/changes", "/out", "/rosout"],
+            "subscribers": [topic],
+        }
+
+        def registered():
+            every = graph.registrations("/habits")
+            return {kind: every[kind] for kind in expected}
+
+        eventually(lambda: registered() == expected, 5.0, "it is registered once", registered)
+        graph.bus_info("/habits")  # under the address that the master has
+
+
+class StatisticsTest(HabitsCase):
+    """roscpp publishes statistics of messages, by a publisher that ends with a subscription."""
+
+    #: Of each node what it is run by, its in-port and its out-port.
+    NODES = {
+        "/relaying": (("topic_tools", "relay", "/a", "/copied"), "/a", "/copied"),
+        "/choosing": (("topic_tools", "mux", "/chosen", "/a", "/spare"), "/a", "/chosen"),
+        "/habits": ((*PROGRAM, "0", "-1", "/in:=/a"), "in", "out"),
+    }
+
+    def setUp(self):
+        super().setUp()
+        rospy.set_param("/enable_statistics", True)
+        self.addCleanup(rospy.delete_param, "/enable_statistics")
+        # Else this process publishes its own.
+        patch = mock.patch.object(SubscriberStatisticsLogger, "is_enabled", return_value=False)
+        patch.start()
+        self.addCleanup(patch.stop)
+
+    def statistics_come(self, topic: str) -> None:
+        """Wait until each node has published those of the topic that it is on now."""
+        came: set[str] = set()
+
+        def all_came() -> bool:
+            # A subscriber that stays would be deaf to a node that advertises the topic anew.
+            with hearing("/statistics", TopicStatistics) as messages:
+                with contextlib.suppress(AssertionError):
+                    eventually(
+                        lambda: any(each.topic == topic for each in list(messages)), 0.5, "any"
+                    )
+                came.update(each.node_sub for each in list(messages) if each.topic == topic)
+            return came >= set(self.NODES)
+
+        eventually(all_came, 20.0, f"statistics of {topic} come", lambda: came)
+
+    def test_moves_and_unsubscribing(self):
+        nodes = [
+            self.run_node(*RUN, *command, f"__name:={name[1:]}")
+            for name, (command, _, _) in self.NODES.items()
+        ]
+        self.statistics_come("/a")
+        topics = itertools.cycle(("/b", "/a"))
+        for number in range(MOVES):
+            topic = next(topics)
+            for name, (_, port, _) in self.NODES.items():
+                self.move(name, port, topic)
+            self.statistics_come(topic)
+            for name, (_, _, port) in self.NODES.items():
+                moved = f"{name}/{number}"
+                self.move(name, port, moved)
+                hears(moved, WORDS[topic], is_whole=True)
+        self.assertTrue(self.call("/habits/again").success)
+        self.statistics_come(topic)
+        for node in nodes:
+            node.stop()
+        for node in nodes:
+            self.assertEqual(node.exit_code(5.0 * BUSY), 0, node.output)
+
+
+class ViewTest(HabitsCase):
+    """A node sees itself as it would without live ports, and roscpp answers its mistakes."""
+
+    def both(self) -> Iterator[None]:
+        """Runs the node without live ports, then with them."""
+        for run in (("rosrun",), RUN):
+            node = self.run_node(*run, *PROGRAM, "0", "-1", "__name:=habits")
+            if run == RUN:
+                eventually(
+                    lambda: NODES_TOPIC in graph.registrations("/habits")["publishers"],
+                    20.0,
+                    "its ports are live",
+                )
+            yield
+            node.stop()
+            self.assertEqual(node.exit_code(5.0 * BUSY), 0, node.output)
+
+    def test_topics(self):
+        views = []
+        for _ in self.both():
+            with hearing("/rosout", Log) as messages:
+                seen = ""
+
+                def logged():
+                    return [sorted(each.topics) for each in list(messages) if each.msg == "seen"]
+
+                def is_logged():
+                    nonlocal seen
+                    seen = self.call("/habits/seen").message
+                    return logged()
+
+                eventually(is_logged, 10.0, "it is logged")
+                views.append((seen, logged()[-1]))
+        self.assertEqual(views[1], views[0])
+        self.assertIn("/out", views[0][1])
+
+    def test_mistakes(self):
+        plain, live = (self.call("/habits/refused").message for _ in self.both())
+        self.assertIn("without a callback", plain)
+        self.assertEqual(live, plain)
+
+
+class StandaloneTest(HabitsCase):
+    """A nodelet that runs alone has the name of its node, which may have ports by then."""
+
+    def test_ports(self):
+        node = self.run_node(
+            *(*RUN, "nodelet", "nodelet", "standalone", "dyknow_cpp_test/Eager"),
+            *("__name:=eager", "/in:=/a"),
+        )
+        hears("/out", "left", is_whole=True)
+        self.call("/eager/get_config", GetConfig)
+        self.assertEqual(
+            graph.topics_of_ports("/eager"), {"~early": "/eager/early", "out": "/out", "in": "/a"}
+        )
+        self.move("/eager", "in", "/b")
+        hears("/out", "right", is_whole=True)
+        self.move("/eager", "~early", "/earlier")
+        eventually(lambda: graph.nodes_on("/earlier")[0] == {"/eager"}, 5.0, "it has moved")
+        self.assertNotIn("ERROR", node.output)
+
+
+if __name__ == "__main__":
+    rospy.init_node("cpp_habits_test")
+    rostest.rosrun("dyknow", "cpp_habits", "__main__")
