@@ -166,7 +166,7 @@ class AcquireTest(StreamCase):
                 told[:] = [each for each in list(events.all) if "cheaper" in each.reason]
                 return told
 
-            eventually(is_told, 5.0, "the cheaper way is told of")
+            eventually(is_told, 30.0, "the cheaper way is told of")
             self.assertIs(told[0].after.state, ClaimState.ACTIVE)
             self.assertEqual(self.nodelet_of(manager, "spare filter"), "/spare_filter_1")
             planned = manager.client.replan_stream(stream.claim_id, dry_run=True)

@@ -5,7 +5,8 @@
 
 from __future__ import annotations
 
-from typing import Dict, Hashable, Optional, Sequence, Set, Tuple
+from dataclasses import dataclass, replace
+from typing import Callable, Dict, FrozenSet, Hashable, Optional, Sequence, Set, Tuple
 
 from dyknow.errors import UnknownTransformation
 from dyknow.manager.claim import Claim
@@ -24,6 +25,8 @@ from dyknow.similar import did_you_mean
 _SEARCHED = 10_000
 #: Missing tags, and unknown labels, for which something is suggested.
 _EXPLAINED = 3
+#: Seconds that a cheaper way has to be there before it is reported.
+_SETTLED = 3.0
 
 
 def refusal(manager: Manager, answer: NoPlan, exclude: Sequence[str]) -> str:
@@ -73,20 +76,42 @@ def _as_asked(supplied: Term, asked: Term) -> Term:
     return supplied.substitute({have: want for have, want in pairs if have[:1] == "?"})
 
 
+@dataclass(frozen=True)
+class _Comparison:
+    """What is known of cheaper ways to a claim's stream.
+
+    Attributes:
+        nodelets: of the stream as it is.
+        offers: what was on offer when it was compared last.
+        way: the cheaper way, in words; empty if there is none.
+        since: when that was found first.
+        reported: ways that the client was informed of.
+    """
+
+    nodelets: Tuple[str, ...]
+    offers: Hashable = None
+    way: str = ""
+    since: float = 0.0
+    reported: FrozenSet[str] = frozenset()
+
+
 class CheaperPlans:
     """Compares what streams cost with what they would cost today."""
 
-    def __init__(self, table: ClaimTable, planner: ClaimPlanner) -> None:
+    def __init__(
+        self, table: ClaimTable, planner: ClaimPlanner, clock: Callable[[], float]
+    ) -> None:
         """Begin with no comparison.
 
         Args:
             table: the claims.
             planner: knows the prices.
+            clock: steady time, in seconds.
         """
         self._table = table
         self._planner = planner
-        #: For each claim what was on offer when it was compared last, and what was reported.
-        self._compared: Dict[str, Tuple[Hashable, str]] = {}
+        self._clock = clock
+        self._compared: Dict[str, _Comparison] = {}
 
     def find(self, claim: Claim) -> Optional[Plan]:
         """Return a plan by which all claims together cost less than now, or None."""
@@ -100,22 +125,36 @@ class CheaperPlans:
         return self._planner.with_own(answer, self._planner.own(claim))
 
     def report(self) -> None:
-        """Look for a cheaper plan for one claim, if anything new is on offer; report it once."""
-        offers = self._planner.supplies.offers()
-        claims = self._table.living()
+        """Report a cheaper plan of a claim once, when it has been on offer for some time.
+
+        In each call one claim is compared anew, if anything new is on offer.
+        """
+        offers, now = self._planner.supplies.offers(), self._clock()
+        claims = [each for each in self._table.living() if each.state is ClaimState.ACTIVE]
         for claim in claims:
-            before, reported = self._compared.get(claim.claim_id, (None, ""))
-            if claim.state is not ClaimState.ACTIVE or before == offers:
+            known = self._compared.get(claim.claim_id)
+            if known is None or known.nodelets != claim.nodelets:
+                known = _Comparison(claim.nodelets)
+            elif known.offers == offers:
                 continue
-            news = ""
-            cheaper = self.find(claim)
-            if cheaper is not None:
-                labels = ", ".join(sorted(step.action.label for step in cheaper.steps))
-                way = f"with {labels}" if labels else "with what others use"
-                news = f"a cheaper way has appeared, {way}; replanning takes it"
-                if news != reported:
-                    self._table.report(claim.claim_id, news)
-            self._compared[claim.claim_id] = (offers, news)
+            way = self._way(claim)
+            since = known.since if way == known.way else now
+            self._compared[claim.claim_id] = replace(known, offers=offers, way=way, since=since)
             break
-        living = {claim.claim_id for claim in claims}
+        for claim_id, known in list(self._compared.items()):
+            is_settled = known.offers == offers and now - known.since >= _SETTLED
+            if known.way and known.way not in known.reported and is_settled:
+                self._table.report(claim_id, known.way)
+                reported = known.reported | {known.way}
+                self._compared[claim_id] = replace(known, reported=reported)
+        living = {claim.claim_id for claim in self._table.living()}
         self._compared = {key: each for key, each in self._compared.items() if key in living}
+
+    def _way(self, claim: Claim) -> str:
+        """Say how a claim's stream would cost less; empty if there is no such way."""
+        cheaper = self.find(claim)
+        if cheaper is None:
+            return ""
+        labels = ", ".join(sorted(step.action.label for step in cheaper.steps))
+        way = f"with {labels}" if labels else "with what others use"
+        return f"a cheaper way has appeared, {way}; replanning takes it"

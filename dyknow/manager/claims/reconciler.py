@@ -114,7 +114,7 @@ class StreamReconciler:
         self._monitor = StreamMonitor(manager, table, clock)
         context = ClaimContext(manager, table, self._lock, self._connector, self._monitor, clock)
         self._planner = ClaimPlanner(context, ontology)
-        self._cheaper_plans = CheaperPlans(table, self._planner)
+        self._cheaper_plans = CheaperPlans(table, self._planner, clock)
         self._collector = GarbageCollector(context, settings.linger)
 
         def wait(seconds: float) -> None:

@@ -110,3 +110,28 @@ def test_an_offer_that_is_taken_never_raises_the_total(seed: int) -> None:
             field.reconciler.replan(claim_id)
             field.tidy()
             assert total(field) <= before
+
+
+def test_a_way_that_comes_and_goes_is_not_reported(field: Field) -> None:
+    claim = field.acquire("RelativePosition(ball)").claim
+    for _ in range(12):
+        field.manager.add_transformation(ALONE)
+        field.settle(1.5)
+        field.manager.remove_transformation("alone")
+        field.settle(1.5)
+    assert news(field) == []
+    field.manager.add_transformation(ALONE)
+    field.settle(10.0)
+    assert len(news(field)) == 1
+    field.manager.remove_transformation("alone")
+    field.settle(1.5)
+    field.manager.add_transformation(ALONE)
+    field.settle(10.0)
+    assert len(news(field)) == 1, "it is reported once"
+    assert field.reconciler.replan(claim.claim_id).cost == 2
+    field.settle()
+    field.manager.remove_transformation("alone")
+    field.settle(10.0)
+    field.manager.add_transformation(ALONE)
+    field.settle(10.0)
+    assert len(news(field)) == 2, "after a repair it is news again"
