@@ -159,6 +159,13 @@ class Host(ABC):
         """
         return []
 
+    def may_publish(self, manager: str) -> bool:
+        """Whether a nodelet manager that does not answer may still publish on topics of claims.
+
+        Until it certainly does not, nothing of it is replaced.
+        """
+        return False
+
     @abstractmethod
     def look_for(self, manager: str) -> None:
         """Look at once whether a nodelet manager of others is there by now.

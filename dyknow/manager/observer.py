@@ -193,7 +193,7 @@ class Observer:
             crash = self._crashes.get(record.manager)
             cause = f" ({crash.cause})" if crash is not None else ""
             return f"{'it' if record.kind.is_node else 'its nodelet manager'} has died{cause}"
-        if record.manager in listed:
+        if record.manager in listed or self._host.may_publish(record.manager):
             return ""
         what = "it" if record.kind.is_node else f"nodelet manager {record.manager}"
         return f"{what} does not answer"

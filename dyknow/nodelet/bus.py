@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field
-from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple, Union
+from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple, Union
 
 from dyknow.errors import HandleClosed, TypeMismatch
 from dyknow.locks import state_lock
@@ -96,6 +96,7 @@ class Bus:
         self._making: List[_Plan] = []
         self._leaving: List[Tuple[Endpoint, OutsidePublisher]] = []
         self._patient_from = clock()
+        self._fences: Mapping[str, Callable[[str], bool]] = {}
 
     def datatype_of(self, topic: str) -> str:
         """Type name of a topic that is alive, in this process or outside; empty if it is not."""
@@ -113,6 +114,19 @@ class Bus:
                 return [], []
             publishers = {each.owner for each in present.publications}
             return sorted(publishers), sorted({each.owner for each in present.connections})
+
+    def fence(self, fences: Mapping[str, Callable[[str], bool]]) -> None:
+        """Ask before each message on these topics whether its nodelet may publish it now.
+
+        Args:
+            fences: by topic, a function of the nodelet's name that must be quick. Other topics
+                are open to all.
+        """
+        with self._lock:
+            self._fences = fences
+            for name, topic in self._topics.items():
+                for publication in topic.publications:
+                    publication.set_fence(fences.get(name))
 
     def rewire(
         self,
@@ -404,4 +418,4 @@ class Bus:
         topic.publications.append(publication)
         made = plan.registration
         outside = made if isinstance(made, OutsidePublisher) else None
-        publication.connect(plan.topic, outside, topic.route)
+        publication.connect(plan.topic, outside, topic.route, self._fences.get(plan.topic))

@@ -223,6 +223,7 @@ class Publication:
         "_age_of",
         "_build",
         "_closed",
+        "_fence",
         "_is_age_wanted",
         "_keeps",
         "_outside",
@@ -275,6 +276,7 @@ class Publication:
         self._age_of = age_of
         self._age: Optional[float] = None
         self._is_age_wanted = False
+        self._fence: Optional[Callable[[str], bool]] = None
         #: Whether a message is looked at when it is published: this is all that it costs others.
         self._keeps = latch
         self.refusal = refusal
@@ -300,9 +302,9 @@ class Publication:
             if self._route is None:
                 self._unrouted(message)
                 return
+            if self._keeps and not self._keep(message):
+                return
             self.traffic.sent()
-            if self._keeps:
-                self._keep(message)
             for connection in self._route:
                 connection.push_locked(message)
             outside = self._outside
@@ -316,7 +318,7 @@ class Publication:
     def publish_to(self, topic: str, peer: Any, message: Any) -> None:
         """Send a message to one of the ``peers`` of a topic, uncounted; nothing if it has left."""
         with message_lock:
-            if topic != self.topic:
+            if topic != self.topic or (self._fence and not self._fence(self.owner)):
                 return
             if peer is HERE:
                 for connection in self._route or ():
@@ -327,12 +329,23 @@ class Publication:
             outside.in_flight += 1
         _hand_over(outside, outside.publish_to, peer, message)
 
-    def _keep(self, message: Any) -> None:
+    def _keep(self, message: Any) -> bool:
+        """Note what is kept of a message; returns whether it may be sent."""
+        if self._fence is not None and not self._fence(self.owner):
+            self.traffic.dropped += 1
+            return False
         if self.latch:
             self.latched = message
         if self._is_age_wanted:
-            self._is_age_wanted, self._keeps = False, self.latch
+            self._is_age_wanted, self._keeps = False, self.latch or self._fence is not None
             self._age = self._age_of(message)
+        return True
+
+    def set_fence(self, fence: Optional[Callable[[str], bool]]) -> None:
+        """Ask ``fence`` with each message whether our nodelet may publish on its topic now."""
+        with message_lock:
+            self._fence = fence
+            self._keeps = self.latch or self._is_age_wanted or fence is not None
 
     def sample_age(self) -> Optional[float]:
         """Return how old a message was when it was published, and let the next one be measured.
@@ -370,9 +383,14 @@ class Publication:
         return owed
 
     def connect(
-        self, topic: str, outside: Optional[OutsidePublisher], route: Tuple[Connection, ...]
+        self,
+        topic: str,
+        outside: Optional[OutsidePublisher],
+        route: Tuple[Connection, ...],
+        fence: Optional[Callable[[str], bool]] = None,
     ) -> None:
         """Publish on another topic from now on, to all of its connections."""
+        self.set_fence(fence)
         with message_lock:
             self.topic = topic
             self._set_outside(outside)

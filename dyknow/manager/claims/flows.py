@@ -63,14 +63,22 @@ class Flow:
 class FlowMeter:
     """Counts messages at the places that it is given, and keeps a flow for each."""
 
-    def __init__(self, host: Host, graph: Graph, clock: Callable[[], float]) -> None:
+    def __init__(
+        self,
+        host: Host,
+        graph: Graph,
+        clock: Callable[[], float],
+        running: Callable[[], float],
+    ) -> None:
         """Begin without any place.
 
         Args:
             host: counts messages.
             graph: the nodelets.
             clock: steady time, in seconds.
+            running: time for which this process has run, in seconds.
         """
+        self._running = running
         self._host = host
         self._graph = graph
         self._clock = clock
@@ -177,7 +185,7 @@ class FlowMeter:
     def _ask(
         self, asked: Mapping[str, Mapping[str, List[Place]]], periods: Mapping[Place, float]
     ) -> Set[Place]:
-        now = self._clock()
+        now, began = self._clock(), self._running()
         last = {manager: self._asked.get(manager, _NEVER) for manager in asked}
         due = [
             manager
@@ -191,9 +199,9 @@ class FlowMeter:
         for name, places in [each for manager in due for each in asked[manager].items()]:
             counts = answers.get(name)
             if counts is None:
-                since = self._unanswered_since.setdefault(name, now)
+                since = self._unanswered_since.setdefault(name, began)
                 is_gone = name in answers
-                if is_gone or self._clock() - since >= UNANSWERED:
+                if is_gone or self._running() - since >= UNANSWERED:
                     self._unresponsive[name] = places
                 continue
             self._unanswered_since.pop(name, None)

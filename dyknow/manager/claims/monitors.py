@@ -31,16 +31,23 @@ _log = logging.getLogger("rosout.dyknow")
 class StreamMonitor:
     """Watches the messages of all streams."""
 
-    def __init__(self, manager: Manager, table: ClaimTable, clock: Callable[[], float]) -> None:
+    def __init__(
+        self,
+        manager: Manager,
+        table: ClaimTable,
+        clock: Callable[[], float],
+        running: Callable[[], float],
+    ) -> None:
         """Begin without any stream.
 
         Args:
             manager: knows the nodelets, and reaches their host.
             table: the claims.
             clock: steady time, in seconds.
+            running: time for which this process has run, in seconds.
         """
         self._table = table
-        self._meter = FlowMeter(manager.host, manager.graph, clock)
+        self._meter = FlowMeter(manager.host, manager.graph, clock, running)
         self._silence = SilenceMonitor(self._meter, manager.graph)
         self._first_messages = FirstMessageMonitor(table, self._meter, manager.graph, clock)
         #: Which claims get less than they demand, and what is to blame.

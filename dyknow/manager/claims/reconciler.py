@@ -96,6 +96,7 @@ class StreamReconciler:
         settings: ReconcilerSettings = DEFAULT_RECONCILER_SETTINGS,
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
+        running: Optional[Callable[[], float]] = None,
     ) -> None:
         """Take over the claims in the store; ``reconcile`` works on them.
 
@@ -104,6 +105,7 @@ class StreamReconciler:
             settings: how to behave.
             clock: steady time, in seconds.
             sleep: waits that many seconds, while a replacement comes up.
+            running: time for which this process has run, in seconds; by default ``clock``.
         """
         self._manager = manager
         ontology = manager.library.ontology
@@ -111,7 +113,7 @@ class StreamReconciler:
         table = self._table = ClaimTable(manager.store, clock, settings.ended_kept)
         self._lock = ClaimLock()
         self._connector = Connector(manager, table, ontology, clock)
-        self._monitor = StreamMonitor(manager, table, clock)
+        self._monitor = StreamMonitor(manager, table, clock, running or clock)
         context = ClaimContext(manager, table, self._lock, self._connector, self._monitor, clock)
         self._planner = ClaimPlanner(context, ontology)
         self._cheaper_plans = CheaperPlans(table, self._planner, clock)

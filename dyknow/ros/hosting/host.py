@@ -12,6 +12,7 @@ from __future__ import annotations
 import contextlib
 import enum
 import logging
+import time
 from concurrent.futures import ThreadPoolExecutor
 from typing import (
     Any,
@@ -29,6 +30,7 @@ from typing import (
 )
 
 import rosgraph.network
+import rospy
 from dyknow_msgs.msg import Port as PortMessage
 from dyknow_msgs.msg import PortConfig
 from dyknow_msgs.srv import GetConfig, SetConfig
@@ -55,6 +57,7 @@ from dyknow.ros.hosting.children import Children
 from dyknow.ros.hosting.count_collector import CountCollector
 from dyknow.ros.hosting.external_managers import ExternalManagers
 from dyknow.ros.hosting.guard_handover import GuardHandover
+from dyknow.ros.hosting.lease_keeper import LeaseKeeper
 from dyknow.ros.hosting.list_client import ListClients
 from dyknow.ros.hosting.message_counter import MessageCounter
 from dyknow.ros.hosting.nodelet_types import NodeletTypes
@@ -96,6 +99,7 @@ class RosHost(Host):
         registrar: Registrar,
         external: Sequence[str] = (),
         guards: Guards = NO_GUARDS,
+        running: Callable[[], float] = time.monotonic,
     ) -> None:
         """Begin to look for the external nodelet managers.
 
@@ -105,6 +109,7 @@ class RosHost(Host):
             registrar: registers the topics of this process.
             external: global names of nodelet managers that others start.
             guards: handed to the nodelet managers that can enforce them.
+            running: time for which this process has run, in seconds.
         """
         self._master = master
         self._children = children
@@ -116,6 +121,14 @@ class RosHost(Host):
         self._collector = CountCollector(master)
         self._counter = MessageCounter(registrar)
         self._list_clients = ListClients(master)
+        self._on_change: Callable[[], object] = lambda: None
+        self._leases = LeaseKeeper(
+            master,
+            rospy.get_node_uri() or "",
+            self._answers,
+            running,
+            lambda: self._on_change(),
+        )
         self._askers = ThreadPoolExecutor(_ASKERS, "asking nodelet managers")
         self._state_lock = state_lock("failed loads")
         #: By nodelet manager and nodelet.
@@ -129,9 +142,9 @@ class RosHost(Host):
         """Begin to look for re-wirable nodes.
 
         Args:
-            on_change: called when one has begun or ended.
+            on_change: called when one has begun or ended, or a lease has run out.
         """
-        self._nodes.on_change = on_change
+        self._on_change = self._nodes.on_change = on_change
         self._nodes.start()
 
     # Nodelet managers
@@ -182,6 +195,23 @@ class RosHost(Host):
         """End a child."""
         self._children.end(manager)
         self.managers()  # forgets it
+
+    def grant(self, producers: Mapping[str, str], managers: Collection[str]) -> None:
+        """Let these nodelets, and no others, publish on topics of claims.
+
+        Args:
+            producers: by topic, the nodelet that publishes there; empty for none at present.
+            managers: nodelet managers that run these nodelets; their leases are renewed from now
+                on.
+        """
+        self._leases.grant(producers, managers)
+
+    def may_publish(self, manager: str) -> bool:
+        """Whether it may hold a lease; one that has ended publishes no more."""
+        external = self._external.find(manager)
+        if external is not None and external.presence.trouble and not external.presence.away:
+            return False
+        return self._leases.may_publish(manager)
 
     def list(self, manager: str) -> List[str]:
         """Ask over the kept connection."""
@@ -323,12 +353,14 @@ class RosHost(Host):
         self._counter.close()
         self._collector.close()
         self._list_clients.close()
+        self._leases.close()
         self._external.close()
         self._nodes.close()
         self._askers.shutdown(wait=False)
 
     def release(self) -> None:
-        """Take our guards off what goes on without us, at an end on purpose."""
+        """Take our guards and leases off what goes on without us, at an end on purpose."""
+        self._leases.release()
         names = [each.name for each in self._external.all()]
         for name in [*names, *(each.name for each in self._nodes.all())]:
             self._guards.withdraw(name)
@@ -353,6 +385,7 @@ class RosHost(Host):
         self._guards.keep(managers)
         self._collector.keep(managers)
         self._list_clients.keep(managers)
+        self._leases.keep(managers)
         with self._state_lock:
             for key in [key for key in self._failures if key[0] not in managers]:
                 del self._failures[key]
@@ -377,6 +410,16 @@ class RosHost(Host):
             if state.own and state.responsive:  # of an external one `ExternalManager` logs it
                 _log.warning("nodelet manager %s: %s", state.name, error)
             return None
+
+    def _answers(self, manager: str) -> bool:
+        """Whether a nodelet manager or node answered when it was asked last."""
+        external = self._external.find(manager)
+        if external is not None:
+            return not external.presence.trouble
+        child = self._child(manager)
+        if child is not None:
+            return child.up and self._list_clients.answers(manager, child.incarnation)
+        return any(each.name == manager and each.responsive for each in self._nodes.all())
 
     def _is_manager(self, name: str) -> bool:
         return self._external.find(name) is not None or self._child(name) is not None

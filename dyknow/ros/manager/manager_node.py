@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import functools
 import os
-from typing import TYPE_CHECKING, Any, Dict, List, Sequence
+from typing import TYPE_CHECKING, Any, Dict, List, Sequence, Set
 
 import rosgraph.names
 import rospy
@@ -26,7 +26,8 @@ from dyknow.manager.claims.reconciler import StreamReconciler
 from dyknow.manager.library import Library
 from dyknow.manager.manager import Manager, ManagerOptions
 from dyknow.manager.store import Store
-from dyknow.model.graph import NodeletKind
+from dyknow.model.graph import NodeletKind, State
+from dyknow.model.streams import ClaimState
 from dyknow.nodelet.middleware import Closable
 from dyknow.ros.exit_codes import FAILED
 from dyknow.ros.hosting.children import Children
@@ -47,6 +48,7 @@ from dyknow.ros.nodelets.announcements import Listener
 from dyknow.ros.nodelets.guard_parameters import guards_key, to_parameter
 from dyknow.ros.nodelets.owner import OwnerLock
 from dyknow.ros.transport.registrar import Registrar
+from dyknow.running_clock import started
 from dyknow.workers import Workers
 
 if TYPE_CHECKING:
@@ -58,6 +60,8 @@ _WORKERS = 4
 _WORKERS_PATIENCE = 3.0
 _ANSWER_TIMEOUT = 1.0
 _NAME = "dyknow_manager"
+#: States of a claim whose stream flows as far as is known.
+_RELIED_ON = (ClaimState.ACTIVE, ClaimState.DEGRADED)
 
 
 class ManagerNode(Closable):
@@ -86,9 +90,16 @@ class ManagerNode(Closable):
             self._on_child,
         )
         self._workers = Workers("work of the manager", _WORKERS)
+        running = started()
         self._host = RosHost(
-            master, self._children, Registrar(), settings.nodelet_managers, settings.guards
+            master,
+            self._children,
+            Registrar(),
+            settings.nodelet_managers,
+            settings.guards,
+            running,
         )
+        self._running = running
         ontology = _ontology(settings)
         for warning in ontology.warnings if ontology is not None else ():
             rospy.logwarn("%s", warning)
@@ -118,7 +129,7 @@ class ManagerNode(Closable):
         )
         self.manager.on_change = self._publisher.note_change
         # Made before the start, since it decides how nodelets that come back are connected.
-        reconciler = StreamReconciler(self.manager)
+        reconciler = self._reconciler = StreamReconciler(self.manager, running=self._running)
         self.manager.start()
         self._retire_empty()
         self._after_change()
@@ -226,8 +237,23 @@ class ManagerNode(Closable):
 
     def _after_change(self) -> None:
         self._cpp.follow()
+        self._grant()
         self._host.protect(self._protected())  # first, since the next line hands them over
         self._listener.follow(self._announcers())
+
+    def _grant(self) -> None:
+        """Let the producers of claims publish, and no other nodelet on these topics."""
+        producers: Dict[str, str] = {}
+        managers: Set[str] = set()
+        for claim in self._reconciler.claims():
+            if claim.state.ended or not claim.topic:
+                continue
+            producers.setdefault(claim.topic, "")
+            record = self.manager.graph.find(claim.goal[0])
+            if record is not None and record.state is State.RUNNING and claim.state in _RELIED_ON:
+                producers[claim.topic] = record.name
+                managers.add(record.manager)
+        self._host.grant(producers, managers)
 
     def _after_look(self) -> None:
         self._after_change()

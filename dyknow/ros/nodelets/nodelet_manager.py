@@ -50,6 +50,7 @@ from dyknow.ros.messages import counts_message
 from dyknow.ros.node_process import NodeProcess
 from dyknow.ros.nodelets.announcements import Announcer
 from dyknow.ros.nodelets.guard_parameters import GuardParameters, caller_of
+from dyknow.ros.nodelets.lease_service import LeaseService
 from dyknow.ros.nodelets.name_watch import end_when_displaced
 from dyknow.ros.nodelets.owner import end_when_orphaned
 from dyknow.ros.nodelets.packages import plugin_files
@@ -139,12 +140,14 @@ class NodeletManager(Closable):
         )
         self._announcer = Announcer(self.loader.list)
         self._services: List[Any] = []
+        self._lease_service: Optional[LeaseService] = None
         self._kind = NodeletKind.PYTHON
         self._ending = False
 
     def offer(self) -> None:
         """Offer the services of nodelet/Nodelet{Load,Unload,List}, and the one for counts."""
         rospy.loginfo("Initializing nodelet with %d worker threads.", self._workers)
+        self._lease_service = LeaseService(self._runtime.bus, self._guards)
         for name, service_class, handler in (
             ("~load_nodelet", NodeletLoad, self._load),
             ("~unload_nodelet", NodeletUnload, self._unload),
@@ -169,6 +172,7 @@ class NodeletManager(Closable):
         hide_topics(self._announcer.topics)
         self.loader.load(name, kind.value, remappings)
         self._announcer.tell(name)
+        self._lease_service = LeaseService(self._runtime.bus, self._guards)
         self._services.append(rospy.Service("~get_counts", GetCounts, self._get_counts))
         self._announcer.tell_of_node()  # last: who hears of it asks at once
 
@@ -243,6 +247,8 @@ class NodeletManager(Closable):
             self._bond_ended.wait_for(lambda: not self._bonded, CLIENTS_PATIENCE)
         for service in self._services:
             service.shutdown("the nodelet manager ends")
+        if self._lease_service is not None:
+            self._lease_service.close()
         self.loader.close()
         self._announcer.close()
         self._bonds.close()

@@ -126,6 +126,16 @@ SERVICES = {
         ),
     ),
     "GetCounts": (("string[] nodelets",), ("NodeletCounts[] nodelets", "string kind")),
+    "RenewLease": (
+        (
+            "string uri",
+            "float64 confirmed",
+            "float64 duration",
+            "string[] topics",
+            "string[] nodelets",
+        ),
+        ("float64 clock",),
+    ),
     "AddTransformation": (("string specification",), (*ANSWER, "string[] labels")),
     "RemoveTransformation": (("string label",), ANSWER),
     "Spawn": (

@@ -1,0 +1,163 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Which nodelets of this process may publish on topics of claims at this moment.
+
+A topic of a claim has one publisher at a time. A DyKnow manager that cannot reach a nodelet
+manager replaces what that supplied to claims, but cannot stop it. So each nodelet manager holds a
+lease, which its DyKnow manager renews several times a second, and stops publishing on topics of
+claims when the lease has run out. The manager replaces nothing before that
+(``dyknow.ros.hosting.lease_keeper``).
+
+A lease is counted from a moment of this process's own clock that the manager has confirmed: it
+sends back the clock of the last answer that it received. However late a renewal arrives, the
+lease ends no later than the manager knows. The clock runs on while the process is stopped, and is
+read when a message is published, so a process that goes on after a pause sends nothing first.
+
+A manager that was killed, is being restarted or is stopped replaces nothing either. Shortly before
+a lease runs out, this process looks at the manager's host: one that refuses the connection, or
+takes it and does not answer, has no manager at work, and the lease is extended. One that is silent
+may be cut off. A lease that has run out is given again by the manager alone, which names the
+nodelets that are to publish; others stay silent on these topics.
+"""
+
+from __future__ import annotations
+
+import enum
+import time
+from typing import Callable, Dict, FrozenSet, Iterable, Mapping, Tuple
+
+from dyknow.locks import state_lock
+
+#: Seconds before the end of a lease from which the manager's host is looked at.
+LOOK_AHEAD = 1.2
+#: Seconds, from the look on, by which a lease is extended if no manager is at work.
+EXTENSION = 1.5
+
+Fence = Callable[[str], bool]
+"""Says whether a nodelet may publish on one topic now."""
+
+
+class Sight(enum.Enum):
+    """What a look at a manager's host shows."""
+
+    AT_WORK = enum.auto()
+    NOT_AT_WORK = enum.auto()
+    SILENT = enum.auto()
+
+
+def suspended_clock() -> float:
+    """Seconds of a steady clock that also runs while the machine is suspended."""
+    return time.clock_gettime(time.CLOCK_BOOTTIME)
+
+
+class _Lease:
+    """What one manager has granted; replaced as a whole, but for its end."""
+
+    def __init__(
+        self,
+        uri: str,
+        until: float,
+        producers: Mapping[str, str],
+        fenced: FrozenSet[Tuple[str, str]],
+    ) -> None:
+        self.uri = uri
+        self.until = until
+        #: By topic of a claim, the nodelet that publishes there.
+        self.producers = producers
+        #: Nodelets, each with a topic, that were replaced while the lease had run out.
+        self.fenced = fenced
+
+
+class Leases:
+    """The leases of one process, one for each manager; safe from any thread."""
+
+    def __init__(
+        self,
+        owners: Callable[[str], Iterable[str]],
+        guard: Callable[[Mapping[str, Fence]], None],
+        clock: Callable[[], float] = suspended_clock,
+    ) -> None:
+        """Begin without leases.
+
+        Args:
+            owners: returns the nodelets of this process that publish on a topic.
+            guard: called with a fence for each topic of a claim, whenever these change.
+            clock: time that runs on while the process is stopped, in seconds.
+        """
+        self._owners = owners
+        self._guard = guard
+        self._clock = clock
+        self._state_lock = state_lock("leases")
+        self._leases: Dict[str, _Lease] = {}
+        self._topics: FrozenSet[str] = frozenset()
+
+    def renew(
+        self,
+        manager: str,
+        uri: str,
+        confirmed: float,
+        duration: float,
+        producers: Mapping[str, str],
+    ) -> float:
+        """Take a renewal, and return the time of our clock.
+
+        Args:
+            manager: who grants the lease.
+            uri: address of its node.
+            confirmed: what an earlier call returned; 0 if none has been answered yet.
+            duration: seconds from then until the lease runs out.
+            producers: by topic of a claim, the nodelet that publishes there; empty to end the
+                lease without a fence.
+        """
+        now = self._clock()
+        present = {topic: frozenset(self._owners(topic)) for topic in producers}
+        with self._state_lock:
+            known = self._leases.get(manager)
+            if not producers:
+                self._leases.pop(manager, None)
+            elif known is not None or confirmed:
+                until = confirmed + duration
+                fenced = frozenset() if known is None else known.fenced
+                if known is not None:
+                    if known.until < now:  # replaced parts are among those that publish
+                        fenced |= {(name, topic) for topic in present for name in present[topic]}
+                    until = max(until, known.until)
+                fenced = frozenset(
+                    (name, topic)
+                    for name, topic in fenced
+                    if producers.get(topic, name) != name and name in present[topic]
+                )
+                self._leases[manager] = _Lease(uri, until, dict(producers), fenced)
+            topics = frozenset(t for each in self._leases.values() for t in each.producers)
+            is_new, self._topics = topics != self._topics, topics
+        if is_new:
+            self._guard({topic: self._fence(topic) for topic in topics})
+        return self._clock()
+
+    def may_publish(self, nodelet: str, topic: str) -> bool:
+        """Whether a nodelet may publish on a topic now; quick, and takes no lock."""
+        for lease in tuple(self._leases.values()):
+            if topic in lease.producers and (
+                (lease.fenced and (nodelet, topic) in lease.fenced) or self._clock() > lease.until
+            ):
+                return False
+        return True
+
+    def watch(self, look: Callable[[str], Sight]) -> None:
+        """Extend the leases that are about to run out, where no manager is at work.
+
+        Args:
+            look: looks at the host of a manager's address.
+        """
+        now = self._clock()
+        for lease in tuple(self._leases.values()):
+            if not now < lease.until < now + LOOK_AHEAD:
+                continue
+            sight = look(lease.uri)
+            with self._state_lock:
+                if sight is Sight.NOT_AT_WORK and self._clock() < lease.until:
+                    lease.until = max(lease.until, now + EXTENSION)
+
+    def _fence(self, topic: str) -> Fence:
+        return lambda nodelet: self.may_publish(nodelet, topic)

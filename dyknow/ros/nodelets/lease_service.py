@@ -1,0 +1,104 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""The service with which DyKnow managers renew the leases of this process.
+
+The rules are in ``dyknow.nodelet.leases``; here are the service, the thread that watches over the
+leases, and its look at a manager's host.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+from typing import Any
+
+import rosgraph.network
+import rospy
+from dyknow_msgs.srv import RenewLease, RenewLeaseResponse
+
+from dyknow.errors import LimitExceeded
+from dyknow.nodelet.bus import Bus
+from dyknow.nodelet.leases import Leases, Sight
+from dyknow.nodelet.middleware import Closable
+from dyknow.periodic import PeriodicWorker
+from dyknow.ros.addresses import connect
+from dyknow.ros.nodelets.guard_parameters import GuardParameters, caller_of
+
+SERVICE = "renew_lease"
+#: Seconds between two looks at the leases.
+PERIOD = 0.2
+#: Seconds for a connection to a manager's host, and for an answer.
+PATIENCE = 0.4
+
+_QUESTION = (
+    "<?xml version='1.0'?><methodCall><methodName>getPid</methodName><params><param><value>"
+    "<string>{}</string></value></param></params></methodCall>"
+)
+
+
+class LeaseService(Closable):
+    """Offers the service; the node must be initialised."""
+
+    def __init__(self, bus: Bus, guards: GuardParameters) -> None:
+        """Begin without leases.
+
+        Args:
+            bus: where the nodelets publish.
+            guards: limits of requests.
+        """
+        self._guards = guards
+        self._leases = Leases(lambda topic: bus.owners(topic)[0], bus.fence)
+        self._worker = PeriodicWorker(
+            "watching over leases", lambda: self._leases.watch(look), PERIOD
+        )
+        self._service = rospy.Service("~" + SERVICE, RenewLease, self._renew)
+
+    def close(self) -> None:
+        """Offer it no more."""
+        self._worker.close()
+        self._service.shutdown("the nodelet manager ends")
+
+    def _renew(self, request: Any) -> RenewLeaseResponse:
+        texts = (request.uri, *request.topics, *request.nodelets)
+        try:
+            self._guards.current().check_sizes(texts)
+        except LimitExceeded as error:
+            raise rospy.ServiceException(str(error)) from error
+        if len(request.topics) != len(request.nodelets):
+            raise rospy.ServiceException("expected as many nodelets as topics")
+        producers = dict(zip(request.topics, request.nodelets))
+        if producers:
+            self._worker.start()
+        clock = self._leases.renew(
+            caller_of(request), request.uri, request.confirmed, request.duration, producers
+        )
+        return RenewLeaseResponse(clock)
+
+
+def look(uri: str) -> Sight:
+    """Look at the host of a node's address: is the process there, and does it answer?
+
+    A connection is made by the kernel, so that of a process that was stopped is made too.
+    """
+    try:
+        host, port = rosgraph.network.parse_http_host_and_port(uri)
+        with contextlib.closing(connect(host, port, PATIENCE)) as connection:
+            return _ask(connection, host)
+    except socket.timeout:
+        return Sight.SILENT
+    except ConnectionError:
+        return Sight.NOT_AT_WORK  # nothing listens there
+    except (OSError, ValueError):
+        return Sight.SILENT
+
+
+def _ask(connection: socket.socket, host: str) -> Sight:
+    body = _QUESTION.format(rospy.get_name())
+    head = f"POST /RPC2 HTTP/1.0\r\nHost: {host}\r\nContent-Type: text/xml\r\n"
+    connection.settimeout(PATIENCE)
+    try:
+        connection.sendall(f"{head}Content-Length: {len(body)}\r\n\r\n{body}".encode())
+        return Sight.AT_WORK if connection.recv(1) else Sight.NOT_AT_WORK
+    except (socket.timeout, ConnectionError):
+        return Sight.NOT_AT_WORK

@@ -1,0 +1,195 @@
+#!/usr/bin/env python3
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""A topic of a claim has one publisher at a time, whoever cannot hear whom.
+
+The DyKnow manager is on a host of its own, and the client, this process, hears everybody.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import time
+from typing import ContextManager, Iterator
+
+import hosts_suite
+import rospy
+from hosts_suite import NOTICED, HostsCase
+from manager_suite import ManagerProcess, eventually
+from processes import Running
+from std_msgs.msg import Header
+from stream_suite import LIBRARY
+
+from dyknow.model.streams import ClaimState, StreamRequest
+from dyknow.ros.master import Master
+
+#: Seconds for which two nodes may send on a topic of a claim, side by side.
+MOST_TOGETHER = 1.0
+#: Seconds from a fault to the first message of the replacement.
+REPLACED = 3.0
+#: Seconds for what the machine is busy with besides.
+SLACK = 2.0
+
+
+class Senders:
+    """Which nodes' messages arrive on a topic, and when."""
+
+    def __init__(self, topic: str) -> None:
+        self.arrivals: list[tuple[float, str]] = []
+        self._subscriber = rospy.Subscriber(topic, Header, self._note, queue_size=10000)
+        self.close = self._subscriber.unregister
+
+    def _note(self, message: Header) -> None:
+        sender = message._connection_header["callerid"]
+        self.arrivals.append((time.monotonic(), sender))
+
+    def since(self, moment: float) -> list[tuple[float, str]]:
+        return [each for each in self.arrivals if each[0] >= moment]
+
+    def last(self) -> str:
+        return self.arrivals[-1][1] if self.arrivals else ""
+
+    def together(self) -> float:
+        """The longest time (s) for which messages of two senders alternated."""
+        longest, begin = 0.0, None
+        previous = None
+        for moment, sender in list(self.arrivals):
+            if previous is not None and sender != previous[1] and moment - previous[0] < 0.5:
+                begin = previous[0] if begin is None else begin
+                longest = max(longest, moment - begin)
+            elif begin is not None and moment - begin > longest + 0.5:
+                begin = None  # one of them has been alone for a while
+            previous = (moment, sender)
+        return longest
+
+
+class FencingTest(HostsCase):
+    def setUp(self) -> None:
+        super().setUp()
+        self.robot, self.far = self.host(), self.host()
+        self.far_process = self.nodelet_manager(self.far, "far")
+        self.manager = self.make(nodelet_managers=["/far"])
+        self.manager.command = self.robot.command(*self.manager.command)
+        self.manager.start()
+        self.manager.client.add_transformation(LIBRARY)
+
+        def spawned() -> bool:
+            with contextlib.suppress(Exception):
+                self.manager.client.spawn("camera", "/far_camera", manager="/far")
+                return True
+            return False
+
+        eventually(spawned, 2 * NOTICED, "/far is used", lambda: self.manager.output)
+        self.claim_id = self.manager.client.acquire_stream(
+            StreamRequest("Filtered(ball)")
+        ).claim_id
+        topic = self.claim(self.manager, self.claim_id).topic
+        self.senders = Senders(topic)
+        self.addCleanup(self.senders.close)
+        eventually(lambda: self.senders.last() == "/far", NOTICED, "messages come from /far")
+        time.sleep(1.0)  # the lease is confirmed
+
+    def reasons(self) -> str:
+        return self.manager.output[-4000:] + self.far_process.output[-2000:]
+
+    def is_replaced(self) -> bool:
+        return self.senders.last() not in ("", "/far")
+
+    def has_one_sender(self) -> bool:
+        return self.senders.together() <= MOST_TOGETHER
+
+    def replaces_it(self, fault: ContextManager[None], seconds: float) -> None:
+        """The part on /far is replaced, and sends nothing beside its replacement."""
+        began = time.monotonic()
+        with fault:
+            eventually(self.is_replaced, REPLACED + SLACK, "it is replaced", self.reasons)
+            print(f"replaced after {self.senders.arrivals[-1][0] - began:.2f} s")
+            self.stays(seconds, self.has_one_sender, self.reasons)
+        self.stays(5.0, self.has_one_sender, self.reasons)
+        print(f"two senders for {self.senders.together():.2f} s")
+        self.assertNotIn(
+            "/far", {sender for _, sender in self.senders.since(began + REPLACED + SLACK)}
+        )
+        self.is_whole()
+
+    def is_whole(self) -> None:
+        eventually(
+            lambda: self.claim(self.manager, self.claim_id).state is ClaimState.ACTIVE,
+            NOTICED,
+            "the claim is met",
+            self.reasons,
+        )
+        topic = self.claim(self.manager, self.claim_id).topic
+        eventually(
+            lambda: len(Master(rospy.get_name()).publishers(topic)) == 1,
+            3 * NOTICED,
+            "one node publishes",
+            self.reasons,
+        )
+
+    @contextlib.contextmanager
+    def stopped(self, process: Running | ManagerProcess) -> Iterator[None]:
+        _send(process, signal.SIGSTOP)
+        try:
+            yield
+        finally:
+            _send(process, signal.SIGCONT)
+
+    def test_a_split_between_the_manager_and_a_part(self):
+        ways = ((self.robot, self.far), (self.far, self.robot))
+        self.replaces_it(self.network.without(*ways), 6.0)
+
+    def test_a_way_that_is_cut_towards_the_manager(self):
+        self.replaces_it(self.network.without((self.far, self.robot)), 6.0)
+
+    def test_a_way_that_is_cut_towards_the_part(self):
+        self.replaces_it(self.network.without((self.robot, self.far)), 6.0)
+
+    def test_a_nodelet_manager_that_is_stopped(self):
+        with self.stopped(self.far_process):
+            eventually(self.is_replaced, REPLACED + SLACK, "it is replaced", self.reasons)
+            time.sleep(8.0)
+            went_on = time.monotonic()
+        self.stays(5.0, self.has_one_sender, self.reasons)
+        late = [each for each in self.senders.since(went_on) if each[1] == "/far"]
+        # What was in its sockets when it was stopped has arrived before.
+        self.assertEqual(late, [], self.reasons())
+        self.is_whole()
+
+    def test_a_round_trip_of_two_seconds(self):
+        self.replaces_it(self.network.far(self.far, 1.0), 10.0)
+
+    def test_a_manager_that_is_stopped_disturbs_nothing(self):
+        with self.stopped(self.manager):
+            time.sleep(10.0)
+        self.stays(5.0, self.has_one_sender, self.reasons)
+        self.assertEqual({sender for _, sender in self.senders.arrivals}, {"/far"}, self.reasons())
+        times = [moment for moment, _ in self.senders.arrivals]
+        gap = max(b - a for a, b in zip(times, times[1:]))
+        print(f"longest gap {gap:.2f} s")
+        self.assertLess(gap, 1.0)
+        self.is_whole()
+
+    def test_a_manager_that_is_killed_disturbs_nothing(self):
+        self.manager.kill()
+        time.sleep(6.0)
+        self.manager.start()
+        self.stays(5.0, self.has_one_sender, self.reasons)
+        self.assertEqual({sender for _, sender in self.senders.arrivals}, {"/far"}, self.reasons())
+        times = [moment for moment, _ in self.senders.arrivals]
+        gap = max(b - a for a, b in zip(times, times[1:]))
+        self.assertLess(gap, 1.0)
+        self.is_whole()
+
+
+def _send(process: Running | ManagerProcess, number: int) -> None:
+    if isinstance(process, Running):
+        process.stop(number)
+    else:
+        process.process.send_signal(number)
+
+
+if __name__ == "__main__":
+    hosts_suite.run("fencing")
