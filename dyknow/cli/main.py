@@ -75,7 +75,8 @@ def _run(words: Sequence[str]) -> int:
         return ShellClient(arguments.manager_node, arguments.timeout)
 
     shell = Shell(connect, arguments.json)
-    logging.getLogger("rosout.dyknow").addHandler(_Warnings(shell))
+    warnings, logger = _Warnings(shell), logging.getLogger("rosout.dyknow")
+    logger.addHandler(warnings)
     try:
         code = execute(arguments, shell)
         sys.stdout.flush()
@@ -83,6 +84,8 @@ def _run(words: Sequence[str]) -> int:
         # The reader of our output is gone; the interpreter's own flush at exit must not complain.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return BROKEN_PIPE
+    finally:
+        logger.removeHandler(warnings)
     return code
 
 

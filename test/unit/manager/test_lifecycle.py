@@ -152,7 +152,7 @@ def test_destroy_unloads_and_deletes_the_parameters_it_set(world: World) -> None
 
 def test_a_protected_nodelet_is_destroyed_only_after_its_release(world: World) -> None:
     world.spawn("camera", "a", is_protected=True)
-    with pytest.raises(Protected, match="set_protection"):
+    with pytest.raises(Protected, match="dyknow unprotect"):
         world.manager.destroy("a")
     assert world.host.running == ["/a"]
     world.manager.set_protection("a", False)
