@@ -34,7 +34,7 @@ from dyknow.manager.record import (
     Record,
     declared_ports,
     missing_connections,
-    seen_ports,
+    with_ports,
 )
 from dyknow.manager.specifications.given import completed, names_of, set_on_load
 from dyknow.manager.specifications.tags import Subsumption
@@ -378,7 +378,7 @@ class Lifecycle:
         if wiring:
             self._host.connect(record.name, wiring)
             ports = tuple(replace(port, topic=wiring.get(port.name, port.topic)) for port in ports)
-        return replace(record, ports=seen_ports(record, ports))
+        return with_ports(record, ports)
 
     def _checked_ports(self, record: Record, deadline: float) -> Tuple[PortState, ...]:
         transformation = record.transformation

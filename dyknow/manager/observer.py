@@ -30,9 +30,10 @@ from dyknow.manager.record import (
     missing_connections,
     seen_ports,
     topics_of,
+    with_ports,
 )
 from dyknow.manager.suspects import Suspects
-from dyknow.model.graph import State
+from dyknow.model.graph import PortState, State
 from dyknow.model.transformation import Transformation
 
 #: Seconds of the first pause between two attempts to bring back one nodelet. It is short, since a
@@ -273,19 +274,32 @@ class Observer:
         )
         if (closely or came_back) and not record.rewired_by_reload:
             try:
-                ports = seen_ports(record, self._host.ports(record.name))
+                record = with_ports(record, self._ports(record))
             except HostError as error:
                 _log.debug("%s: %s", record.name, error)
                 if closely or record.transformation is not None:  # it has a proxy
                     self._to_ask.add(record.name)
             else:
-                record = replace(record, ports=ports)
                 record = replace(record, topics=topics_of(record))
         if (
             not record.ports and not record.is_described
         ):  # it cannot be asked, so it is taken to be as it should be
             record = replace(record, ports=declared_ports(record))
         self._graph.put(record)
+
+    def _ports(self, record: Record) -> Tuple[PortState, ...]:
+        """Ask for the ports of a nodelet, and connect those as they should be that are new.
+
+        A lazy nodelet makes declared ports when a subscriber comes, some at topics of its choice.
+        """
+        ports = self._host.ports(record.name)
+        if not (record.is_spawned and record.awaited):
+            return ports
+        wanted = missing_connections(record, ports)
+        late = {port: topic for port, topic in wanted.items() if port in record.awaited}
+        if late:
+            self._host.connect(record.name, late)
+        return tuple(replace(port, topic=late.get(port.name, port.topic)) for port in ports)
 
     def _complete(self, record: Record) -> bool:
         """Finish bringing a nodelet back, which an earlier life of the manager had begun."""

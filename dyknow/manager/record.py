@@ -59,6 +59,7 @@ class Record:
         kind: what it is.
         host: machine that it was seen on, as ROS names it.
         heard: what its variables stood for in what it has received.
+        awaited: declared ports that it has not made yet, or not at present.
     """
 
     name: str
@@ -79,6 +80,7 @@ class Record:
     kind: NodeletKind = NodeletKind.PYTHON
     host: str = ""
     heard: Heard = NOTHING_HEARD
+    awaited: Tuple[str, ...] = ()
 
     @cached_property
     def given(self) -> Dict[str, str]:
@@ -155,6 +157,13 @@ def declared_ports(record: Record) -> Tuple[PortState, ...]:
         )
         for port in record.transformation.ports
     )
+
+
+def with_ports(record: Record, ports: Tuple[PortState, ...]) -> Record:
+    """Return a record with the ports that a proxy reports."""
+    reported = {port.name for port in ports}
+    awaited = [port.name for port in declared_ports(record) if port.name not in reported]
+    return replace(record, ports=seen_ports(record, ports), awaited=tuple(awaited))
 
 
 def missing_connections(record: Record, ports: Iterable[PortState]) -> Dict[str, str]:

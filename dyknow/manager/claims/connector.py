@@ -25,7 +25,7 @@ from dyknow.manager.claims.claim_table import ClaimTable
 from dyknow.manager.claims.ends import Consumer, NodeletEnds, Producer, ends_of
 from dyknow.manager.claims.topology import Topology
 from dyknow.manager.manager import Manager
-from dyknow.manager.record import NOTHING_HEARD, Record, seen_ports, topics_of
+from dyknow.manager.record import NOTHING_HEARD, Record, seen_ports, topics_of, with_ports
 from dyknow.manager.specifications.tags import Subsumption
 from dyknow.model.graph import State
 
@@ -340,7 +340,7 @@ class Connector:
         ports = self._manager.host.ports(name)
         with self._graph.changing(name) as record:
             if record is not None and record.state is State.RUNNING:
-                record = replace(record, ports=seen_ports(record, ports))
+                record = with_ports(record, ports)
                 self._graph.put(replace(record, topics=topics_of(record)))
 
     def _note_answer(self, name: str) -> None:
