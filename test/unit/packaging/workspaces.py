@@ -113,7 +113,7 @@ class Workspace:
         done = subprocess.run(
             command,
             cwd=self.folder,
-            env=self._environment(),
+            env=self.environment(),
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
@@ -122,7 +122,7 @@ class Workspace:
         assert done.returncode == 0, done.stdout
         return done.stdout
 
-    def _environment(self) -> dict[str, str]:
+    def environment(self) -> dict[str, str]:
         """This process's, without the workspaces that it runs in unless we are ``upon`` them."""
         environment = dict(os.environ, PATH="/usr/bin:" + os.environ["PATH"])
         for name in ("CMAKE_PREFIX_PATH", "PYTHONPATH", "ROS_PACKAGE_PATH", "LD_LIBRARY_PATH"):

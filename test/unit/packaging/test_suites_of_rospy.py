@@ -1,0 +1,49 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""The suites of rospy and actionlib have the same verdicts with live ports as without.
+
+They run where ``DYKNOW_ROS_COMM`` and ``DYKNOW_ACTIONLIB`` name checkouts of ros/ros_comm and
+ros/actionlib.
+"""
+
+from __future__ import annotations
+
+import pytest
+from unit.packaging.suites import Suites, checkout
+
+#: Tests that live ports cannot pass, and why.
+EXPECTED = {
+    "rospy_deregister.test_unservice": "the services of the proxy are known to the master",
+}
+#: The suites of actionlib that are written in Python.
+ACTIONLIB = (
+    "test_imports",
+    "test_python_exercise_simple_client",
+    "test_python_server2",
+    "test_python_server3",
+    "test_python_server_components",
+    "test_python_simple_server",
+    "test_simple_action_server_deadlock_python",
+)
+
+
+@pytest.mark.long
+def test_rospy(tmp_path):
+    tests = checkout("DYKNOW_ROS_COMM") / "test"
+    packages = [tests / "test_rospy", tests / "test_rosmaster"]
+    suites = Suites(tmp_path, packages, ["tests", "all"])
+    differing = {}
+    for suite in sorted((suites.source / "test_rospy/test/rostest").glob("*.test")):
+        differing.update(suites.differences(suite))
+    assert set(differing) == set(EXPECTED), differing
+
+
+@pytest.mark.long
+def test_actionlib(tmp_path):
+    suites = Suites(tmp_path, [checkout("DYKNOW_ACTIONLIB") / "actionlib"], [])
+    differing = {}
+    for name in ACTIONLIB:
+        suite = suites.source / f"actionlib/test/{name}.launch"
+        differing.update(suites.differences(suite))
+    assert differing == {}
