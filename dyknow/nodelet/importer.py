@@ -85,6 +85,7 @@ class Importer:
         blind: Collection[str] = (),
         functions: Optional[Mapping[str, Any]] = None,
         search: Sequence[str] = (),
+        is_alone: bool = False,
     ) -> None:
         """Make an importer that has its views alone.
 
@@ -96,10 +97,18 @@ class Importer:
             blind: top-level names of copies that are to see the process's modules, not the views.
             functions: what takes the place of built-in functions.
             search: further folders that are searched, before those of the process.
+            is_alone: whether the process is the owner's: copies are in ``sys.modules`` too, and
+                the path is ``sys.path`` itself.
         """
         self.modules: Dict[str, Module] = {}
         self.path = [*folders, *search, *sys.path]
         self._search = frozenset(search)
+        self._is_alone = is_alone
+        self._shared_path: Sequence[str] = sys.path
+        if is_alone:
+            self._shared_path = list(sys.path)
+            sys.path[:] = self.path
+            self.path = sys.path
         self._folders = frozenset(folders)
         self._hidden = frozenset(views or ())  # from modules that are blind
         self._views = {
@@ -129,7 +138,7 @@ class Importer:
 
     def everything(self) -> MutableMapping[str, Module]:
         """What ``sys.modules`` is to its code."""
-        return collections.ChainMap(self.modules, sys.modules)
+        return (_AllModules if self._is_alone else collections.ChainMap)(self.modules, sys.modules)
 
     def files(self) -> Iterator[str]:
         """List the source files of the copies."""
@@ -223,7 +232,7 @@ class Importer:
         return self._found[top]
 
     def _is_in_folders(self, top: str) -> bool:
-        shared = self._search.union(sys.path) - self._folders
+        shared = self._search.union(self._shared_path) - self._folders
         folders = [each for each in self.path if each not in shared]
         return not is_standard(top) and PathFinder.find_spec(top, folders) is not None
 
@@ -240,12 +249,16 @@ class Importer:
                 self.modules[name] = importlib.import_module(name)
             else:
                 module = self.modules[name] = importlib.util.module_from_spec(spec)
+                if self._is_alone:
+                    sys.modules[name] = module
                 if parent is not None:
                     setattr(parent, child, module)  # first: modules of a package may need it
                 try:
                     self._execute(module, spec)
                 except BaseException:
                     self.modules.pop(name, None)
+                    if self._is_alone:
+                        sys.modules.pop(name, None)
                     if parent is not None:
                         vars(parent).pop(child, None)
                     raise
@@ -295,6 +308,20 @@ def _is_running(spaces: FrozenSet[int]) -> bool:
                 return True
             frames.append(frame.f_back)
     return False
+
+
+class _AllModules(collections.ChainMap):  # type: ignore[type-arg]
+    """The modules of an owner in front of the process's, which follow every change."""
+
+    def __setitem__(self, name: str, module: Any) -> None:
+        for modules in self.maps:
+            modules[name] = module
+
+    def __delitem__(self, name: str) -> None:
+        if name not in self:
+            raise KeyError(name)
+        for modules in self.maps:
+            modules.pop(name, None)
 
 
 def _package(namespace: Mapping[str, Any]) -> str:

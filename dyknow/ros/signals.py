@@ -11,9 +11,10 @@ here.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
-from typing import Callable, Iterable
+from typing import Any, Callable, Iterable
 
 from dyknow.periodic import attempt, in_background
 
@@ -21,27 +22,38 @@ from dyknow.periodic import attempt, in_background
 def on_signals(numbers: Iterable[int], told: Callable[[], None]) -> None:
     """Call ``told``, in a thread of its own, for each of these signals.
 
-    Only the main thread may call this.
+    Handlers that were set before are called as well, except Python's own, which would raise. One
+    that is set later takes the place of this. Only the main thread may call this.
     """
     wanted = frozenset(numbers)
     readable, writable = os.pipe()
     os.set_blocking(writable, False)
+    before = {number: signal.getsignal(number) for number in wanted}
+
+    def handle(number: int, frame: Any) -> None:
+        # Code that runs an event loop of its own may have taken the wakeup descriptor.
+        with contextlib.suppress(BlockingIOError):
+            os.write(writable, bytes([number]))
+        earlier = before[number]
+        if callable(earlier) and earlier is not signal.default_int_handler:
+            earlier(number, frame)
+
     signal.set_wakeup_fd(writable, warn_on_full_buffer=False)
     for number in wanted:
-        signal.signal(number, lambda *_: None)  # Python's own would raise, or end the process
+        signal.signal(number, handle)
 
     def listen() -> None:
         while True:
             for number in os.read(readable, 64):
-                if number in wanted:
+                if number in wanted and signal.getsignal(number) is handle:
                     attempt("acting on a signal", told)
 
-    # A forked process would write into the same pipe, and tell this one of its own signals.
-    os.register_at_fork(after_in_child=lambda: _let_go(wanted))
+    def let_go() -> None:
+        """Leave a forked process alone: it would write into the same pipe."""
+        signal.set_wakeup_fd(-1)
+        for number in wanted:
+            if signal.getsignal(number) is handle:
+                signal.signal(number, signal.SIG_DFL)
+
+    os.register_at_fork(after_in_child=let_go)
     in_background("signals", listen)
-
-
-def _let_go(numbers: Iterable[int]) -> None:
-    signal.set_wakeup_fd(-1)
-    for number in numbers:
-        signal.signal(number, signal.SIG_DFL)

@@ -34,6 +34,11 @@ def said(text: str, heard: List[Any]) -> bool:
     return any(each.data == text for each in list(heard))
 
 
+def without_traces(output: str) -> List[str]:
+    """The lines that a program printed, but for the frames of tracebacks."""
+    return [line for line in output.splitlines() if line and not line.startswith("  ")]
+
+
 def said_last(heard: List[Any]) -> None:
     """Wait until the last words of `habits.py` have come: the process may have ended before."""
     words = ["stopping", "stopped"]
@@ -323,6 +328,15 @@ class CommandTest(graph.TellingCase):
             seen.append([line for line in lines if line and "[INFO]" not in line])
         self.assertEqual(len(seen[0]), 9)
         self.assertEqual(*seen)
+
+    def test_what_a_script_sets_takes_effect_on_its_process(self):
+        for what in ("settings", "waits", "catches", "handles", "no_node"):
+            with self.subTest(what):
+                words = ("dyknow_test", "own_process.py", what)
+                plain, live = self.start("rosrun", *words), self.start(*RUN, *words)
+                codes = [each.exit_code(60.0) for each in (plain, live)]
+                self.assertEqual(codes[1], codes[0], live.output)
+                self.assertEqual(without_traces(live.output), without_traces(plain.output))
 
     def test_what_cannot_share_a_process_runs_alone(self):
         for what in ("fork", "chdir", "alarm", "stdin"):

@@ -10,12 +10,12 @@ Python.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import sys
 import threading
-import traceback
-from typing import Any, Dict, List, Optional, Sequence, Type
+from typing import Dict, List, Optional, Sequence, Type
 
 import rosgraph.names
 import rospy
@@ -62,6 +62,7 @@ class _ScriptProcess:
 
     def __init__(self, argv: List[str]) -> None:
         self._argv = argv
+        sys.path[0] = os.path.dirname(argv[0])
         self._guest = Guest(os.path.basename(argv[0]), threading.main_thread(), is_alone=True)
         self._code = ScriptCode(self._guest, argv, self._init_node)
         self._manager: Optional[NodeletManager] = None
@@ -72,23 +73,24 @@ class _ScriptProcess:
     def run(self) -> int:
         """Run it to its end, and to that of the threads that it leaves."""
         sys.modules["__main__"] = self._code.module
-        sys.argv[:] = self._argv
-        sys.path[0] = os.path.dirname(self._argv[0])
-        status = 0
+        sys.argv = self._guest.argv = self._argv
+        status, is_interrupted = 0, False
         try:
             self._code.execute()
         except SystemExit as end:
             status = _status(end)
         except BaseException as error:
-            status = 1
-            _print_error(error, vars(self._code.module)["__file__"])
+            status, is_interrupted = 1, type(error) is KeyboardInterrupt
+            _report(error, vars(self._code.module)["__file__"])
         for thread in threading.enumerate():
             if thread is not threading.main_thread() and not thread.daemon:
                 thread.join()
+        self._guest.run_exits()
         self._main_over.set()
         self._guest.shut_down("the script has ended")
         in_background("end", self._stop).join(_LONGEST_END)
-        self._guest.run_exits()
+        if is_interrupted:
+            _end_by(signal.SIGINT)
         return status
 
     def _init_node(
@@ -161,11 +163,7 @@ class _ScriptProcess:
         """End in order when told to; handlers that the script had set are called then, too."""
         if threading.current_thread() is not threading.main_thread():
             return
-        handlers: Dict[int, Any] = {number: signal.getsignal(number) for number in _SIGNALS}
         on_signals(_SIGNALS, self._stop)
-        for number, handler in handlers.items():
-            if callable(handler) and handler is not signal.default_int_handler:
-                signal.signal(number, handler)
 
     def _stop(self) -> None:
         """End the node; returns when it is done."""
@@ -191,12 +189,22 @@ def _status(end: SystemExit) -> int:
     return 1
 
 
-def _print_error(error: BaseException, file: str) -> None:
-    """Print a traceback that begins in the script."""
+def _report(error: BaseException, file: str) -> None:
+    """Report an error that ends the script, with a traceback that begins in it."""
     trace = error.__traceback__
     while trace is not None and trace.tb_frame.f_code.co_filename != file:
         trace = trace.tb_next
-    traceback.print_exception(type(error), error, trace or error.__traceback__)
+    error.__traceback__ = trace or error.__traceback__
+    sys.excepthook(type(error), error, error.__traceback__)
+
+
+def _end_by(number: int) -> None:
+    """End this process as Python does when nothing catches a KeyboardInterrupt."""
+    with contextlib.suppress(OSError):
+        sys.stdout.flush()
+        sys.stderr.flush()
+    signal.signal(number, signal.SIG_DFL)
+    os.kill(os.getpid(), number)
 
 
 if __name__ == "__main__":

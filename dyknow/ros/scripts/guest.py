@@ -18,7 +18,7 @@ import time
 import traceback
 import weakref
 from functools import partial
-from typing import Any, Callable, Collection, List, Mapping, Optional, Set
+from typing import Any, Callable, Collection, Iterator, List, Mapping, Optional, Set
 
 from dyknow.errors import NeedsProcess
 from dyknow.locks import state_lock
@@ -42,6 +42,33 @@ _SLICE = 0.1
 _MANY = 32
 
 _log = logging.getLogger("rosout.dyknow")
+
+
+class Exits:
+    """What a guest has registered with ``atexit``."""
+
+    def __init__(self) -> None:
+        """Begin empty."""
+        self._calls: List[Callable[..., Any]] = []
+        self._given: List[Callable[[], Any]] = []
+
+    def register(self, call: Callable[..., Any], *args: Any, **kwds: Any) -> Callable[..., Any]:
+        """Stand in for ``atexit.register``."""
+        self._calls.append(call)
+        self._given.append(partial(call, *args, **kwds))
+        return call
+
+    def unregister(self, call: Callable[..., Any]) -> None:
+        """Stand in for ``atexit.unregister``."""
+        while call in self._calls:
+            del self._given[self._calls.index(call)]
+            self._calls.remove(call)
+
+    def __iter__(self) -> Iterator[Callable[[], Any]]:
+        """Take out the calls, the last first; one may register others."""
+        while self._given:
+            self._calls.pop()
+            yield self._given.pop()
 
 
 class Guest:
@@ -86,7 +113,7 @@ class Guest:
         self.hooks: List[Callable[[], None]] = []
         self.hooks_before: List[Callable[[str], None]] = []
         self.hooks_after: List[Callable[[str], None]] = []
-        self.exits: List[Callable[[], Any]] = []
+        self.exits = Exits()
         #: Its topics and services, which refer to its callbacks.
         self.ends: weakref.WeakSet[Any] = weakref.WeakSet()
         self.is_ending = False
@@ -178,9 +205,10 @@ class Guest:
         order.
 
         Raises:
-            SystemExit: the guest is to end, and this thread was told so before.
+            SystemExit: the guest is to end, and this thread was told so before. In a process of
+                its own the thread is let go each time, as in rospy.
         """
-        if not self.rest(seconds):
+        if not self.rest(seconds) or self.is_alone:
             return
         thread = threading.get_ident()
         if thread not in self._let_go:
@@ -211,7 +239,7 @@ class Guest:
                 return True
             if end is not None and time.monotonic() >= end:
                 return False
-            if self.closing.is_set():
+            if self.closing.is_set() and not condition(0.0):
                 self.pause(0.0)
 
     # The end
@@ -282,8 +310,8 @@ class Guest:
 
     def run_exits(self) -> None:
         """Call what was registered with ``atexit``."""
-        while self.exits:
-            self._attempt(self.exits.pop(), "atexit")
+        for call in self.exits:
+            self._attempt(call, "atexit")
 
     def let_go(self) -> None:
         """Drop all callbacks at the end, so that no reference cycle keeps its objects."""

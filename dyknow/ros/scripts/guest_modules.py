@@ -46,6 +46,7 @@ def script_importer(guest: Guest, folders: List[str], init_node: Callable[..., N
             **process_view.script_views(guest, itself),
         },
         functions=process_view.functions(guest),
+        is_alone=guest.is_alone,
     )
     return importer
 

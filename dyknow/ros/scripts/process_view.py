@@ -43,7 +43,9 @@ _REFUSED = {
 def process_views(guest: Guest) -> Views:
     """Return what makes the views that every guest has, by name."""
     views: Views = {
-        "atexit": lambda: View(atexit, {"register": functools.partial(_at_exit, guest)}),
+        "atexit": lambda: View(
+            atexit, {"register": guest.exits.register, "unregister": guest.exits.unregister}
+        ),
     }
     if not guest.is_alone:
         views["threading"] = lambda: _threading(guest)
@@ -74,19 +76,35 @@ def functions(guest: Guest) -> Dict[str, Any]:
 
 
 def _sys(guest: Guest, importer: Importer) -> View:
-    own: Dict[str, Any] = {
-        "argv": guest.argv,
-        "path": importer.path,
-        "modules": importer.everything(),
-    }
-    if not guest.is_alone:
-        own["stdin"] = _NoKeyboard(guest)
-    return View(sys, own)
+    if guest.is_alone:
+        return _OwnSys(guest, importer)
+    return View(
+        sys,
+        {
+            "argv": guest.argv,
+            "path": importer.path,
+            "modules": importer.everything(),
+            "stdin": _NoKeyboard(guest),
+        },
+    )
 
 
-def _at_exit(guest: Guest, call: Callable[..., Any], *args: Any, **kwds: Any) -> Any:
-    guest.exits.append(functools.partial(call, *args, **kwds))
-    return call
+class _OwnSys(View):
+    """``sys`` of a guest with a process of its own: what it sets there is the process's."""
+
+    def __init__(self, guest: Guest, importer: Importer) -> None:
+        super().__init__(sys, {"modules": importer.everything()})
+        self.__dict__.update(_guest=guest, _importer=importer)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        setattr(sys, name, value)
+        if name == "argv":
+            self._guest.argv = value
+        elif name == "path":
+            self._importer.path = value
+
+    def __delattr__(self, name: str) -> None:
+        delattr(sys, name)
 
 
 def _threading(guest: Guest) -> View:
