@@ -4,8 +4,8 @@
 """Hands the guards of a DyKnow manager to the nodelet managers that enforce them.
 
 With the guards go the names of the nodelets that only this DyKnow manager may unload
-(``dyknow.ros.nodelets.guard_parameters``); those in C++ enforce the guards alone. Stock nodelet
-managers enforce nothing and are left out.
+(``dyknow.ros.nodelets.guard_parameters``). Guards that are missing, or were changed by another
+program, are handed over again. Stock nodelet managers enforce nothing and are left out.
 """
 
 from __future__ import annotations
@@ -19,8 +19,12 @@ from dyknow.errors import HostError, PeerTimeout
 from dyknow.guards import Guards
 from dyknow.locks import state_lock
 from dyknow.manager.host import ManagerState
+from dyknow.periodic import STEADY, Clock
 from dyknow.ros.master import Master
 from dyknow.ros.nodelets.guard_parameters import guards_key, to_parameter
+
+#: Seconds between two looks whether the guards are still there.
+PERIOD = 1.0
 
 _log = logging.getLogger("rosout.dyknow")
 
@@ -28,13 +32,15 @@ _log = logging.getLogger("rosout.dyknow")
 class GuardHandover:
     """Which nodelet managers have the guards; every method is safe from any thread."""
 
-    def __init__(self, master: Master, guards: Guards) -> None:
+    def __init__(self, master: Master, guards: Guards, clock: Clock = STEADY) -> None:
         """Hand over nothing yet.
 
         Args:
             master: keeps the parameters; its caller is whose guards these are.
             guards: what is handed over.
+            clock: says when to look whether they are still there.
         """
+        self._clock = clock
         self._master = master
         self._guards = guards
         self._key = guards_key(master.caller)
@@ -43,6 +49,8 @@ class GuardHandover:
         self._protected: Dict[str, Tuple[str, ...]] = {}
         #: Incarnations that have the guards, and the nodelets named to them.
         self._done: Dict[str, Tuple[str, Tuple[str, ...]]] = {}
+        #: When they were last seen to have them.
+        self._seen: Dict[str, float] = {}
         #: Nodelet managers that could not be given the guards yet, and why.
         self._failed: Dict[str, str] = {}
 
@@ -58,14 +66,18 @@ class GuardHandover:
         """
         if not manager.alive or not manager.rewirable:
             return
-        name = manager.name
+        name, now = manager.name, self._clock.now()
         with self._state_lock:
             protected = self._protected.get(name, ())
-            if self._done.get(name) == (manager.incarnation, protected):
+            is_known = self._done.get(name) == (manager.incarnation, protected)
+            if is_known and now - self._seen[name] < PERIOD:
                 return
+            self._seen[name] = now
+        key, parameter = names.join(name, self._key), to_parameter(self._guards, protected)
         try:
-            parameter = to_parameter(self._guards, protected)
-            self._master.ask("setParam", names.join(name, self._key), parameter)
+            if is_known and self._present(key) == parameter:
+                return
+            self._master.ask("setParam", key, parameter)
         except (PeerTimeout, LookupError) as error:
             with self._state_lock:
                 is_news = name not in self._failed
@@ -78,6 +90,8 @@ class GuardHandover:
             had_failed = self._failed.pop(name, None) is not None
         if had_failed:
             _log.info("%s has the guards now", name)
+        elif is_known:
+            _log.warning("%s: the guards were missing or changed, and are set again", name)
 
     def check(self, manager: str) -> None:
         """Refuse to load where the guards could not be handed over.
@@ -93,9 +107,15 @@ class GuardHandover:
     def keep(self, managers: Collection[str]) -> None:
         """Forget all other nodelet managers: they are gone for good."""
         with self._state_lock:
-            for table in (self._done, self._failed):
+            for table in (self._done, self._seen, self._failed):
                 for name in [name for name in table if name not in managers]:
                     del table[name]
+
+    def _present(self, key: str) -> object:
+        try:
+            return self._master.ask("getParam", key)
+        except LookupError:
+            return None
 
     def withdraw(self, manager: str) -> None:
         """Take the guards off a nodelet manager, as far as the master answers."""

@@ -12,11 +12,13 @@ from typing import Any, cast
 from xmlrpc.server import SimpleXMLRPCServer
 
 import pytest
+from unit.manager.hand_clock import HandClock
 
 from dyknow.errors import HostError
 from dyknow.guards import Guards
-from dyknow.manager.host import LoadRequest
+from dyknow.manager.host import LoadRequest, ManagerState
 from dyknow.model.graph import NodeletKind
+from dyknow.ros.hosting.guard_handover import PERIOD, GuardHandover
 from dyknow.ros.hosting.host import RosHost
 from dyknow.ros.master import Master
 from dyknow.ros.transport.registrar import Registrar
@@ -34,6 +36,7 @@ class SlowMaster:
         self._woken = threading.Event()
         self._server = SimpleXMLRPCServer(("localhost", 0), logRequests=False)
         self._server.register_function(self._set, "setParam")
+        self._server.register_function(self._get, "getParam")
         self._server.register_function(lambda caller, name: [-1, "unknown", 0], "lookupService")
         self.uri = f"http://localhost:{self._server.server_address[1]}"
         self._thread = threading.Thread(target=self._server.serve_forever, daemon=True)
@@ -45,6 +48,9 @@ class SlowMaster:
             return [-1, "too late", 0]
         self.parameters[key] = value
         return [1, "", 0]
+
+    def _get(self, caller, key):
+        return [1, "", self.parameters[key]] if key in self.parameters else [-1, "not set", 0]
 
     def wake(self):
         self.is_late.clear()
@@ -103,9 +109,20 @@ def test_guards_that_were_not_taken_are_handed_over_again(master):
         host.load(NODELET_MANAGER, request, 1.0)
 
 
-def test_guards_that_were_taken_are_not_handed_over_at_each_look(master):
-    host = host_of(master, 30.0, Guards())
-    host.managers()
-    del master.parameters[KEY]
-    host.managers()
-    assert KEY not in master.parameters
+@pytest.mark.parametrize("change", [dict.clear, lambda found: found.update(denied_topics=[])])
+def test_guards_that_are_missing_or_changed_are_handed_over_again(master, change):
+    clock = HandClock()
+    guards = Guards(denied_topics=("/e_stop",), allowed_topics=(("/a/*",),))
+    handover = GuardHandover(Master("/manager", master.uri, 30.0), guards, clock)
+    state = ManagerState(NODELET_MANAGER, NodeletKind.PYTHON, "1")
+    handover.hand_over(state)
+    given = dict(master.parameters[KEY])
+    clock.time += PERIOD
+    handover.hand_over(state)
+    assert master.parameters[KEY] == given
+    change(master.parameters[KEY])
+    handover.hand_over(state)
+    assert master.parameters[KEY] != given, "not at every look: each costs an answer of the master"
+    clock.time += PERIOD
+    handover.hand_over(state)
+    assert master.parameters[KEY] == given
