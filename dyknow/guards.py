@@ -15,13 +15,22 @@ from typing import Iterable, Tuple
 
 from dyknow.errors import Denied, LimitExceeded
 
+#: Topics of every process, which no allow list has to name.
+SYSTEM_TOPICS = frozenset(("/rosout", "/rosout_agg", "/clock"))
+
 
 @dataclass(frozen=True)
 class Guards:
     """Restrictions on changes.
 
     Attributes:
-        denied_topics: patterns (``/robot/*/cmd_vel``) of topics that no port may be connected to.
+        denied_topics: patterns (``/robot/*/cmd_vel``) of topics that nothing may be connected to.
+        allowed_topics: lists of patterns, one of each manager that has one: a topic has to match
+            a pattern of every list.
+        allowed_programs: lists of patterns (``my_robot/*``) likewise, for the programs and scripts
+            (``package/executable``) that may be started.
+        remote_programs: whether services may start other programs and scripts than those of the
+            manager's own specification files.
         read_only: refuse every change.
         string_length: characters in one string of a request.
         array_length: entries in one array of a request.
@@ -29,6 +38,9 @@ class Guards:
     """
 
     denied_topics: Tuple[str, ...] = field(default=())
+    allowed_topics: Tuple[Tuple[str, ...], ...] = ()
+    allowed_programs: Tuple[Tuple[str, ...], ...] = ()
+    remote_programs: bool = True
     read_only: bool = False
     string_length: int = 4096
     array_length: int = 1024
@@ -44,16 +56,37 @@ class Guards:
             raise Denied(what, "DyKnow runs read-only (parameter read_only)")
 
     def check_topic(self, topic: str) -> None:
-        """Refuse a topic of the deny list.
+        """Refuse a topic of the deny list, and one that is not on an allow list.
 
         Raises:
-            Denied: a pattern matches.
+            Denied: it must not be connected.
         """
         for pattern in self.denied_topics:
             if fnmatch.fnmatchcase(topic, pattern):
                 raise Denied(
                     f"topic '{topic}'", f"it matches '{pattern}' of the deny list (denied_topics)"
                 )
+        if topic not in SYSTEM_TOPICS:
+            _check_allowed(f"topic '{topic}'", topic, self.allowed_topics, "allowed_topics")
+
+    def check_program(self, program: str, is_own: bool = False) -> None:
+        """Refuse a program, or a script, that must not be started.
+
+        Args:
+            program: ``package/executable``.
+            is_own: whether a specification file of the manager itself names it.
+
+        Raises:
+            Denied: it must not be started.
+        """
+        what = f"program '{program}'"
+        _check_allowed(what, program, self.allowed_programs, "allowed_programs")
+        if not (self.remote_programs or is_own):
+            raise Denied(
+                what,
+                "services start only programs that the manager's own specification files name "
+                "(parameter remote_programs)",
+            )
 
     def check_sizes(self, strings: Iterable[str], entries: int = 0) -> None:
         """Refuse strings and arrays beyond the limits.
@@ -68,6 +101,14 @@ class Guards:
                 raise LimitExceeded("characters in a string", len(text), self.string_length)
 
 
+def _check_allowed(
+    what: str, name: str, allowed: Iterable[Tuple[str, ...]], parameter: str
+) -> None:
+    for patterns in allowed:
+        if not any(fnmatch.fnmatchcase(name, pattern) for pattern in patterns):
+            raise Denied(what, f"it matches no pattern of the allow list ({parameter})")
+
+
 NO_GUARDS = Guards()
 """Nothing is denied."""
 
@@ -79,6 +120,9 @@ def together(several: Iterable[Guards]) -> Guards:
         return NO_GUARDS
     return Guards(
         denied_topics=tuple(sorted({each for one in every for each in one.denied_topics})),
+        allowed_topics=tuple(sorted({each for one in every for each in one.allowed_topics})),
+        allowed_programs=tuple(sorted({each for one in every for each in one.allowed_programs})),
+        remote_programs=all(one.remote_programs for one in every),
         read_only=any(one.read_only for one in every),
         string_length=min(one.string_length for one in every),
         array_length=min(one.array_length for one in every),

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import logging
-from typing import TYPE_CHECKING, Dict, List, Mapping, Optional, Sequence
+from typing import TYPE_CHECKING, Callable, Dict, Iterable, List, Mapping, Optional, Sequence
 
 from dyknow.errors import LimitExceeded, Problem, SpecificationError, UnknownTransformation
 from dyknow.locks import state_lock, turn_lock
@@ -104,12 +104,18 @@ class Library:
             labels: Sequence[str] = list(self._by_label) if len(self._by_label) < 10_000 else ()
         raise UnknownTransformation(label, did_you_mean(label, labels))
 
-    def add(self, text: str, file_name: str = "specification") -> Specifications:
+    def add(
+        self,
+        text: str,
+        file_name: str = "specification",
+        check: Callable[[Iterable[Transformation]], None] = lambda transformations: None,
+    ) -> Specifications:
         """Add the transformations of a specification; those of known labels are replaced.
 
         Args:
             text: XML.
             file_name: where it comes from, for messages.
+            check: raises an error if one of them must not be added.
 
         Raises:
             SpecificationError: the text is wrong, or describes a node that another transformation
@@ -117,6 +123,7 @@ class Library:
             LimitExceeded: the library would grow beyond its limit; nothing was added.
         """
         specifications = parse(text, file_name, self._concepts, self._limits)
+        check(specifications.transformations)
         new = {each.label: each for each in specifications.transformations}
         with self._turn:
             self._check_nodes(new, file_name)

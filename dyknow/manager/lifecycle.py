@@ -40,7 +40,7 @@ from dyknow.manager.specifications.given import completed, names_of, set_on_load
 from dyknow.manager.specifications.tags import Subsumption
 from dyknow.manager.suspects import Suspects
 from dyknow.model.graph import PortState, SpawnRequest, State
-from dyknow.model.transformation import NODE, Transformation
+from dyknow.model.transformation import NODE, Program, Transformation
 from dyknow.periodic import Clock
 
 #: Seconds without a further port after which those of a node that are missing come later: it is
@@ -114,6 +114,8 @@ class Lifecycle:
         count = len(self._graph.all()) + 1
         if count > self._guards.nodelets:
             raise LimitExceeded("nodelets", count, self._guards.nodelets)
+        if transformation.type == NODE:
+            self._guards.check_program(Program.of(transformation.source).name, is_own=True)
         parameters = completed(transformation, request.parameters, self._ontology)
         config = self._resolved(transformation, request.name, request.config)
         with self._graph.changing(request.name, new=True, patience=PATIENCE):

@@ -11,7 +11,7 @@ nodelets through the injected host only.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Callable, List, Mapping, Optional, Set
+from typing import Callable, Iterable, List, Mapping, Optional, Set
 
 from dyknow import names
 from dyknow.errors import HostError
@@ -26,7 +26,7 @@ from dyknow.manager.specifications.specification import Specifications
 from dyknow.manager.store import Store
 from dyknow.manager.suspects import Suspects
 from dyknow.model.graph import Model, SpawnRequest
-from dyknow.model.transformation import Transformation
+from dyknow.model.transformation import NODE, Program, Transformation
 from dyknow.periodic import STEADY, Clock
 
 
@@ -123,14 +123,19 @@ class Manager:
 
         Raises:
             SpecificationError: it is wrong; nothing was added.
-            Denied: the mode is read-only.
+            Denied: the mode is read-only, or it would start a program that must not be started.
         """
         self.guards.check_writable("adding transformations")
-        specifications = self.library.add(text)
+        specifications = self.library.add(text, check=self._check_programs)
         for each in specifications.transformations:
             self._suspects.acquit_transformation(each.label)
         self.graph.on_change()
         return specifications
+
+    def _check_programs(self, transformations: Iterable[Transformation]) -> None:
+        for each in transformations:
+            if each.type == NODE and not each.is_described:
+                self.guards.check_program(Program.of(each.source).name)
 
     def remove_transformation(self, label: str) -> Transformation:
         """Remove a transformation; its nodelets run on.

@@ -88,8 +88,22 @@ class _Plan:
 class Bus:
     """Delivers by reference between the endpoints of one process."""
 
-    def __init__(self, transport: Transport, clock: Clock = time.monotonic) -> None:
+    def __init__(
+        self,
+        transport: Transport,
+        clock: Clock = time.monotonic,
+        check_topic: Optional[Callable[[str], None]] = None,
+    ) -> None:
+        """Begin without topics.
+
+        Args:
+            transport: the outside.
+            clock: steady time.
+            check_topic: raises Denied if nothing must be connected to a topic. It is called for
+                every endpoint of the process, whatever connects it.
+        """
         self._transport = transport
+        self._check_topic = check_topic
         self._clock = clock
         self._lock = state_lock("bus")
         self._topics: Dict[str, _Topic] = {}
@@ -144,11 +158,15 @@ class Bus:
             patience: seconds to wait, in all, for peers outside.
 
         Raises:
+            Denied: a guard forbids a topic; nothing was changed.
             TypeMismatch: a topic has another type in this process; nothing was changed.
             HandleClosed: an endpoint was released meanwhile; nothing was changed.
             Exception: a registration failed; nothing was changed, unless ``between`` was called.
         """
         plans = [_Plan(endpoint, topic) for endpoint, topic in moves if endpoint.topic != topic]
+        for plan in plans:
+            if plan.topic and self._check_topic is not None:
+                self._check_topic(plan.topic)
         deadline = self._clock() + patience
         try:
             self._make(plans, deadline)

@@ -58,7 +58,7 @@ class Runtime:
     #: Runs callbacks that may block for long.
     blocking: Executor
     clock: Clock = time.monotonic
-    #: Returns what ports may not do at this moment.
+    #: Returns what must not be done at this moment.
     guards: Callable[[], Guards] = lambda: NO_GUARDS
 
     @classmethod
@@ -69,14 +69,25 @@ class Runtime:
         clock: Clock = time.monotonic,
         guards: Callable[[], Guards] = lambda: NO_GUARDS,
         blocking: Optional[Executor] = None,
+        bound: bool = True,
     ) -> Runtime:
-        """Put a runtime together; without ``blocking``, the ``executor`` runs all callbacks."""
+        """Put a runtime together.
+
+        Args:
+            middleware: the outside.
+            executor: runs callbacks.
+            clock: steady time.
+            guards: returns what may not be done at this moment.
+            blocking: runs callbacks that may block for long; by default the ``executor`` does.
+            bound: whether the guards bind every endpoint, not only what ``set_config`` connects.
+        """
+        check = (lambda topic: guards().check_topic(topic)) if bound else None
         transport = middleware.transport
         return cls(
             middleware.node,
             middleware.services,
             transport,
-            Bus(transport, clock),
+            Bus(transport, clock, check),
             executor,
             TimerQueue(middleware.ticker),
             blocking or executor,

@@ -202,10 +202,7 @@ class NodeletProxy(Closable):
         port = self._ports.get(name)
         if port is None:
             resolved = names.resolve(name, handle.namespace, self._context.name)
-            topic = self._context.remappings.get(resolved, "")
-            if topic:
-                self._context.runtime.guards().check_topic(topic)
-            port = kind(name, datatype, topic)
+            port = kind(name, datatype, self._context.remappings.get(resolved, ""))
         elif port.direction != kind.direction or port.datatype._md5sum != datatype._md5sum:
             raise PortConflict(name, port.kind, f"{kind.direction}-port of type {datatype._type}")
         return port

@@ -15,6 +15,8 @@ from dyknow.errors import CannotRun
 from dyknow.model.graph import NodeletKind
 from dyknow.model.transformation import Program
 
+#: The nodelet that runs a Python script, which is its first argument.
+SCRIPT = "dyknow/Script"
 #: How a binary begins.
 ELF = "\x7fELF"
 
@@ -58,7 +60,9 @@ def _found(package: str, executable: str) -> Tuple[str, List[str]]:
         if "/" not in executable:
             return folder, sorted(set(map(str, find_node(package, executable, _packages()))))
         path = os.path.join(folder, executable)
-        return folder, [path] if os.path.isfile(path) and os.access(path, os.X_OK) else []
+        is_below = ".." not in executable.split("/")
+        is_program = is_below and os.path.isfile(path) and os.access(path, os.X_OK)
+        return folder, [path] if is_program else []
 
     try:
         folder, found = look()

@@ -4,9 +4,12 @@
 #include "guards.h"
 
 #include <fnmatch.h>
+#include <ros/console.h>
 #include <ros/this_node.h>
 
 #include <algorithm>
+#include <cstdlib>
+#include <mutex>
 
 #include "names.h"
 #include "problems.h"
@@ -16,6 +19,10 @@ namespace dyknow
 {
 namespace
 {
+
+/// The environment variable of programs that a DyKnow manager starts, see guard_parameters.py.
+constexpr const char* SPAWNED = "DYKNOW_SPAWNED";
+constexpr std::chrono::milliseconds MASTER_PATIENCE(1000);
 
 /// The key under which a manager hands over its guards, see dyknow/ros/nodelets/guard_parameters.py.
 std::string keyOf(const std::string& owner)
@@ -34,6 +41,26 @@ std::string keyOf(const std::string& owner)
 std::size_t lengthOf(const std::string& text)
 {
   return std::count_if(text.begin(), text.end(), [](unsigned char each) { return (each & 0xc0) != 0x80; });
+}
+
+/// The texts of an array; empty if it is none.
+std::vector<std::string> textsOf(XmlRpc::XmlRpcValue& values)
+{
+  std::vector<std::string> texts;
+  for (int i = 0; values.getType() == XmlRpc::XmlRpcValue::TypeArray && i < values.size(); ++i)
+  {
+    if (values[i].getType() == XmlRpc::XmlRpcValue::TypeString)
+    {
+      texts.push_back(values[i]);
+    }
+  }
+  return texts;
+}
+
+bool matchesAny(const std::string& topic, const std::vector<std::string>& patterns)
+{
+  return std::any_of(patterns.begin(), patterns.end(), [&topic](const auto& pattern)
+                     { return fnmatch(pattern.c_str(), topic.c_str(), FNM_NOESCAPE) == 0; });
 }
 
 void lower(std::size_t& limit, XmlRpc::XmlRpcValue& guards, const char* name)
@@ -60,17 +87,18 @@ Guards Guards::current(Clock::time_point deadline)
     {
       continue;
     }
-    if (guards.hasMember("denied_topics") &&
-        guards["denied_topics"].getType() == XmlRpc::XmlRpcValue::TypeArray)
+    for (const auto& pattern : textsOf(guards["denied_topics"]))
     {
-      auto& patterns = guards["denied_topics"];
-      for (int i = 0; i < patterns.size(); ++i)
-      {
-        if (patterns[i].getType() == XmlRpc::XmlRpcValue::TypeString)
-        {
-          all.denied_topics_.insert(patterns[i]);
-        }
-      }
+      all.denied_topics_.insert(pattern);
+    }
+    auto& allowed = guards["allowed_topics"];
+    for (int i = 0; allowed.getType() == XmlRpc::XmlRpcValue::TypeArray && i < allowed.size(); ++i)
+    {
+      all.allowed_topics_.push_back(textsOf(allowed[i]));
+    }
+    for (const auto& nodelet : textsOf(guards["protected"]))
+    {
+      all.protected_[owner].insert(nodelet);
     }
     if (guards.hasMember("read_only") && guards["read_only"].getType() == XmlRpc::XmlRpcValue::TypeBoolean &&
         static_cast<bool>(guards["read_only"]))
@@ -81,6 +109,49 @@ Guards Guards::current(Clock::time_point deadline)
     lower(all.array_length_, guards, "array_length");
   }
   return all;
+}
+
+std::string Guards::permitted(const std::string& topic, const std::string& owner)
+{
+  static std::mutex& state_lock = *new std::mutex;  // leaked, see later.cpp
+  static Guards& last = *new Guards;
+  static const bool is_spawned = std::getenv(SPAWNED) != nullptr;
+  if (topic.empty() || (owner == ros::this_node::getName() && !is_spawned))
+  {
+    return topic;
+  }
+  try
+  {
+    const Guards now = current(Clock::now() + MASTER_PATIENCE);
+    std::lock_guard<std::mutex> lock(state_lock);
+    last = now;
+  }
+  catch (const Refusal& refusal)
+  {
+    ROS_WARN("dyknow: %s: guards may have changed", refusal.what());
+  }
+  try
+  {
+    std::lock_guard<std::mutex> lock(state_lock);
+    last.checkTopic(topic);
+  }
+  catch (const Refusal& refusal)
+  {
+    ROS_ERROR("%s: not connected: %s", owner.c_str(), refusal.what());
+    return "";
+  }
+  return topic;
+}
+
+void Guards::checkProtection(const std::string& caller, const std::string& nodelet) const
+{
+  for (const auto& [owner, nodelets] : protected_)
+  {
+    if (owner != keyOf(caller) && nodelets.count(nodelet) > 0)
+    {
+      throw protectedFromUnloading(nodelet);
+    }
+  }
 }
 
 void Guards::checkCaller(const std::string& caller, const std::string& what) const
@@ -98,6 +169,13 @@ void Guards::checkTopic(const std::string& topic) const
     if (fnmatch(pattern.c_str(), topic.c_str(), FNM_NOESCAPE) == 0)
     {
       throw denied("topic '" + topic + "'", "it matches '" + pattern + "' of the deny list (denied_topics)");
+    }
+  }
+  for (const auto& patterns : allowed_topics_)
+  {
+    if (!matchesAny(topic, patterns))
+    {
+      throw denied("topic '" + topic + "'", "it matches no pattern of the allow list (allowed_topics)");
     }
   }
 }

@@ -5,6 +5,7 @@
 #include <ros/init.h>
 #include <ros/master.h>
 #include <ros/node_handle.h>
+#include <ros/service_manager.h>
 #include <ros/statistics.h>
 #include <ros/subscription_queue.h>
 #include <ros/this_node.h>
@@ -121,6 +122,7 @@ std::vector<void*> roscppHooks()
       addressOf(&ros::TopicManager::getNumPublishers),
       addressOf(&ros::TopicManager::incrementSequence),
       addressOf(&ros::TopicManager::getAdvertisedTopics),
+      addressOf(&ros::ServiceManager::advertiseService),
       topics::unregisterPublisherHook(),
       addressOf(static_cast<Push>(&ros::SubscriptionQueue::push)),
       addressOf(&ros::StatisticsLogger::init),

@@ -70,6 +70,11 @@ bool isBelow(const std::string& name, const std::string& space)
                             name[space.size()] == '/';
 }
 
+bool isDisconnected(const std::string& topic, const std::string& node)
+{
+  return isBelow(topic, join(node, "disconnected"));
+}
+
 std::string topicOf(const std::string& text, const std::string& node)
 {
   if (!isLegal(text))

@@ -20,6 +20,9 @@ std::string join(const std::string& space, const std::string& name);
 /// Whether a global name is below a namespace.
 bool isBelow(const std::string& name, const std::string& space);
 
+/// Whether a topic is one that a manager remaps ports of a node to so that they begin disconnected.
+bool isDisconnected(const std::string& topic, const std::string& node);
+
 /// Makes what a user wrote the global name of a topic. Raises Refusal if it is none.
 ///
 /// @param node what a leading `~` stands for; relative names begin in its namespace.

@@ -90,10 +90,19 @@ void NodeletProxy::add(const std::map<std::string, std::string>& remappings)
 std::shared_ptr<Port> NodeletProxy::declare(const PortName& port_name, Direction direction,
                                             const std::string& topic)
 {
+  const auto is_known = [&port_name, direction](const auto& each)
+  {
+    return each.port->name.label == port_name.label && each.port->direction == direction;
+  };
+  const auto known = this->ports();
+  std::string first = topicAtStart(topic);
+  if (std::none_of(known.begin(), known.end(), is_known))
+  {
+    first = Guards::permitted(first, name);  // asks the master, so without the lock
+  }
   std::shared_ptr<Port> port;
   {
     std::lock_guard<std::mutex> lock(state_lock_);
-    std::string first = topicAtStart(topic);
     for (auto each = ports_.begin(); each != ports_.end(); ++each)
     {
       const auto& known = **each;
@@ -302,7 +311,7 @@ std::shared_ptr<Port> NodeletProxy::portToCome(const std::string& text) const
 
 std::string NodeletProxy::topicAtStart(const std::string& remapped) const
 {
-  return names::isBelow(remapped, names::join(name, "disconnected")) ? "" : remapped;
+  return names::isDisconnected(remapped, name) ? "" : remapped;
 }
 
 void NodeletProxy::checkType(const NamedPort& port, const std::string& topic, const MasterState& master,

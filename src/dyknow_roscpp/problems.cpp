@@ -40,6 +40,12 @@ Refusal denied(const std::string& what, const std::string& why)
   return Refusal(what + " is denied: " + why);
 }
 
+Refusal protectedFromUnloading(const std::string& nodelet)
+{
+  return Refusal("nodelet '" + nodelet + "' is protected from unloading by its DyKnow manager; release it first: "
+                 "dyknow unprotect " + nodelet);
+}
+
 Refusal limitExceeded(const std::string& what, std::size_t count, std::size_t limit)
 {
   return Refusal("too many " + what + ": " + std::to_string(count) + ", at most " + std::to_string(limit) +

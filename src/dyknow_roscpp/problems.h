@@ -22,6 +22,7 @@ public:
 Refusal invalidName(const std::string& name, const std::string& what);
 Refusal typeMismatch(const std::string& topic, const std::string& wanted, const std::string& present);
 Refusal denied(const std::string& what, const std::string& why);
+Refusal protectedFromUnloading(const std::string& nodelet);
 Refusal limitExceeded(const std::string& what, std::size_t count, std::size_t limit);
 Refusal unknownPort(const std::string& port, std::vector<std::string> known);
 Refusal duplicatePort(const std::string& port);

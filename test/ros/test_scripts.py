@@ -27,6 +27,12 @@ from sensor_msgs.msg import JointState
 
 RUN = [sys.executable, "-m", "dyknow.cli", "run"]
 SCRIPT = "dyknow/Script"
+#: Where packages of the tests' own are, beside those of test/packages.
+FURTHER_PACKAGES = tempfile.TemporaryDirectory()
+os.environ["ROS_PACKAGE_PATH"] += os.pathsep + FURTHER_PACKAGES.name
+MANIFEST = """<package format="2"><name>news</name><version>0.0.0</version>
+<description>none</description><maintainer email="a@example.org">a</maintainer>
+<license>BSD</license></package>"""
 
 
 def said(text: str, heard: List[Any]) -> bool:
@@ -224,10 +230,9 @@ class SharedTest(ManagerCase):
 
     def test_a_load_runs_the_code_of_today(self):
         folder = self.entered(temporary_script("word = 'old'"))
-        path = os.path.join(folder, "news.py")
         for number, word in enumerate(("old", "new")):
             write(os.path.join(folder, "news_sibling.py"), f"word = '{word}'", number)
-            self.manager.load(SCRIPT, f"/n{number}", {}, [path])
+            self.manager.load(SCRIPT, f"/n{number}", {}, ["news/news.py"])
         self.assertEqual(rospy.get_param("/n0/word"), "old")
         self.assertEqual(rospy.get_param("/n1/word"), "new")
 
@@ -239,8 +244,9 @@ class SharedTest(ManagerCase):
 
 @contextlib.contextmanager
 def temporary_script(sibling: str) -> Iterator[str]:
-    """A folder with a script that tells what its sibling says."""
-    with tempfile.TemporaryDirectory() as folder:
+    """The folder of a package with a script that tells what its sibling says."""
+    with tempfile.TemporaryDirectory(dir=FURTHER_PACKAGES.name) as folder:
+        write(os.path.join(folder, "package.xml"), MANIFEST, 0)
         path = os.path.join(folder, "news.py")
         write(
             path,
@@ -248,6 +254,7 @@ def temporary_script(sibling: str) -> Iterator[str]:
             "rospy.set_param('~word', news_sibling.word)\nrospy.spin()\n",
             0,
         )
+        os.chmod(path, 0o755)
         yield folder
 
 

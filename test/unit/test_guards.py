@@ -5,7 +5,13 @@
 
 from __future__ import annotations
 
+import pytest
+from unit.nodelet.fakes import Message, World
+
+import dyknow
+from dyknow.errors import Denied, InvalidConfiguration
 from dyknow.guards import NO_GUARDS, Guards, together
+from dyknow.proxy.proxy import NodeletProxy
 from dyknow.ros.nodelets.guard_parameters import from_parameter, guards_key, to_parameter
 
 
@@ -25,8 +31,76 @@ def test_a_lenient_owner_lifts_nothing():
     assert together([strict, NO_GUARDS]) == strict
 
 
+def test_a_topic_and_a_program_have_to_be_on_the_allow_list_of_every_owner():
+    both = together(
+        [
+            Guards(allowed_topics=(("/robot/*", "/tf"),), allowed_programs=(("tools/*",),)),
+            Guards(allowed_topics=(("*/image", "/tf"),), denied_topics=("/robot/left/*",)),
+            NO_GUARDS,
+        ]
+    )
+    for topic in ("/robot/image", "/tf", "/rosout", "/clock"):
+        both.check_topic(topic)
+    for topic in ("/robot/scan", "/lab/image", "/robot/left/image"):
+        with pytest.raises(Denied):
+            both.check_topic(topic)
+    both.check_program("tools/relay")
+    with pytest.raises(Denied, match="allowed_programs"):
+        both.check_program("rosbag/record")
+
+
+def test_programs_of_services_are_refused_and_those_of_own_files_are_not():
+    closed = together([Guards(remote_programs=False), NO_GUARDS])
+    closed.check_program("tools/relay", is_own=True)
+    with pytest.raises(Denied, match="remote_programs"):
+        closed.check_program("tools/relay")
+
+
+class TestOneCheckForEveryTopic:
+    """Whatever connects an endpoint of a process, the bus asks the guards."""
+
+    GUARDS = Guards(denied_topics=("/e_stop",))
+
+    def nodelet(self, bound=True, **remappings):
+        context = World(guards=lambda: self.GUARDS, bound=bound).context("/n", **remappings)
+        handle = dyknow.nodelet.handle.PlainNodeHandle(context, "/")
+        return handle, dyknow.NodeHandle(handle), NodeletProxy.of(context)
+
+    def test_a_plain_handle(self):
+        plain, _, _ = self.nodelet()
+        for connect in (
+            lambda: plain.Publisher("e_stop", Message),
+            lambda: plain.Subscriber("/e_stop", Message, print),
+        ):
+            with pytest.raises(Denied, match="'/e_stop'"):
+                connect()
+        plain.Publisher("other", Message)
+
+    def test_a_port_that_a_load_remaps(self):
+        _, handle, proxy = self.nodelet(remappings={"/out": "/e_stop"})
+        with pytest.raises(Denied, match="'/e_stop'"):
+            handle.Publisher("out", Message)
+        assert proxy.get_config() == []
+
+    def test_what_people_launch_begins_where_they_say(self):
+        plain, handle, proxy = self.nodelet(bound=False, remappings={"/out": "/e_stop"})
+        plain.Publisher("e_stop", Message)
+        handle.Publisher("out", Message)
+        handle.Subscriber("in", Message, print)
+        with pytest.raises(InvalidConfiguration, match="deny list"):
+            proxy.set_config([("in", "/e_stop")])
+
+
 def test_guards_survive_the_parameter_server():
-    guards = Guards(denied_topics=("/e_stop",), read_only=True, string_length=10, array_length=2)
+    guards = Guards(
+        denied_topics=("/e_stop",),
+        allowed_topics=(("/a/*", "/b"),),
+        allowed_programs=(("tools/*",),),
+        remote_programs=False,
+        read_only=True,
+        string_length=10,
+        array_length=2,
+    )
     assert from_parameter(to_parameter(guards)) == guards
 
 

@@ -76,8 +76,6 @@ DEATH_TIMEOUT = 2.0
 CONNECT_TIMEOUT = 4.0
 #: Seconds for a proxy to say what its ports are.
 PORTS_TIMEOUT = 2.0
-#: The nodelet that runs a Python script, which is its first argument.
-SCRIPT = "dyknow/Script"
 #: Nodelet managers that are asked at the same time.
 _ASKERS = 16
 
@@ -245,7 +243,7 @@ class RosHost(Host):
         type_, arguments = request.source, []
         if request.kind is NodeletKind.SCRIPT:
             program = Program.of(request.source)
-            type_, arguments = SCRIPT, [program.name, *program.arguments]
+            type_, arguments = programs.SCRIPT, [program.name, *program.arguments]
         try:
             self._call(
                 f"{manager}/load_nodelet",

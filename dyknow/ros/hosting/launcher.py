@@ -31,6 +31,7 @@ from dyknow.ros.hosting.child_records import ChildRecord
 from dyknow.ros.hosting.count_collector import SERVICE as COUNTS
 from dyknow.ros.log_tail import LogTail
 from dyknow.ros.master import Master
+from dyknow.ros.nodelets.guard_parameters import SPAWNED
 from dyknow.ros.nodelets.owner import OwnerLock
 from dyknow.ros.os_process import ProcessId
 
@@ -41,7 +42,7 @@ _FAULTS = (signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL, signal.S
 _CRASH_RECORD = "crash_record"
 
 #: Makes a node re-wirable; a program and its arguments follow.
-_REWIRABLE = (sys.executable, "-m", "dyknow.cli.rewirable")
+_REWIRABLE = ("env", f"{SPAWNED}=1", sys.executable, "-m", "dyknow.cli.rewirable")
 #: Bytes at the end of an output in which its last line is looked for.
 _LAST_WORDS = 2000
 #: Outputs that are kept of processes that have ended for good.

@@ -33,6 +33,9 @@ PARAMETERS = (
     "spawn_timeout",
     "orphan_timeout",
     "denied_topics",
+    "allowed_topics",
+    "allowed_programs",
+    "remote_programs",
     "read_only",
     "limits",
 )
@@ -91,10 +94,10 @@ class ManagerSettings:
             spawn_timeout=_seconds("spawn_timeout", cls.spawn_timeout, least=0.001),
             orphan_timeout=_seconds("orphan_timeout", cls.orphan_timeout, least=0.0),
             guards=Guards(
-                denied_topics=tuple(
-                    pattern if pattern[:1] in "/*" else names.join(names.parent(node), pattern)
-                    for pattern in _strings("denied_topics")
-                ),
+                denied_topics=_topic_patterns("denied_topics"),
+                allowed_topics=tuple(filter(None, [_topic_patterns("allowed_topics")])),
+                allowed_programs=tuple(filter(None, [_strings("allowed_programs")])),
+                remote_programs=_bool("remote_programs", True),
                 read_only=_bool("read_only"),
                 **_limits(Guards, "string_length", "array_length", "nodelets"),
             ),
@@ -165,8 +168,17 @@ def _strings(name: str) -> Tuple[str, ...]:
     return tuple(value)
 
 
-def _bool(name: str) -> bool:
-    value = rospy.get_param("~" + name, False)
+def _topic_patterns(name: str) -> Tuple[str, ...]:
+    """Read patterns of topics; relative ones begin in the manager's namespace."""
+    namespace = names.parent(rospy.get_name())
+    return tuple(
+        pattern if pattern[:1] in "/*" else names.join(namespace, pattern)
+        for pattern in _strings(name)
+    )
+
+
+def _bool(name: str, default: bool = False) -> bool:
+    value = rospy.get_param("~" + name, default)
     if not isinstance(value, bool):
         raise _refuse(name, "true or false", value)
     return value

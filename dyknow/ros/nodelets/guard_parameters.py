@@ -12,15 +12,18 @@ reach nodelets that run.
 
 from __future__ import annotations
 
-from typing import Any, Dict, Sequence
+from typing import Any, Dict, Iterable, Sequence, Tuple
 
 import rospy
 from rospy.impl.paramserver import ParamServerCache, get_param_server_cache
 
-from dyknow.errors import PeerTimeout, ProtectedFromUnloading
+from dyknow.errors import Denied, PeerTimeout, ProtectedFromUnloading
 from dyknow.guards import NO_GUARDS, Guards, together
 from dyknow.ros.master import Master
 
+#: Environment variable of programs that a DyKnow manager starts: its guards bind them from their
+#: start. What people launch begins where they say, and is bound when it is connected elsewhere.
+SPAWNED = "DYKNOW_SPAWNED"
 _GUARDS = "guards"
 _PROTECTED = "protected"
 
@@ -43,6 +46,9 @@ def to_parameter(guards: Guards, protected: Sequence[str] = ()) -> Dict[str, Any
     """Write guards, and the names of protected nodelets, as a value of the parameter server."""
     return {
         "denied_topics": list(guards.denied_topics),
+        "allowed_topics": [list(each) for each in guards.allowed_topics],
+        "allowed_programs": [list(each) for each in guards.allowed_programs],
+        "remote_programs": guards.remote_programs,
         "read_only": guards.read_only,
         "string_length": guards.string_length,
         "array_length": guards.array_length,
@@ -56,14 +62,21 @@ def from_parameter(value: Any) -> Guards:
         return NO_GUARDS
     return Guards(
         denied_topics=tuple(str(each) for each in value.get("denied_topics", ())),
+        allowed_topics=_lists(value.get("allowed_topics", ())),
+        allowed_programs=_lists(value.get("allowed_programs", ())),
+        remote_programs=bool(value.get("remote_programs", True)),
         read_only=bool(value.get("read_only", False)),
         string_length=int(value.get("string_length", NO_GUARDS.string_length)),
         array_length=int(value.get("array_length", NO_GUARDS.array_length)),
     )
 
 
+def _lists(value: Iterable[Iterable[Any]]) -> Tuple[Tuple[str, ...], ...]:
+    return tuple(tuple(map(str, each)) for each in value)
+
+
 class GuardParameters:
-    """The guards of this nodelet manager."""
+    """The guards of this process."""
 
     def __init__(self) -> None:
         """Begin to follow the parameters; the node must be initialised."""
@@ -90,6 +103,18 @@ class GuardParameters:
         own = from_parameter(guards.get(_key_of(caller)))
         if not own.read_only:
             together(from_parameter(each) for each in guards.values()).check_writable(what)
+
+    def check_program(self, caller: str, program: str) -> None:
+        """Refuse to start a script; a DyKnow manager has checked what its own guards say.
+
+        Raises:
+            Denied: it must not be started, or is named by its path.
+        """
+        if program.startswith("/"):
+            raise Denied(f"script '{program}'", "expected PACKAGE/SCRIPT, not a path")
+        own = _key_of(caller)
+        others = (from_parameter(each) for key, each in self._read().items() if key != own)
+        together(others).check_program(program)
 
     def check_protection(self, caller: str, name: str) -> None:
         """Refuse to unload a nodelet that another DyKnow manager than the caller protects.

@@ -43,13 +43,13 @@ from dyknow.nodelet.nodelet import Nodelet
 from dyknow.nodelet.plugins import Plugins
 from dyknow.nodelet.scheduler import WorkerPool
 from dyknow.proxy.proxy import NodeletProxy
-from dyknow.ros import descriptors
+from dyknow.ros import descriptors, programs
 from dyknow.ros.bonding.bonds import Bonds
 from dyknow.ros.log_text import for_log
 from dyknow.ros.messages import counts_message
 from dyknow.ros.node_process import NodeProcess
 from dyknow.ros.nodelets.announcements import Announcer
-from dyknow.ros.nodelets.guard_parameters import GuardParameters, caller_of
+from dyknow.ros.nodelets.guard_parameters import SPAWNED, GuardParameters, caller_of
 from dyknow.ros.nodelets.lease_service import LeaseService
 from dyknow.ros.nodelets.name_watch import end_when_displaced
 from dyknow.ros.nodelets.owner import end_when_orphaned
@@ -114,12 +114,14 @@ class NodeletManager(Closable):
         self,
         settings: Settings,
         find_class: Optional[Callable[[str, Context], Type[Nodelet]]] = None,
+        bound: bool = True,
     ) -> None:
         """Start without nodelets and without services.
 
         Args:
             settings: how it works.
             find_class: returns the class of a type; by default what packages declare.
+            bound: whether guards bind what nodelets connect themselves, not only set_config.
         """
         self._workers = settings.workers
         sys.setswitchinterval(settings.switch_interval)
@@ -130,6 +132,7 @@ class NodeletManager(Closable):
             rospy_middleware(pool),
             pool,
             guards=self._guards.current,
+            bound=bound,
             blocking=GrowingPool(self._record),
         )
         self._bonds = Bonds(names.join(rospy.get_name(), "bond"))
@@ -208,8 +211,8 @@ class NodeletManager(Closable):
         remappings = names.pair_remappings(name, sources, targets, namespace)
         if caller:
             self._guards.check_caller(caller, f"loading '{name}'")
-        for target in remappings.values():
-            guards.check_topic(target)
+            if type_name == programs.SCRIPT and my_argv:
+                self._guards.check_program(caller, my_argv[0])
         descriptors.check_left()
         self.loader.load(name, type_name, remappings, my_argv)
         self._announcer.tell(name)
@@ -387,9 +390,9 @@ def _crash_record() -> CrashRecord:
         return CrashRecord()
 
 
-def _make() -> NodeletManager:
+def _make(bound: bool = True) -> NodeletManager:
     faulthandler.enable()  # a crash prints what each thread was at
-    return NodeletManager(Settings.read())
+    return NodeletManager(Settings.read(), bound=bound)
 
 
 def run_manager(argv: Sequence[str], node: str = "manager") -> int:
@@ -410,7 +413,7 @@ def run_standalone(type_name: str, my_argv: Sequence[str], argv: Sequence[str]) 
     """Run one nodelet in a process of its own, under the name of the node."""
 
     def start() -> Optional[NodeletManager]:
-        manager = _make()
+        manager = _make(bound=SPAWNED in os.environ)
         remappings = {
             source: target
             for source, target in rospy.names.get_resolved_mappings().items()

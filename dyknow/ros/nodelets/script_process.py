@@ -27,6 +27,7 @@ from dyknow.model.graph import NodeletKind
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.nodelet import Nodelet
 from dyknow.periodic import in_background
+from dyknow.ros.nodelets.guard_parameters import SPAWNED
 from dyknow.ros.nodelets.nodelet_manager import NodeletManager, Settings
 from dyknow.ros.scripts.guest import Guest
 from dyknow.ros.scripts.script import NodeArguments, ScriptCode
@@ -133,7 +134,9 @@ class _ScriptProcess:
 
     def _offer(self, renamed: Dict[str, str]) -> None:
         nodelet_class = self._nodelet_class()
-        self._manager = NodeletManager(_SETTINGS, lambda type_name, context: nodelet_class)
+        self._manager = NodeletManager(
+            _SETTINGS, lambda type_name, context: nodelet_class, bound=SPAWNED in os.environ
+        )
         name = rospy.get_name()
         remappings = names.pair_remappings(
             name, list(renamed), list(renamed.values()), names.parent(name)

@@ -74,7 +74,7 @@ class ScriptCode:
 class ScriptNodelet(Nodelet):
     """Runs a script that is written for a process of its own: ``my_argv`` is its command line.
 
-    Its first word is the script, as ``PACKAGE/SCRIPT`` or as a path. Private parameter:
+    Its first word is the script, as ``PACKAGE/SCRIPT``. Private parameter:
     ``~by_reference`` (false), whether it shares messages with its neighbours as nodelets do.
     """
 
@@ -90,7 +90,7 @@ class ScriptNodelet(Nodelet):
     def on_init(self) -> None:
         """Run it until it waits for the first time, or has ended."""
         if not self.my_argv:
-            raise CannotRun("expected the script as the first argument: PACKAGE/SCRIPT or a path")
+            raise CannotRun("expected the script as the first argument: PACKAGE/SCRIPT")
         argv = [find_script(self.my_argv[0]), *self.my_argv[1:]]
         by_reference = bool(self.private_node_handle.get_param("~by_reference", False))
         guest = self._guest = Guest(self.name, copies=not by_reference)

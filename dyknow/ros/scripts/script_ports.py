@@ -52,8 +52,6 @@ class ScriptProxy(NodeletProxy):
         port = self._by_label.get((label, kind.direction))
         if port is None:
             topic = self._start(label)
-            if topic:
-                self._context.runtime.guards().check_topic(topic)
             other = self._by_label.get((label, OUT if kind.direction == IN else IN))
             if other is not None:
                 self._rename(other, f"{label}_{other.direction}")

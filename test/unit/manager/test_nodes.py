@@ -12,7 +12,8 @@ from unit.manager.field import Field
 from unit.manager.hand_clock import HandClock
 from unit.manager.world import World
 
-from dyknow.errors import HostError, NameTaken, SpawnFailed
+from dyknow.errors import Denied, HostError, NameTaken, SpawnFailed
+from dyknow.guards import Guards
 from dyknow.model.graph import NodeletKind, State
 from dyknow.model.streams import ClaimState
 from dyknow.model.transformation import Parameter
@@ -62,6 +63,31 @@ def world(tmp_path: Path) -> World:
     world.host.scripts.add(SCRIPT)
     world.manager.add_transformation(NODES)
     return world
+
+
+def test_guards_say_which_programs_are_started() -> None:
+    tools = Guards(allowed_programs=(("topic_tools/*",),))
+    world = World(guards=tools)
+    with pytest.raises(Denied, match="'pkg/filter.py' is denied.*allowed_programs"):
+        world.manager.add_transformation(NODES)
+    # What came into the library before, or from the manager's own files, is checked at the spawn.
+    world.manager.library.add(NODES)
+    world.host.sources.update({COPIER: PORTS, SCRIPT: PORTS})
+    world.host.scripts.add(SCRIPT)
+    with pytest.raises(Denied, match="allowed_programs"):
+        world.spawn("script", "/script")
+    world.spawn("copier", "/copier")
+    assert world.host.running == ["/copier"]
+
+
+def test_services_add_no_programs_where_only_own_files_do() -> None:
+    world = World(guards=Guards(remote_programs=False))
+    with pytest.raises(Denied, match="remote_programs"):
+        world.manager.add_transformation(NODES)
+    world.manager.library.add(NODES)
+    world.host.sources.update({COPIER: PORTS})
+    world.spawn("copier", "/copier")
+    assert world.host.running == ["/copier"]
 
 
 def test_a_node_is_a_process_of_its_own(world: World) -> None:

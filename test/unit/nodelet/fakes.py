@@ -94,7 +94,9 @@ class RecordingTransport(LocalTransport):
 class World:
     """A runtime on a local middleware, by default deterministic."""
 
-    def __init__(self, executor: Optional[Executor] = None, clock: Any = time.monotonic) -> None:
+    def __init__(
+        self, executor: Optional[Executor] = None, clock: Any = time.monotonic, **options: Any
+    ) -> None:
         self.executor: Any = executor or ManualExecutor()
         self.transport = RecordingTransport()
         middleware = LocalMiddleware(self.transport)
@@ -103,7 +105,7 @@ class World:
             middleware.ticker,
             middleware.node,
         )
-        self.runtime = Runtime.make(middleware, self.executor, clock)
+        self.runtime = Runtime.make(middleware, self.executor, clock, **options)
         self.bus = self.runtime.bus
 
     def context(self, name: str = "/probe", **options: Any) -> Context:

@@ -68,6 +68,12 @@ def test_a_path_below_the_package_is_that_program(workspace: Write) -> None:
         programs.find_program("lonely", "scripts/talk")
 
 
+def test_a_path_leads_out_of_no_package(workspace: Write) -> None:
+    workspace("elsewhere.py")
+    with pytest.raises(CannotRun, match="has no program"):
+        programs.find_script("lonely/../../elsewhere.py")
+
+
 def test_several_of_a_name_are_told_apart_by_their_paths(workspace: Write) -> None:
     first, second = workspace("src/lonely/a/talk"), workspace("src/lonely/b/talk")
     with pytest.raises(CannotRun) as refused:
