@@ -51,12 +51,20 @@ def ports_of(client: ShellClient, nodelet: str) -> Tuple[PortState, ...]:
         raise NodeletUnreachable(f"{silence}; it is {state_of(present)}") from silence
 
 
-def find_port(reference: PortRef, ports: Sequence[PortState]) -> PortState:
+def find_port(client: ShellClient, reference: PortRef) -> PortState:
     """Return the port that a reference means.
+
+    A port that a lazy nodelet declares may be connected before the nodelet subscribes with it: its
+    proxy keeps the topic until then.
 
     Raises:
         CannotConnect: the nodelet has no such port; its ports are named.
     """
+    ports = list(ports_of(client, reference.nodelet))
+    if all(port.name != reference.port for port in ports):
+        shown = client.get_graph().nodelet(reference.nodelet)
+        names = {port.name for port in ports}
+        ports += [port for port in (shown.ports if shown else ()) if port.name not in names]
     for port in ports:
         if port.name == reference.port:
             return port
@@ -78,8 +86,8 @@ def connect(
     Raises:
         CannotConnect: it was refused, and both ports are as they were.
     """
-    out = find_port(source, ports_of(client, source.nodelet))
-    into = find_port(target, ports_of(client, target.nodelet))
+    out = find_port(client, source)
+    into = find_port(client, target)
     check_ends(str(source), out, str(target), into)
     topic = topic or out.topic
     if not topic:
@@ -120,7 +128,7 @@ def connect_to_topic(
             f"'{topic}' is a nodelet; expected a topic, or its port as {topic}:PORT; its "
             f"{_other(direction)}-ports: {ports or 'none'}"
         )
-    port = find_port(reference, ports_of(client, reference.nodelet))
+    port = find_port(client, reference)
     if port.direction != direction:
         raise CannotConnect(
             f"cannot connect: '{reference}' is an {port.direction}-port; swap the two, the stream "

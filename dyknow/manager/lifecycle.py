@@ -40,7 +40,7 @@ from dyknow.manager.specifications.given import completed, names_of, set_on_load
 from dyknow.manager.specifications.tags import Subsumption
 from dyknow.manager.suspects import Suspects
 from dyknow.model.graph import PortState, SpawnRequest, State
-from dyknow.model.transformation import NODE, Program, Transformation
+from dyknow.model.transformation import NODE, Port, Program, Transformation
 from dyknow.periodic import Clock
 
 #: Seconds without a further port after which those of a node that are missing come later: it is
@@ -394,7 +394,11 @@ class Lifecycle:
         for port in transformation.ports:
             real = found.get(port.name)
             if not record.kind.is_written_for_dyknow and (real is None or not real.datatype):
-                continue  # a lazy one subscribes once somebody listens to it
+                # A lazy one subscribes once another node listens, unless this is its misspelling.
+                misspelt = _namesake(port, ports, transformation)
+                if misspelt:
+                    wrong.append(f"it has no port '{port.name}'; did you mean '{misspelt}'?")
+                continue
             if real is None:
                 known = ", ".join(sorted(found)) or "none"
                 wrong.append(f"it has no port '{port.name}'; its ports: {known}")
@@ -462,6 +466,23 @@ class Lifecycle:
 
     def _state(self, manager: str) -> Optional[ManagerState]:
         return next((each for each in self._host.managers() if each.name == manager), None)
+
+
+def _namesake(port: Port, ports: Iterable[PortState], transformation: Transformation) -> str:
+    """Return a port that is there and not declared, whose name differs in its namespace alone."""
+    declared = {each.name for each in transformation.ports}
+    base = port.name.lstrip("~/")
+    return next(
+        (
+            each.name
+            for each in ports
+            if each.datatype
+            and each.direction == port.direction
+            and each.name not in declared
+            and each.name.lstrip("~/") == base
+        ),
+        "",
+    )
 
 
 def _remappings(record: Record, transformation: Transformation) -> Dict[str, str]:

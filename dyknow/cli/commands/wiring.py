@@ -17,7 +17,6 @@ from dyknow.cli.connecting import (
     connect,
     connect_to_topic,
     find_port,
-    ports_of,
 )
 from dyknow.cli.json_output import Json
 from dyknow.cli.shell import Shell
@@ -117,7 +116,7 @@ def _disconnect_arguments(parser: argparse.ArgumentParser) -> None:
 def _disconnect(arguments: argparse.Namespace, shell: Shell) -> None:
     changes: List[PortMove] = []
     for reference in dict.fromkeys(_resolved(shell, each) for each in arguments.ports):
-        port = find_port(reference, ports_of(shell.client, reference.nodelet))
+        port = find_port(shell.client, reference)
         changes.append(PortMove(reference, port.topic, ""))
     made = [change for change in changes if change.before]
     apply(shell.client, made)

@@ -47,6 +47,20 @@ def test_the_topic_is_the_out_ports_else_the_in_ports_else_a_new_one(client: Fak
     assert topics(client) == {"/cam:image": "/old", "/robot/relay:in": "/old"}
 
 
+def test_a_port_that_a_lazy_nodelet_declares_is_connected_before_it_subscribes(
+    client: FakeClient,
+) -> None:
+    image = "sensor_msgs/Image"
+    client.world.host.stock = False
+    client.world.host.sources["pkg/Native"] = [("image", "in", image), ("~out", "out", image)]
+    client.world.host.lazy["pkg/Native"] = ("image",)
+    client.world.spawn("native", "lazy")
+    assert run(client, "connect /raw lazy:image").lines == ["/raw -> /lazy:image"]
+    assert client.calls == [("set_config", "/lazy")]
+    error = run(client, "connect /raw lazy:imag").err
+    assert "has no port 'imag'; its ports: ~out (out), image (in); did you mean image?" in error
+
+
 def test_a_topic_that_is_given_begins_at_the_manager(client: FakeClient) -> None:
     run(client, "connect cam:image robot/relay:in --topic raw")
     assert set(topics(client).values()) == {"/raw"}

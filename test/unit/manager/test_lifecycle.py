@@ -290,6 +290,16 @@ def test_a_lazy_cpp_nodelet_shows_its_declared_ports(live: World) -> None:
     assert shown["image"] == ("in", "/cam/image")
 
 
+def test_a_declared_port_of_a_cpp_nodelet_that_is_misspelt_is_refused(live: World) -> None:
+    live.host.sources["pkg/Native"] = [
+        ("image", "in", "sensor_msgs/Image"),
+        ("out", "out", "sensor_msgs/Image"),
+    ]
+    with pytest.raises(SpawnFailed, match="no port '~out'; did you mean 'out'?"):
+        live.spawn("native", "n", config={"~out": "/small"})
+    assert live.host.running == []
+
+
 def test_a_cpp_nodelet_with_another_type_than_declared_is_refused(live: World) -> None:
     live.host.sources["pkg/Native"] = [("image", "in", "std_msgs/String")]
     with pytest.raises(SpawnFailed, match="'image' carries std_msgs/String"):
