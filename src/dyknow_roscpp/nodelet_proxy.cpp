@@ -117,7 +117,7 @@ std::shared_ptr<Port> NodeletProxy::declare(const PortName& port_name, Direction
         return *each;
       }
     }
-    port = std::make_shared<Port>(port_name, direction, first);
+    port = std::make_shared<Port>(name, port_name, direction, first);
     ports_.push_back(port);
   }
   on_change_(name);
@@ -306,7 +306,7 @@ std::shared_ptr<Port> NodeletProxy::portToCome(const std::string& text) const
   }
   // Of which direction it will be is not known; what is lazy is the subscription, as a rule.
   const PortName port_name{text[0] == '/' ? names::portOf(text, name) : text, origin, ""};
-  return std::make_shared<Port>(port_name, Direction::IN, topicAtStart(remapping->second), true);
+  return std::make_shared<Port>(name, port_name, Direction::IN, topicAtStart(remapping->second), true);
 }
 
 std::string NodeletProxy::topicAtStart(const std::string& remapped) const

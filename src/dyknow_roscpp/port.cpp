@@ -21,8 +21,9 @@ std::string topicBeside(const PortName& name, const std::string& image)
   return names::join(is_below ? image : names::parent(image), last);
 }
 
-Port::Port(PortName name, Direction direction, std::string topic, bool is_to_come)
-  : name(std::move(name))
+Port::Port(std::string owner, PortName name, Direction direction, std::string topic, bool is_to_come)
+  : owner(std::move(owner))
+  , name(std::move(name))
   , direction(direction)
   , is_to_come(is_to_come)
   , topic_(std::move(topic))

@@ -70,8 +70,9 @@ std::string topicBeside(const PortName& name, const std::string& image);
 class Port
 {
 public:
-  Port(PortName name, Direction direction, std::string topic, bool is_to_come = false);
+  Port(std::string owner, PortName name, Direction direction, std::string topic, bool is_to_come = false);
 
+  const std::string owner;  ///< name of the node or nodelet
   const PortName name;
   const Direction direction;
   const bool is_to_come;  ///< no handle has been made on it yet

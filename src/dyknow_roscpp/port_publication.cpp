@@ -9,6 +9,7 @@
 #include <set>
 
 #include "later.h"
+#include "leases.h"
 #include "problems.h"
 
 namespace dyknow
@@ -124,6 +125,11 @@ void PortPublication::publish(const boost::function<ros::SerializedMessage()>& s
                               ros::SerializedMessage& message)
 {
   std::lock_guard<std::mutex> lock(message_lock_);
+  if (active_ && !Leases::instance().mayPublish(port_->owner, active_->topic))
+  {
+    traffic_.dropped();
+    return;
+  }
   if (active_)
   {
     traffic_.sent();

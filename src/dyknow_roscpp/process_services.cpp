@@ -7,6 +7,7 @@
 #include <dyknow_msgs/GetCounts.h>
 #include <dyknow_msgs/GetStatistics.h>
 #include <dyknow_msgs/NodeletChanges.h>
+#include <dyknow_msgs/RenewLease.h>
 #include <dyknow_msgs/SetConfig.h>
 #include <ros/advertise_service_options.h>
 #include <ros/callback_queue.h>
@@ -23,6 +24,7 @@
 #include "guards.h"
 #include "names.h"
 #include "later.h"
+#include "leases.h"
 #include "problems.h"
 #include "registry.h"
 #include "topics.h"
@@ -71,6 +73,7 @@ using SetConfigEvent = ros::ServiceEvent<dyknow_msgs::SetConfig::Request, dyknow
 using GetStatisticsEvent =
     ros::ServiceEvent<dyknow_msgs::GetStatistics::Request, dyknow_msgs::GetStatistics::Response>;
 using GetCountsEvent = ros::ServiceEvent<dyknow_msgs::GetCounts::Request, dyknow_msgs::GetCounts::Response>;
+using RenewLeaseEvent = ros::ServiceEvent<dyknow_msgs::RenewLease::Request, dyknow_msgs::RenewLease::Response>;
 
 bool getConfig(const NodeletProxy& proxy, GetConfigEvent& event)
 {
@@ -133,6 +136,23 @@ bool getStatistics(const NodeletProxy& proxy, GetStatisticsEvent& event)
     port.max_callback = toRos(counts.longest);
     answer.ports.push_back(port);
   }
+  return true;
+}
+
+bool renewLease(RenewLeaseEvent& event)
+{
+  const auto& request = event.getRequest();
+  if (request.topics.size() != request.nodelets.size())
+  {
+    return false;
+  }
+  Leases::Producers producers;
+  for (std::size_t i = 0; i < request.topics.size(); ++i)
+  {
+    producers[request.topics[i]] = request.nodelets[i];
+  }
+  event.getResponse().clock = Leases::instance().renew(event.getCallerName(), request.uri, request.confirmed,
+                                                       request.duration, producers);
   return true;
 }
 
@@ -245,6 +265,7 @@ private:
   {
     advertise(changesTopic(), &Services::tellEverything);
     advertise<GetCountsEvent>(names::join(ros::this_node::getName(), "get_counts"), getCounts);
+    advertise<RenewLeaseEvent>(names::join(ros::this_node::getName(), "renew_lease"), renewLease);
   }
 
   void offerInTurn(const std::shared_ptr<NodeletProxy>& proxy)

@@ -16,15 +16,23 @@ from typing import ContextManager, Iterator
 
 import hosts_suite
 import rospy
+from cpp_suite import OURS, start
 from hosts_suite import NOTICED, HostsCase
 from manager_suite import ManagerProcess, eventually
 from processes import Running
 from std_msgs.msg import Header
-from stream_suite import LIBRARY
+from stream_suite import CAMERA, LIBRARY
 
 from dyknow.model.streams import ClaimState, StreamRequest
 from dyknow.ros.master import Master
 
+CPP_CAMERA = (
+    "<transformation><label>cpp camera</label><source>dyknow_cpp_test/Source</source>"
+    '<params><param name="count" type="int">1000000</param>'
+    '<param name="rate" type="double">50.0</param></params>'
+    '<ports><port type="out">out</port></ports>'
+    '<tags><tag port="out">Raw(own)</tag></tags></transformation>'
+)
 #: Seconds for which two nodes may send on a topic of a claim, side by side.
 MOST_TOGETHER = 1.0
 #: Seconds from a fault to the first message of the replacement.
@@ -65,31 +73,38 @@ class Senders:
         return longest
 
 
-class FencingTest(HostsCase):
+class Fencing(HostsCase):
+    """A claim whose stream comes from a nodelet on another host than the manager's."""
+
+    tag = "Filtered(ball)"
+    library = LIBRARY
+    camera = "camera"
+
     def setUp(self) -> None:
         super().setUp()
         self.robot, self.far = self.host(), self.host()
-        self.far_process = self.nodelet_manager(self.far, "far")
+        self.far_process = self.far_manager()
         self.manager = self.make(nodelet_managers=["/far"])
         self.manager.command = self.robot.command(*self.manager.command)
         self.manager.start()
-        self.manager.client.add_transformation(LIBRARY)
-
-        def spawned() -> bool:
-            with contextlib.suppress(Exception):
-                self.manager.client.spawn("camera", "/far_camera", manager="/far")
-                return True
-            return False
-
-        eventually(spawned, 2 * NOTICED, "/far is used", lambda: self.manager.output)
-        self.claim_id = self.manager.client.acquire_stream(
-            StreamRequest("Filtered(ball)")
-        ).claim_id
+        self.manager.client.add_transformation(self.library)
+        eventually(self.is_spawned, 2 * NOTICED, "/far is used", lambda: self.manager.output)
+        request = StreamRequest(self.tag)
+        self.claim_id = self.manager.client.acquire_stream(request).claim_id
         topic = self.claim(self.manager, self.claim_id).topic
         self.senders = Senders(topic)
         self.addCleanup(self.senders.close)
         eventually(lambda: self.senders.last() == "/far", NOTICED, "messages come from /far")
         time.sleep(1.0)  # the lease is confirmed
+
+    def far_manager(self) -> Running:
+        return self.nodelet_manager(self.far, "far")
+
+    def is_spawned(self) -> bool:
+        with contextlib.suppress(Exception):
+            self.manager.client.spawn(self.camera, "/far_camera", manager="/far")
+            return True
+        return False
 
     def reasons(self) -> str:
         return self.manager.output[-4000:] + self.far_process.output[-2000:]
@@ -137,6 +152,26 @@ class FencingTest(HostsCase):
         finally:
             _send(process, signal.SIGCONT)
 
+    def stops_it(self) -> None:
+        with self.stopped(self.far_process):
+            eventually(self.is_replaced, REPLACED + SLACK, "it is replaced", self.reasons)
+            time.sleep(8.0)
+            went_on = time.monotonic()
+        self.stays(5.0, self.has_one_sender, self.reasons)
+        late = [each for each in self.senders.since(went_on) if each[1] == "/far"]
+        # What was in its sockets when it was stopped has arrived before.
+        self.assertEqual(late, [], self.reasons())
+        self.is_whole()
+
+    def disturbs_nothing(self) -> None:
+        self.stays(5.0, self.has_one_sender, self.reasons)
+        self.assertEqual({sender for _, sender in self.senders.arrivals}, {"/far"}, self.reasons())
+        times = [moment for moment, _ in self.senders.arrivals]
+        self.assertLess(max(b - a for a, b in zip(times, times[1:])), 1.0)
+        self.is_whole()
+
+
+class FencingTest(Fencing):
     def test_a_split_between_the_manager_and_a_part(self):
         ways = ((self.robot, self.far), (self.far, self.robot))
         self.replaces_it(self.network.without(*ways), 6.0)
@@ -148,15 +183,7 @@ class FencingTest(HostsCase):
         self.replaces_it(self.network.without((self.robot, self.far)), 6.0)
 
     def test_a_nodelet_manager_that_is_stopped(self):
-        with self.stopped(self.far_process):
-            eventually(self.is_replaced, REPLACED + SLACK, "it is replaced", self.reasons)
-            time.sleep(8.0)
-            went_on = time.monotonic()
-        self.stays(5.0, self.has_one_sender, self.reasons)
-        late = [each for each in self.senders.since(went_on) if each[1] == "/far"]
-        # What was in its sockets when it was stopped has arrived before.
-        self.assertEqual(late, [], self.reasons())
-        self.is_whole()
+        self.stops_it()
 
     def test_a_round_trip_of_two_seconds(self):
         self.replaces_it(self.network.far(self.far, 1.0), 10.0)
@@ -164,24 +191,45 @@ class FencingTest(HostsCase):
     def test_a_manager_that_is_stopped_disturbs_nothing(self):
         with self.stopped(self.manager):
             time.sleep(10.0)
-        self.stays(5.0, self.has_one_sender, self.reasons)
-        self.assertEqual({sender for _, sender in self.senders.arrivals}, {"/far"}, self.reasons())
-        times = [moment for moment, _ in self.senders.arrivals]
-        gap = max(b - a for a, b in zip(times, times[1:]))
-        print(f"longest gap {gap:.2f} s")
-        self.assertLess(gap, 1.0)
-        self.is_whole()
+        self.disturbs_nothing()
 
     def test_a_manager_that_is_killed_disturbs_nothing(self):
         self.manager.kill()
         time.sleep(6.0)
         self.manager.start()
-        self.stays(5.0, self.has_one_sender, self.reasons)
-        self.assertEqual({sender for _, sender in self.senders.arrivals}, {"/far"}, self.reasons())
-        times = [moment for moment, _ in self.senders.arrivals]
-        gap = max(b - a for a, b in zip(times, times[1:]))
-        self.assertLess(gap, 1.0)
-        self.is_whole()
+        self.disturbs_nothing()
+
+
+class CppFencingTest(Fencing):
+    """The same of a nodelet in C++ that knows nothing of DyKnow."""
+
+    tag = "Raw(own)"
+    camera = "cpp camera"
+    library = f"<transformations>{CAMERA}{CPP_CAMERA}</transformations>"
+
+    def far_manager(self) -> Running:
+        process = self.far.run(*OURS, "__name:=far")
+        self.addCleanup(process.__exit__)
+        eventually(lambda: self.listed("/far") is not None, 2 * NOTICED, "/far is up")
+        return process
+
+    def is_spawned(self) -> bool:
+        if not super().is_spawned():
+            return False
+        start("/far_camera")
+        return True
+
+    def test_a_split_between_the_manager_and_a_part(self):
+        ways = ((self.robot, self.far), (self.far, self.robot))
+        self.replaces_it(self.network.without(*ways), 6.0)
+
+    def test_a_nodelet_manager_that_is_stopped(self):
+        self.stops_it()
+
+    def test_a_manager_that_is_stopped_disturbs_nothing(self):
+        with self.stopped(self.manager):
+            time.sleep(10.0)
+        self.disturbs_nothing()
 
 
 def _send(process: Running | ManagerProcess, number: int) -> None:

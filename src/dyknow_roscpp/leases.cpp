@@ -1,0 +1,233 @@
+// SPDX-FileCopyrightText: 2026 the DyKnow developers
+// SPDX-License-Identifier: BSD-3-Clause
+
+#include "leases.h"
+
+#include <fcntl.h>
+#include <netdb.h>
+#include <poll.h>
+#include <ros/network.h>
+#include <ros/this_node.h>
+#include <sys/socket.h>
+#include <time.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <chrono>
+#include <memory>
+#include <thread>
+#include <vector>
+
+#include "registry.h"
+
+namespace dyknow
+{
+namespace
+{
+
+constexpr std::chrono::milliseconds PERIOD(200);
+constexpr double LOOK_AHEAD = 1.2;
+constexpr double EXTENSION = 1.5;
+/// For a connection to a manager's host, and for an answer.
+constexpr int PATIENCE_MS = 400;
+
+/// Runs on while this process is stopped, and while the machine is suspended.
+double now()
+{
+  timespec time{};
+  clock_gettime(CLOCK_BOOTTIME, &time);
+  return static_cast<double>(time.tv_sec) + 1e-9 * static_cast<double>(time.tv_nsec);
+}
+
+/// Nodelets that publish on a topic, each with the topic.
+void addPublishing(const std::string& topic, std::set<std::pair<std::string, std::string>>& found)
+{
+  for (const auto& proxy : Registry::instance().owners())
+  {
+    for (const auto& each : proxy->ports())
+    {
+      if (each.port->direction == Direction::OUT && each.port->topic() == topic)
+      {
+        found.emplace(proxy->name, topic);
+      }
+    }
+  }
+}
+
+class Socket
+{
+public:
+  explicit Socket(const addrinfo& address)
+    : descriptor_(socket(address.ai_family, address.ai_socktype | SOCK_NONBLOCK | SOCK_CLOEXEC, 0))
+  {
+  }
+  Socket(const Socket&) = delete;
+  Socket& operator=(const Socket&) = delete;
+  ~Socket() { close(descriptor_); }
+
+  /// 0 once it is connected, ETIMEDOUT without an answer of the host, else what the host answered.
+  int connectTo(const addrinfo& address) const
+  {
+    if (connect(descriptor_, address.ai_addr, address.ai_addrlen) == 0)
+    {
+      return 0;
+    }
+    if (errno != EINPROGRESS)
+    {
+      return errno;
+    }
+    if (!waitFor(POLLOUT))
+    {
+      return ETIMEDOUT;
+    }
+    int error = 0;
+    socklen_t size = sizeof(error);
+    getsockopt(descriptor_, SOL_SOCKET, SO_ERROR, &error, &size);
+    return error;
+  }
+
+  bool isAnswered(const std::string& question) const
+  {
+    char first = 0;
+    return send(descriptor_, question.data(), question.size(), MSG_NOSIGNAL) > 0 && waitFor(POLLIN) &&
+           recv(descriptor_, &first, 1, 0) == 1;
+  }
+
+private:
+  bool waitFor(short events) const
+  {
+    pollfd waiting{descriptor_, events, 0};
+    return poll(&waiting, 1, PATIENCE_MS) == 1;
+  }
+
+  const int descriptor_;
+};
+
+/// Whether a manager's host answers, but the manager does not: it was killed or stopped.
+bool isNotAtWork(const std::string& uri)
+{
+  std::string host;
+  std::uint32_t port = 0;
+  if (!ros::network::splitURI(uri, host, port))
+  {
+    return false;
+  }
+  addrinfo hints{};
+  hints.ai_socktype = SOCK_STREAM;
+  addrinfo* found = nullptr;
+  if (getaddrinfo(host.c_str(), std::to_string(port).c_str(), &hints, &found) != 0)
+  {
+    return false;
+  }
+  const std::unique_ptr<addrinfo, decltype(&freeaddrinfo)> address(found, freeaddrinfo);
+  const Socket socket(*address);
+  const int error = socket.connectTo(*address);
+  if (error != 0)
+  {
+    return error == ECONNREFUSED || error == ECONNRESET;
+  }
+  const std::string body = "<?xml version='1.0'?><methodCall><methodName>getPid</methodName><params><param>"
+                           "<value><string>" +
+                           ros::this_node::getName() + "</string></value></param></params></methodCall>";
+  return !socket.isAnswered("POST /RPC2 HTTP/1.0\r\nHost: " + host +
+                            "\r\nContent-Type: text/xml\r\nContent-Length: " + std::to_string(body.size()) +
+                            "\r\n\r\n" + body);
+}
+
+}  // namespace
+
+Leases& Leases::instance()
+{
+  static Leases& leases = *new Leases;  // leaked, see later.cpp
+  return leases;
+}
+
+double Leases::renew(const std::string& manager, const std::string& uri, double confirmed, double duration,
+                     const Producers& producers)
+{
+  const double moment = now();
+  std::set<std::pair<std::string, std::string>> present;
+  for (const auto& each : producers)
+  {
+    addPublishing(each.first, present);
+  }
+  std::lock_guard<std::mutex> lock(state_lock_);
+  const auto known = leases_.find(manager);
+  if (producers.empty())
+  {
+    leases_.erase(manager);
+  }
+  else if (known != leases_.end() || confirmed > 0.0)
+  {
+    Lease lease{uri, confirmed + duration, producers, {}};
+    if (known != leases_.end())
+    {
+      const bool has_run_out = known->second.until < moment;  // replaced parts are among those that publish
+      for (const auto& each : present)
+      {
+        const auto producer = producers.find(each.second);
+        if (producer->second != each.first && (has_run_out || known->second.fenced.count(each) > 0))
+        {
+          lease.fenced.insert(each);
+        }
+      }
+      lease.until = std::max(lease.until, known->second.until);
+    }
+    leases_[manager] = lease;
+    if (!is_watched_)
+    {
+      is_watched_ = true;
+      std::thread(&Leases::watch, this).detach();
+    }
+  }
+  has_any_ = !leases_.empty();
+  return now();
+}
+
+bool Leases::mayPublishThere(const std::string& nodelet, const std::string& topic) const
+{
+  std::lock_guard<std::mutex> lock(state_lock_);
+  return std::none_of(leases_.begin(), leases_.end(),
+                      [&](const auto& each)
+                      {
+                        const Lease& lease = each.second;
+                        return lease.producers.count(topic) > 0 &&
+                               (now() > lease.until || lease.fenced.count({nodelet, topic}) > 0);
+                      });
+}
+
+void Leases::watch()
+{
+  for (;;)
+  {
+    std::this_thread::sleep_for(PERIOD);
+    std::map<std::string, std::string> due;
+    const double moment = now();
+    {
+      std::lock_guard<std::mutex> lock(state_lock_);
+      for (const auto& each : leases_)
+      {
+        if (moment < each.second.until && each.second.until < moment + LOOK_AHEAD)
+        {
+          due.emplace(each.first, each.second.uri);
+        }
+      }
+    }
+    for (const auto& each : due)
+    {
+      if (!isNotAtWork(each.second))
+      {
+        continue;
+      }
+      std::lock_guard<std::mutex> lock(state_lock_);
+      const auto lease = leases_.find(each.first);
+      if (lease != leases_.end() && now() < lease->second.until)
+      {
+        lease->second.until = std::max(lease->second.until, moment + EXTENSION);
+      }
+    }
+  }
+}
+
+}  // namespace dyknow
