@@ -21,6 +21,7 @@ from dataclasses import replace
 from typing import Callable, Dict, FrozenSet, Iterator, List, Mapping, Optional, Set, Tuple
 
 from dyknow.errors import Busy, DyKnowError, HostError, HostTimeout, WrongStream
+from dyknow.manager.claim import Claim
 from dyknow.manager.claims.claim_table import ClaimTable
 from dyknow.manager.claims.ends import Consumer, NodeletEnds, Producer, ends_of
 from dyknow.manager.claims.topology import Topology
@@ -64,6 +65,7 @@ class Connector:
         self._ontology = ontology
         self._clock = clock
         self._read: Dict[str, Tuple[Record, NodeletEnds]] = {}
+        self._known: Optional[Tuple[object, Topology]] = None
         #: Topics that a port was sent to without an answer, and until when it may arrive there.
         self._late: Dict[Tuple[str, str], Dict[str, float]] = {}
         #: Nodelets whose connections are not known, and when to ask them.
@@ -85,6 +87,8 @@ class Connector:
             is_replaced: whether it counts instead of what it is.
             is_forgetful: whether nodelets count as if they remembered nothing.
         """
+        if changed is None and not is_forgetful:
+            return self._present()
         nodelets = self._nodelets(changed.name if changed is not None and is_replaced else "")
         if changed is not None:
             ports = (
@@ -94,13 +98,7 @@ class Connector:
             nodelets.append(ends_of(replace(changed, ports=tuple(ports))))
         if is_forgetful:
             nodelets = [ends._replace(heard=()) for ends in nodelets]
-        return Topology(
-            nodelets,
-            self._manager.existing_topics(),
-            [claim for claim in self._table.living() if claim.topic],
-            dict(self._late),
-            self._ontology,
-        )
+        return self._topology(nodelets, self._claims())
 
     def fitting(self, record: Record) -> Dict[str, str]:
         """Return a nodelet's connections, without those that must not be made at present."""
@@ -294,6 +292,22 @@ class Connector:
                     self._note_answer(name)
 
     # Inside
+
+    def _claims(self) -> List[Claim]:
+        return [claim for claim in self._table.living() if claim.topic]
+
+    def _topology(self, nodelets: List[NodeletEnds], claims: List[Claim]) -> Topology:
+        described = self._manager.existing_topics()
+        return Topology(nodelets, described, claims, dict(self._late), self._ontology)
+
+    def _present(self) -> Topology:
+        """Return the topology as everything is, made once for each state of it."""
+        library, claims = self._manager.library.revision, self._claims()
+        nodelets, late = self._nodelets(), dict(self._late)
+        key = (library, claims, nodelets, late)
+        if self._known is None or self._known[0] != key:
+            self._known = (key, self._topology(nodelets, claims))
+        return self._known[1]
 
     def _nodelets(self, but: str = "") -> List[NodeletEnds]:
         """Read the nodelets that may send or receive; a record is read again when it changed."""
