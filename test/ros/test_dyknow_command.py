@@ -261,7 +261,10 @@ class CommandTest(unittest.TestCase):
         self.assertEqual(self.done("library").out, "")
         shape = self.done("import", str(file), "--json").json
         self.assertEqual(shape["imported"][0]["labels"], ["counter", "relay"])
-        self.done("import", "-", stdin=exported)
+        done = Done("import", "-", stdin=exported)
+        self.assertEqual(done.code, 0, done.err)
+        (warning,) = done.err.splitlines()
+        self.assertIn("transformation 'unknown': no package declares a nodelet type", warning)
         self.assertEqual(self.done("export").out, exported)
 
     def test_a_bad_specification_is_told_with_file_and_lines(self):

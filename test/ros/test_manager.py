@@ -121,7 +121,7 @@ class ServicesTest(ManagerCase):
         self.assertEqual(rospy.get_param("/camera/counter/rate"), 50.0)
         with self.assertRaises(Refused) as caught:
             self.client.destroy("camera/counter")
-        self.assertIn("set_protection", str(caught.exception))
+        self.assertIn("dyknow unprotect /camera/counter", str(caught.exception))
         self.client.set_protection("camera/counter", False)
         self.client.destroy("camera/counter")
         self.client.destroy("/relay")
@@ -403,7 +403,8 @@ class StartTest(ManagerCase):
         manager = self.make(spawn_timeout="soon")
         manager.start(wait=False)
         self.assertNotEqual(manager.process.wait(20.0), 0)
-        self.assertIn("~spawn_timeout: expected seconds", manager.output)
+        said = "parameter '~spawn_timeout' is 'soon': expected seconds, at least 0.001"
+        self.assertIn(said, manager.output)
         manager.parameters["spawn_timeout"] = 10.0
         manager.parameters["ontology"] = "field.ttl"
         manager.start()
