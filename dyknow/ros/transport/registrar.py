@@ -157,6 +157,12 @@ class Registrar(RegistrationListener):
         except LookupError:
             pass  # the master has forgotten it already
 
+    def _is_displaced(self) -> bool:
+        try:
+            return self._master.node(self._master.caller) not in ("", self._uri)
+        except PeerTimeout:
+            return False
+
     def _owe(self, key: Key, what: str) -> None:
         _log.warning("the ROS master does not answer; %s will be registered when it does", key[1])
         with self._lock:
@@ -167,7 +173,12 @@ class Registrar(RegistrationListener):
             self._worker.wake()
 
     def _settle(self) -> None:
-        """Register what is owed, one after the other, as long as the master answers."""
+        """Register what is owed, one after the other, as long as the master answers.
+
+        If another node bears our name by now, nothing is: the master would tell that one to end.
+        """
+        if self._is_displaced():
+            return
         while not rospy.is_shutdown():
             with self._lock:
                 if not self._owed:

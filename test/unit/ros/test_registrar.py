@@ -28,6 +28,8 @@ class OneMaster:
     def __init__(self):
         self.registered = {}
         self.calls = []
+        self.looked_up = []
+        self.newcomer = ""
         self.server = None
         self.port = 0
 
@@ -38,6 +40,7 @@ class OneMaster:
         self.server.register_function(self.register, "registerService")
         self.server.register_function(self.unregister, "unregisterPublisher")
         self.server.register_function(self.unregister, "unregisterService")
+        self.server.register_function(self.look_up, "lookupNode")
         threading.Thread(target=self.server.serve_forever, args=(0.01,), daemon=True).start()
 
     def stop(self):
@@ -50,6 +53,10 @@ class OneMaster:
         self.calls.append(name)
         self.registered[name] = what
         return 1, "", ["http://other:1"]
+
+    def look_up(self, caller, name):
+        self.looked_up.append(name)
+        return (1, "", self.newcomer) if self.newcomer else (-1, "unknown", "")
 
     def unregister(self, caller, name, what):
         self.calls.append("-" + name)
@@ -106,3 +113,14 @@ def test_what_was_removed_meanwhile_is_not_registered_when_the_master_is_back(ma
     eventually(lambda: master.registered == {"/b": "std_msgs/String"})
     registrar.reg_removed("/b", "std_msgs/String", "pub")
     assert master.registered == {}
+
+
+def test_who_lost_its_name_meanwhile_does_not_end_the_newcomer_by_registering(master, registrar):
+    master.stop()
+    registrar.reg_added("/a", "std_msgs/String", "pub")
+    master.newcomer = "http://newcomer:1/"
+    master.start()
+    eventually(lambda: len(master.looked_up) > 2)
+    assert master.calls == []
+    master.newcomer = ""
+    eventually(lambda: "/a" in master.registered)
