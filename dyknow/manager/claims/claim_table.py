@@ -20,18 +20,33 @@ from dyknow.manager.moment import Moment
 from dyknow.manager.store import MEANINGLESS, Store
 from dyknow.model.streams import ClaimState, StreamRequest
 
+#: Seconds for which this process must have stood still, for leases to outlast it.
+_PAUSE = 1.0
+#: Seconds that clients have then to renew their leases.
+_PARDON = 3.0
+
 
 class ClaimTable:
     """Claims by id; safe from any thread."""
 
-    def __init__(self, store: Store, clock: Callable[[], float], ended_kept: int) -> None:
+    def __init__(
+        self,
+        store: Store,
+        clock: Callable[[], float],
+        ended_kept: int,
+        running: Optional[Callable[[], float]] = None,
+    ) -> None:
         """Take up the claims that the store has.
 
         Args:
             store: where they outlive the manager.
             clock: steady time, in seconds.
             ended_kept: ended claims that are still shown.
+            running: time for which this process has run, in seconds; by default ``clock``.
         """
+        self._running = running or clock
+        self._paused = clock() - self._running()
+        self._pardon_until = 0.0
         self._store = store
         self._clock = clock
         self._ended_kept = ended_kept
@@ -164,8 +179,17 @@ class ClaimTable:
         self._events.deliver()
 
     def expire_late(self) -> None:
-        """End the claims whose lease is over."""
-        now = self._clock()
+        """End the claims whose lease is over.
+
+        After a pause of this process the renewals that wait are served first.
+        """
+        now, running = self._clock(), self._running()
+        paused = now - running
+        if paused - self._paused > _PAUSE:
+            self._pardon_until = running + _PARDON
+        self._paused = paused
+        if running < self._pardon_until:
+            return
         for claim in self.living():
             if claim.deadline is not None and now >= claim.deadline:
                 self._expire_if_late(claim.claim_id, now)

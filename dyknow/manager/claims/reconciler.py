@@ -110,7 +110,7 @@ class StreamReconciler:
         self._manager = manager
         ontology = manager.library.ontology
         self._ended = False
-        table = self._table = ClaimTable(manager.store, clock, settings.ended_kept)
+        table = self._table = ClaimTable(manager.store, clock, settings.ended_kept, running)
         self._lock = ClaimLock()
         self._connector = Connector(manager, table, ontology, clock)
         self._monitor = StreamMonitor(manager, table, clock, running or clock)

@@ -68,6 +68,7 @@ class Bonds:
         topic: str,
         timings: BondTimings = STOCK_TIMINGS,
         executor: Callable[[Callable[[], None]], object] = partial(in_background, "broken bonds"),
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """Begin without bonds; the topic is registered with the first.
 
@@ -77,7 +78,10 @@ class Bonds:
             executor: Runs the callbacks of broken bonds. By default they have a short-lived
                 thread, since an unload that takes its time must not hold up the heartbeats of the
                 other bonds.
+            clock: Time (s) by which sisters are silent. One for which this process has run leaves
+                them their time after a pause.
         """
+        self._clock = clock
         self._topic = topic
         self._timings = timings
         self._executor = executor
@@ -102,7 +106,7 @@ class Bonds:
         with self._changed:
             if self._closed_until is not None:
                 raise BondsClosed(self._topic)
-            effects = self._table.add(bond_id, on_broken, time.monotonic())
+            effects = self._table.add(bond_id, on_broken, self._clock())
             if self._thread is None:
                 self._thread = in_background("bonds", self._run)
             self._changed.notify()
@@ -114,7 +118,7 @@ class Bonds:
         Nothing happens if there is no such bond: it may just have broken by itself.
         """
         with self._changed:
-            effects = self._table.remove(bond_id, time.monotonic())
+            effects = self._table.remove(bond_id, self._clock())
             self._changed.notify()
         self._perform(effects)
 
@@ -125,7 +129,7 @@ class Bonds:
             timeout: How long (s) to wait at most for the sisters to acknowledge.
         """
         with self._changed:
-            now = time.monotonic()
+            now = self._clock()
             self._closed_until = now + timeout
             effects = self._table.remove_all(now)
             thread = self._thread
@@ -158,7 +162,7 @@ class Bonds:
     def _serve_once(self) -> bool:
         """Do what is due, or sleep until something is; False when the last bond is gone."""
         with self._changed:
-            now = time.monotonic()
+            now = self._clock()
             effects = self._table.tick(now)
             if not effects:
                 due = self._next_due(now)
@@ -180,9 +184,7 @@ class Bonds:
 
     def _on_status(self, status: Any) -> None:
         with self._changed:
-            effects = self._table.hear(
-                status.id, status.instance_id, status.active, time.monotonic()
-            )
+            effects = self._table.hear(status.id, status.instance_id, status.active, self._clock())
             if effects:
                 self._changed.notify()
         self._perform(effects)
@@ -207,7 +209,7 @@ class Bonds:
                     f"(topic: {self._topic}, id: {ids})"
                 )
             with self._changed:
-                verdict = self._table.judge_silence(effects.silent, counts, time.monotonic())
+                verdict = self._table.judge_silence(effects.silent, counts, self._clock())
             self._perform(verdict)
 
     def _publish(self, words: Sequence[Word]) -> None:

@@ -9,6 +9,7 @@ that is killed: the next one waits for each client to be heard, for as long as b
 
 from __future__ import annotations
 
+import time
 from typing import Callable, Dict, Iterable, Set
 
 import rospy
@@ -26,17 +27,21 @@ class ClaimBonds:
     """Has one bond for each id that a claim names; every method is safe from any thread."""
 
     def __init__(
-        self, claims: Callable[[], Iterable[Claim]], expire: Callable[[str, str], None]
+        self,
+        claims: Callable[[], Iterable[Claim]],
+        expire: Callable[[str, str], None],
+        running: Callable[[], float] = time.monotonic,
     ) -> None:
         """Begin without bonds.
 
         Args:
             claims: returns the claims of this moment.
             expire: ends a claim, given its id and a reason.
+            running: time for which this process has run, in seconds.
         """
         self._claims = claims
         self._expire = expire
-        self._bonds = Bonds(names.join(rospy.get_name(), TOPIC))
+        self._bonds = Bonds(names.join(rospy.get_name(), TOPIC), clock=running)
         #: Changes of claims are followed in turn: what the last one sees is what stays.
         self._turn = turn_lock("bonds of claims")
         self._state_lock = state_lock("claims by bond")

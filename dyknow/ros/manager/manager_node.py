@@ -133,7 +133,7 @@ class ManagerNode(Closable):
         self.manager.start()
         self._retire_empty()
         self._after_change()
-        self._streams = StreamNode(self.manager, reconciler, self._after_change)
+        self._streams = StreamNode(self.manager, reconciler, self._after_change, self._running)
         self.manager.on_change = self._on_change
         self._services = ManagerServices(self.manager, self._messages, self._after_change)
         self._publisher.note_change()

@@ -35,7 +35,11 @@ class StreamNode:
     """Connects the reconciler of claims with ROS; the manager must have been started."""
 
     def __init__(
-        self, manager: Manager, reconciler: StreamReconciler, after_change: Callable[[], None]
+        self,
+        manager: Manager,
+        reconciler: StreamReconciler,
+        after_change: Callable[[], None],
+        running: Callable[[], float],
     ) -> None:
         """Take over the claims of an earlier life, and offer the services.
 
@@ -43,13 +47,14 @@ class StreamNode:
             manager: makes and destroys nodelets.
             reconciler: keeps the claims; made before the manager was started.
             after_change: called after each attempt to change something, before it is answered.
+            running: time for which this process has run, in seconds.
         """
         self._manager = manager
         self._answers = StreamAnswers(rospy.get_time)
         self._publisher = rospy.Publisher("~stream_events", StreamEvent, queue_size=_QUEUE_SIZE)
         self._reconciler = reconciler
         self._known: Set[str] = {claim.claim_id for claim in self._reconciler.claims()}
-        self._bonds = ClaimBonds(self._reconciler.claims, self._reconciler.expire)
+        self._bonds = ClaimBonds(self._reconciler.claims, self._reconciler.expire, running)
         self._reconciling = ReconcileLoop(self._reconciler, self._has_work)
         self._reconciler.on_event = self._on_event
         self._bonds.follow()

@@ -100,3 +100,20 @@ def test_a_listener_that_raises_does_not_silence_the_others() -> None:
         claims.change("a", "", detail="bad")
     claims.change("a", "", detail="good")
     assert told == ["", "bad", "good"]
+
+
+def test_a_lease_that_ended_while_the_manager_was_stopped_can_still_be_renewed() -> None:
+    steady, running = [0.0], [0.0]
+    claims = ClaimTable(Store(":memory:"), lambda: steady[0], 10, lambda: running[0])
+    for claim_id in ("left", "renewed"):
+        request = StreamRequest("A", lease=10.0)
+        claims.add(Claim(claim_id, request, "/a", state=ClaimState.ACTIVE), "requested")
+    steady[0] = 30.0  # it was stopped
+    running[0] = 0.3
+    claims.expire_late()
+    claims.renew("renewed", 10.0)
+    for _ in range(4):
+        steady[0] += 1.0
+        running[0] += 1.0
+        claims.expire_late()
+    assert [each.claim_id for each in claims.living()] == ["renewed"]

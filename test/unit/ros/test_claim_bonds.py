@@ -22,7 +22,7 @@ PATIENCE = 10.0
 class FakeBonds:
     """Bonds of one topic; adding one can be held up."""
 
-    def __init__(self, topic: str) -> None:
+    def __init__(self, topic: str, clock: Any) -> None:
         self.held: Set[str] = set()
         self.adding = threading.Event()
         self.go_on = threading.Event()
