@@ -150,6 +150,8 @@ class FakeHost(Host):
         self.processes: Dict[str, FakeManager] = {}
         self.parameters: Dict[str, object] = {}
         self._incarnations = itertools.count(1)
+        #: Nodelet managers that may still publish on topics of claims.
+        self.leased: set[str] = set()
         self._hung: set[str] = set()
         self._crashes: List[Crash] = []
         self._cut: Dict[str, ManagerState] = {}
@@ -198,6 +200,10 @@ class FakeHost(Host):
         """Let a stopped process go on; it does what was asked of it meanwhile."""
         self._hung.discard(manager)
         self.arrive()
+
+    def may_publish(self, manager: str) -> bool:
+        """Whether the test says so."""
+        return manager in self.leased
 
     def is_hung(self, manager: str) -> bool:
         """Whether a nodelet manager's process is stopped."""

@@ -32,7 +32,9 @@ FILES = Path(__file__).resolve().parent.parent / "launch"
 DYKNOW = ("rosrun", "dyknow", "dyknow", "launch")
 PLAIN = ("roslaunch",)
 #: What a node offers besides when it is re-wirable.
-OURS = re.compile("^/dyknow/|/(get_config|set_config|get_statistics|get_counts|changes)$")
+OURS = re.compile(
+    "^/dyknow/|/(get_config|set_config|get_statistics|get_counts|renew_lease|changes)$"
+)
 
 
 class Launched(graph.Ended):

@@ -77,6 +77,28 @@ def test_what_a_nodelet_manager_hosts_is_lost_in_one_step(world: World, fault: s
         assert (len(seen), world.manager.graph.revision) == (1, before + 1)
 
 
+@pytest.mark.parametrize("goes_on", [False, True])
+def test_what_may_still_publish_is_not_taken_for_lost(world: World, goes_on: bool) -> None:
+    world.spawn("camera", "a")
+    world.host.leased.add("/fake_0")
+    world.host.hang("/fake_0")
+    world.manager.look()
+    assert world.states() == {"/a": "RUNNING"}
+    if goes_on:
+        world.host.wake("/fake_0")
+    world.host.leased.clear()
+    world.manager.look()
+    assert world.states() == {"/a": "RUNNING" if goes_on else "LOST"}
+
+
+def test_what_has_died_publishes_no_more(world: World) -> None:
+    world.spawn("camera", "a")
+    world.host.leased.add("/fake_0")
+    world.host.kill("/fake_0")
+    world.manager.look()
+    assert world.host.calls.count(("load", "/a")) == 2
+
+
 def test_connections_that_others_made_come_back_too(world: World) -> None:
     world.spawn("relay", "b", config={"in": "/i"})
     world.host.connect("/b", {"in": "/elsewhere"})
