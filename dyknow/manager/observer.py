@@ -94,8 +94,8 @@ class Observer:
     def adopt(self, records: Iterable[Record]) -> None:
         """Take over the records of an earlier life.
 
-        A nodelet whose spawn never returned is destroyed. What still runs is left as it is, and
-        the first look brings back the others.
+        A nodelet whose spawn never returned is destroyed, with the process that was started for
+        it alone. What still runs is left as it is, and the first look brings back the others.
         """
         for record in records:
             self._suspects.know(record)
@@ -103,6 +103,9 @@ class Observer:
                 self._lifecycle.clear(record)
             else:
                 self._graph.put(record)
+        for state in self._host.managers():  # the spawn that it was started for never returned
+            if state.own and state.isolated_for and not self._graph.find(state.isolated_for):
+                self._host.retire(state.name)
         self.look({record.name for record in self._graph.all()})
 
     def look(self, changed: Set[str]) -> None:
@@ -113,6 +116,7 @@ class Observer:
         """
         with self._turn:
             changed, self._to_ask = changed | self._to_ask, set()
+            records = self._graph.all()  # before the processes: none of them is newer
             states = self._host.managers()
             self._crashes = {}
             for crash in self._host.crashes():
@@ -122,7 +126,7 @@ class Observer:
             by_name = {state.name: state for state in states}
             doubtful = [
                 (record, by_name.get(record.manager))
-                for record in self._graph.all()
+                for record in records
                 if record.name in changed
                 or self._description(record) != record.transformation
                 or not _as_it_was(record, by_name.get(record.manager), listed)
@@ -131,6 +135,7 @@ class Observer:
             for record, state in doubtful:
                 self._check(record, state, listed, changed)
             known = {record.name for record in self._graph.all()}
+            self._to_ask |= changed & known - {record.name for record in records}
             for manager in sorted(listed):
                 for name in sorted(listed[manager] - known):
                     if not self._graph.is_busy(name):
@@ -170,7 +175,7 @@ class Observer:
                     current = held.enter_context(self._graph.changing(record.name))
                 except Busy:
                     continue  # another operation works on it; the next look sees the outcome
-                if current is None or current.manager != record.manager:
+                if current is None or not _is_same_life(current, record):
                     continue
                 trouble = self._trouble(current, state, listed)
                 if not trouble or current.state not in (State.RUNNING, State.LOST):
@@ -213,7 +218,8 @@ class Observer:
     ) -> None:
         try:
             with self._graph.changing(record.name) as current:
-                if current is None or current.manager != record.manager:
+                if current is None or not _is_same_life(current, record):
+                    self._to_ask.update({record.name} & changed)
                     return
                 self._compare(current, state, listed, changed)
         except Busy:
@@ -401,6 +407,11 @@ class Observer:
             state.name == record.manager and state.incarnation == record.incarnation
             for state in self._host.managers()
         )
+
+
+def _is_same_life(current: Record, record: Record) -> bool:
+    """Whether a nodelet was not brought back, nor made anew, since its record was read."""
+    return (current.manager, current.incarnation) == (record.manager, record.incarnation)
 
 
 def _has_died(record: Record, state: ManagerState | None, listed: Mapping[str, Set[str]]) -> bool:

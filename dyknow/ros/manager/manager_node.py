@@ -131,7 +131,6 @@ class ManagerNode(Closable):
         # Made before the start, since it decides how nodelets that come back are connected.
         reconciler = self._reconciler = StreamReconciler(self.manager, running=self._running)
         self.manager.start()
-        self._retire_empty()
         self._after_change()
         self._streams = StreamNode(self.manager, reconciler, self._after_change, self._running)
         self.manager.on_change = self._on_change
@@ -207,12 +206,6 @@ class ManagerNode(Closable):
             self._master.ask("deleteParam", names.join(self._master.caller, "transformations"))
         except (LookupError, PeerTimeout):
             return  # it was not set, or the ROS master is gone
-
-    def _retire_empty(self) -> None:
-        """End processes that were started for nodelets whose spawn never returned."""
-        for state in self._host.managers():
-            if state.isolated_for and self.manager.graph.find(state.isolated_for) is None:
-                self._host.retire(state.name)
 
     def _announcers(self) -> Sequence[str]:
         return [

@@ -6,13 +6,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Iterable
 
 import pytest
 from unit.manager.hand_clock import HandClock
 from unit.manager.world import World
 
 from dyknow.errors import HostError
-from dyknow.manager.host import LoadRequest
+from dyknow.manager.host import LoadRequest, ManagerState
 from dyknow.model.graph import NodeletKind, State
 
 
@@ -61,6 +62,27 @@ def test_nodelets_of_a_nodelet_manager_that_exists_no_more_are_placed_again(worl
     found = world.manager.graph.get("/b")
     assert (found.state, found.manager) == (State.RUNNING, "/fake_0")
     assert world.host.nodelet("/b").ports["in"].topic == "/i"
+
+
+def test_what_came_back_during_a_look_is_not_lost_by_it(world: World) -> None:
+    world.spawn("camera", "a")
+    world.host.kill("/fake_0")
+    real = world.host.lists
+
+    def lists(managers: Iterable[ManagerState]) -> dict[str, list[str]]:
+        world.host.lists = real  # type: ignore[method-assign]
+        answers = real(managers)
+        with world.manager.graph.changing("/a") as record:
+            assert record is not None
+            world.manager.lifecycle.restore(record)
+        return answers
+
+    world.host.lists = lists  # type: ignore[method-assign, assignment]
+    seen: list[str] = []
+    world.manager.on_change = lambda: seen.append(world.states()["/a"])
+    world.manager.look()
+    assert set(seen) == {"STARTING", "RUNNING"}
+    assert world.states() == {"/a": "RUNNING"}
 
 
 @pytest.mark.parametrize("fault", ["hang", "kill"])
