@@ -9,16 +9,18 @@ when it is not a child of this one; how it ended is known of children only.
 
 from __future__ import annotations
 
+import functools
 import os
 import select
 import signal
 import subprocess
 import time
 from dataclasses import dataclass
-from typing import List, Optional, Sequence
+from typing import List, Mapping, Optional, Sequence, Tuple
 
 #: Seconds between two looks, where the kernel does not report the end of a process.
 _PERIOD = 0.1
+NOTHING: Mapping[str, str] = {}
 #: How a process is asked to end.
 _TERMINATE = (signal.SIGTERM,)
 #: Seconds for the rest of a session to end when it is asked to.
@@ -77,6 +79,8 @@ class ProcessId:
             child of this process.
         """
         self._await_end(None)
+        if ProcessId.of(self.pid) is not None:
+            return None  # its id is another process's by now, so nothing of its session is left
         rest = _session(self.pid)  # before it is reaped, as its id is free then
         for process in rest:
             process.signal(signal.SIGTERM)
@@ -121,7 +125,9 @@ class ProcessId:
         return True
 
 
-def start(command: Sequence[str], output: str, folder: str) -> ProcessId:
+def start(
+    command: Sequence[str], output: str, folder: str, environment: Mapping[str, str] = NOTHING
+) -> ProcessId:
     """Start a process in a session of its own, so that it may outlive this one.
 
     Args:
@@ -129,6 +135,7 @@ def start(command: Sequence[str], output: str, folder: str) -> ProcessId:
         output: file for what it prints. Our own output would stay open as long as the process,
             and a reader of it would wait for that long.
         folder: working directory, made if need be.
+        environment: variables besides those of this process.
 
     Raises:
         OSError: it cannot be started.
@@ -142,10 +149,46 @@ def start(command: Sequence[str], output: str, folder: str) -> ProcessId:
             stderr=subprocess.STDOUT,
             start_new_session=True,
             cwd=folder,
+            env={**os.environ, **environment},
         )
     process.returncode = 0  # ``ProcessId.wait`` reaps it, not ``Popen``
     found = ProcessId.of(process.pid)
     return found if found is not None else ProcessId(process.pid, -1)
+
+
+@functools.lru_cache(maxsize=None)
+def boot() -> str:
+    """Return what differs for each start of the machine; process ids begin anew with it."""
+    try:
+        with open("/proc/sys/kernel/random/boot_id") as file:
+            return file.read().strip()
+    except OSError:
+        return ""
+
+
+def started_with(variable: str) -> List[Tuple[ProcessId, str, List[str]]]:
+    """Find processes that ``start`` started with a variable in their environment.
+
+    Returns:
+        For each the value and its command line, the oldest process first.
+    """
+    found = []
+    key = variable.encode() + b"="
+    for entry in os.listdir("/proc"):
+        process = ProcessId.of(int(entry)) if entry.isdigit() else None
+        if process is None:
+            continue
+        try:
+            if os.getsid(process.pid) != process.pid:
+                continue  # it was forked by one
+            with open(f"/proc/{entry}/environ", "rb") as file:
+                values = [each for each in file.read().split(b"\0") if each.startswith(key)]
+            with open(f"/proc/{entry}/cmdline", "rb") as file:
+                command = [os.fsdecode(each) for each in file.read().split(b"\0")]
+        except OSError:
+            continue  # it has ended, or is another user's
+        found += [(process, os.fsdecode(each[len(key) :]), command) for each in values]
+    return sorted(found, key=lambda each: each[0].started)
 
 
 def _pidfd(pid: int) -> Optional[int]:

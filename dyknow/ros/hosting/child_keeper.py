@@ -19,7 +19,7 @@ from dyknow.manager.host import Crash
 from dyknow.ros.hosting.child_records import ChildRecord
 from dyknow.ros.hosting.launcher import Launcher
 from dyknow.ros.log_tail import LogTail
-from dyknow.ros.os_process import ProcessId
+from dyknow.ros.os_process import ProcessId, boot
 
 #: Seconds that a child may take to offer its services.
 START_TIMEOUT = 20.0
@@ -70,9 +70,11 @@ class Child:
 
     @property
     def incarnation(self) -> str:
-        """Differs for each process; empty while none is up."""
+        """Differs for each process, also of other boots; empty while none is up."""
         found = self.record.process
-        return f"{found.pid}@{found.started}" if found is not None and self.up else ""
+        if found is None or not self.up:
+            return ""
+        return f"{boot()[:8]}/{found.pid}@{found.started}"
 
     def echo(self) -> None:
         """Print what it printed since the last call."""
@@ -96,7 +98,7 @@ class ChildKeeper:
         Args:
             launcher: starts processes.
             changed: held while a child is changed, and notified of it.
-            on_process: called when a child has a process, before that is waited for.
+            on_process: called before a child gets a process, and when it has it.
             on_change: called when a child is up or has ended.
             on_crash: called with a crash before its child is shown as dead.
         """
@@ -155,24 +157,13 @@ class ChildKeeper:
 
     def _launch(self, child: Child) -> None:
         name = child.record.name
-        living = self._launcher.living(name)
-        if living is not None:
-            self._take_over(child, living)
-            return
+        if self._launcher.living(name) is not None:
+            raise HostError("another node has that name")
         child.stale = self._launcher.registered(name)
-        found, child.log = self._launcher.launch(child.record.kind, name, child.command)
+        self._on_process()  # on disk before it is there: nothing of it is left if we are killed
+        found, child.log = self._launcher.launch(child.record, child.command)
         with self._changed:
             child.record = replace(child.record, process=found)
-        self._on_process()
-
-    def _take_over(self, child: Child, living: ProcessId) -> None:
-        """Adopt a process that an earlier manager started but did not record."""
-        is_node = child.record.kind.is_node
-        if living.pid < 0 or is_node or not self._launcher.is_ours(child.record.name):
-            raise HostError("another node has that name")
-        with self._changed:
-            child.adopted, child.stale = True, ""
-            child.record = replace(child.record, process=living)
         self._on_process()
 
     def _follow_until_up(self, child: Child, found: ProcessId) -> None:

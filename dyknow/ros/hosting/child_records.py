@@ -1,17 +1,24 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The processes that a DyKnow manager started, on disk, so that the next one finds them."""
+"""The processes that a DyKnow manager starts, on disk, so that the next one finds them.
+
+A record is there before the process, and before anything that it leaves at the ROS master.
+"""
 
 from __future__ import annotations
 
 import json
 import os
 from dataclasses import dataclass
-from typing import Iterable, List, Optional
+from typing import Dict, Iterable, List, Optional
 
 from dyknow.model.graph import NodeletKind
+from dyknow.ros import os_process
 from dyknow.ros.os_process import ProcessId
+
+#: Variable in the environment of each of these processes.
+TAG = "DYKNOW_CHILD"
 
 
 @dataclass(frozen=True)
@@ -22,7 +29,7 @@ class ChildRecord:
         name: global node name.
         kind: what it hosts, or is.
         isolated_for: the nodelet that has it alone; empty for shared ones. A node has itself.
-        process: the process; None before its start.
+        process: the process; None before its start, and if it was one before a reboot.
     """
 
     name: str
@@ -32,7 +39,7 @@ class ChildRecord:
 
 
 def read(path: str) -> List[ChildRecord]:
-    """Read the records of processes that still run; none if there is no file.
+    """Read the records, also those of processes that have ended; none if there is no file.
 
     Raises:
         ValueError: the file is damaged.
@@ -42,34 +49,62 @@ def read(path: str) -> List[ChildRecord]:
             entries = json.load(file)
     except FileNotFoundError:
         return []
+    boot = os_process.boot()
     try:
-        records = [
+        return [
             ChildRecord(
                 each["name"],
                 NodeletKind(each["kind"]),
                 each["isolated_for"],
-                ProcessId(each["pid"], each["started"]),
+                ProcessId(each["pid"], each["started"])
+                if each["pid"] and each.get("boot", boot) == boot
+                else None,
             )
             for each in entries
         ]
     except (KeyError, TypeError) as error:
         raise ValueError(f"unexpected content: {error!r}") from error
-    return [each for each in records if each.process is not None and each.process.alive]
 
 
 def write(path: str, records: Iterable[ChildRecord]) -> None:
     """Replace the file atomically."""
+    boot = os_process.boot()
     entries = [
         {
             "name": each.name,
             "kind": each.kind.value,
             "isolated_for": each.isolated_for,
-            "pid": each.process.pid,
-            "started": each.process.started,
+            "pid": each.process.pid if each.process is not None else 0,
+            "started": each.process.started if each.process is not None else 0,
+            "boot": boot,
         }
         for each in records
-        if each.process is not None
     ]
     with open(path + ".new", "w") as file:
         json.dump(entries, file, indent=1)
     os.replace(path + ".new", path)
+
+
+def to_tag(record: ChildRecord, owner: str) -> str:
+    """Write what the environment of a process says of it, for when there is no record.
+
+    Args:
+        record: of the process.
+        owner: the lock of its owner.
+    """
+    return json.dumps([owner, record.name, record.kind.value, record.isolated_for])
+
+
+def running(owner: str) -> List[ChildRecord]:
+    """Return what runs of the processes of an owner, as their environments say, by name."""
+    found: Dict[str, ChildRecord] = {}
+    for process, tag, command in os_process.started_with(TAG):
+        try:
+            of, name, kind, isolated_for = json.loads(tag)
+            record = ChildRecord(name, NodeletKind(kind), isolated_for, process)
+        except (ValueError, TypeError):
+            continue
+        # A nodelet may have started other programs, which have its environment too.
+        if of == owner and f"__name:={name.rpartition('/')[2]}" in command:
+            found.setdefault(name, record)
+    return [found[name] for name in sorted(found)]

@@ -7,7 +7,8 @@ They are nodelet managers, and nodes, each of which is there for itself alone.
 
 Who owns what: ``Children`` owns a table of names and a thread for each child. That thread alone
 starts the process and waits for its end. A child has a session of its own, so it outlives a
-manager that is killed; the next one finds it in a file (``child_records``), else by its name.
+manager that is killed; the next one finds it in a file (``child_records``), else by what its
+environment says.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from __future__ import annotations
 import logging
 import time
 from functools import partial
-from typing import AbstractSet, Callable, Dict, FrozenSet, List, Tuple
+from typing import AbstractSet, Callable, Dict, FrozenSet, Iterable, List, Tuple
 
 from dyknow import names
 from dyknow.errors import HostError, NameTaken
@@ -83,27 +84,31 @@ class Children:
         self._unwritten = False  # the disk did not take the records
 
     def adopt(self) -> List[str]:
-        """Take over the children of an earlier manager that still run, and return their names."""
+        """Take over the children of an earlier manager that still run; clean up after the others.
+
+        Returns:
+            Names of those that run.
+        """
         try:
             records = child_records.read(self._path)
         except (OSError, ValueError) as error:
-            _log.warning("'%s': %s; looking for nodelet managers by name", self._path, error)
+            _log.warning("'%s': %s; looking at the processes that run", self._path, error)
             records = []
         known = {record.name for record in records}
-        for kind, base in _BASES.items():
-            name = names.join(self._namespace, base)
-            found = None if name in known else self._launcher.living(name)
-            if found is not None and self._launcher.is_ours(name):
-                records.append(ChildRecord(name, kind, process=found))
-        children = [self._add(Child(record, adopted=True)) for record in records]
-        self._write()  # those that were found by name
+        living = [each for each in records if each.process is not None and each.process.alive]
+        known = {record.name for record in living}
+        living += [each for each in self._launcher.running() if each.name not in known]
+        known = {record.name for record in living}
+        self._clean_up([each for each in records if each.name not in known])
+        children = [self._add(Child(record, adopted=True)) for record in living]
+        self._write()
         deadline = time.monotonic() + _ADOPTION_TIMEOUT
         for child in children:
             try:
                 self._wait_up(child, deadline)
             except HostError as error:
                 _log.warning("%s", error)
-        return [record.name for record in records]
+        return [record.name for record in living]
 
     def all(self) -> List[Child]:
         """Return every child, by name."""
@@ -234,6 +239,13 @@ class Children:
             self._write()
         for child in self.all():
             child.echo()
+
+    def _clean_up(self, records: Iterable[ChildRecord]) -> None:
+        """End what dead children left: forked processes, registrations, parameters."""
+        for record in records:
+            if record.process is not None:
+                record.process.wait_for_rest()
+            self._launcher.clean_up(record)
 
     # Starting
 

@@ -27,6 +27,7 @@ from dyknow.nodelet import crash_record
 from dyknow.periodic import in_background
 from dyknow.ros import os_process
 from dyknow.ros.addresses import is_here
+from dyknow.ros.hosting import child_records
 from dyknow.ros.hosting.child_records import ChildRecord
 from dyknow.ros.hosting.count_collector import SERVICE as COUNTS
 from dyknow.ros.log_tail import LogTail
@@ -82,28 +83,27 @@ class Launcher:
         self._state_lock = state_lock("outputs of children")
         self._ended: List[str] = []  # outputs, the oldest first
 
-    def launch(
-        self, kind: NodeletKind, name: str, command: Sequence[str] = ()
-    ) -> Tuple[ProcessId, LogTail]:
+    def launch(self, child: ChildRecord, command: Sequence[str] = ()) -> Tuple[ProcessId, LogTail]:
         """Start a nodelet manager, or a node.
 
         Its registration replaces what a dead one of that name left at the master.
 
         Args:
-            kind: what it hosts, or is.
-            name: its name.
+            child: what it is to be.
             command: program and arguments of a node.
 
         Raises:
             OSError: the program cannot be started.
             HostError: the program is not installed.
         """
+        kind, name = child.kind, child.name
         for key, value in self._parameters_of(kind, name).items():
             self._master.ask("setParam", names.join(name, key), value)
         output = self._used_output(name)
         program = (*_REWIRABLE, *command) if kind.is_node else self._command(kind)
         node = (f"__name:={name.rpartition('/')[2]}", f"__ns:={names.parent(name)}")
-        found = os_process.start((*program, *node), output, rospkg.get_ros_home())
+        tag = {child_records.TAG: child_records.to_tag(child, self._owner.path)}
+        found = os_process.start((*program, *node), output, rospkg.get_ros_home(), tag)
         if kind is not NodeletKind.PYTHON and self._orphan_timeout > 0:
             self._watch(found, output + ".owner")
         return found, LogTail(output)
@@ -184,12 +184,9 @@ class Launcher:
             return None
         return ProcessId.of(pid) if here else ProcessId(-1, -1)
 
-    def is_ours(self, name: str) -> bool:
-        """Whether a manager of our name started the nodelet manager of that name."""
-        try:
-            return bool(self._master.ask("getParam", f"{name}/owner") == self._master.caller)
-        except LookupError:
-            return False
+    def running(self) -> List[ChildRecord]:
+        """Return what runs of the processes that our owner started, whoever that was then."""
+        return child_records.running(self._owner.path)
 
     def registered(self, name: str) -> str:
         """Return the address that the master has of a node, dead or alive; else empty."""

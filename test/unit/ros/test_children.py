@@ -5,10 +5,11 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, Iterable, List
+from typing import Any, Iterable, List, cast
 
 import pytest
 
@@ -18,6 +19,7 @@ from dyknow.periodic import in_background
 from dyknow.ros.hosting import child_records
 from dyknow.ros.hosting.child_records import ChildRecord
 from dyknow.ros.hosting.children import Children
+from dyknow.ros.os_process import ProcessId
 
 PATIENCE = 10.0
 
@@ -51,7 +53,7 @@ def disk(monkeypatch: pytest.MonkeyPatch) -> SlowDisk:
 
 @pytest.fixture
 def children(tmp_path: Path) -> Children:
-    launcher: Any = SimpleNamespace(living=lambda name: None)
+    launcher: Any = SimpleNamespace(living=lambda name: None, running=list)
     return Children(launcher, "/", str(tmp_path / "children.json"))
 
 
@@ -98,3 +100,78 @@ def test_no_child_is_begun_once_all_are_ended(children: Children, disk: SlowDisk
     children.end_all()
     with pytest.raises(HostError, match="being ended"):
         children.want(NodeletKind.PYTHON, 1)
+
+
+class FakeLauncher:
+    """Notes what is done, in order; its processes never come up."""
+
+    def __init__(self, path: str) -> None:
+        self.path = path
+        self.found: List[ChildRecord] = []
+        self.cleaned: List[str] = []
+        self.at_launch: List[ChildRecord] = []
+        self.launched = threading.Event()
+
+    def living(self, name: str) -> None:
+        return None
+
+    def registered(self, name: str) -> str:
+        return ""
+
+    def running(self) -> List[ChildRecord]:
+        return self.found
+
+    def follow(self, name: str) -> None:
+        return None
+
+    def address(self, kind: NodeletKind, name: str, stale: str) -> str:
+        return "http://here:1"
+
+    def is_rewirable(self, kind: NodeletKind, name: str) -> bool:
+        return True
+
+    def clean_up(self, child: ChildRecord) -> None:
+        self.cleaned.append(child.name)
+
+    def launch(self, child: ChildRecord, command: object) -> object:
+        self.at_launch = child_records.read(self.path)
+        self.launched.set()
+        raise OSError("no process")
+
+
+@pytest.fixture
+def launcher(tmp_path: Path) -> FakeLauncher:
+    return FakeLauncher(str(tmp_path / "children.json"))
+
+
+def test_what_died_while_there_was_no_manager_is_cleaned_up_after(launcher: FakeLauncher) -> None:
+    here = ProcessId.of(os.getpid())
+    assert here is not None
+    gone = ProcessId(here.pid, here.started + 1)
+    records = [
+        ChildRecord("/dead", NodeletKind.CPP, "", gone),
+        ChildRecord("/lives", NodeletKind.PYTHON, "", here),
+        ChildRecord("/node", NodeletKind.SCRIPT, "/node", gone),
+        ChildRecord("/was_to_be_started", NodeletKind.PYTHON, "/n"),
+    ]
+    child_records.write(launcher.path, records)
+    children = Children(cast(Any, launcher), "/", launcher.path)
+    assert children.adopt() == ["/lives"]
+    assert launcher.cleaned == ["/dead", "/node", "/was_to_be_started"]
+    assert child_records.read(launcher.path) == records[1:2]
+
+
+@pytest.mark.parametrize("text", ["", "[]", '[{"name": "/lives"}]'])
+def test_what_runs_is_taken_over_without_a_record(launcher: FakeLauncher, text: str) -> None:
+    launcher.found = [ChildRecord("/lives", NodeletKind.CPP, "", ProcessId.of(os.getpid()))]
+    Path(launcher.path).write_text(text)
+    assert Children(cast(Any, launcher), "/", launcher.path).adopt() == ["/lives"]
+    assert child_records.read(launcher.path) == launcher.found
+
+
+def test_a_record_is_there_before_the_process(launcher: FakeLauncher) -> None:
+    children = Children(cast(Any, launcher), "/", launcher.path)
+    children.want(NodeletKind.PYTHON, 1)
+    assert launcher.launched.wait(PATIENCE)
+    assert [each.name for each in launcher.at_launch] == ["/dyknow_nodelet_manager"]
+    children.end_all()

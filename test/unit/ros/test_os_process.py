@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import fcntl
 import os
+import re
 import signal
 import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -137,19 +139,39 @@ def test_a_stopped_process_is_alive(tmp_path: Path) -> None:
     found.end(0.05)
 
 
-def test_records_of_processes_that_ended_are_dropped(tmp_path: Path) -> None:
+def test_processes_are_known_by_their_environment(tmp_path: Path) -> None:
+    name = ChildRecord("/robot/n", NodeletKind.CPP, "/robot/x")
+    tag = {child_records.TAG: child_records.to_tag(name, "lock")}
+    output = str(tmp_path / "output")
+    found = os_process.start((*SLEEP, "__name:=n"), output, str(tmp_path), tag)
+    other = os_process.start(SLEEP, output, str(tmp_path), tag)  # a program that it started
+    try:
+        assert child_records.running("lock") == [replace(name, process=found)]
+        assert child_records.running("another lock") == []
+        found.end(1.0)
+        assert child_records.running("lock") == []
+    finally:
+        found.end(1.0)
+        other.end(1.0)
+
+
+def test_records_tell_of_processes_of_this_boot(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = str(tmp_path / "children.json")
     assert child_records.read(path) == []
-    found = start(tmp_path)
-    here = ProcessId.of(os.getpid())
     records = [
-        ChildRecord("/a", NodeletKind.CPP, "", here),
-        ChildRecord("/b", NodeletKind.PYTHON, "/n", found),
+        ChildRecord("/a", NodeletKind.CPP, "", ProcessId.of(os.getpid())),
+        ChildRecord("/not_started", NodeletKind.PYTHON, "/n"),
     ]
-    child_records.write(path, [*records, ChildRecord("/not_started", NodeletKind.PYTHON)])
+    child_records.write(path, records)
     assert child_records.read(path) == records
-    found.end(1.0)
-    assert child_records.read(path) == records[:1]
+    text = Path(path).read_text()
+    Path(path).write_text(re.sub(r',\s*"boot": "[^"]*"', "", text))  # as earlier versions wrote it
+    assert child_records.read(path) == records
+    Path(path).write_text(text)
+    monkeypatch.setattr(os_process, "boot", lambda: "another boot")
+    assert child_records.read(path) == [replace(records[0], process=None), records[1]]
 
 
 @pytest.mark.parametrize("text", ["", "{", "[1]", '[{"name": "/a"}]', "{}x"])
