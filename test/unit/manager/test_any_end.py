@@ -1,0 +1,284 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""The manager is killed before and after each of its effects; what it promised is kept.
+
+Lives are random, each by its number: users and clients work, and processes die. One operation is
+ended at some moment; then the same manager starts again, perhaps after a reboot, and perhaps it is
+killed once more while it starts.
+"""
+
+from __future__ import annotations
+
+import collections
+import random
+from functools import partial
+from typing import Any, Callable, Dict, Optional, Tuple, cast
+
+import pytest
+from unit.manager.faulty_lives import counted_ids
+from unit.manager.field import LIBRARY, SOURCES, Field
+from unit.manager.mortal import ON_DISK, ON_HOST, Killed, Life, Mortal
+
+from dyknow.errors import DyKnowError
+from dyknow.manager.claims.reconciler import StreamReconciler
+from dyknow.manager.library import Library
+from dyknow.manager.manager import Manager
+from dyknow.manager.store import Store
+from dyknow.model.graph import SpawnRequest, State
+from dyknow.model.streams import ClaimState
+from dyknow.model.transformation import Parameter
+
+IMAGE = "sensor_msgs/Image"
+#: Label, and whether it gets a process of its own.
+KINDS = (
+    ("subsampler", False),
+    ("subsampler", True),
+    ("native", False),
+    ("native", True),
+    ("program", False),
+    ("script", False),
+    ("script", True),
+)
+MORE = "".join(
+    f"<transformation {kind}><label>{label}</label><source>{source}</source>"
+    '<params><param name="size" type="int">3</param></params>'
+    '<ports><port type="in">yuv</port><port type="out">planes</port></ports></transformation>'
+    for label, kind, source in (
+        ("native", "", "soccer/Native"),
+        ("program", 'type="node"', "soccer/program"),
+        ("script", 'type="node"', "soccer/script.py"),
+    )
+)
+TAGS = ("YUV(field)", "RelativePosition(ball)", "FieldPosition(ball)")
+ROUNDS = 40
+
+Made = Tuple[str, bool, bool, Tuple[Tuple[str, str], ...], Tuple[Parameter, ...]]
+"""Label, isolated, protected, topics, parameters."""
+
+
+class Lives(Field):
+    """A field whose manager may end at any moment, and what was acknowledged."""
+
+    def __init__(self, path: str, is_stock: bool) -> None:
+        self.life = Life()
+        ports = [("yuv", "in", IMAGE), ("planes", "out", IMAGE)]
+        more = dict.fromkeys(("soccer/Native", "soccer/program", "soccer/script.py"), ports)
+        super().__init__(
+            path,
+            {**SOURCES, **more},
+            LIBRARY.replace("</transformations>", MORE + "</transformations>"),
+        )
+        self.host.cpp.add("soccer/Native")
+        self.host.scripts.add("soccer/script.py")
+        self.host.stock = is_stock
+        self.promised: Dict[str, Made] = {}
+        self.doubtful: Dict[str, Tuple[Optional[Made], Optional[Made]]] = {}
+        self.claimed: Dict[str, str] = {}
+        self.doubtful_claim: Optional[str] = None
+
+    def open(self) -> None:
+        store = self.store = Store(self.path)
+        mortal = cast(Store, Mortal(store, self.life, ON_DISK))
+        host: Any = Mortal(self.host, self.life, ON_HOST)
+        library = Library(mortal, self.ontology)
+        self.manager = Manager(host, mortal, library, clock=self.clock)
+        self.reconciler = StreamReconciler(self.manager, clock=self.clock.now, sleep=self.sleep)
+        self.manager.start()
+
+    def start_again(self, end: Optional[int] = None) -> None:
+        """Begin a new life, which may end while it starts."""
+        self.store.close()
+        self.life = Life(end)
+        self.open()
+
+    # What users, clients and accidents do
+
+    def work(self, dice: random.Random) -> None:
+        action = dice.choice([self.change_nodelet] * 5 + [self.change_claim] * 3 + [self.happen])
+        action(dice)
+
+    def change_nodelet(self, dice: random.Random) -> None:
+        number = dice.randrange(len(KINDS))
+        label, isolated = KINDS[number]
+        name = f"/hand_{number}"
+        old = self.promised.get(name)
+        topics = {"yuv": dice.choice(["", "/x"]), "planes": dice.choice(["", f"{name}/own"])}
+        pairs = tuple(sorted(topics.items()))
+        given = (Parameter("note", "string", str(dice.randrange(9))),)
+        new: Optional[Made] = (label, isolated, dice.random() < 0.3, pairs, given)
+        if old is None:
+            assert new is not None
+            request = SpawnRequest(label, name, topics, new[2], isolated, parameters=given)
+            action: Callable[[], object] = partial(self.manager.spawn, request)
+        elif old[2]:
+            new = (*old[:2], False, *old[3:])
+            action = partial(self.manager.set_protection, name, False)
+        elif dice.random() < 0.5:
+            new = None
+            action = partial(self.manager.destroy, name)
+        elif self.manager.graph.get(name).rewired_by_reload:
+            new = (*old[:3], pairs, old[4])
+            action = partial(self.manager.reconfigure, name, topics)
+        else:
+            new = (*old[:3], pairs, old[4])
+            action = partial(self.connect, name, topics)
+        self.doubtful[name] = (old, new)
+        try:
+            action()
+        except DyKnowError:
+            return  # what failed is resolved at the end, as what was under way
+        if new is None:
+            del self.promised[name]
+        else:
+            self.promised[name] = new
+        del self.doubtful[name]
+
+    def connect(self, name: str, topics: Dict[str, str]) -> None:
+        self.host.connect(name, topics)
+        self.manager.look({name})
+
+    def change_claim(self, dice: random.Random) -> None:
+        if self.claimed and dice.random() < 0.5:
+            claim_id = dice.choice(sorted(self.claimed))
+            tag = self.claimed.pop(claim_id)
+            self.doubtful_claim = tag
+            self.reconciler.release(claim_id)
+        elif self.claimed and dice.random() < 0.3:
+            try:
+                self.reconciler.replan(dice.choice(sorted(self.claimed)))
+            except DyKnowError:
+                return
+        else:
+            self.doubtful_claim = tag = dice.choice(TAGS)
+            try:
+                self.claimed[self.acquire(tag).claim.claim_id] = tag
+            except DyKnowError:
+                return
+        self.doubtful_claim = None
+
+    def happen(self, dice: random.Random) -> None:
+        processes = sorted(self.host.processes)
+        if processes:
+            self.host.kill(dice.choice(processes))
+        for _ in range(dice.randrange(4)):
+            self.tick()
+
+    # What must hold
+
+    def is_calm(self) -> bool:
+        records = self.manager.graph.all()
+        return all(each.state is State.RUNNING for each in records) and all(
+            each.state is ClaimState.ACTIVE for each in self.living()
+        )
+
+    def check_all(self) -> None:
+        """All that was promised is there, once, and nothing else."""
+        for _ in range(ROUNDS):
+            self.tick(LINGER_STEP)
+        assert self.is_calm(), [(e.name, e.state, e.detail) for e in self.manager.graph.all()]
+        self.check()
+        records = {each.name: each for each in self.manager.graph.all()}
+        found = {name: made_of(each) for name, each in records.items() if "/hand_" in name}
+        for name, outcomes in self.doubtful.items():
+            assert found.get(name) in outcomes, (name, outcomes)
+            self.promised.pop(name, None)
+            if name in found:
+                self.promised[name] = found[name]
+        self.doubtful.clear()
+        assert found == self.promised
+        living = {each.claim_id: each.request.tag for each in self.living()}
+        if self.doubtful_claim is not None and len(living) > len(self.claimed):
+            strange = next(each for each in living if each not in self.claimed)
+            assert living[strange] == self.doubtful_claim
+            self.claimed[strange] = living[strange]
+        self.doubtful_claim = None
+        assert living == self.claimed
+        hosted = [name for each in self.host.processes.values() for name in each.nodelets]
+        assert sorted(hosted) == sorted(records), "nothing is doubled, and nothing an orphan"
+        needed = {name for each in self.living() for name in each.nodelets}
+        assert set(records) - set(found) == needed, "no part is left over"
+        alone = collections.Counter(
+            each.state.isolated_for for each in self.host.processes.values()
+        )
+        del alone[""]
+        assert alone == collections.Counter(n for n, each in records.items() if each.isolated)
+        owners = {key.rpartition("/")[0] for key in self.host.parameters}
+        assert owners <= set(records), "no parameter is left behind"
+
+    def check_end(self) -> None:
+        """Nothing is left once all is destroyed and released."""
+        for claim_id in self.claimed:
+            self.reconciler.release(claim_id)
+        for name, made in self.promised.items():
+            if made[2]:
+                self.manager.set_protection(name, False)
+            self.manager.destroy(name)
+        for _ in range(ROUNDS):
+            self.tick(LINGER_STEP)
+        assert self.host.running == []
+        assert self.host.parameters == {}
+        assert not any(each.state.isolated_for for each in self.host.processes.values())
+        assert (self.store.nodelets(), self.store.claims()) == ([], {})
+
+
+#: Seconds of a round; nodelets that no claim needs linger for five.
+LINGER_STEP = 0.5
+
+
+def made_of(record: Any) -> Made:
+    topics = tuple(sorted((port.name, port.topic) for port in record.ports))
+    isolated = record.isolated and record.label != "program"
+    return (record.label, isolated, record.is_protected, topics, record.parameters)
+
+
+def live(path: str, number: int, end: Optional[int]) -> int:
+    """Live one life; returns how many moments it had. It ends at one of them, or never."""
+    dice = random.Random(number)
+    lives = Lives(path, is_stock=number % 2 == 1)
+    lives.life.end = end
+    try:
+        for _ in range(8):
+            lives.work(dice)
+            lives.tick()
+    except Killed:
+        pass
+    moments = lives.life.moments
+    dice = random.Random(f"{number} {end}")
+    if dice.random() < 0.4:
+        lives.host.reboot()
+    for _ in range(2):
+        if dice.random() < 0.4:
+            with pytest.raises(Killed):
+                lives.start_again(dice.randrange(1, 30))
+                for _ in range(60):
+                    lives.tick(LINGER_STEP)
+                raise Killed  # it was over before
+    lives.start_again()
+    lives.check_all()
+    lives.check_end()
+    lives.store.close()
+    return moments
+
+
+def check(path: str, number: int, every: int) -> None:
+    """Live one life again and again, until each ``every``-th moment has been its end."""
+    with counted_ids():
+        moments = live(path + "-whole", number, None)
+        for end in range(1 + number % every, moments + 1, every):
+            try:
+                live(f"{path}-{end}", number, end)
+            except BaseException:
+                print(f"life {number}, ended at moment {end} of {moments}")
+                raise
+
+
+@pytest.mark.parametrize("number", range(10))
+def test_a_life_that_ends_at_any_moment_is_gone_on_with(tmp_path: Any, number: int) -> None:
+    check(str(tmp_path / "state"), number, 20)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("number", range(10, 60))
+def test_many_lives_that_end_at_each_moment_are_gone_on_with(tmp_path: Any, number: int) -> None:
+    check(str(tmp_path / "state"), number, 2)
