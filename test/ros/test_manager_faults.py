@@ -18,6 +18,7 @@ from unittest import mock
 import rosgraph
 import rospy
 import rostest
+from boot_suite import BootCase
 from manager_suite import (
     CHILD,
     ManagerCase,
@@ -265,7 +266,7 @@ class ManagerFaultsTest(ManagerCase):
         self.addCleanup(receiver.close)
         receiver.flows()
         promised = {"/counter": {"out": "/s0"}, "/steady": {"in": "/s0", "out": "/s1"}}
-        for _ in range(6):
+        for _ in range(3):
             doubtful = self.work_until_killed(manager, dice, promised)
             manager.start()
             found = {
@@ -309,6 +310,11 @@ class ManagerFaultsTest(ManagerCase):
         killer.join()
         manager.process.wait()
         return doubtful
+
+
+class BootTest(BootCase):
+    def test_everything_is_back_after_the_end_of_everything(self):
+        self.lives(2, random.randrange(10000))
 
 
 def offers(master: rosgraph.Master, service: str) -> bool:
