@@ -44,6 +44,7 @@ TURNS: Tuple[str, ...] = (
     "words of a bond",
     "output of a child",
     "service client",
+    "backup of the state file",
     "state file",
 )
 

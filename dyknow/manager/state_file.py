@@ -9,7 +9,9 @@ are told apart:
 - *Trouble*: the file cannot be read or written now (disk full, read-only, locked by another
   program). The file is left alone. Its rows are read from a private copy if need be, changes are
   kept in memory, and both go to the file as soon as it can be written.
-- *Damage*: what is in the file is not what was written (``state_rescue``).
+- *Damage*: what is in the file is not what was written: a checksum of a row, or sqlite, says so.
+  The file is set aside, and the newest good backup takes its place (``state_backups``), with what
+  was written since then by this process.
 """
 
 from __future__ import annotations
@@ -20,17 +22,27 @@ import logging
 import os
 import sqlite3
 import time
+from dataclasses import replace
 from typing import Callable, Dict, Mapping, Optional, Tuple
 
 from dyknow.errors import StoreError
 from dyknow.locks import turn_lock
-from dyknow.manager.state_rescue import finish_replacement, free_name, replace_file, rescue
-from dyknow.manager.state_tables import TABLES, Changes, Damaged, Rows, connect, put, rows_of
+from dyknow.manager import state_backups
+from dyknow.manager.state_backups import (
+    Found,
+    finish_replacement,
+    free_name,
+    newest_backup,
+    replace_file,
+)
+from dyknow.manager.state_tables import TABLES, Changes, Damaged, connect, put, rows_of
 
 IN_MEMORY = ":memory:"
 #: Seconds to wait for another program's lock: at the start, and for each change.
 _START_PATIENCE = 5.0
 _PATIENCE = 1.0
+#: Bytes at the beginning of each file.
+_HEADER = 100
 #: Seconds between two attempts to write what the disk did not take.
 _RETRY = 1.0
 #: Seconds after which a trouble that goes on is reported again.
@@ -74,10 +86,13 @@ class StateFile:
         #: What was damaged and where it was put; empty if nothing was.
         self.complaint = ""
         self._clock = clock
+        self._backup_turn = turn_lock("backup of the state file")
         self._turn = turn_lock("state file")
         self._connection: Optional[sqlite3.Connection] = None
-        self._rows: Optional[Rows] = None  # of a file that is not open
-        self._damage = ""  # why that file must not be used any more
+        self._found: Optional[Found] = None  # instead of a file that is not open
+        #: What was written since the last backup: with a backup it makes the whole.
+        self._since_backup: Dict[Tuple[str, str], Optional[str]] = {}
+        self._no_backup = ""  # why there is none of the latest changes
         self._pending: Dict[Tuple[str, str], Optional[str]] = {}
         self._retry_at = self._remind_at = float("-inf")
         with self._turn:
@@ -149,8 +164,32 @@ class StateFile:
             self._complain(f"entries cannot be used and were set aside as '{aside}': {what}")
             self._write({**self._pending, **removed})
 
+    def back_up(self) -> None:
+        """Make a backup if there is something new; a failure is logged, and tried again later."""
+        with self._backup_turn:
+            with self._turn:
+                if self.path == IN_MEMORY or self._connection is None or self.trouble:
+                    return
+                new, self._since_backup = self._since_backup, {}
+            if not new and state_backups.exists(self.path):
+                return
+            try:
+                state_backups.back_up(self.path)
+            except (sqlite3.Error, OSError, Damaged) as error:
+                with self._turn:
+                    self._since_backup = {**new, **self._since_backup}
+                    if not isinstance(error, OSError) and not _trouble(error):
+                        self._find_damage()
+                if str(error) != self._no_backup:
+                    self._no_backup = str(error)
+                    what = self._meaning(error)
+                    _log.warning("state file '%s': no backup: %s", self.path, what)
+            else:
+                self._no_backup = ""
+
     def close(self) -> None:
         """Close the file; what the disk has not taken is lost."""
+        self.back_up()  # an older one would have what is forgotten by now
         with self._turn:
             if self.trouble:
                 with contextlib.suppress(StoreError):
@@ -165,17 +204,19 @@ class StateFile:
     def _start(self) -> None:
         if self.path != IN_MEMORY:
             try:
-                os.makedirs(os.path.dirname(os.path.abspath(self.path)), exist_ok=True)
+                os.makedirs(os.path.dirname(os.path.abspath(self.path)), 0o700, exist_ok=True)
                 finish_replacement(self.path)
-                if os.path.exists(self.path) and os.path.getsize(self.path) == 0:
-                    self._complain("is empty: nothing can be restored from it")
+                if os.path.exists(self.path) and os.path.getsize(self.path) < _HEADER:
+                    self._found = newest_backup(self.path, "it is cut off")  # none to sqlite
+                    self._write({})
+                    return
             except OSError as error:
                 raise StoreError(self.path, error) from error
         try:
             self._connection = connect(self.path, _START_PATIENCE)
         except (sqlite3.Error, Damaged) as error:
-            self._rows, self._damage = rescue(self.path)
-            if not self._damage:
+            self._found = state_backups.read_instead(self.path)
+            if not self._found.damage:
                 self._note_trouble(error)
                 return
             self._write({})
@@ -186,31 +227,49 @@ class StateFile:
         Raises:
             sqlite3.Error, OSError: it still does not work.
         """
-        if self._rows is None:
-            self._rows, self._damage = rescue(self.path)
-        if not self._damage:
+        if self._found is None:
+            self._found = self._with_changes(state_backups.read_instead(self.path))
+        if not self._found.damage:
             try:
                 self._connection = connect(self.path, 0.0)
             except (sqlite3.Error, Damaged) as error:
                 if _trouble(error):
                     raise
-                self._damage = str(error)
-        if self._damage:
-            self._replace(self._rows)
-        self._rows, self._damage = None, ""
+                self._found = replace(self._found, damage=str(error))
+        if self._found.damage:
+            self._replace(self._found)
+        self._found = None
 
-    def _replace(self, rows: Rows) -> None:
-        aside = replace_file(self.path, rows)
+    def _find_damage(self) -> None:
+        """Look whether an open file is damaged, and replace it if it is."""
+        if self._connection is not None:
+            self._connection.close()
+            self._connection = None
+        self._write(self._pending)
+
+    def _with_changes(self, found: Found) -> Found:
+        """Add to a backup what this process has written since."""
+        if found.damage:
+            for (table, key), text in self._since_backup.items():
+                found.rows[table].pop(key, None)
+                if text is not None:
+                    found.rows[table][key] = text
+        return found
+
+    def _replace(self, found: Found) -> None:
+        aside = replace_file(self.path, found.rows)
         self._connection = connect(self.path, 0.0)
+        rows = found.rows
         kept = ", ".join(f"{len(rows[table])} {table}" for table in TABLES if rows[table])
-        self._complain(
-            f"could not be used ({self._damage}); it was set aside as '{aside}', and a new one "
-            f"was begun with what could be read: {kept or 'nothing'}"
+        instead = (
+            f"the backup {found.backup} took its place, with {kept or 'no entries'}"
+            if found.backup
+            else "there is no good backup of it: a new file was begun"
+            + (f", with {kept}" if kept else "")
         )
+        self._complain(f"was damaged ({found.damage}); it was set aside as '{aside}'; {instead}")
 
     def _complain(self, what: str) -> None:
-        # Damaged rows may have bytes that are no UTF-8, messages of ROS may not.
-        what = what.encode("utf-8", "backslashreplace").decode("utf-8")
         complaint = f"state file '{self.path}': {what}"
         self.complaint += ("\n" if self.complaint else "") + complaint
         _log.error("%s", complaint)
@@ -218,13 +277,13 @@ class StateFile:
     # Reading and writing
 
     def _stored(self, table: str) -> Dict[str, str]:
-        if self._rows is not None:
-            return dict(self._rows[table])
+        if self._found is not None:
+            return dict(self._found.rows[table])
         if self._connection is None:
             raise StoreError(self.path, self.trouble)
         try:
             return rows_of(self._connection, table)
-        except sqlite3.Error as error:
+        except (sqlite3.Error, Damaged) as error:
             raise StoreError(self.path, error) from error
 
     def _write(self, changes: Changes) -> None:
@@ -239,6 +298,8 @@ class StateFile:
             self._note_trouble(error)
         else:
             self._pending = {}
+            if self.path != IN_MEMORY:
+                self._since_backup.update(changes)
             if self.trouble:
                 self.trouble = ""
                 self._remind_at = float("-inf")
@@ -266,7 +327,9 @@ class StateFile:
         now = self._clock()
         self._retry_at = now + _RETRY
         damaged = (
-            f"it is damaged ({self._damage}) and cannot be replaced: " if self._damage else ""
+            f"it is damaged ({self._found.damage}) and cannot be replaced: "
+            if self._found is not None and self._found.damage
+            else ""
         )
         self.trouble = f"state file '{self.path}': {damaged}{self._meaning(error)}"
         if now >= self._remind_at:

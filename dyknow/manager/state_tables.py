@@ -1,16 +1,19 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The tables of a state file: texts by key, in sqlite."""
+"""The tables of a state file: texts by key, each row with a checksum, in sqlite."""
 
 from __future__ import annotations
 
 import contextlib
+import os
 import sqlite3
+import zlib
 from typing import Dict, Iterator, Mapping, Optional, Tuple
 
-#: Changes with the tables.
-FORMAT = 1
+#: Changes with the tables. Rows had no checksums in format 1.
+FORMAT = 2
+_WITHOUT_CHECKSUMS = 1
 #: The columns of each table that hold keys and texts.
 TABLES = {
     "facts": ("name", "value"),
@@ -32,6 +35,8 @@ class Damaged(Exception):
 def connect(path: str, patience: float) -> sqlite3.Connection:
     """Open a file that is sound and can be written; its tables are made if they are not there.
 
+    Only its owner may read or write a file that is made. One of format 1 gets checksums.
+
     Args:
         path: the file.
         patience: seconds to wait for another program's lock.
@@ -40,64 +45,73 @@ def connect(path: str, patience: float) -> sqlite3.Connection:
         sqlite3.Error: the file cannot be used now.
         Damaged: what is in it is not what was written.
     """
+    make_private(path)
     connection = sqlite3.connect(
         path, timeout=patience, check_same_thread=False, isolation_level=None
     )
     try:
-        # Bytes that are no UTF-8 are judged where the row is read.
-        connection.text_factory = decoded
         connection.execute("PRAGMA journal_mode = WAL")
         connection.execute("PRAGMA synchronous = NORMAL")
-        check(connection)
-        (found,) = connection.execute("PRAGMA user_version").fetchone()
-        if found not in (0, FORMAT):
-            raise Damaged(f"it has format {found}, this program writes format {FORMAT}")
-        for table, (key, text) in TABLES.items():
-            connection.execute(
-                f"CREATE TABLE IF NOT EXISTS {table} "
-                f"({key} TEXT PRIMARY KEY, {text} TEXT NOT NULL) WITHOUT ROWID"
-            )
-            (strange,) = connection.execute(
-                f"SELECT count(*) FROM {table} "
-                f"WHERE typeof({key}) <> 'text' OR typeof({text}) <> 'text'"
-            ).fetchone()
-            if strange:
-                raise Damaged(f"{strange} {table} are no text")
-        connection.execute(f"PRAGMA user_version = {FORMAT}")
-    except UnicodeDecodeError as error:  # in what sqlite says about a broken schema
-        connection.close()
-        raise Damaged(f"its schema is broken: {error}") from error
+        found = all_rows(connection)
+        if _format_of(connection) != FORMAT:
+            _make_tables(connection, found)
+        connection.execute(f"PRAGMA user_version = {FORMAT}")  # shows whether it can be written
     except BaseException:
         connection.close()
         raise
     return connection
 
 
-def check(connection: sqlite3.Connection) -> None:
-    """Let sqlite check a file.
+def make_private(path: str) -> None:
+    """Let only its owner use a file, which is made if need be, and what belongs to it."""
+    if path == ":memory:":
+        return
+    with contextlib.suppress(OSError):
+        os.close(os.open(path, os.O_CREAT | os.O_RDWR, 0o600))
+    for suffix in ("", "-wal", "-shm"):
+        with contextlib.suppress(OSError):
+            os.chmod(path + suffix, 0o600)
+
+
+def all_rows(connection: sqlite3.Connection) -> Rows:
+    """Read all rows of a file, and check it on the way.
 
     Raises:
-        Damaged: something is wrong with it.
+        sqlite3.Error: the file cannot be used now.
+        Damaged: what is in it is not what was written.
     """
-    (verdict,) = connection.execute("PRAGMA quick_check(1)").fetchone()
-    if verdict != "ok":
-        raise Damaged(" ".join(verdict.split()))
-
-
-def decoded(raw: bytes) -> str:
-    """Decode a text; bytes that are no UTF-8 become surrogates."""
-    return raw.decode("utf-8", "surrogateescape")
+    try:
+        (verdict,) = connection.execute("PRAGMA quick_check(1)").fetchone()
+        if verdict != "ok":
+            raise Damaged(" ".join(verdict.split()))
+        found = _format_of(connection)
+        if found == 0:
+            if connection.execute("SELECT count(*) FROM sqlite_master").fetchone() != (0,):
+                raise Damaged("it has tables without a format")
+            return {table: {} for table in TABLES}
+        if found not in (_WITHOUT_CHECKSUMS, FORMAT):
+            raise Damaged(f"it has format {found}, this program writes format {FORMAT}")
+        return {table: rows_of(connection, table) for table in TABLES}
+    except UnicodeDecodeError as error:
+        raise Damaged(str(error)) from error
 
 
 def rows_of(connection: sqlite3.Connection, table: str) -> Dict[str, str]:
-    """Read a table, by key."""
-    return dict(cells(connection, table, "ASC"))
+    """Read a table, by key.
 
-
-def cells(connection: sqlite3.Connection, table: str, order: str) -> Iterator[Tuple[str, str]]:
-    """Yield the keys and texts of a table, by key: ``ASC`` or ``DESC``."""
-    key, text = TABLES[table]
-    yield from connection.execute(f"SELECT {key}, {text} FROM {table} ORDER BY {key} {order}")
+    Raises:
+        sqlite3.Error: the file cannot be used now.
+        Damaged: a row is not what was written.
+    """
+    found = {}
+    # Files of format 1 have no third column.
+    for key, text, *checksum in connection.execute(f"SELECT * FROM {table}"):
+        if not isinstance(key, str) or not isinstance(text, str):
+            raise Damaged(f"a row of {table} is no text")
+        if checksum not in ([], [_checksum(table, key, text)]):
+            raise Damaged(f"{table} '{key}' is not what was written")
+        found[key] = text
+    return found
 
 
 def put(connection: sqlite3.Connection, changes: Changes) -> None:
@@ -106,19 +120,52 @@ def put(connection: sqlite3.Connection, changes: Changes) -> None:
     Raises:
         sqlite3.Error: they were not written.
     """
+    with _transaction(connection):
+        _put(connection, changes)
+
+
+def flat(rows: Rows) -> Dict[Tuple[str, str], Optional[str]]:
+    """Return rows as changes that write them all."""
+    return {(table, key): text for table in rows for key, text in rows[table].items()}
+
+
+def _checksum(table: str, key: str, text: str) -> int:
+    return zlib.crc32("\0".join((table, key, text)).encode())
+
+
+def _format_of(connection: sqlite3.Connection) -> int:
+    return int(connection.execute("PRAGMA user_version").fetchone()[0])
+
+
+def _make_tables(connection: sqlite3.Connection, rows: Rows) -> None:
+    with _transaction(connection):
+        for table, (key, text) in TABLES.items():
+            connection.execute(f"DROP TABLE IF EXISTS {table}")
+            connection.execute(
+                f"CREATE TABLE {table} ({key} TEXT PRIMARY KEY, {text} TEXT NOT NULL, "
+                "checksum INTEGER NOT NULL) WITHOUT ROWID"
+            )
+        _put(connection, flat(rows))
+        connection.execute(f"PRAGMA user_version = {FORMAT}")
+
+
+def _put(connection: sqlite3.Connection, changes: Changes) -> None:
+    for table, (key, _) in TABLES.items():
+        mine = [(row, text) for (where, row), text in changes.items() if where == table]
+        connection.executemany(
+            f"REPLACE INTO {table} VALUES (?, ?, ?)",
+            [(row, text, _checksum(table, row, text)) for row, text in mine if text is not None],
+        )
+        connection.executemany(
+            f"DELETE FROM {table} WHERE {key} = ?", [(row,) for row, text in mine if text is None]
+        )
+
+
+@contextlib.contextmanager
+def _transaction(connection: sqlite3.Connection) -> Iterator[None]:
     connection.execute("BEGIN IMMEDIATE")
     try:
-        for table, (key, _) in TABLES.items():
-            mine = [(row, text) for (where, row), text in changes.items() if where == table]
-            connection.executemany(
-                f"REPLACE INTO {table} VALUES (?, ?)",
-                [(row, text) for row, text in mine if text is not None],
-            )
-            # As bytes, since the key of a damaged row may be no text that sqlite would take.
-            connection.executemany(
-                f"DELETE FROM {table} WHERE {key} = CAST(? AS TEXT)",
-                [(row.encode("utf-8", "surrogateescape"),) for row, text in mine if text is None],
-            )
+        yield
         connection.execute("COMMIT")
     except BaseException:
         # After some errors, such as a full disk, sqlite has rolled back by itself.

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import json
-import sqlite3
 from contextlib import closing
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from unit.manager.field import Field
 
 from dyknow.manager.claim import Claim
 from dyknow.manager.moment import Moment
+from dyknow.manager.state_file import StateFile
 from dyknow.model.streams import ClaimState, StreamRequest
 
 WRITTEN = Moment(steady=1000.0, wall=50_000.0, boot="first")
@@ -102,8 +102,8 @@ def test_a_claim_that_means_nothing_is_set_aside_and_the_others_are_kept(
     claim = field.acquire(lease=20.0).claim
     field.store.close()
     body = json.dumps({**claim.body(WRITTEN), "claim_id": "bad", **change})
-    with closing(sqlite3.connect(path, isolation_level=None)) as connection:
-        connection.execute("INSERT INTO claims VALUES ('bad', ?)", (body,))
+    with closing(StateFile(path)) as file:
+        file.write({("claims", "bad"): body})
     field.open()
     assert [each.claim_id for each in field.reconciler.claims()] == [claim.claim_id]
     assert "claims 'bad'" in field.store.complaint

@@ -16,6 +16,7 @@ from faulty_disk import kept_aside
 from dyknow.errors import StoreError
 from dyknow.manager.library import Library
 from dyknow.manager.record import Record
+from dyknow.manager.state_file import StateFile
 from dyknow.manager.store import Store, _body, pack, unpack
 from dyknow.model.graph import State
 from dyknow.model.transformation import Parameter, Port, Transformation
@@ -67,7 +68,7 @@ def test_a_broken_file_is_set_aside_and_reported(tmp_path: Path, damage) -> None
     path.write_bytes(broken)
     store = Store(str(path))
     assert "set aside" in store.complaint
-    assert len(store.transformations()) < 200
+    assert len(store.transformations()) == 200
     kept = [each for each in tmp_path.iterdir() if ".broken-" in each.name]
     assert [each.read_bytes() for each in kept if each.name.count("-wal") == 0][:1] == [broken]
     store.put_nodelet(Record("/n", TRANSFORMATION, "/m"))
@@ -96,9 +97,9 @@ def test_adding_is_all_or_nothing(tmp_path: Path) -> None:
     assert store.transformations() == []
 
 
-def damaged(path: str, statement: str, *arguments: object) -> None:
-    with contextlib.closing(sqlite3.connect(path, isolation_level=None)) as connection:
-        connection.execute(statement, arguments)
+def written_by_another_version(path: str, table: str, key: str, text: str) -> None:
+    with contextlib.closing(StateFile(path)) as file:
+        file.write({(table, key): text})
 
 
 RECORD = Record("/n", TRANSFORMATION, "/m", topics={"in": "/t"}, state=State.RUNNING)
@@ -143,7 +144,7 @@ def test_an_entry_that_means_nothing_is_set_aside_and_the_rest_is_used(
     store.put_claim("c1", {"tag": "T(a)"})
     store.close()
     key = "/bad" if table == "nodelets" else "bad"
-    damaged(path, f"INSERT INTO {table} VALUES (?, ?)", key, text)
+    written_by_another_version(path, table, key, text)
     for entry_is_named in (True, False):  # once
         store = Store(path)
         assert store.nodelets() == [RECORD]
@@ -160,10 +161,7 @@ def test_an_entry_that_means_nothing_is_set_aside_and_the_rest_is_used(
 
 def test_a_nodelet_whose_name_is_none_is_set_aside(tmp_path: Path) -> None:
     path = str(tmp_path / "state.db")
-    store = Store(path)
-    store.put_nodelet(RECORD)
-    store.close()
-    damaged(path, "UPDATE nodelets SET name = '/n\x01'")
+    written_by_another_version(path, "nodelets", "/n\x01", _body(RECORD))
     store = Store(path)
     assert store.nodelets() == []
     assert "not a valid nodelet name" in store.complaint
