@@ -6,7 +6,7 @@
 A change is on disk before the call that makes it returns, so what was acknowledged survives when
 the manager is killed. A disk that does not take a change stops no operation: ``trouble`` says what
 is wrong, and the change is written as soon as the disk takes it (``state_file``). Entries without
-a meaning are set aside, and the others are used.
+a meaning are set aside, and the others are used. Backups take the place of a file that is damaged.
 """
 
 from __future__ import annotations
@@ -106,6 +106,10 @@ class Store:
     def write_pending(self) -> None:
         """Write what the disk did not take, if it does now."""
         self._file.write_pending()
+
+    def back_up(self) -> None:
+        """Make a backup, if there is something new."""
+        self._file.back_up()
 
     # Facts: small numbers that outlive the process
 

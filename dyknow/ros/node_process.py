@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import contextlib
 import enum
+import logging
 import os
 import queue
 import signal
@@ -20,6 +21,7 @@ import threading
 from typing import Any, Callable, Mapping, Optional, Sequence
 
 import rospy
+from rosgraph.roslogging import RosStreamHandler
 from rospy.impl.masterslave import ROSHandler
 
 from dyknow.errors import BadParameter, DyKnowError
@@ -121,6 +123,7 @@ class NodeProcess:
                 _hear_of_displacement(self._on_displaced)
             descriptors.spare()
             rospy.init_node(self._node, argv=self._argv, disable_signals=True)
+            _print_logs_at_least()
             enlarge_queue()
             self._shut_down.clear()
             rospy.core.add_shutdown_hook(lambda reason: self._shut_down.set())
@@ -159,6 +162,17 @@ class NodeProcess:
         """Hold up a shutdown by rosnode kill until everything is closed in order."""
         self.end()
         self._closed.wait(_CLOSE_PATIENCE)
+
+
+def _print_logs_at_least() -> None:
+    """Print what is logged where rospy could not set its logs up, since it cannot write them.
+
+    It would be silent, about its own end too.
+    """
+    logger = logging.getLogger("rosout")
+    if not any(isinstance(each, RosStreamHandler) for each in logger.handlers):
+        logger.setLevel(logging.INFO)
+        logger.addHandler(RosStreamHandler())
 
 
 def _shut_down(patience: float) -> None:

@@ -125,6 +125,11 @@ class ProcessId:
         return True
 
 
+def only_for_owner(path: str, flags: int) -> int:
+    """Open a file; one that is made only its owner may open (an ``opener`` for ``open``)."""
+    return os.open(path, flags, 0o600)
+
+
 def start(
     command: Sequence[str], output: str, folder: str, environment: Mapping[str, str] = NOTHING
 ) -> ProcessId:
@@ -134,13 +139,13 @@ def start(
         command: program and arguments.
         output: file for what it prints. Our own output would stay open as long as the process,
             and a reader of it would wait for that long.
-        folder: working directory, made if need be.
+        folder: working directory, made if need be; empty for that of this process.
         environment: variables besides those of this process.
 
     Raises:
         OSError: it cannot be started.
     """
-    os.makedirs(folder, exist_ok=True)
+    os.makedirs(folder or ".", exist_ok=True)
     with open(output, "wb") as file:
         process = subprocess.Popen(
             command,
@@ -148,7 +153,7 @@ def start(
             stdout=file,
             stderr=subprocess.STDOUT,
             start_new_session=True,
-            cwd=folder,
+            cwd=folder or None,
             env={**os.environ, **environment},
         )
     process.returncode = 0  # ``ProcessId.wait`` reaps it, not ``Popen``

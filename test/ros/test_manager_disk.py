@@ -7,11 +7,14 @@
 from __future__ import annotations
 
 import contextlib
+import os
+import re
 import signal
 import sys
 import tempfile
 import time
 from pathlib import Path
+from unittest import mock
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
@@ -19,10 +22,13 @@ import rospy
 import rostest
 from faulty_disk import full, kept_aside, read_only, small_disk
 from manager_suite import CHILD, MANAGER, ManagerCase, ManagerProcess, Receiver, eventually
+from processes import Running
 from rosservice import get_service_class_by_name
 
+from dyknow import __version__
 from dyknow.model.graph import State
 from dyknow.model.streams import StreamRequest
+from dyknow.ros.exit_codes import FAILED
 
 SOURCE = """<transformation><label>numbers</label><source>dyknow_manager_test/Counter</source>
 <ports><port type="out">out</port></ports><tags><tag port="out">Numbers(test)</tag></tags>
@@ -125,6 +131,33 @@ class ManagerDiskTest(ManagerCase):
         manager.start()
         self.all_run(manager, "/a", "/b")
         self.assertEqual(kept_aside(self.state_file(disk)), [])
+
+    def test_a_folder_that_cannot_be_written_is_named(self):
+        manager = self.make()
+        advice = "~state_dir"
+        for variables, argument, folder, cure in (
+            ({}, "_state_dir:=/proc/none", "/proc/none", advice),
+            ({}, f"_state_dir:={__file__}", __file__, advice),
+            ({"ROS_LOG_DIR": "/proc/none"}, "_language:=en", "/proc/none", "ROS_LOG_DIR"),
+            ({"ROS_HOME": "/proc/none"}, "_language:=en", "/proc/none", advice),
+        ):
+            with self.subTest(folder, **variables), mock.patch.dict(os.environ, variables):
+                if "ROS_HOME" in variables:
+                    os.environ.pop("ROS_LOG_DIR", None)
+                with Running(*manager.command, argument) as running:
+                    self.assertEqual(running.exit_code(60.0), FAILED, running.output)
+                fatal = [each for each in running.output.splitlines() if "FATAL" in each]
+                self.assertIn(f"'{folder}", fatal[0])
+                self.assertIn(cure, fatal[0])
+
+    def test_a_manager_says_who_it_is_and_what_it_restores(self):
+        manager = self.started()
+        manager.client.spawn("relay", "/relay")
+        manager.kill()
+        manager.start()
+        line = re.findall("DyKnow manager.*", manager.output)[-1]
+        for part in (f"manager {MANAGER}, version {__version__}", manager.state, "1 nodelets"):
+            self.assertIn(part, line)
 
     def test_a_lease_goes_on_while_the_manager_is_dead(self):
         manager = self.make()

@@ -15,7 +15,7 @@ from typing import Dict, Iterable, List, Optional
 
 from dyknow.model.graph import NodeletKind
 from dyknow.ros import os_process
-from dyknow.ros.os_process import ProcessId
+from dyknow.ros.os_process import ProcessId, only_for_owner
 
 #: Variable in the environment of each of these processes.
 TAG = "DYKNOW_CHILD"
@@ -80,7 +80,7 @@ def write(path: str, records: Iterable[ChildRecord]) -> None:
         }
         for each in records
     ]
-    with open(path + ".new", "w") as file:
+    with open(path + ".new", "w", opener=only_for_owner) as file:
         json.dump(entries, file, indent=1)
     os.replace(path + ".new", path)
 

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import logging
 import os
@@ -62,13 +63,16 @@ class Launcher:
         orphan_timeout: float,
         parameters: Mapping[str, Any],
     ) -> None:
-        """Make the folder for their logs.
+        """Make the folders for their logs and for what they write themselves.
 
         Args:
             master: the ROS master; its caller is the owner of the children.
             owner: lock that the owner holds while it lives.
             orphan_timeout: seconds without an owner after which they end; 0 for never.
             parameters: further private parameters of each, and of nodes.
+
+        Raises:
+            HostError: they cannot be written.
         """
         self._master = master
         self._owner = owner
@@ -79,7 +83,11 @@ class Launcher:
         self._parameters = parameters
         host, port = rosgraph.network.parse_http_host_and_port(master.uri)
         self._log_folder = os.path.join(rospkg.get_log_dir(), f"dyknow-{host}-{port}")
-        os.makedirs(self._log_folder, exist_ok=True)
+        for folder, variable in (
+            (self._log_folder, "ROS_LOG_DIR"),
+            (rospkg.get_ros_home() or ".", "ROS_HOME"),
+        ):
+            _check_writable(folder, variable)
         self._state_lock = state_lock("outputs of children")
         self._ended: List[str] = []  # outputs, the oldest first
 
@@ -288,3 +296,20 @@ class Launcher:
 
     def _file(self, name: str, what: str) -> str:
         return os.path.join(self._log_folder, re.sub(r"\W+", "-", name).strip("-") + "-" + what)
+
+
+def _check_writable(folder: str, variable: str) -> None:
+    """Make a folder, or refuse one that cannot be written.
+
+    Raises:
+        HostError: it cannot be.
+    """
+    try:
+        os.makedirs(folder, exist_ok=True)
+        if not os.access(folder, os.W_OK | os.X_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+    except OSError as error:
+        raise HostError(
+            f"folder '{folder}' cannot be written ({error.strerror}); set the environment "
+            f"variable {variable} to one that can be"
+        ) from error

@@ -20,8 +20,9 @@ from typing import TYPE_CHECKING, Any, Dict, List, Sequence, Set
 import rosgraph.names
 import rospy
 
+import dyknow
 from dyknow import names
-from dyknow.errors import DyKnowError, PeerTimeout
+from dyknow.errors import BadParameter, DyKnowError, PeerTimeout, StoreError
 from dyknow.manager.claims.reconciler import StreamReconciler
 from dyknow.manager.library import Library
 from dyknow.manager.manager import Manager, ManagerOptions
@@ -29,6 +30,7 @@ from dyknow.manager.store import Store
 from dyknow.model.graph import NodeletKind, State
 from dyknow.model.streams import ClaimState
 from dyknow.nodelet.middleware import Closable
+from dyknow.periodic import PeriodicWorker
 from dyknow.ros.exit_codes import FAILED
 from dyknow.ros.hosting.children import Children
 from dyknow.ros.hosting.cpp_nodelets import CppNodelets
@@ -54,6 +56,8 @@ from dyknow.workers import Workers
 if TYPE_CHECKING:
     from dyknow.manager.specifications.ontology import Ontology
 
+#: Seconds between two backups of the state, if it changes.
+_BACKUP_PERIOD = 10.0
 #: Nodelets that are brought back at the same time.
 _WORKERS = 4
 #: Seconds to wait, at the end, for those that are being brought back.
@@ -91,6 +95,7 @@ class ManagerNode(Closable):
         )
         self._workers = Workers("work of the manager", _WORKERS)
         running = started()
+        self._backups = PeriodicWorker("backup", self._store.back_up, _BACKUP_PERIOD)
         self._host = RosHost(
             master,
             self._children,
@@ -128,6 +133,7 @@ class ManagerNode(Closable):
             "~model", self.manager.graph_model, self._messages, self._cpp.follow
         )
         self.manager.on_change = self._publisher.note_change
+        self._introduce()
         # Made before the start, since it decides how nodelets that come back are connected.
         reconciler = self._reconciler = StreamReconciler(self.manager, running=self._running)
         self.manager.start()
@@ -137,6 +143,7 @@ class ManagerNode(Closable):
         self._services = ManagerServices(self.manager, self._messages, self._after_change)
         self._publisher.note_change()
         self._watch.start()
+        self._backups.start()
         self._host.start(self._watch.refresh_now)
 
     def close(self) -> None:
@@ -149,6 +156,7 @@ class ManagerNode(Closable):
         self._streams.close()
         self._listener.close()
         self._watch.close(1.0)
+        self._backups.close(1.0)
         self._publisher.close()
         self._cpp.close()
         self._children.end_all()
@@ -171,12 +179,13 @@ class ManagerNode(Closable):
         rospy.logwarn(
             "an older manager %s goes on, so this one leaves; its state stays in %s",
             rospy.get_name(),
-            self._settings.state_dir,
+            self._settings.state_path("sqlite3"),
         )
         self._services.close()
         self._streams.suspend()
         self._listener.close()
         self._watch.close(1.0)
+        self._backups.close(1.0)
         self._publisher.close()
         self._cpp.close()
         self._children.end_all()
@@ -184,6 +193,22 @@ class ManagerNode(Closable):
         self._host.close()
         self._store.close()
         self._owner.release()
+
+    def _introduce(self) -> None:
+        """Say who starts, and with what."""
+        found = {
+            "transformations": len(self.manager.library.all()),
+            "nodelets": len(self._store.nodelets()),
+            "claims": len(self._store.claims()),
+        }
+        rospy.loginfo(
+            "DyKnow manager %s, version %s, of the ROS master at %s; its state is in '%s': %s",
+            rospy.get_name(),
+            dyknow.__version__,
+            self._master.uri,
+            self._settings.state_path("sqlite3"),
+            ", ".join(f"{count} {what}" for what, count in found.items()),
+        )
 
     def _load_transformations(self) -> None:
         for path in self._settings.transformations:
@@ -320,6 +345,18 @@ def run(argv: Sequence[str]) -> int:
 
 
 def _start() -> ManagerNode:
-    node = ManagerNode(ManagerSettings.read())
+    settings = ManagerSettings.read()
+    try:
+        node = ManagerNode(settings)
+    except StoreError as error:
+        cause = error.__cause__
+        if not isinstance(cause, OSError):
+            raise
+        why = f"{cause.strerror}: '{cause.filename}'"
+        if settings.state_dir:
+            expected = f"a folder that can be written ({why})"
+            raise BadParameter("~state_dir", settings.state_dir, expected) from error
+        cure = "choose another folder with the parameter ~state_dir (_state_dir:=FOLDER)"
+        raise StoreError(settings.state_path("sqlite3"), f"{why}; {cure}") from error
     node.start()
     return node

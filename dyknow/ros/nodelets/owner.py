@@ -24,7 +24,7 @@ from typing import Callable, Sequence, TextIO
 
 from dyknow.errors import StoreError
 from dyknow.periodic import PeriodicWorker, in_background
-from dyknow.ros.os_process import ProcessId
+from dyknow.ros.os_process import ProcessId, only_for_owner
 
 #: Seconds that an owner waits for its predecessor to be gone altogether.
 _CONTENTION = 1.0
@@ -47,7 +47,7 @@ class OwnerLock:
         """
         self.path = path
         try:
-            os.makedirs(os.path.dirname(path), exist_ok=True)
+            os.makedirs(os.path.dirname(path), 0o700, exist_ok=True)
             self._owners = _made(path + ".owner")
             self._waiting = _made(path)
         except OSError as error:
@@ -101,9 +101,14 @@ def is_taken(path: str) -> bool:
 
 
 def _made(path: str) -> TextIO:
-    """Open a file to be locked; it is made if need be, but may be on a read-only disk as well."""
+    """Open a file to be locked; it is made if need be, but may be on a read-only disk as well.
+
+    Only its owner may open it: whoever can could hold the lock.
+    """
     try:
-        return open(path, "a")
+        file = open(path, "a", opener=only_for_owner)  # noqa: SIM115 - it is kept open
+        os.chmod(path, 0o600)
+        return file
     except OSError:
         if not os.path.exists(path):
             raise
