@@ -245,6 +245,11 @@ class StreamReconciler:
         """Return every claim, those that ended lately included, by id."""
         return self._table.all()
 
+    def report(self, news: str) -> None:
+        """Send an event about each claim that has not ended, which changes none."""
+        for claim in self._table.living():
+            self._table.report(claim.claim_id, news)
+
     def find_bindings(self, tag: str, datatype: str = "") -> Tuple[List[Bindings], bool]:
         """Find the names for which a stream of a tag is there or can be made.
 

@@ -258,6 +258,9 @@ class Repair:
             return
         self._failures.forgive(claim_id)
         reason = f"mended: {fault.what}" if claim.is_made else "it can be made now"
+        new = sorted(set(done.wiring) - set(claim.wiring))
+        if claim.is_made and new:
+            done.remarks.insert(0, f"{', '.join(new)} {'is' if len(new) == 1 else 'are'} used now")
         if claim.bindings not in ((), done.bindings):
             done.remarks.insert(0, _changed_bindings(done.bindings))
         self._table.change(claim_id, with_remarks(reason, done), **outcome(done))

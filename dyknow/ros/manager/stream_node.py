@@ -57,6 +57,8 @@ class StreamNode:
         self._bonds = ClaimBonds(self._reconciler.claims, self._reconciler.expire, running)
         self._reconciling = ReconcileLoop(self._reconciler, self._has_work)
         self._reconciler.on_event = self._on_event
+        if manager.store.complaint:
+            self._reconciler.report(manager.store.complaint)
         self._bonds.follow()
         self._services = StreamServices(
             self._reconciler,
