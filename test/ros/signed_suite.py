@@ -51,6 +51,7 @@ class SignedTransformation:
     ports: tuple[SignedPort, ...]
     cost: int = 1
     topic: str = ""
+    rate: int = 20
 
     def xml(self, kinds: signatures.Kinds, report: str) -> str:
         kind = ' type="topic"' if self.topic else ""
@@ -64,7 +65,7 @@ class SignedTransformation:
             for tag in port.tags
         )
         shown = [[port.name, port.direction, port.datatype, port.tags] for port in self.ports]
-        params = "" if self.topic else parameters(shown, kinds, report)
+        params = "" if self.topic else parameters(shown, kinds, report, self.rate)
         source = self.topic or "dyknow_manager_test/Signed"
         return (
             f'<transformation{kind} cost="{self.cost}"><label>{escape(self.label)}</label>'
@@ -83,8 +84,9 @@ class SignedTransformation:
         return SignedTransformation(self.label, ports, choice.randrange(10), self.topic)
 
 
-def parameters(ports: Any, kinds: signatures.Kinds, report: str) -> str:
+def parameters(ports: Any, kinds: signatures.Kinds, report: str, rate: int) -> str:
     values = {"ports": json.dumps(ports), "kinds": json.dumps(kinds), "report": report}
+    values["rate"] = str(rate)
     lines = [
         f'<param name="{name}" type="string">{escape(value)}</param>'
         for name, value in values.items()
@@ -232,12 +234,14 @@ class Reader:
     def __init__(self, topic: str, datatype: str, tag: str, kinds: signatures.Kinds) -> None:
         self.topic, self.tag, self.count = topic, tag, 0
         self.wrong: list[str] = []
+        self.last: Sequence[str] = ()
         self._kinds = kinds
         self._subscriber = rospy.Subscriber(topic, get_message_class(datatype), self._read)
 
     def _read(self, message: Any) -> None:
         self.count += 1
         found = signatures.signature(message)
+        self.last = found["tags"]
         if not signatures.all_met(found["tags"], [self.tag], self._kinds):
             self.wrong.append(f"the client of {self.tag} on {self.topic} got {found}")
 

@@ -13,9 +13,36 @@ from pathlib import Path
 
 import rospy
 import rostest
-from manager_suite import ManagerCase
+from manager_suite import ManagerCase, eventually
 from roslib.packages import get_pkg_dir
-from signed_suite import RandomLife, SignedLibrary, random_library, soccer_library
+from signed_suite import (
+    HEADER,
+    RandomLife,
+    Reader,
+    SignedLibrary,
+    SignedPort,
+    SignedTransformation,
+    random_library,
+    soccer_library,
+)
+
+from dyknow.model.streams import StreamRequest
+
+RECTIFIER = SignedTransformation(
+    "rectifier",
+    (
+        SignedPort("image", "in", ("Raw(?x)",)),
+        SignedPort("info", "in", ("Info(?x)",)),
+        SignedPort("out", "out", ("Rect(?x)",)),
+    ),
+)
+
+
+def camera(name: str) -> SignedTransformation:
+    """A camera that sends images, and what is known of them."""
+    image, info = SignedPort("image", "out", (f"Raw({name})",)), f"Info({name})"
+    ports = (image, SignedPort("info", "out", (info,)))
+    return SignedTransformation(f"camera {name}", ports, rate=500)
 
 
 class SignedTest(ManagerCase):
@@ -46,6 +73,34 @@ class SignedTest(ManagerCase):
         read = sum(reader.count for reader in life.readers.values())
         print(f"seed {seed}: {steps} steps, {read} messages read, {life.checked} looks at waiting")
         self.assertTrue(read or not life.readers)
+
+    def test_one_camera_takes_the_place_of_another(self):
+        """What listens to a claim's topic is reconfigured before it hears another camera."""
+        manager = self.make(linger=1.0)
+        manager.start()
+        report = Path(manager.state) / "report.txt"
+        cameras = {each: camera(each).xml({}, str(report)) for each in ("left", "right")}
+        for text in (*cameras.values(), RECTIFIER.xml({}, str(report))):
+            manager.client.add_transformation(text)
+        manager.client.acquire_stream(StreamRequest("Raw(?x)", client_id="signed"))
+        answer = manager.client.acquire_stream(StreamRequest("Rect(?x)", client_id="signed"))
+        reader = Reader(answer.topic, HEADER, "Rect(?x)", {})
+        self.addCleanup(reader.close)
+
+        def is_seen(name: str) -> None:
+            eventually(lambda: f"Rect({name})" in reader.last, 30.0, f"{name} is seen")
+
+        for lost, other in (("left", "right"), ("right", "left"), ("left", "right")):
+            is_seen(lost)
+            manager.client.remove_transformation(f"camera {lost}")
+            for each in manager.client.get_model().nodelets:
+                if each.transformation == f"camera {lost}":
+                    manager.client.destroy(each.name)
+            is_seen(other)
+            manager.client.add_transformation(cameras[lost])
+        self.assertEqual(reader.wrong, [])
+        mixed = Path(f"{report}.mixed")
+        self.assertEqual(mixed.read_text() if mixed.exists() else "", "")
 
     def seeds(self) -> range:
         first = rospy.get_param("~first_seed", 1)

@@ -17,23 +17,28 @@ import dyknow
 
 
 class Signed(dyknow.Nodelet):
-    """Publishes signed messages: what it receives, or at 20 Hz where it has no demands.
+    """Publishes signed messages: what it receives, or at a rate where it has no demands.
 
     What it received last at its in-ports says what the variables in the signatures stand for.
     While these have no names, or several, nothing is published.
 
     Parameters: ~ports (JSON, a list of name, direction, datatype and tags), ~kinds (JSON, what is
-    a kind of what) and ~report, a file that gets a line for each message that meets no demand.
+    a kind of what), ~rate (Hz) and ~report, a file that gets a line for each message that meets no
+    demand. A file beside it, with the ending ``mixed``, gets one for each message that is of
+    another individual than what was received since the last reconfiguration.
     """
 
     def on_init(self):
         self.nh = dyknow.NodeHandle(self.node_handle)
         self.kinds = json.loads(self.nh.get_param("~kinds"))
         self.report = self.nh.get_param("~report")
+        self.rate = float(self.nh.get_param("~rate"))
         self.number = 0
         self.is_mute = False
         self.outputs = []
         self.names = {}
+        self.remembered = [{}]
+        self.nh.set_reconfigure_callback(self.forget)
         demands = []
         for name, direction, datatype, tags in json.loads(self.nh.get_param("~ports")):
             message_class = get_message_class(datatype)
@@ -46,7 +51,9 @@ class Signed(dyknow.Nodelet):
             receive = functools.partial(self.receive, name, tags, leads)
             self.nh.Subscriber(name, message_class, receive, queue_size=10)
         if not demands:
-            self.timer = self.nh.Timer(self.nh.Duration(0.05), lambda event: self.publish())
+            self.timer = self.nh.Timer(
+                self.nh.Duration(1.0 / self.rate), lambda event: self.publish()
+            )
         self.orders = self.node_handle.Subscriber("/orders", String, self.on_order, queue_size=100)
 
     def receive(self, port, tags, leads, message):
@@ -55,9 +62,26 @@ class Signed(dyknow.Nodelet):
         if not ways:
             with open(self.report, "a") as file:
                 file.write(f"{self.name}.{port} demands {tags}, got {found}\n")
+        self.remember(port, found, ways)
         self.names[port] = ways[0] if ways else {}
         if leads:
             self.publish()
+
+    def forget(self, inputs, outputs):
+        self.remembered = [{}]
+
+    def remember(self, port, found, ways):
+        together = [
+            {**one, **way}
+            for one in self.remembered
+            for way in ways
+            if all(one.get(variable, name) == name for variable, name in way.items())
+        ]
+        if ways and not together:
+            with open(self.report + ".mixed", "a") as file:
+                file.write(f"{self.name}.{port} remembers {self.remembered}, got {found}\n")
+        self.remembered = [dict(pairs) for pairs in {tuple(sorted(w.items())) for w in together}]
+        self.remembered = self.remembered or [{}]
 
     def publish(self):
         if self.is_mute:
