@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import functools
 import os
+import sys
 from typing import TYPE_CHECKING, Any, Dict, List, Sequence, Set
 
 import rosgraph.names
@@ -64,6 +65,9 @@ _WORKERS = 4
 _WORKERS_PATIENCE = 3.0
 _ANSWER_TIMEOUT = 1.0
 _NAME = "dyknow_manager"
+#: Seconds that a thread keeps the interpreter while others want it. Python's own 5 ms would let a
+#: plan for a client delay a repair at each of its calls.
+_SWITCH_INTERVAL = 0.0005
 #: States of a claim whose stream flows as far as is known.
 _RELIED_ON = (ClaimState.ACTIVE, ClaimState.DEGRADED)
 
@@ -345,6 +349,7 @@ def run(argv: Sequence[str]) -> int:
 
 
 def _start() -> ManagerNode:
+    sys.setswitchinterval(_SWITCH_INTERVAL)
     settings = ManagerSettings.read()
     try:
         node = ManagerNode(settings)
