@@ -224,12 +224,13 @@ class ShellClient(ManagerClient):
     def _no_manager(self, error: BaseException, seconds: float) -> ManagerUnreachable:
         """Say why the manager does not answer, and what to do: it is not there, dead, or hangs."""
         cause = error.__cause__ or error
-        if isinstance(cause, LookupError):
+        is_timeout = isinstance(cause, (PeerTimeout, socket.timeout))
+        if isinstance(cause, LookupError) or (not is_timeout and not self._is_registered()):
             why = (
                 "is not running: start one with 'rosrun dyknow manager', or name another with "
                 "--manager-node or $DYKNOW_MANAGER"
             )
-        elif isinstance(cause, (PeerTimeout, socket.timeout)):
+        elif is_timeout:
             why = (
                 f"runs, but did not answer within {seconds:g} s: it hangs, is busy, or its host "
                 "is away; ask again with a longer --timeout, or end it: rosnode kill "
@@ -241,6 +242,16 @@ class ShellClient(ManagerClient):
                 "start it again with 'rosrun dyknow manager'"
             )
         return ManagerUnreachable(f"DyKnow manager '{self.manager}' {why}")
+
+    def _is_registered(self) -> bool:
+        """Whether the manager has not withdrawn itself, as it does at every end but by kill -9.
+
+        The master knows the address of an ended node while it notifies that of a parameter.
+        """
+        try:
+            return self.manager in self.managers()
+        except ManagerUnreachable:
+            return True
 
 
 def _words(error: BaseException) -> str:

@@ -448,6 +448,13 @@ class UnreachableTest(unittest.TestCase):
             self.check("DyKnow manager '/n' is not running", *words, "--manager-node", "n")
         self.check("'/ns/other' is not", "list", DYKNOW_MANAGER="other", ROS_NAMESPACE="/ns")
 
+    def test_a_manager_that_was_stopped(self):
+        self.manager.start()
+        self.assertEqual(Done("list").code, 0)
+        self.manager.stop()
+        for words in (["list"], ["library"]):
+            self.check("is not running: start one", *words)
+
     def test_a_manager_takes_no_words_that_would_have_no_effect(self):
         program = find_node("dyknow", "manager")[0]
         done = subprocess.run(
