@@ -17,11 +17,24 @@ from dyknow.model.transformation import IN, OUT
 from dyknow.nodelet.context import Context, check_message_class
 from dyknow.nodelet.handle import PlainNodeHandle
 from dyknow.proxy.handle import NodeHandle
-from dyknow.proxy.port import ProxyPort
+from dyknow.proxy.port import InPort, ProxyPort
 from dyknow.proxy.proxy import NodeletProxy
 
 #: Topics of the system, which are no ports.
 _NO_PORTS = frozenset(("/rosout", "/rosout_agg", "/clock"))
+
+
+class _Unknown:
+    """The type of a port that the script has not made yet."""
+
+    _type, _md5sum = "", "*"
+
+
+class _PortToCome(InPort):
+    """Keeps the topic of a port that its load names, until the script makes it.
+
+    Its direction is not known; a lazy script makes its subscribers late, as a rule.
+    """
 
 
 class ScriptProxy(NodeletProxy):
@@ -44,6 +57,15 @@ class ScriptProxy(NodeletProxy):
         if found is None:
             same = [p for (label, _), p in self._by_label.items() if self._origin(label) == name]
             found = same[0] if len(same) == 1 else None
+        if found is None:
+            space = names.parent(self.name)
+            label, before = self._label(name), names.join(space, "")
+            label = label[len(before) :] if label.startswith(before) else label
+            is_one_of_two = {(label, IN), (label, OUT)} & set(self._by_label)
+            is_named = names.complete(name, space, self.name) in self._context.remappings
+            if is_named and not is_one_of_two:  # by the load, so it is no mistake
+                come = _PortToCome(label, _Unknown, self._start(label))
+                found = self._ports.setdefault(label, come)
         return found
 
     def _declare(self, kind: Any, handle: PlainNodeHandle, name: str, datatype: Any) -> Any:
@@ -52,6 +74,10 @@ class ScriptProxy(NodeletProxy):
         port = self._by_label.get((label, kind.direction))
         if port is None:
             topic = self._start(label)
+            come = self._ports.get(label)
+            if isinstance(come, _PortToCome):
+                topic = come.topic
+                del self._ports[label]
             other = self._by_label.get((label, OUT if kind.direction == IN else IN))
             if other is not None:
                 self._rename(other, f"{label}_{other.direction}")
