@@ -49,6 +49,7 @@ class FakeNodelet:
         sent: messages by out-port.
         latched: out-ports that keep a message for subscribers that connect later.
         reconfigurations: how often its ports were connected elsewhere.
+        kept: ports that were connected before they show, whose topics are kept until then.
     """
 
     request: LoadRequest
@@ -56,6 +57,7 @@ class FakeNodelet:
     sent: Dict[str, int] = field(default_factory=dict)
     latched: set[str] = field(default_factory=set)
     reconfigurations: int = 0
+    kept: set[str] = field(default_factory=set)
 
     def topics(self, direction: str) -> List[str]:
         """Return the topics of its ``in``-ports or its ``out``-ports."""
@@ -468,7 +470,11 @@ class FakeHost(Host):
         self._step("ports", name)
         nodelet = self._process_of(name).nodelets[name]
         lazy = self.lazy.get(nodelet.request.source, ())
-        return tuple(port for port in nodelet.ports.values() if port.name not in lazy)
+        return tuple(
+            replace(port, datatype="") if port.name in lazy else port
+            for port in nodelet.ports.values()
+            if port.name not in lazy or port.name in nodelet.kept
+        )
 
     def connect(self, name: str, config: Mapping[str, str]) -> None:
         """Connect ports."""
@@ -489,6 +495,7 @@ class FakeHost(Host):
             found, mine = self._type_of(topic, name), ports[port].datatype
             if topic and not types_fit(found, mine):
                 raise HostError(f"topic '{topic}' carries {found}")
+        nodelet.kept.update(set(config) & set(self.lazy.get(nodelet.request.source, ())))
         self._apply(nodelet, config)
 
     def published(self, topics: Iterable[str]) -> FrozenSet[str]:

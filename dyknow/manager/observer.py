@@ -301,7 +301,7 @@ class Observer:
         ports = self._host.ports(record.name)
         if not (record.is_spawned and record.awaited):
             return ports
-        wanted = missing_connections(record, ports)
+        wanted = missing_connections(record, [port for port in ports if port.datatype])
         late = {port: topic for port, topic in wanted.items() if port in record.awaited}
         if late:
             self._host.connect(record.name, late)

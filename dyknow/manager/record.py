@@ -160,9 +160,12 @@ def declared_ports(record: Record) -> Tuple[PortState, ...]:
 
 
 def with_ports(record: Record, ports: Tuple[PortState, ...]) -> Record:
-    """Return a record with the ports that a proxy reports."""
-    reported = {port.name for port in ports}
-    awaited = [port.name for port in declared_ports(record) if port.name not in reported]
+    """Return a record with the ports that a proxy reports.
+
+    Of a port that was connected before the nodelet made it, the proxy reports the topic alone.
+    """
+    made = {port.name for port in ports if port.datatype}
+    awaited = [port.name for port in declared_ports(record) if port.name not in made]
     return replace(record, ports=seen_ports(record, ports), awaited=tuple(awaited))
 
 

@@ -58,7 +58,8 @@ def test_a_port_that_a_lazy_nodelet_declares_is_connected_before_it_subscribes(
     assert run(client, "connect /raw lazy:image").lines == ["/raw -> /lazy:image"]
     assert client.calls == [("set_config", "/lazy")]
     error = run(client, "connect /raw lazy:imag").err
-    assert "has no port 'imag'; its ports: ~out (out), image (in); did you mean image?" in error
+    assert "has no port 'imag'; its ports: image (in), ~out (out); did you mean image?" in error
+    assert run(client, "disconnect lazy:image").lines == ["/lazy:image has left /raw"]
 
 
 def test_a_topic_that_is_given_begins_at_the_manager(client: FakeClient) -> None:
