@@ -261,7 +261,7 @@ bool TopicManager::unadvertise(const std::string& topic, const SubscriberCallbac
     return true;
   }
   static const auto next = dyknow::behind(&TopicManager::unadvertise);
-  if (callbacks && callbacks->callback_queue_ != nullptr)
+  if (callbacks && callbacks->callback_queue_ != nullptr && lookupPublication(topic))
   {
     // Waits for callbacks of the node, which must not be waited for under the lock.
     callbacks->callback_queue_->removeByID(reinterpret_cast<std::uint64_t>(callbacks.get()));

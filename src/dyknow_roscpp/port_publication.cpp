@@ -69,6 +69,7 @@ bool PortPublication::open(const ros::AdvertiseOptions& options, const ros::Subs
     options_ = options;
     options_.tracked_object.reset();  // the node's callbacks hold it weakly
     node_ = callbacks;
+    shutdowns_ = topics::shutdowns();
     is_open_ = true;
     const std::string topic = port_->topic();
     if (topic.empty())
@@ -103,7 +104,7 @@ void PortPublication::close()
     }
   }
   port_->leave(this, traffic());
-  if (!node_)
+  if (!node_ || shutdowns_ != topics::shutdowns())
   {
     return;
   }

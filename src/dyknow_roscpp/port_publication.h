@@ -119,6 +119,7 @@ private:
   const std::shared_ptr<Port> port_;
   ros::AdvertiseOptions options_;
   ros::SubscriberCallbacksPtr node_;
+  std::uint32_t shutdowns_ = 0;  ///< of roscpp, before it was opened
   RegistrationPtr prepared_;
   std::shared_ptr<void> notice_;  ///< that it moves to the topic of `prepared_`, for `isAnyMovingTo`
   bool is_prepared_ = false;

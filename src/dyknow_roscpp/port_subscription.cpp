@@ -37,6 +37,7 @@ bool PortSubscription::open(const ros::SubscribeOptions& options)
     options_.tracked_object.reset();
     is_tracked_ = static_cast<bool>(options.tracked_object);
     tracked_ = options.tracked_object;
+    shutdowns_ = topics::shutdowns();
     is_open_ = true;
     const std::string topic = port_->topic();
     if (topic.empty())
@@ -68,6 +69,10 @@ void PortSubscription::close()
     left.splice(left.end(), queue_);
   }
   port_->leave(this, traffic());
+  if (shutdowns_ != topics::shutdowns())
+  {
+    return;
+  }
   {
     const std::lock_guard<std::mutex> none_is_queued(queueing_lock_);  // from now on
   }

@@ -93,6 +93,7 @@ private:
   const std::shared_ptr<Port> port_;
   std::condition_variable callback_ended_;  ///< told when it is not open any more
   ros::SubscribeOptions options_;
+  std::uint32_t shutdowns_ = 0;  ///< of roscpp, before it was opened
   ros::VoidConstWPtr tracked_;  // held weakly: the node's object must be able to die
   std::uint32_t connections_ = 0;  ///< how many were made
   ConnectionPtr active_;

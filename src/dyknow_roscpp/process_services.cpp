@@ -294,7 +294,7 @@ private:
   /// Publishes a topic unless it is; `greet` is called with everybody who begins to listen.
   void advertise(const std::string& topic, const ros::SubscriberStatusCallback& greet)
   {
-    if (topics::publication(topic))
+    if (!topics::isUp() || topics::publication(topic))
     {
       return;
     }
@@ -311,7 +311,7 @@ private:
   template <class Event, class Answer>
   void advertise(const std::string& name, Answer answer)
   {
-    if (ros::ServiceManager::instance()->lookupServicePublication(name))
+    if (!topics::isUp() || ros::ServiceManager::instance()->lookupServicePublication(name))
     {
       return;
     }
@@ -351,8 +351,11 @@ private:
       changed_.clear();
       told_ = Clock::now();
     }
-    const auto publication = topics::publication(changesTopic());
-    if (publication && !message.nodelets.empty())
+    if (!topics::isUp() || message.nodelets.empty())
+    {
+      return;
+    }
+    if (const auto publication = topics::publication(changesTopic()))
     {
       ros::SerializedMessage serialised;
       topics::publish(

@@ -50,6 +50,7 @@ std::recursive_timed_mutex& wiringMutex()
 }
 
 std::atomic<bool> g_is_shut_down{false};
+std::atomic<std::uint32_t> g_shutdowns{0};
 std::atomic<bool> g_has_statistics{false};
 
 thread_local std::vector<std::string>* t_unregistered = nullptr;
@@ -88,6 +89,17 @@ void noteShutdown()
 {
   const WiringLock lock;  // what is being registered now is withdrawn by roscpp
   g_is_shut_down = true;
+  ++g_shutdowns;
+}
+
+bool isUp()
+{
+  return !g_is_shut_down;
+}
+
+std::uint32_t shutdowns()
+{
+  return g_shutdowns;
 }
 
 void noteStatistics()

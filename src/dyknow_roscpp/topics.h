@@ -12,6 +12,7 @@
 #include <ros/subscribe_options.h>
 #include <xmlrpcpp/XmlRpcValue.h>
 
+#include <cstdint>
 #include <functional>
 #include <mutex>
 #include <string>
@@ -53,6 +54,13 @@ void noteStart();
 /// roscpp is about to shut down and to withdraw what is registered: nothing is registered from now on, or it
 /// would be left at the master.
 void noteShutdown();
+
+/// Whether roscpp may be asked for anything: when it is shut down, it may be destroyed any moment.
+bool isUp();
+
+/// How often roscpp was shut down. What was registered before a shutdown has no registration any more, and its
+/// callback queue may be gone.
+std::uint32_t shutdowns();
 
 /// roscpp publishes statistics of messages, from under its own locks.
 void noteStatistics();

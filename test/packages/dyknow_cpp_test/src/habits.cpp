@@ -26,11 +26,32 @@ void onSignal(int)
   g_is_over = 1;
 }
 
+/// Is destroyed before the handles that use it, which roscpp permits once it is shut down.
+class Queue : public ros::CallbackQueue
+{
+public:
+  void end() { is_gone_ = true; }
+
+  void removeByID(std::uint64_t id) override
+  {
+    if (is_gone_)
+    {
+      std::abort();
+    }
+    ros::CallbackQueue::removeByID(id);
+  }
+
+private:
+  bool is_gone_ = false;
+};
+
 class Relay
 {
 public:
-  Relay()
-    : out_(nh_.advertise<std_msgs::String>("out", 10))
+  explicit Relay(Queue& queue)
+    : nh_(handle("", queue))
+    , private_nh_(handle("~", queue))
+    , out_(nh_.advertise<std_msgs::String>("out", 10))
     , in_(subscribe())
     , again_(private_nh_.advertiseService("again", &Relay::onAgain, this))
     , seen_(private_nh_.advertiseService("seen", &Relay::onSeen, this))
@@ -41,6 +62,13 @@ public:
 private:
   using Request = std_srvs::Trigger::Request;
   using Answer = std_srvs::Trigger::Response;
+
+  static ros::NodeHandle handle(const std::string& space, Queue& queue)
+  {
+    ros::NodeHandle nh(space);
+    nh.setCallbackQueue(&queue);
+    return nh;
+  }
 
   ros::Subscriber subscribe() { return nh_.subscribe("in", 10, &Relay::onMessage, this); }
 
@@ -114,7 +142,7 @@ private:
   }
 
   ros::NodeHandle nh_;
-  ros::NodeHandle private_nh_{"~"};
+  ros::NodeHandle private_nh_;
   ros::Publisher out_;
   ros::Subscriber in_;
   ros::ServiceServer again_;
@@ -146,7 +174,8 @@ int main(int argc, char** argv)
       readParameter();
       ros::WallDuration(pause).sleep();
     }
-    const Relay relay;
+    Queue queue;
+    const Relay relay(queue);
     g_is_over = 0;
     std::printf("relay %d\n", i - 1);
     std::fflush(stdout);
@@ -154,9 +183,10 @@ int main(int argc, char** argv)
     {
       if (!ros::ok())
       {
+        queue.end();
         return 0;
       }
-      ros::getGlobalCallbackQueue()->callAvailable(ros::WallDuration(0.01));
+      queue.callAvailable(ros::WallDuration(0.01));
     }
   }
   return 0;
