@@ -212,6 +212,7 @@ class Assembly:
                 name, port = self._relay(goal, present, result.topic), "out"
             else:
                 self._await(goal, result.topic, present)
+                self._separate(goal, name, result.topic)
                 self._connect(name, {port: result.topic})
             self._clear(result.topic, name)
         result.goal = (name, port) if name else ("", "")
@@ -228,8 +229,19 @@ class Assembly:
         made = relay(present, self._plan.type_of(goal), tuple(map(str, tags)))
         name = self._spawn(made, {"in": present}, () if topic else ("out",))
         out = {"out": topic} if topic else {}
+        self._separate(goal, name, topic)
         self._connect(name, {"in": self._topic_of(goal), **out})
         return name
+
+    def _separate(self, goal: Source, publisher: str, topic: str) -> None:
+        """Disconnect what is replaced before the goal comes, if that is of another individual.
+
+        Else it goes afterwards, so that there is no gap.
+        """
+        topology = self._connector.topology()
+        tags = set(self._plan.tags_of(goal, topology))
+        if any(set(each.tags) != tags for each in topology.producers(topic)):
+            self._clear(topic, publisher)
 
     def _clear(self, topic: str, publisher: str) -> None:
         """Disconnect every other publisher of the client's topic: it was replaced."""

@@ -98,7 +98,10 @@ def test_what_is_lost_is_remembered_over_a_restart_of_the_manager(lab: Lab) -> N
     assert lab.field.state(rect.claim_id) is ClaimState.ACTIVE
 
 
-def test_what_people_connected_to_a_claim_is_reconfigured_and_stays_connected(lab: Lab) -> None:
+@pytest.mark.parametrize("is_lost", [True, False])
+def test_what_people_connected_to_a_claim_is_reconfigured_and_stays(
+    lab: Lab, is_lost: bool
+) -> None:
     lab.add("rectifier", RECTIFIER)
     image = lab.field.acquire("Image(?c)").claim
     config = {"image": image.topic, "info": "/camera_left_1/info"}
@@ -108,7 +111,12 @@ def test_what_people_connected_to_a_claim_is_reconfigured_and_stays_connected(la
     lab.field.manager.look()
     lab.field.reconciler.reconcile()
     told = lab.field.host.nodelet("/mine").reconfigurations
-    lose(lab, "left")
+    if is_lost:
+        lose(lab, "left")
+    else:
+        lab.field.host.connect("/camera_left_1", {"info": ""})
+        lab.field.manager.remove_transformation("camera left")
+        lab.field.manager.look({"/camera_left_1"})
     lab.settle()
     assert lab.field.claim(image.claim_id).bindings == (("?c", "right"),)
     mine = lab.field.host.nodelet("/mine")
@@ -158,6 +166,26 @@ def test_one_that_does_not_answer_holds_up_no_repair_and_is_reconfigured_later(l
     lab.witness.guilt.clear()
     lab.settle()
     assert lab.field.host.nodelet("/mine").reconfigurations > told
+
+
+@pytest.mark.parametrize("is_relayed", [False, True])
+def test_two_individuals_never_send_on_one_topic(lab: Lab, is_relayed: bool) -> None:
+    claim = lab.field.acquire("Image(?c)").claim
+    if is_relayed:
+        lab.field.spawn("camera right", "/mine", config={"out": "/mine/out"})
+    lab.settle()
+    seen: List[List[str]] = []
+    watch = lab.field.host.on_change
+
+    def look() -> None:
+        watch()
+        seen.append(lab.field.host.publishers(claim.topic))
+
+    lab.field.host.on_change = look
+    lab.field.manager.remove_transformation("camera left")
+    lab.settle()
+    assert lab.field.claim(claim.claim_id).bindings == (("?c", "right"),)
+    assert max(map(len, seen)) == 1
 
 
 def reconfigurations(lab: Lab, label: str) -> int:
