@@ -18,7 +18,7 @@ import hosts_suite
 import rospy
 from cpp_suite import OURS, start
 from hosts_suite import NOTICED, HostsCase
-from manager_suite import ManagerProcess, eventually
+from manager_suite import CHILD, ManagerProcess, eventually
 from processes import Running
 from std_msgs.msg import Header
 from stream_suite import CAMERA, LIBRARY
@@ -100,9 +100,9 @@ class Fencing(HostsCase):
     def far_manager(self) -> Running:
         return self.nodelet_manager(self.far, "far")
 
-    def is_spawned(self) -> bool:
+    def is_spawned(self, name: str = "/far_camera", manager: str = "/far") -> bool:
         with contextlib.suppress(Exception):
-            self.manager.client.spawn(self.camera, "/far_camera", manager="/far")
+            self.manager.client.spawn(self.camera, name, manager=manager)
             return True
         return False
 
@@ -193,6 +193,38 @@ class FencingTest(Fencing):
             time.sleep(10.0)
         self.disturbs_nothing()
 
+    def test_what_is_stopped_together_goes_on_together(self):
+        with self.stopped(self.manager), self.stopped(self.far_process):
+            time.sleep(10.0)
+        went_on = time.monotonic()
+        eventually(lambda: self.senders.since(went_on), NOTICED, "it goes on", self.reasons)
+        self.stays(5.0, self.has_one_sender, self.reasons)
+        self.assertEqual({sender for _, sender in self.senders.arrivals}, {"/far"}, self.reasons())
+        self.is_whole()
+
+    def test_a_child_of_the_manager_that_is_stopped(self):
+        self.manager.client.release_stream(self.claim_id)
+        self.manager.client.destroy("/far_camera")
+        eventually(
+            lambda: self.is_spawned("/near_camera", CHILD), 30.0, "the child is up", self.reasons
+        )
+        claim = self.manager.client.acquire_stream(StreamRequest("Raw(own)"))
+        senders = self.senders = Senders(claim.topic)
+        self.addCleanup(senders.close)
+        eventually(lambda: senders.last() == CHILD, NOTICED, "messages come", self.reasons)
+        time.sleep(1.0)
+        child = self.manager.child()
+        child.signal(signal.SIGSTOP)
+        try:
+            replaced = REPLACED + SLACK
+            eventually(lambda: senders.last() != CHILD, replaced, "it is replaced", self.reasons)
+            time.sleep(8.0)
+        finally:
+            child.signal(signal.SIGCONT)
+        went_on = time.monotonic()
+        self.stays(5.0, self.has_one_sender, self.reasons)
+        self.assertEqual([each for each in senders.since(went_on) if each[1] == CHILD], [])
+
     def test_a_manager_that_is_killed_disturbs_nothing(self):
         self.manager.kill()
         time.sleep(6.0)
@@ -213,10 +245,10 @@ class CppFencingTest(Fencing):
         eventually(lambda: self.listed("/far") is not None, 2 * NOTICED, "/far is up")
         return process
 
-    def is_spawned(self) -> bool:
-        if not super().is_spawned():
+    def is_spawned(self, name: str = "/far_camera", manager: str = "/far") -> bool:
+        if not super().is_spawned(name, manager):
             return False
-        start("/far_camera")
+        start(name)
         return True
 
     def test_a_split_between_the_manager_and_a_part(self):
