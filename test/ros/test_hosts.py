@@ -123,6 +123,7 @@ class TwoManagersTest(HostsCase):
         claim = elder.client.acquire_stream(StreamRequest(GOAL))
         flow = self.flow(claim.topic)
         flow.wait()
+        child = elder.child()
         with self.network.cut(robot):
             younger = self.manager_on(base)
             younger.client.spawn("camera", "/other", {"out": "/other/out"}, is_protected=True)
@@ -142,6 +143,7 @@ class TwoManagersTest(HostsCase):
         self.assertEqual(len(Master(rospy.get_name()).publishers(claim.topic)), 1)
         self.assertIsNone(elder.process.poll(), elder.output)
         self.assertIn("leaves; its state stays", younger.output)
+        self.assertEqual(elder.child(), child, "its nodelets were not disturbed")
 
 
 class ClaimTest(ClaimOverHosts):

@@ -271,7 +271,7 @@ class Children:
         while True:
             with self._changed:
                 taken = name in self._children
-            if not taken and self._launcher.living(name) is None:
+            if not taken and self._launcher.is_free(name):
                 return name
             number += 1
             name = f"{base}_{number}"

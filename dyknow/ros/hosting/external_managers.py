@@ -220,7 +220,7 @@ class ExternalManager:
 
     def _miss(self, client: ListClient, trouble: Exception) -> None:
         """Note that it cannot be asked, unless it was found again meanwhile."""
-        away = _may_be_there(trouble)
+        away = may_be_there(trouble)
         with self._state_lock:
             if client is not self._client:
                 return
@@ -263,7 +263,7 @@ class ExternalManager:
             if self._master.pid(self.name, displaced.uri, TIMEOUT) == displaced.pid:
                 self._master.shut_down(self.name, displaced.uri, reason, TIMEOUT)
         except PeerTimeout as error:
-            return not _may_be_there(error)
+            return not may_be_there(error)
         except LookupError:
             return True
         return True
@@ -273,7 +273,7 @@ class NotRunning(HostError):
     """The master has no node of that name."""
 
 
-def _may_be_there(trouble: BaseException) -> bool:
+def may_be_there(trouble: BaseException) -> bool:
     """Whether the host did not answer at all, so that the process may run all the same."""
     answers = (ConnectionRefusedError, ConnectionResetError, LookupError, NotRunning)
     return not isinstance(trouble, answers) and not isinstance(trouble.__cause__, answers)

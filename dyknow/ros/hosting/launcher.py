@@ -31,6 +31,7 @@ from dyknow.ros.addresses import is_here
 from dyknow.ros.hosting import child_records
 from dyknow.ros.hosting.child_records import ChildRecord
 from dyknow.ros.hosting.count_collector import SERVICE as COUNTS
+from dyknow.ros.hosting.external_managers import may_be_there
 from dyknow.ros.log_tail import LogTail
 from dyknow.ros.master import Master
 from dyknow.ros.nodelets.guard_parameters import SPAWNED
@@ -191,6 +192,17 @@ class Launcher:
         except (PeerTimeout, LookupError, OSError):
             return None
         return ProcessId.of(pid) if here else ProcessId(-1, -1)
+
+    def is_free(self, name: str) -> bool:
+        """Whether no node bears a name, nor may do so on a host that does not answer."""
+        uri = self._master.node(name)
+        if not uri:
+            return True
+        try:
+            self._master.pid(name, uri, _ANSWER_TIMEOUT)
+        except (PeerTimeout, LookupError) as error:
+            return not may_be_there(error)
+        return False
 
     def running(self) -> List[ChildRecord]:
         """Return what runs of the processes that our owner started, whoever that was then."""

@@ -53,7 +53,7 @@ def disk(monkeypatch: pytest.MonkeyPatch) -> SlowDisk:
 
 @pytest.fixture
 def children(tmp_path: Path) -> Children:
-    launcher: Any = SimpleNamespace(living=lambda name: None, running=list)
+    launcher: Any = SimpleNamespace(is_free=lambda name: True, running=list)
     return Children(launcher, "/", str(tmp_path / "children.json"))
 
 
@@ -114,6 +114,9 @@ class FakeLauncher:
 
     def living(self, name: str) -> None:
         return None
+
+    def is_free(self, name: str) -> bool:
+        return True
 
     def registered(self, name: str) -> str:
         return ""
