@@ -113,6 +113,7 @@ class FakeHost(Host):
         unstamped: ROS types without a header.
         slow: nodelets to which a connection takes longer than the manager waits: it fails, and is
             made later all the same (``arrive``).
+        details: what ails nodelets, by name.
         fail: called before each operation with its name and argument; may raise.
         on_change: called after each change of what runs and how it is connected.
         calls: every operation, in order.
@@ -151,6 +152,7 @@ class FakeHost(Host):
         self.calls: List[Tuple[str, str]] = []
         self.processes: Dict[str, FakeManager] = {}
         self.parameters: Dict[str, object] = {}
+        self.details: Dict[str, str] = {}
         self._incarnations = itertools.count(1)
         #: Nodelet managers that may still publish on topics of claims.
         self.leased: set[str] = set()
@@ -464,6 +466,10 @@ class FakeHost(Host):
             with contextlib.suppress(HostError):
                 found[state.name] = self.list(state.name)
         return found
+
+    def detail(self, name: str) -> str:
+        """Return what the test says of it."""
+        return self.details.get(name, "")
 
     def ports(self, name: str) -> Tuple[PortState, ...]:
         """Return the ports of a nodelet."""

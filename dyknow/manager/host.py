@@ -46,6 +46,7 @@ class ManagerState:
         rewirable: whether what it hosts has ports that can be connected elsewhere; else it is
             loaded again for that, as in a stock C++ nodelet manager.
         host: machine that its process is on, as ROS names it; empty if that is not known.
+        cure: what a user can do if it does not answer, for people.
     """
 
     name: str
@@ -58,6 +59,7 @@ class ManagerState:
     unseen: bool = False
     rewirable: bool = True
     host: str = ""
+    cure: str = ""
 
     @property
     def alive(self) -> bool:
@@ -221,6 +223,10 @@ class Host(ABC):
         Raises:
             HostError: the proxy does not answer.
         """
+
+    def detail(self, name: str) -> str:
+        """Return what ails a nodelet, as its nodelet manager says; empty if nothing does."""
+        return ""
 
     @abstractmethod
     def connect(self, name: str, config: Mapping[str, str]) -> None:

@@ -202,7 +202,8 @@ class Observer:
         if record.manager in listed or self._host.may_publish(record.manager):
             return ""
         what = "it" if record.kind.is_node else f"nodelet manager {record.manager}"
-        return f"{what} does not answer"
+        cure = f": {state.cure}" if state is not None and state.cure else ""
+        return f"{what} does not answer{cure}"
 
     def _was_being_unloaded(self, record: Record) -> bool:
         """Whether a nodelet's process crashed while the nodelet was unloaded on request."""
@@ -273,7 +274,7 @@ class Observer:
             record,
             transformation=description,
             state=State.RUNNING,
-            detail=record.suspicion,
+            detail=record.detail if record.state is State.RUNNING else record.suspicion,
             incarnation=incarnation,
             heard=record.heard if record.incarnation == incarnation else NOTHING_HEARD,
             host=state.host if state is not None else record.host,
@@ -286,6 +287,10 @@ class Observer:
                 if closely or record.transformation is not None:  # it has a proxy
                     self._to_ask.add(record.name)
             else:
+                detail = "; ".join(
+                    filter(None, (self._host.detail(record.name), record.suspicion))
+                )
+                record = replace(record, detail=detail)
                 record = replace(record, topics=topics_of(record))
         if (
             not record.ports and not record.is_described

@@ -10,6 +10,7 @@ its strands, endpoints, services and timers. Handles only refer to it.
 from __future__ import annotations
 
 import logging
+import threading
 import time
 import traceback
 from dataclasses import dataclass
@@ -124,6 +125,9 @@ class Context:
         self.callback_errors = 0
         self._failures: Dict[Tuple[str, type, str], Tuple[float, int]] = {}
         self.closed = False
+        self.closed_at = 0.0
+        #: Threads of its own that have not ended at the unload.
+        self.late_threads: List[threading.Thread] = []
         self.started_at = runtime.clock()
         #: Set by the host: unloads this nodelet.
         self.unload: Callable[[], None] = self.close
@@ -313,11 +317,15 @@ class Context:
                 self.close_with(opened)
         return part
 
-    @property
-    def running(self) -> bool:
-        """Whether a callback runs at this moment."""
+    def callback_age(self) -> float:
+        """Seconds that the callback has been running which began first; 0.0 if none runs."""
         with self._lock:
-            return any(strand.running for strand in self._strands)
+            strands = list(self._strands)
+        running = ((strand.began, strand.clock()) for strand in strands)
+        ages = [now - began for began, now in running if began > 0.0]
+        if any(thread.is_alive() for thread in self.late_threads):
+            ages.append(self.runtime.clock() - self.closed_at)
+        return max(ages, default=0.0)
 
     def stop(self) -> None:
         """Drop what is queued and run no further callback; publishing is still possible."""
@@ -330,7 +338,7 @@ class Context:
         """Return everything; late publishes are refused from now on."""
         self.stop()
         with self._lock:
-            self.closed = True
+            self.closed, self.closed_at = True, self.runtime.clock()
             endpoints, self._endpoints = self._endpoints, []
             timers, self._timers = self._timers, []
             closables, self._closables = self._closables, []

@@ -10,9 +10,10 @@ a reference to it, and examined now and then.
 
 from __future__ import annotations
 
+import threading
 import weakref
 from dataclasses import dataclass
-from typing import Any, Callable, List
+from typing import Any, Callable, List, Tuple
 
 from dyknow.locks import state_lock
 from dyknow.nodelet.context import Context
@@ -22,7 +23,7 @@ from dyknow.nodelet.memory import return_free_memory
 from dyknow.nodelet.pubsub import Publisher, Subscriber
 from dyknow.nodelet.service import Service
 from dyknow.nodelet.timers import Timer
-from dyknow.periodic import PeriodicWorker
+from dyknow.periodic import attempt, in_background
 
 #: Seconds between two looks, and at least between two returns of memory to the system.
 _PERIOD = 0.5
@@ -34,17 +35,18 @@ _OURS = (Context, PlainNodeHandle, Publisher, Subscriber, Service, Timer)
 
 @dataclass
 class _Leftover:
+    name: str
     reference: weakref.ReferenceType[Any]
-    is_busy: Callable[[], bool]
+    age: Callable[[], float]
     hooks: List[Callable[[], None]]
     looks: int = _LOOKS
 
     def is_gone(self) -> bool:
         """Look; whether there is nothing left, or nothing that can be done."""
-        if self.is_busy():
+        if self.age() > 0.0:
             return False
         while self.hooks:
-            self.hooks.pop()()
+            attempt("freeing a nodelet", self.hooks.pop())
         self.looks -= 1
         return break_cycles(self.reference, _OURS) or self.looks <= 0
 
@@ -61,36 +63,52 @@ class Leftovers:
         self._lock = state_lock("leftovers")
         self._left: List[_Leftover] = []
         self._give_back = give_back
-        self._worker = PeriodicWorker(
-            "freeing nodelets", self._look, lambda: _PERIOD if self._left else None, _PERIOD
-        )
+        self._closed = threading.Event()
+        self._is_looking = False
 
     def add(
         self,
+        name: str,
         nodelet: weakref.ReferenceType[Any],
-        is_busy: Callable[[], bool],
+        age: Callable[[], float],
         hooks: List[Callable[[], None]],
     ) -> None:
         """Free a nodelet that was unloaded, now or as soon as none of its code runs.
 
         Args:
+            name: the name that it had.
             nodelet: to which the runtime does not refer any more.
-            is_busy: whether code of it still runs.
+            age: returns for how many seconds code of it has been running; 0.0 if none runs.
             hooks: called then.
         """
-        left = _Leftover(nodelet, is_busy, hooks)
-        if not left.is_gone():
-            with self._lock:
+        left = _Leftover(name, nodelet, age, hooks)
+        is_gone = left.is_gone()
+        with self._lock:
+            if not is_gone:
                 self._left.append(left)
-        self._worker.start()
-        self._worker.wake()
+            starts, self._is_looking = not self._is_looking, True
+        if starts:
+            in_background("freeing nodelets", self._look)
+
+    def running(self) -> List[Tuple[str, float]]:
+        """List the nodelets whose code still runs, with the seconds since it began."""
+        with self._lock:
+            left = list(self._left)
+        ages = sorted((each.name, each.age()) for each in left)
+        return [(name, age) for name, age in ages if age > 0.0]
 
     def close(self) -> None:
         """Look no more."""
-        self._worker.close()
+        self._closed.set()
 
     def _look(self) -> None:
-        gone = [each for each in list(self._left) if each.is_gone()]
-        with self._lock:
-            self._left = [each for each in self._left if each not in gone]
-        self._give_back()
+        """Look until nothing is left, and return memory after each look."""
+        while not self._closed.wait(_PERIOD):
+            gone = [each for each in list(self._left) if each.is_gone()]
+            with self._lock:
+                self._left = [each for each in self._left if each not in gone]
+                self._is_looking = bool(self._left)
+                is_over = not self._left
+            self._give_back()
+            if is_over:
+                return

@@ -53,15 +53,17 @@ class _Entry:
     nodelet: Optional[Nodelet] = None
     runs: List[_Run] = field(default_factory=list)
 
-    def is_busy(self) -> bool:
-        """Whether code of the nodelet runs."""
-        return self.context.running or not all(run.done.is_set() for run in self.runs)
+    def age(self) -> float:
+        """Seconds for which code of the nodelet has been running; 0.0 if none runs."""
+        runs = [time.monotonic() - run.began for run in self.runs if not run.done.is_set()]
+        return max([self.context.callback_age(), *runs])
 
 
 class _Run:
     """A call on a thread of its own, which the caller may stop waiting for."""
 
     def __init__(self, call: Callable[[], Any], name: str) -> None:
+        self.began = time.monotonic()
         self.error: Optional[BaseException] = None
         self.done = threading.Event()
         self._call = call
@@ -110,7 +112,8 @@ class Loader:
         self._on_unloaded = on_unloaded
         self._changed = state_condition("loader")
         self._entries: Dict[str, _Entry] = {}
-        self._leftovers = Leftovers()
+        #: Nodelets that were unloaded and are not gone yet.
+        self.leftovers = Leftovers()
 
     def list(self) -> List[str]:
         """Names of the nodelets that run, sorted."""
@@ -223,7 +226,7 @@ class Loader:
             unloads.append(unload)
         for unload in unloads:
             self._finish(unload)
-        self._leftovers.close()
+        self.leftovers.close()
 
     def _begin(self, name: str, only: Optional[_Entry], wanted: bool = True) -> _Unload:
         """Begin an unload: one that was asked for, or (not ``wanted``) the end of the process."""
@@ -246,7 +249,7 @@ class Loader:
                 SHUTDOWN_PATIENCE,
             )
         was_running = unload.shutdown is not None
-        if was_running and context.running:
+        if was_running and context.callback_age() > 0.0:
             _log.info("%s: unloaded while a callback runs; it is not waited for", name)
         context.close()
         self._free(name, unload.entry)
@@ -269,7 +272,7 @@ class Loader:
                 self._changed.notify_all()
         if entry.nodelet is not None:
             nodelet, entry.nodelet = weakref.ref(entry.nodelet), None
-            self._leftovers.add(nodelet, entry.is_busy, entry.context.last_hooks)
+            self.leftovers.add(name, nodelet, entry.age, entry.context.last_hooks)
 
     def _is_ending(self, name: str) -> bool:
         return name in self._entries and self._entries[name].state is _State.UNLOADING

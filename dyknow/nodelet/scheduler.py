@@ -56,9 +56,10 @@ class Strand:
         "_ready",
         "_tasks",
         "alive",
+        "began",
+        "clock",
         "mark",
         "name",
-        "running",
     )
 
     def __init__(self, executor: Executor, name: str, held: bool = False, mark: int = 0) -> None:
@@ -73,13 +74,20 @@ class Strand:
         self.name = name
         self.mark = mark
         self.alive = True
-        self.running = False
+        #: When the task that runs now began, by ``clock``; 0.0 if none runs.
+        self.began = 0.0
+        self.clock = executor.clock
         self._tasks: Deque[Task] = collections.deque()
         self._busy = held
         self._ready = executor.ready
         self._held = held
         self._noted = False
         executor.strands.add(self)
+
+    @property
+    def running(self) -> bool:
+        """Whether a task runs."""
+        return self.began > 0.0
 
     @property
     def busy(self) -> bool:
@@ -127,12 +135,12 @@ class Strand:
 
     def run(self, task: Task) -> None:
         """Run a task; called by one thread at a time."""
-        self.running = True
+        self.began = self.clock()
         try:
             task()
         except BaseException:  # the boundary: sys.exit() in a task must not end a worker
             _log.error("%s: a task failed\n%s", self.name, traceback.format_exc())
-        self.running = False
+        self.began = 0.0
         if self._noted:
             self._noted = False
             _log.info("%s: the callback that ran at the unload has ended", self.name)
@@ -150,7 +158,10 @@ class Strand:
 class Executor:
     """Runs strands, and knows them all for ``drain``."""
 
-    def __init__(self, record: Optional[CrashRecord] = None) -> None:
+    def __init__(
+        self, record: Optional[CrashRecord] = None, clock: Clock = time.monotonic
+    ) -> None:
+        self.clock = clock
         self.strands: weakref.WeakSet[Strand] = weakref.WeakSet()
         #: Where threads note whose code they run.
         self.record = record or CrashRecord()
@@ -237,7 +248,7 @@ class WorkerPool(Executor):
         clock: Clock = time.monotonic,
         record: Optional[CrashRecord] = None,
     ) -> None:
-        super().__init__(record)
+        super().__init__(record, clock)
         if size < 1:
             raise ValueError(f"a worker pool needs at least one worker, not {size}")
         self.size = size

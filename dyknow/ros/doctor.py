@@ -22,6 +22,7 @@ from typing import Callable, Dict, Iterator, List, Optional, Set, Tuple
 import psutil
 import rosgraph
 import rospkg
+from dyknow_msgs.srv import GetCounts
 
 import dyknow
 from dyknow import names
@@ -35,6 +36,7 @@ from dyknow.ros.manager.manager_settings import state_path, unknown_parameters
 from dyknow.ros.master import Master
 from dyknow.ros.nodelets.guard_parameters import guards_key
 from dyknow.ros.nodelets.owner import is_taken
+from dyknow.ros.service_client import ServiceClient
 from dyknow.ros.shell_client import ShellClient
 
 #: Seconds for each answer of a node.
@@ -112,6 +114,7 @@ class Doctor:
             ("processes of an earlier master", self.unregistered_processes),
             ("DyKnow manager", self.manager),
             ("nodelets", self.nodelets),
+            ("remains of nodelets", self.remains),
             ("streams", self.streams),
             ("guards", self.guards),
             ("library", self.library),
@@ -228,6 +231,22 @@ class Doctor:
                 yield Finding(each.name, each.detail, f"dyknow info {each.name}", is_error=False)
         with ThreadPoolExecutor(_ASKERS) as pool:
             yield from (found for found in pool.map(self._statistics, running) if found)
+
+    def remains(self) -> Iterator[Finding]:
+        """Find code of nodelets that were unloaded, and that still runs."""
+        for host in self.client.nodelet_managers():
+            counts = ServiceClient(self._master, names.join(host, "get_counts"), GetCounts)
+            try:
+                found = counts.call(PATIENCE, [host]).remains
+            except (DyKnowError, PeerTimeout):
+                continue  # a stock nodelet manager, or one that another check finds
+            for text in found:
+                yield Finding(
+                    host,
+                    text,
+                    f"rosnode kill {host}: the DyKnow manager starts its own again, with the "
+                    "other nodelets; spawn such a nodelet isolated",
+                )
 
     def _statistics(self, nodelet: NodeletStatus) -> Optional[Finding]:
         if nodelet.rewired_by_reload:

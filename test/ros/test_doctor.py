@@ -16,6 +16,7 @@ import rospy
 import rostest
 from manager_suite import CHILD, MANAGER, ManagerCase, eventually, specification
 from processes import Running
+from std_msgs.msg import String
 from test_dyknow_command import Done
 
 from dyknow.model.transformation import Parameter
@@ -23,6 +24,8 @@ from dyknow.ros.doctor import Doctor
 from dyknow.ros.master import Master
 from dyknow.ros.nodelets.guard_parameters import guards_key
 from dyknow.ros.shell_client import ShellClient
+
+MOODY = "dyknow_manager_test/Moody"
 
 
 class DoctorTest(ManagerCase):
@@ -49,7 +52,7 @@ class DoctorTest(ManagerCase):
         manager.client.spawn("counter", "c")
         done = Done("doctor", "--json")
         self.assertEqual((done.code, done.json["findings"]), (0, []), done.out + done.err)
-        self.assertEqual(len(done.json["checks"]), 12)
+        self.assertEqual(len(done.json["checks"]), 13)
 
     def test_mistakes_in_the_library_and_in_parameters(self):
         manager = self.started(ontolgies="/x.owl")
@@ -80,6 +83,27 @@ class DoctorTest(ManagerCase):
             self.found("nodelets", "/c", "is LOST", "dyknow info /c")
         finally:
             child.signal(signal.SIGCONT)
+
+    def test_a_callback_that_does_not_return(self):
+        rospy.set_param(f"{CHILD}/stuck_after", 0.5)
+        self.addCleanup(rospy.set_param, "/let_go", False)
+        manager = self.started()
+        manager.client.add_transformation(specification("moody", MOODY, ">in out>"))
+        manager.client.spawn("counter", "c", {"out": "/s"})
+        manager.client.spawn("moody", "/moody", {"in": "/s"})
+        mood = rospy.Publisher("/moody/order", String, queue_size=1, latch=True)
+        self.addCleanup(mood.unregister)
+        mood.publish("hang")
+        running = "a callback has been running for"
+        self.found("nodelets", "/moody", running, "dyknow info /moody")
+        self.assertIn(f"/moody: {running}", Done("list", "-l").out)
+        self.assertIn(f"/moody: {running}", Done("stats").out)
+        manager.client.destroy("/moody")
+        self.found("remains of nodelets", CHILD, "/moody was unloaded", f"rosnode kill {CHILD}")
+        manager.client.spawn("moody", "/moody", {"in": "/t"})
+        self.assertEqual(manager.nodelet("/moody").detail, "")
+        rospy.set_param("/let_go", True)
+        eventually(lambda: not self.findings("remains of nodelets"), 10.0, "it has ended")
 
     def test_a_process_that_the_master_does_not_know(self):
         manager = self.started()
@@ -135,4 +159,5 @@ class DoctorTest(ManagerCase):
 
 
 if __name__ == "__main__":
+    rospy.init_node("doctor_test")
     rostest.rosrun("dyknow", "doctor", DoctorTest)

@@ -64,7 +64,8 @@ def _long_list(nodelets: Sequence[NodeletStatus]) -> List[str]:
                 each.manager or "-",
             )
         )
-    return columns(rows, right=(3, 4))
+    details = [f"{each.name}: {each.detail}" for each in nodelets if each.detail]
+    return [*columns(rows, right=(3, 4)), *details]
 
 
 def _info_arguments(parser: argparse.ArgumentParser) -> None:

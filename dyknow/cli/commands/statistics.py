@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 import time
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING, Dict, List, Optional, Sequence, Tuple, Union
+from typing import TYPE_CHECKING, Collection, Dict, List, Optional, Sequence, Tuple, Union
 
 from dyknow.cli import completion
 from dyknow.cli.arguments import graph_name, positive, seconds
@@ -72,7 +72,7 @@ def _stats(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
     while True:
         begin = time.monotonic()
         answers = _ask(shell, _present(shell, names))
-        screen.show(_json(answers), table(answers))
+        screen.show(_json(answers), [*table(answers), *_details(shell, answers)])
         shown += 1
         if arguments.count is not None and shown >= arguments.count:
             return None
@@ -91,7 +91,7 @@ def _show_once(shell: Shell, names: Sequence[str]) -> Optional[int]:
     for answer in answers.values():
         if isinstance(answer, DyKnowError):
             shell.error(answer)
-    shell.show(_json(answers), table(answers))
+    shell.show(_json(answers), [*table(answers), *_details(shell, answers)])
     silent = any(isinstance(answer, DyKnowError) for answer in answers.values())
     return FAILED if silent or len(present) < len(names) else None
 
@@ -152,6 +152,13 @@ def table(answers: Dict[str, Answer]) -> List[str]:
                 )
             )
     return columns(rows, right=(3, 4, 5, 6, 7, 8, 9))
+
+
+def _details(shell: Shell, names: Collection[str]) -> List[str]:
+    nodelets = shell.client.get_graph().nodelets
+    return [
+        f"{each.name}: {each.detail}" for each in nodelets if each.detail and each.name in names
+    ]
 
 
 def _count(number: Optional[int]) -> str:

@@ -131,10 +131,19 @@ class RosHost(Host):
         self._state_lock = state_lock("failed loads")
         #: By nodelet manager and nodelet.
         self._failures: Dict[Tuple[str, str], _Failure] = {}
+        #: What ails nodelets, likewise.
+        self._details: Dict[Tuple[str, str], str] = {}
 
     def look_for_nodes(self, nodes: Iterable[str]) -> None:
         """Ask for re-wirable nodes of these names, before the look begins that goes on."""
         self._nodes.look_for(nodes)
+
+    def note_detail(self, manager: str, nodelet: str, detail: str) -> None:
+        """Note what ails a nodelet, as its nodelet manager says; empty if nothing does."""
+        with self._state_lock:
+            self._details.pop((manager, nodelet), None)
+            if detail:
+                self._details[manager, nodelet] = detail
 
     def start(self, on_change: Callable[[], object]) -> None:
         """Begin to look for re-wirable nodes.
@@ -316,6 +325,12 @@ class RosHost(Host):
             for port in answer.ports
         )
 
+    def detail(self, name: str) -> str:
+        """Return what was announced last."""
+        with self._state_lock:
+            details = [text for (_, nodelet), text in self._details.items() if nodelet == name]
+        return "; ".join(details)
+
     def connect(self, name: str, config: Mapping[str, str]) -> None:
         """Tell the proxy."""
         pairs = [PortConfig(port, config[port]) for port in sorted(config)]
@@ -376,6 +391,7 @@ class RosHost(Host):
             responsive=responsive,
             rewirable=child.rewirable,
             host=rosgraph.network.get_host_name(),
+            cure=_cure(child),
         )
 
     def _forget_others(self, managers: Collection[str]) -> None:
@@ -385,8 +401,9 @@ class RosHost(Host):
         self._list_clients.keep(managers)
         self._leases.keep(managers)
         with self._state_lock:
-            for key in [key for key in self._failures if key[0] not in managers]:
-                del self._failures[key]
+            for table in (self._failures, self._details):
+                for key in [key for key in table if key[0] not in managers]:
+                    del table[key]
 
     def _child(self, name: str) -> Optional[Child]:
         return next((each for each in self._children.all() if each.record.name == name), None)
@@ -484,6 +501,19 @@ class RosHost(Host):
     def _delete_parameter(self, key: str) -> None:
         with contextlib.suppress(LookupError, PeerTimeout):  # not set, or no master
             self._master.ask("deleteParam", key)
+
+
+def _cure(child: Child) -> str:
+    """Say what to do about a child that does not answer."""
+    if child.record.process is None:
+        return ""
+    pid = child.record.process.pid
+    if child.record.kind.is_node:
+        return f"if its process is stopped, kill -CONT {pid}; if it hangs, kill -9 {pid}"
+    return (
+        f"if its process is stopped, kill -CONT {pid}; if it hangs, kill -9 {pid}, and it is "
+        "started again with its nodelets"
+    )
 
 
 @contextlib.contextmanager

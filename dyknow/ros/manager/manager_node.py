@@ -123,7 +123,7 @@ class ManagerNode(Closable):
         self._messages = ModelMessages()
         self._cpp = CppNodelets(self.manager)
         self._watch = Watch(self.manager, self._after_look)
-        self._listener = Listener(self._watch.refresh)
+        self._listener = Listener(self._hear)
         #: Whether another manager goes on in this name: then the end is not on purpose.
         self.leaves = False
 
@@ -149,6 +149,11 @@ class ManagerNode(Closable):
         self._watch.start()
         self._backups.start()
         self._host.start(self._watch.refresh_now)
+
+    def _hear(self, manager: str, nodelet: str, detail: str) -> None:
+        """Hear of a change of a nodelet."""
+        self._host.note_detail(manager, nodelet, detail)
+        self._watch.refresh(nodelet)
 
     def close(self) -> None:
         """End on purpose, with all nodelets and nodelet managers."""

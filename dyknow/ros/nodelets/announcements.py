@@ -13,6 +13,7 @@ share, to everybody who begins to listen. So it is found without a question to t
 
 from __future__ import annotations
 
+import itertools
 from typing import Any, Callable, Dict, Iterable, List, Optional, Set
 
 import rospy
@@ -32,13 +33,19 @@ _QUEUE_SIZE = 1000
 class Announcer:
     """The side that tells."""
 
-    def __init__(self, everything: Callable[[], Iterable[str]]) -> None:
+    def __init__(
+        self,
+        everything: Callable[[], Iterable[str]],
+        detail: Callable[[str], str] = lambda name: "",
+    ) -> None:
         """Advertise the topic.
 
         Args:
             everything: names for new listeners, which may have missed some.
+            detail: returns what ails a nodelet; empty if nothing does.
         """
         self._everything = everything
+        self._detail = detail
         #: Global names of the topics that it publishes.
         self.topics = (rospy.resolve_name(f"~{TOPIC}"), NODES_TOPIC)
         self._lock = state_lock("announcer")
@@ -63,14 +70,14 @@ class Announcer:
         """Announce everything to a new listener."""
         names = sorted(self._everything())
         if names:
-            publish(NodeletChanges(names))
+            publish(self._message(names))
 
     def tell_of_node(self) -> None:
         """Announce this process as a node with ports, whose services are there."""
         self._node_publisher = rospy.Publisher(
             NODES_TOPIC, NodeletChanges, latch=True, queue_size=1
         )
-        self._node_publisher.publish(NodeletChanges([rospy.get_name()]))
+        self._node_publisher.publish(NodeletChanges(nodelets=[rospy.get_name()]))
 
     def close(self) -> None:
         """Withdraw the topics."""
@@ -79,13 +86,16 @@ class Announcer:
         if self._node_publisher is not None:
             self._node_publisher.unregister()
 
+    def _message(self, names: List[str]) -> NodeletChanges:
+        return NodeletChanges(names, [self._detail(name) for name in names])
+
     def _announce(self) -> None:
         with self._lock:
             names, self._names = self._names, set()
         if not names:
             return
         try:
-            self._publisher.publish(NodeletChanges(sorted(names)))
+            self._publisher.publish(self._message(sorted(names)))
         except rospy.ROSException:
             return  # closed in between
         except BaseException:
@@ -108,11 +118,12 @@ class _Newcomers(rospy.SubscribeListener):
 class Listener:
     """The side that is told, by any number of nodelet managers."""
 
-    def __init__(self, hear: Callable[[str], None]) -> None:
+    def __init__(self, hear: Callable[[str, str, str], None]) -> None:
         """Begin without subscriptions.
 
         Args:
-            hear: called with the name of a nodelet, on rospy's threads.
+            hear: called with the names of a nodelet manager and of its nodelet, and what ails
+                that, on rospy's threads.
         """
         self._hear = hear
         self._turn = turn_lock("listening to nodelet managers")
@@ -127,12 +138,12 @@ class Listener:
             for manager in wanted:
                 if manager not in self._subscribers:
                     self._subscribers[manager] = rospy.Subscriber(
-                        f"{manager}/{TOPIC}", NodeletChanges, self._told
+                        f"{manager}/{TOPIC}", NodeletChanges, self._told, manager
                     )
 
-    def _told(self, message: NodeletChanges) -> None:
-        for name in message.nodelets:
-            self._hear(name)
+    def _told(self, message: NodeletChanges, manager: str) -> None:
+        for name, detail in itertools.zip_longest(message.nodelets, message.details):
+            self._hear(manager, name, detail or "")
 
     def close(self) -> None:
         """End all subscriptions."""

@@ -42,6 +42,7 @@ from dyknow.nodelet.middleware import Closable
 from dyknow.nodelet.nodelet import Nodelet
 from dyknow.nodelet.plugins import Plugins
 from dyknow.nodelet.scheduler import WorkerPool
+from dyknow.nodelet.stuck import StuckCallbacks
 from dyknow.proxy.proxy import NodeletProxy
 from dyknow.ros import descriptors, programs
 from dyknow.ros.bonding.bonds import Bonds
@@ -141,7 +142,11 @@ class NodeletManager(Closable):
         self.loader = Loader(
             self._runtime, find_class or _declared_classes(), self._attach, self._unloaded
         )
-        self._announcer = Announcer(self.loader.list)
+        self._announcer = Announcer(self.loader.list, self._detail)
+        self._stuck = StuckCallbacks(
+            self.loader, rospy.get_name(), settings.stuck_after, self._announcer.tell
+        )
+        self._stuck.start()
         self._services: List[Any] = []
         self._lease_service: Optional[LeaseService] = None
         self._kind = NodeletKind.PYTHON
@@ -253,10 +258,14 @@ class NodeletManager(Closable):
         if self._lease_service is not None:
             self._lease_service.close()
         self.loader.close()
+        self._stuck.close()
         self._announcer.close()
         self._bonds.close()
         self._runtime.close()
         self._record.close()
+
+    def _detail(self, name: str) -> str:
+        return self._stuck.detail(name)
 
     # Bonds
 
@@ -339,6 +348,7 @@ class NodeletManager(Closable):
         return GetCountsResponse(
             [counts_message(proxy.name, proxy.get_statistics()) for proxy in proxies],
             self._kind.value,
+            self._stuck.remains(),
         )
 
 

@@ -301,7 +301,10 @@ class Guest:
             time.sleep(_STEP)
         self._is_over = True
         frames = sys._current_frames()
-        for thread in [each for each in mine if each.is_alive()]:
+        late = [each for each in mine if each.is_alive()]
+        if self.context is not None:
+            self.context.late_threads = late
+        for thread in late:
             frame = frames.get(thread.ident or 0)
             where = "?" if frame is None else f"{frame.f_code.co_filename}:{frame.f_lineno}"
             _log.warning(

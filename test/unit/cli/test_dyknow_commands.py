@@ -40,6 +40,11 @@ class TestList:
             "/robot/relay  relay           running,protected   1    1  /fake_0",
         ]
 
+    def test_details_stand_below(self, chain: FakeClient) -> None:
+        chain.host.details["/cam"] = "a callback has been running for 12 s"
+        chain.world.manager.look({"/cam"})
+        assert run(chain, "list -l").lines[3:] == ["/cam: a callback has been running for 12 s"]
+
     def test_json(self, chain: FakeClient) -> None:
         (camera, relay) = run(chain, "list --json").json["nodelets"]
         assert relay["protected"] and not camera["protected"]

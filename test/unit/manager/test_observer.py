@@ -340,3 +340,15 @@ def test_a_plain_nodelet_has_its_ports_after_a_restart_of_the_manager(world: Wor
     assert {port.name: port.topic for port in ports}["image"] == "/raw"
     world.kill_manager()
     assert world.manager.graph.get("/n").ports == ports
+
+
+def test_what_ails_a_nodelet_is_shown_until_it_is_over(world: World) -> None:
+    world.spawn("camera", "a")
+    world.host.details["/a"] = "a callback has been running for 12 s"
+    world.manager.look({"/a"})
+    assert world.manager.get_model().nodelets[0].detail == "a callback has been running for 12 s"
+    world.manager.look()
+    assert world.manager.get_model().nodelets[0].detail == "a callback has been running for 12 s"
+    world.host.details.clear()
+    world.manager.look({"/a"})
+    assert world.manager.get_model().nodelets[0].detail == ""

@@ -75,7 +75,7 @@ MESSAGES = {
         "string host",
         "Parameter[] parameters",
     ),
-    "NodeletChanges": ("string[] nodelets",),
+    "NodeletChanges": ("string[] nodelets", "string[] details"),
     "Model": (
         "uint64 revision",
         "uint64 library_revision",
@@ -125,7 +125,10 @@ SERVICES = {
             "PortStatistics[] ports",
         ),
     ),
-    "GetCounts": (("string[] nodelets",), ("NodeletCounts[] nodelets", "string kind")),
+    "GetCounts": (
+        ("string[] nodelets",),
+        ("NodeletCounts[] nodelets", "string kind", "string[] remains"),
+    ),
     "RenewLease": (
         (
             "string uri",

@@ -139,7 +139,8 @@ class Forks(dyknow.Nodelet):
 class Moody(Relay):
     """Relays until the topic ~order says otherwise, and again when it says `work`.
 
-    `raise` and `silent` are what they say; when it is `slow` it relays every fourth message.
+    `raise` and `silent` are what they say; when it is `slow` it relays every fourth message, and
+    when it is to `hang` its callback ends when the parameter /let_go is true.
     """
 
     def on_init(self):
@@ -155,6 +156,8 @@ class Moody(Relay):
     def on_message(self, message):
         if self.mood == "raise":
             raise RuntimeError("the lens is dirty")
+        while self.mood == "hang" and not rospy.get_param("/let_go", False):
+            time.sleep(0.05)
         if self.mood == "work" or (self.mood == "slow" and message.seq % 4 == 0):
             self.out.publish(message)
 

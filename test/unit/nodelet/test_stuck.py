@@ -1,0 +1,118 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Callbacks that do not return are announced, those of nodelets that were unloaded too."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from typing import Iterator, List
+
+import pytest
+from unit.nodelet.fakes import FakeClock, Message, World, make_pool_world, wait_for, wait_until
+
+import dyknow
+from dyknow.nodelet.loader import Loader
+from dyknow.nodelet.nodelet import Nodelet
+from dyknow.nodelet.stuck import StuckCallbacks
+
+
+class Hanging(Nodelet):
+    """Its callbacks wait for the test."""
+
+    started: threading.Event
+    release: threading.Event
+
+    def on_init(self):
+        self.nh = dyknow.NodeHandle(self.node_handle)
+        self.nh.Subscriber("in", Message, self.on_message)
+        self.mt_node_handle.Subscriber("beside", Message, self.on_message)
+
+    def on_message(self, message):
+        self.started.set()
+        wait_for(self.release)
+
+
+@pytest.fixture
+def clock() -> FakeClock:
+    return FakeClock()
+
+
+@pytest.fixture
+def world(clock: FakeClock) -> Iterator[World]:
+    Hanging.started, Hanging.release = threading.Event(), threading.Event()
+    world = make_pool_world(3, clock=clock)
+    yield world
+    Hanging.release.set()
+    world.close()
+
+
+@pytest.fixture
+def loader(world: World) -> Loader:
+    loader = world.loader(hanging=Hanging)
+    loader.load("/n", "hanging", {"/in": "/a"})
+    return loader
+
+
+@pytest.mark.parametrize("topic", ["/a", "/beside"])
+def test_a_nodelet_says_for_how_long_its_callback_has_been_running(
+    world: World, loader: Loader, clock: FakeClock, topic: str
+) -> None:
+    stuck = StuckCallbacks(loader, "/manager", 10.0, lambda name: None)
+    world.transport.send(topic, Message())
+    wait_for(Hanging.started)
+    clock.seconds += 9.0
+    assert stuck.detail("/n") == ""
+    clock.seconds += 3.0
+    assert stuck.detail("/n") == "a callback has been running for 12 s"
+    Hanging.release.set()
+    wait_until(lambda: not stuck.detail("/n"))
+
+
+def test_a_callback_that_does_not_return_is_announced_each_time_its_age_has_doubled(
+    world: World, loader: Loader, clock: FakeClock
+) -> None:
+    told: List[str] = []
+    stuck = StuckCallbacks(loader, "/manager", 10.0, told.append)
+    world.transport.send("/a", Message())
+    wait_for(Hanging.started)
+    announced = []
+    for _ in range(10):
+        stuck.look()
+        announced.append(len(told))
+        clock.seconds += 5.0
+    assert announced == [0, 0, 1, 1, 2, 2, 2, 2, 3, 3]
+    Hanging.release.set()
+    world.drain()
+    wait_until(lambda: loader.get("/n").context.callback_age() == 0.0)
+    stuck.look()
+    assert told == ["/n"] * 4, "its end is announced too"
+    stuck.look()
+    assert len(told) == 4
+
+
+def test_a_callback_that_outlives_its_nodelet_is_named_until_it_ends(
+    world: World, loader: Loader, clock: FakeClock, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.WARNING, "rosout.dyknow")
+    told: List[str] = []
+    stuck = StuckCallbacks(loader, "/manager", 10.0, told.append)
+    world.transport.send("/a", Message())
+    wait_for(Hanging.started)
+    loader.unload("/n")
+    clock.seconds += 12.0
+    assert stuck.remains() == ["/n was unloaded, but code of it has been running for 12 s"]
+    for _ in range(3):
+        stuck.look()
+    assert [each.getMessage() for each in caplog.records] == [
+        "/n was unloaded, but code of it has been running for 12 s; it ends with its process "
+        "alone: rosnode kill /manager, which a DyKnow manager starts again with the other "
+        "nodelets; spawn such a nodelet isolated"
+    ]
+    assert told == []
+    loader.load("/n", "hanging")
+    assert stuck.detail("/n") == "", "that of its name is another one"
+    Hanging.release.set()
+    wait_until(lambda: not stuck.remains())
+    loader.close()
