@@ -1,13 +1,16 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Runs the checks and tests of the repository, one after the other, and sums up.
+"""Runs the checks and tests of the repository, and sums up.
 
 A stage that fails fails the run, but the later stages still run, so that one run shows everything
-there is to mend. With ``--long`` it runs what takes too long for every change instead: the unit
-tests that are marked ``long``, those on Python 3.8, the others with random examples, the rostest
-suites in ``test/ros/long`` (one with our C++ built with sanitizers), the types of the tests, and
-the measurement of what the unit tests cover.
+there is to mend. The rostest suites wait for much of their time: the other checks and tests run
+beside them, one after the other.
+
+With ``--long`` it runs what takes too long for every change instead: the unit tests that are
+marked ``long``, those on Python 3.8, the others with random examples, the rostest suites in
+``test/ros/long`` (one with our C++ built with sanitizers), the types of the tests, and the
+measurement of what the unit tests cover.
 """
 
 from __future__ import annotations
@@ -17,6 +20,7 @@ import os
 import re
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Callable, Tuple
@@ -196,8 +200,10 @@ STAGES: tuple[Stage, ...] = (
     ("codespell", check(str(VENV / "codespell"))),
     ("docs", check("make", "--no-print-directory", "docs")),
     ("unit tests", unit_tests),
-    ("ROS tests", ros_tests),
 )
+#: Run beside these stages, from the third on.
+BESIDE: Stage = ("ROS tests", ros_tests)
+_FIRST = 2
 
 LONG_STAGES: tuple[Stage, ...] = (
     ("build", check("make", "--no-print-directory", "build")),
@@ -218,33 +224,41 @@ def main() -> int:
     """Runs the stages; returns 0 when none of them failed."""
     parser = argparse.ArgumentParser(description="Run the checks and tests of the repository.")
     parser.add_argument("--long", action="store_true", help="run the long tests instead")
-    stages = LONG_STAGES if parser.parse_args().long else STAGES
+    is_long = parser.parse_args().long
     os.environ["PATH"] = "/usr/bin:" + os.environ["PATH"]
     sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
     os.chdir(ROOT)
     RESULTS.mkdir(parents=True, exist_ok=True)
     begin = time.monotonic()
-    passed = failed = 0
-    failed_stages = []
-    failures: list[str] = []
-    for name, stage in stages:
-        started = time.monotonic()
-        outcome = stage()
-        passed += outcome.passed
-        failed += outcome.failed
-        if outcome.failed:
-            failed_stages.append(name)
-            failures += outcome.failures
-            if outcome.output:
-                print(outcome.output.rstrip("\n"))
-        word = "FAILED" if outcome.failed else "ok"
-        print(f"{word:7}{name:26}{time.monotonic() - started:6.1f} s  {outcome.note}".rstrip())
+    if is_long:
+        outcomes = [run_stage(*stage) for stage in LONG_STAGES]
+    else:
+        outcomes = [run_stage(*stage) for stage in STAGES[:_FIRST]]
+        with ThreadPoolExecutor(1) as pool:
+            beside = pool.submit(run_stage, *BESIDE)
+            outcomes += [run_stage(*stage) for stage in STAGES[_FIRST:]]
+            outcomes.append(beside.result())
     print(f"\n{time.monotonic() - begin:.1f} s in all")
-    if failed_stages:
-        print(f"failed: {', '.join(failed_stages)}")
+    bad = [(name, outcome) for name, outcome in outcomes if outcome.failed]
+    if bad:
+        print(f"failed: {', '.join(name for name, _ in bad)}")
+        failures = [failure for _, outcome in bad for failure in outcome.failures]
         print("".join(f"  {failure}\n" for failure in failures), end="")
+    passed = sum(outcome.passed for _, outcome in outcomes)
+    failed = sum(outcome.failed for _, outcome in outcomes)
     print(f"{passed} passed, {failed} failed")
     return 1 if failed else 0
+
+
+def run_stage(name: str, stage: Callable[[], Outcome]) -> tuple[str, Outcome]:
+    """Runs a stage and prints a line for it, after the output of one that failed."""
+    started = time.monotonic()
+    outcome = stage()
+    if outcome.failed and outcome.output:
+        print(outcome.output.rstrip("\n"))
+    word = "FAILED" if outcome.failed else "ok"
+    print(f"{word:7}{name:26}{time.monotonic() - started:6.1f} s  {outcome.note}".rstrip())
+    return name, outcome
 
 
 if __name__ == "__main__":
