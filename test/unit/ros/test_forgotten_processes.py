@@ -86,7 +86,7 @@ def test_old_accusations_are_forgotten() -> None:
 
 @pytest.fixture
 def launcher(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Launcher:
-    def start(command: Any, output: str, folder: str) -> ProcessId:
+    def start(command: Any, output: str, *rest: Any) -> ProcessId:
         Path(output).write_text("it runs\n")
         Path(output + ".owner").touch()
         return ProcessId(1, 1)
@@ -104,7 +104,7 @@ def test_outputs_of_the_last_processes_are_kept(launcher: Launcher, tmp_path: Pa
     tails = []
     for number in range(30):
         name = f"/n{number}"
-        _, tail = launcher.launch(NodeletKind.PYTHON, name)
+        _, tail = launcher.launch(ChildRecord(name, NodeletKind.PYTHON))
         tails.append(tail)
         if number != 3:
             launcher.clean_up(ChildRecord(name, NodeletKind.PYTHON))
@@ -119,8 +119,8 @@ def test_outputs_of_the_last_processes_are_kept(launcher: Launcher, tmp_path: Pa
 
 def test_the_output_of_a_process_that_runs_again_is_kept(launcher: Launcher) -> None:
     for number in range(30):
-        launcher.launch(NodeletKind.PYTHON, "/again")
-        launcher.launch(NodeletKind.PYTHON, f"/n{number}")
+        launcher.launch(ChildRecord("/again", NodeletKind.PYTHON))
+        launcher.launch(ChildRecord(f"/n{number}", NodeletKind.PYTHON))
         launcher.clean_up(ChildRecord(f"/n{number}", NodeletKind.PYTHON))
         assert launcher.last_line("/again") == "it runs"
         launcher.clean_up(ChildRecord("/again", NodeletKind.PYTHON))
