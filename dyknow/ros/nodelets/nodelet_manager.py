@@ -58,7 +58,7 @@ from dyknow.ros.nodelets.packages import plugin_files
 from dyknow.ros.nodelets.proxy_services import ProxyServices
 from dyknow.ros.scripts.libraries import importer_with_libraries
 from dyknow.ros.transport.middleware import rospy_middleware
-from dyknow.ros.transport.own_topics import hide_topics
+from dyknow.ros.transport.own_topics import guard_topics, hide_topics
 
 #: Seconds, at the end, for clients that end at the same time.
 CLIENTS_PATIENCE = 0.5
@@ -136,6 +136,8 @@ class NodeletManager(Closable):
             bound=bound,
             blocking=GrowingPool(self._record),
         )
+        if bound:
+            guard_topics(lambda topic: self._guards.current().check_topic(topic))
         self._bonds = Bonds(names.join(rospy.get_name(), "bond"))
         self._bonded: Dict[str, str] = {}
         self._bond_ended = state_condition("bonded nodelets")
