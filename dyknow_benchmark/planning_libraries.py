@@ -6,7 +6,8 @@
 Equal counts make equal libraries. ``deep`` and ``dense`` have no variables. In ``rules`` there
 are many transformations with variables and few individuals: layers of kinds of streams, each of
 which ten transformations can make from one or two kinds of the layer below. In ``individuals``
-there are few transformations with variables, and many cameras on many robots.
+there are few transformations with variables, and many cameras on many robots; in ``rooms`` there
+are 21 devices in each of many rooms, and a demand is about one room.
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ _DEPTH = 100
 _LAYERS = 10
 _ALTERNATIVES = 10
 _INDIVIDUALS = 5
+#: Devices in a room.
+_DEVICES = 21
 _MOST_COST = 20
 
 
@@ -151,6 +154,38 @@ def individuals(count: int, ontology: Subsumption = NO_ONTOLOGY) -> PlanningLibr
     return PlanningLibrary(library, demands, ontology)
 
 
+def rooms(count: int, needs_power: bool = False) -> PlanningLibrary:
+    """Write many devices in rooms of 21, and transformations that join what one room has.
+
+    Args:
+        count: transformations.
+        needs_power: whether what the devices supply needs something itself.
+    """
+    chance = random.Random(5)
+    parts = 3 if needs_power else 2
+    devices = max(1, (count - 2) // parts)
+    library: List[Transformation] = []
+    for number in range(devices):
+        needs = [f"Power(dev{number})"] if needs_power else []
+        pair = f"Pair(dev{number}, dev{(7 * number + 1) % devices})"
+        library.append(_make(len(library), needs, pair, chance.randint(1, _MOST_COST)))
+        scan = f"Scan(dev{number}, room{number // _DEVICES})"
+        library.append(_make(len(library), [], scan, chance.randint(1, _MOST_COST)))
+        if needs_power:
+            library.append(_make(len(library), [], f"Power(dev{number})", 1))
+    for supplied, inputs in (
+        ("Surveyed(?r)", ["Pair(?a, ?b)", "Scan(?a, ?r)"]),
+        ("Joined(?r)", ["Pair(?a, ?b)", "Pair(?b, ?c)", "Scan(?c, ?q)", "Scan(?a, ?r)"]),
+    ):
+        library.append(_make(len(library), inputs, supplied, 1))
+    goals = ["Surveyed", "Joined"]
+    demands = {
+        "ground": [f"{goal}(room0)" for goal in goals],
+        "variable": [f"{goal}(?r)" for goal in goals],
+    }
+    return PlanningLibrary(library, demands)
+
+
 LIBRARIES: Dict[str, Callable[[int], PlanningLibrary]] = {
     "deep": deep,
     "dense": dense,
@@ -160,6 +195,8 @@ LIBRARIES: Dict[str, Callable[[int], PlanningLibrary]] = {
     "rules with an ontology": lambda count: rules(count, 2, Things()),
     "individuals": individuals,
     "individuals with an ontology": lambda count: individuals(count, Things()),
+    "rooms": rooms,
+    "rooms with power": lambda count: rooms(count, True),
 }
 
 

@@ -31,7 +31,7 @@ _SETTLED = 3.0
 
 def refusal(manager: Manager, answer: NoPlan, exclude: Sequence[str]) -> str:
     """Explain to a client why there is no plan."""
-    excluded = f" (excluded: {listed(exclude)})" if exclude else ""
+    excluded = f" (excluded: {listed(exclude)})" if exclude and not answer.obstacles else ""
     unknown = [f"; {each}" for each in unknown_labels(manager, exclude)] if exclude else []
     return "".join([str(answer), excluded, _similar_tags(manager, answer), *unknown])
 

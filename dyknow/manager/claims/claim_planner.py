@@ -36,9 +36,9 @@ from dyknow.manager.claims.plan_context import STAMPED
 from dyknow.manager.claims.supplies import Supplies, wishes_of
 from dyknow.manager.claims.topology import demand_of, may_share
 from dyknow.manager.planning.planner import BUDGET, Planner
-from dyknow.manager.planning.problem import NO_LABELS, Answer, Live, NoPlan, Plan
+from dyknow.manager.planning.problem import NO_LABELS, Answer, Live, NoPlan, Plan, TaggedStream
 from dyknow.manager.planning.supply import Demand, ways_to_meet
-from dyknow.manager.planning.wishes import NO_WISHES, TaggedStream, Wishes
+from dyknow.manager.planning.wishes import NO_WISHES, Wishes
 from dyknow.manager.specifications.tags import Bindings, Subsumption, Term
 from dyknow.model.transformation import Transformation
 

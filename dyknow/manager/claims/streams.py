@@ -9,9 +9,8 @@ from typing import AbstractSet, Dict, Iterable, List, Sequence, Set, Tuple
 
 from dyknow.manager.claims.bound_tags import Inlet, Way, supplied, ways_to_bind
 from dyknow.manager.claims.topology import Topology
-from dyknow.manager.planning.problem import Live
+from dyknow.manager.planning.problem import Live, TaggedStream
 from dyknow.manager.planning.supply import Demand
-from dyknow.manager.planning.wishes import TaggedStream
 from dyknow.manager.record import Record, ports_on
 from dyknow.manager.specifications.tags import Subsumption, Term, read_tags
 from dyknow.model.graph import State

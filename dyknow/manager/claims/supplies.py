@@ -14,8 +14,8 @@ from dyknow.manager.claims.own_nodelets import OwnNodelet
 from dyknow.manager.claims.relay import is_relay
 from dyknow.manager.claims.streams import live_streams, with_feeders
 from dyknow.manager.library import Library
-from dyknow.manager.planning.problem import NO_LABELS
-from dyknow.manager.planning.wishes import NO_WISHES, TaggedStream, Wishes
+from dyknow.manager.planning.problem import NO_LABELS, TaggedStream
+from dyknow.manager.planning.wishes import NO_WISHES, Wishes
 from dyknow.manager.record import Record
 from dyknow.manager.specifications.given import exposed_variables
 from dyknow.manager.specifications.tags import Bindings, Subsumption

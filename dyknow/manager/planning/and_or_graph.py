@@ -6,19 +6,63 @@
 from __future__ import annotations
 
 import heapq
-from typing import AbstractSet, Dict, Iterable, List, Optional, Sequence, Set, Tuple
+from typing import AbstractSet, Dict, Iterable, List, NamedTuple, Optional, Sequence, Set, Tuple
 
 from dyknow.manager.planning.budget import Budget
-from dyknow.manager.planning.instances import LIVE, Instances
-from dyknow.manager.planning.values import Values
+from dyknow.manager.planning.request import Need, Request, base
+from dyknow.manager.planning.search import Instance, Search
+
+
+class Draft(NamedTuple):
+    """A way to the goal.
+
+    Attributes:
+        chosen: what supplies each node.
+        order: the instances, suppliers first.
+        cost: what they cost.
+    """
+
+    chosen: Dict[Need, Instance]
+    order: List[Instance]
+    cost: int
+
+
+def drafted(request: Request, chosen: Dict[Need, Instance], goal: Need) -> Draft:
+    """Follow choices, which have no cycle, from the goal."""
+    order: List[Instance] = []
+    entered = set()
+    stack: List[Tuple[Instance, bool]] = [(chosen[goal], True)]
+    while stack:
+        instance, is_new = stack.pop()
+        if not is_new:
+            order.append(instance)
+        elif instance not in entered:
+            entered.add(instance)
+            stack.append((instance, False))
+            for node in reversed(instance.needs):  # the first is followed first
+                below = chosen[node]
+                if below not in entered:
+                    stack.append((below, True))
+    return Draft(chosen, order, sum([each.cost for each in order]) + unfree(request, order))
+
+
+def unfree(request: Request, instances: Iterable[Instance]) -> int:
+    """Return what instances cost because one nodelet that is free is there but once."""
+    if not request.kept:
+        return 0
+    count: Dict[int, int] = {}
+    for each in {each.key for each in instances}:
+        if request.is_free(*each):
+            count[base(each[0])] = count.get(base(each[0]), 0) + 1
+    return sum([(many - 1) * request.library.costs[action] for action, many in count.items()])
 
 
 class AndOrGraph:
-    """Actions and nodes, numbered from 0; the goal is node 0. Live nodes are left out.
+    """Instances as actions and nodes, numbered from 0; the goal is node 0.
 
     Attributes:
         costs: of each action.
-        needs: nodes that each action needs.
+        needs: nodes that each action needs; what is there at no cost is left out.
         makes: nodes that each action supplies.
         users: actions that need each node.
         offers: actions that supply each node.
@@ -26,67 +70,86 @@ class AndOrGraph:
         limit: microseconds after which no node may be supplied; None if that does not matter.
     """
 
-    def __init__(self, instances: Instances, values: Values, limit: Optional[int] = None) -> None:
+    def __init__(self, request: Request, search: Search, goal: Need) -> None:
         """Take from a search what it found.
 
         Args:
-            instances: the numbers of the search.
-            values: with everything that is worthwhile.
-            limit: microseconds after which no node may be supplied.
+            request: the problem.
+            search: with everything that is worthwhile.
+            goal: the node that is asked for.
         """
-        self._instances = instances
-        self._live = {node for node, action in values.chosen.items() if action == LIVE}
+        self._request = request
+        self._there = {
+            node: instance
+            for node, instance in search.chosen.items()
+            if node != goal and self._is_there(instance, node)
+        }
         # Equal problems have equal numbers here: by label and bindings.
+        found = {each: None for offers in search.offers.values() for each in offers}
         order = sorted(
-            {action for node, found in values.offers.items() for action in found},
-            key=lambda each: (instances.label(each), instances.rule(each)[1]),
+            found, key=lambda each: (request.label(each.action), each.theta, -each.action < 0)
         )
         self._actions = order
-        nodes: Dict[int, int] = {instances.reach.goal: 0}
-        self.costs = list(map(instances.cost, order))
+        nodes: Dict[Need, int] = {goal: 0}
+        self.costs = [each.cost for each in order]
         self.needs = [
-            [
-                nodes.setdefault(need, len(nodes))
-                for need in instances.needs(each)
-                if need not in self._live
-            ]
+            list(
+                dict.fromkeys(
+                    [
+                        nodes.setdefault(need, len(nodes))
+                        for need in each.needs
+                        if need not in self._there
+                    ]
+                )
+            )
             for each in order
         ]
         self._nodes = list(nodes)
         self.offers: List[List[int]] = [[] for _ in nodes]
         self.makes: List[List[int]] = [[] for _ in order]
         self.users: List[List[int]] = [[] for _ in nodes]
-        number_of = {action: number for number, action in enumerate(order)}
+        number_of = {each: number for number, each in enumerate(order)}
+        self._number_of = {each.key: number for number, each in enumerate(order)}
         for node, number in nodes.items():
-            for action in sorted({number_of[each] for each in values.offers.get(node, ())}):
+            for action in sorted([number_of[each] for each in search.offers.get(node, ())]):
                 self.offers[number].append(action)
                 self.makes[action].append(number)
         for action, needed in enumerate(self.needs):
-            for node in needed:
-                self.users[node].append(action)
-        self.limit = limit
+            for at in needed:
+                self.users[at].append(action)
+        self.limit = request.limit
         self._latencies: Dict[Tuple[int, int], int] = {}  # of actions and nodes
-        stated = instances.network.latencies
-        for action, made in enumerate(self.makes if limit is not None and stated else ()):
-            for node in made:
-                source = instances.source(order[action], self._nodes[node])
-                self._latencies[action, node] = stated.get((source.label, source.port), 0)
+        for action, made in enumerate(self.makes if self.limit is not None else ()):
+            for at in made:
+                latency = request.source(
+                    order[action].action, order[action].theta, self._nodes[at]
+                )
+                self._latencies[action, at] = latency.latency
         self.size = len(order) + sum(map(len, self.needs)) + sum(map(len, self.makes))
 
-    def numbers(self, instances: Instances, actions: Iterable[int]) -> List[int]:
-        """Return the numbers here of actions of a search; what is not worthwhile is left out."""
-        rule = self._instances.rule
-        number_of = {rule(action): number for number, action in enumerate(self._actions)}
-        keys = map(instances.rule, actions)
-        return [number_of[each] for each in keys if each in number_of]
+    def _is_there(self, instance: Instance, node: Need) -> bool:
+        if instance.cost or instance.needs:
+            return False
+        if self._request.limit is None:
+            return True
+        return not self._request.source(instance.action, instance.theta, node).latency
+
+    def numbers(self, draft: Draft) -> List[int]:
+        """Return the numbers here of a draft's instances; what is not worthwhile is left out."""
+        number_of = self._number_of
+        return [number_of[each.key] for each in draft.order if each.key in number_of]
 
     def cost(self, actions: Iterable[int]) -> int:
         """Sum up what actions cost."""
+        if self._request.kept:
+            actions = list(actions)
+            more = unfree(self._request, [self._actions[each] for each in actions])
+            return more + sum([self.costs[each] for each in actions])
         return sum([self.costs[each] for each in actions])
 
-    def chosen(self, way: Dict[int, int]) -> Dict[int, int]:
-        """Write choices in the numbers of the search."""
-        found = dict.fromkeys(self._live, LIVE)
+    def chosen(self, way: Dict[int, int]) -> Dict[Need, Instance]:
+        """Write choices as those of the search."""
+        found = dict(self._there)
         found.update((self._nodes[node], self._actions[action]) for node, action in way.items())
         return found
 

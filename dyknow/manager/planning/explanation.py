@@ -51,6 +51,7 @@ def as_tree(answer: Answer) -> str:
     """Write a plan, or what is missing for one, for people."""
     if isinstance(answer, NoPlan):
         reasons = [f"nothing supplies {each}" for each in answer.missing]
+        reasons += map(str, answer.obstacles)
         *others, last = reasons or [answer.reason]
         lines = [f"{answer.demand}: no plan", *(f"├─ {each}" for each in others), f"└─ {last}"]
         return "\n".join(lines)

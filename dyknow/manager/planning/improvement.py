@@ -15,35 +15,29 @@ from __future__ import annotations
 
 import random
 import sys
-from typing import Dict, List, NamedTuple, Optional, Tuple
+from typing import List, NamedTuple, Tuple
 
-from dyknow.manager.planning.and_or_graph import AndOrGraph
+from dyknow.manager.planning.and_or_graph import AndOrGraph, Draft, drafted
+from dyknow.manager.planning.bounds import Bounds
 from dyknow.manager.planning.branching import search
 from dyknow.manager.planning.budget import Budget
-from dyknow.manager.planning.instances import LIVE, Instances
 from dyknow.manager.planning.landmarks import landmark_bound
-from dyknow.manager.planning.refinement import Refinement
-from dyknow.manager.planning.values import Values
+from dyknow.manager.planning.request import Need, Request
+from dyknow.manager.planning.search import Search
 
-#: Actions beyond which a plan is not improved.
-_MOST_ACTIONS = 10_000
-#: Steps that it takes to copy a part of the search into a graph of its own.
+#: Instances beyond which a plan is not improved.
+_MOST_INSTANCES = 1_000
+#: Steps that it takes to copy a part of the search into a graph of its own, and to bound a demand.
 _COPIED = 50
+_BOUNDED = 60
 #: Part of the budget that the exact search may take.
 _EXACT = 0.25
 #: Most actions that are taken out of a plan at once.
 _MOST_OUT = 6
 #: How often a dearer plan is gone on with.
 _WORSE = 0.02
-
-
-class PlanDraft(NamedTuple):
-    """A way to the goal: the choices, the actions with suppliers first, and their cost."""
-
-    instances: Instances
-    chosen: Dict[int, int]
-    actions: List[int]
-    cost: int
+#: Steps of each search for a plan that is in time.
+_EACH_RISE = 5_000_000
 
 
 class Improved(NamedTuple):
@@ -55,43 +49,29 @@ class Improved(NamedTuple):
         is_cut_short: whether the clock ended the improvement, not the count of its steps.
     """
 
-    draft: PlanDraft
+    draft: Draft
     least_cost: int
     is_cut_short: bool
 
 
-def drafted(instances: Instances, chosen: Dict[int, int]) -> PlanDraft:
-    """Follow choices, which have no cycle, from the goal."""
-    needs, goal = instances.needs, instances.reach.goal
-    order: List[int] = []
-    if chosen[goal] == LIVE:
-        return PlanDraft(instances, chosen, order, 0)
-    entered = set()
-    stack = [chosen[goal]]  # actions to enter; complements of those to leave again
-    while stack:
-        action = stack.pop()
-        if action < 0:
-            order.append(~action)
-        elif action not in entered:
-            entered.add(action)
-            stack.append(~action)
-            for node in reversed(needs(action)):  # the first is followed first
-                below = chosen[node]
-                if below != LIVE and below not in entered:
-                    stack.append(below)
-    return PlanDraft(instances, chosen, order, sum(map(instances.cost, order)))
-
-
-def soonest(problem: Refinement, draft: PlanDraft, limit: int) -> Tuple[PlanDraft, bool]:
+def soonest(request: Request, bounds: Bounds, draft: Draft) -> Tuple[Draft, bool]:
     """Return a rather cheap draft that is in time, or the soonest one; and whether it is in time.
 
+    It is not all that is searched if that would take more than a fixed number of steps; the clock
+    has no say, since it must not decide whether there is a plan.
+
     Args:
-        problem: where it is searched.
+        request: the problem.
+        bounds: what the goal can reach.
         draft: the cheapest tree, which is too late.
-        limit: microseconds that a plan may take.
     """
-    for instances, values in problem.rising(draft.cost):
-        graph = AndOrGraph(instances, values, limit)
+    least, _ = bounds.least(False)
+    goal = Need(request.goal, ())
+    cost = draft.cost
+    for below in (cost + 1, 2 * cost + 1, 4 * cost + 1, 8 * cost + sys.maxsize + bounds.most):
+        found = Search(request, bounds, least, False, below)
+        found.run(_EACH_RISE)
+        graph = AndOrGraph(request, found, goal)
         way = graph.cheapest_tree(graph.costs)
         if way is not None:
             break
@@ -103,54 +83,66 @@ def soonest(problem: Refinement, draft: PlanDraft, limit: int) -> Tuple[PlanDraf
         way = graph.derive(every)
     if 0 not in way:  # not everything was searched
         return draft, False
-    return drafted(instances, graph.chosen(way)), is_in_time
+    return drafted(request, graph.chosen(way), goal), is_in_time
 
 
-def improve(
-    problem: Refinement, draft: PlanDraft, budget: Budget, limit: Optional[int] = None
-) -> Improved:
+def improve(request: Request, bounds: Bounds, draft: Draft, budget: Budget) -> Improved:
     """Return a draft of less cost, or the given one.
 
     Args:
-        problem: where it is searched.
+        request: the problem.
+        bounds: what the goal can reach.
         draft: the cheapest tree, or one that is in time.
         budget: what the improvement may take.
-        limit: microseconds that a plan may take.
     """
     if not draft.cost:
         return Improved(draft, 0, False)
-    if len(draft.actions) > _MOST_ACTIONS or budget.steps <= 0:
+    if not budget.spend(_BOUNDED * len(bounds)):
         return Improved(draft, 0, False)
-    instances, values, floor = problem.cheaper(draft.cost, budget)
-    goal = instances.reach.goal
-    if limit is None and goal in values.value:
-        draft = min(draft, drafted(instances, values.chosen), key=lambda each: each.cost)
+    goal = Need(request.goal, ())
+    least, _ = bounds.least(False, draft.cost)
+    floor = least.get(request.goal, draft.cost)
     if draft.cost <= floor:
         return Improved(draft, draft.cost, False)
-    edges = sum(map(len, values.offers.values()))
-    if goal not in values.value or not budget.spend(_COPIED * edges):
+    if len(draft.order) > _MOST_INSTANCES:
+        return Improved(draft, floor, False)
+    found = Search(request, bounds, least, False, draft.cost)
+    budget.steps -= budget.steps // 2 - found.run(budget.steps // 2)
+    if goal in found.value:
+        floor = min(draft.cost, max(floor, found.value[goal]))
+    elif found.is_complete:
+        return Improved(draft, draft.cost, False)
+    else:
+        floor = min(draft.cost, max(floor, found.reached))
+    edges = sum(map(len, found.offers.values()))
+    if goal not in found.value or not budget.spend(_COPIED * edges):
         return Improved(draft, floor, budget.is_cut_short)
-    graph = AndOrGraph(instances, values, limit)
-    return _Improvement(instances, graph, values, budget).run(draft, floor)
+    if request.limit is None:
+        other = drafted(request, found.chosen, goal)
+        draft = other if other.cost < draft.cost else draft
+    if draft.cost <= floor:
+        return Improved(draft, draft.cost, budget.is_cut_short)
+    graph = AndOrGraph(request, found, goal)
+    return _Improvement(request, graph, found.is_complete, budget).run(draft, floor)
 
 
 class _Improvement:
     def __init__(
-        self, instances: Instances, graph: AndOrGraph, values: Values, budget: Budget
+        self, request: Request, graph: AndOrGraph, is_complete: bool, budget: Budget
     ) -> None:
-        self._instances = instances
+        self._request = request
         self._graph = graph
-        self._is_complete = values.is_complete
+        self._is_complete = is_complete
         self._budget = budget
         self._chance = random.Random(0)  # equal problems have equal plans
 
-    def run(self, draft: PlanDraft, floor: int) -> Improved:
+    def run(self, draft: Draft, floor: int) -> Improved:
         """Improve a draft that costs more than a bound."""
         graph, budget = self._graph, self._budget
         cuts, rest = landmark_bound(graph, budget)
         # What was left out because the search was too large could be cheaper than these cuts.
         bound = min(draft.cost, max(cuts, floor) if self._is_complete else floor)
-        best = sorted(graph.numbers(draft.instances, draft.actions))
+        best = sorted(graph.numbers(draft))
         if 0 not in graph.derive(set(best)):  # some of it cannot be part of a cheaper plan
             every = set(range(len(graph.costs)))
             way = graph.cheapest_tree(graph.costs) or graph.derive(every)
@@ -169,7 +161,8 @@ class _Improvement:
             else:
                 best = self._varied(best, bound)
         if graph.cost(best) < draft.cost:
-            draft = drafted(self._instances, graph.chosen(graph.derive(set(best))))
+            chosen = graph.chosen(graph.derive(set(best)))
+            draft = drafted(self._request, chosen, Need(self._request.goal, ()))
         return Improved(draft, bound, budget.is_cut_short)
 
     def _varied(self, best: List[int], bound: int) -> List[int]:

@@ -12,7 +12,6 @@ from __future__ import annotations
 from typing import (
     Any,
     Callable,
-    Collection,
     Dict,
     FrozenSet,
     Iterable,
@@ -24,7 +23,7 @@ from typing import (
     Union,
 )
 
-from dyknow.manager.specifications.tags import NO_ONTOLOGY, Subsumption, Term
+from dyknow.manager.specifications.tags import NO_ONTOLOGY, Subsumption, Term, types_of
 
 Argument = Union[str, int]
 """A canonical name, or the number of a variable."""
@@ -32,10 +31,8 @@ Types = FrozenSet[str]
 Theta = Tuple[str, ...]
 """Canonical names that the wanted variables of a pattern, or those of a rule, stand for."""
 
-Domain = Optional[FrozenSet[str]]
-"""Names that a variable can stand for; None for any."""
-Domains = Tuple[Domain, ...]
-"""Those of the wanted variables of a pattern."""
+Known = Tuple[Union[None, str, Types], ...]
+"""For wanted variables: the name that one stands for, types that it has to have, or nothing."""
 
 NO_TYPES: Types = frozenset()
 
@@ -61,45 +58,47 @@ class Pattern(NamedTuple):
         atoms: its tags, all of them.
         datatype: ROS type; empty for any.
         types: for each variable, what has to subsume its name.
-        wanted: variables whose names matter to whoever demands it; of streams that differ in
+        wanted: variables whose names matter to what demands it; of streams that differ in
             the others only, the cheapest will do.
-        min_rate: Hz; 0 for any rate.
     """
 
     atoms: Tuple[Atom, ...]
     datatype: str
     types: Tuple[Types, ...] = ()
     wanted: Tuple[int, ...] = ()
-    min_rate: float = 0.0
 
 
 class Names:
-    """Names as the ontology relates them; what it says is asked once for each name."""
+    """Names as the ontology relates them; what it says is asked once for each name.
+
+    Any thread may read while one thread enters names.
+    """
 
     def __init__(self, ontology: Subsumption) -> None:
         """Start without a name."""
         self.ontology = ontology
-        self._is_plain = ontology is NO_ONTOLOGY
+        self.is_plain = ontology is NO_ONTOLOGY
+        # What the ontology says does not change, so it does not matter which thread notes it.
         self._canonical: Dict[str, str] = {}
-        self._written: Dict[str, str] = {}
         self._above: Dict[str, FrozenSet[str]] = {}
-        self._below: Dict[str, Dict[str, None]] = {}
+        self._below: Dict[str, List[str]] = {}
         self._entered: Dict[str, None] = {}
 
     def canonical(self, name: str) -> str:
         """Return one name for all names of an entity."""
-        if self._is_plain:
+        if self.is_plain:
             return name
         found = self._canonical.get(name)
         if found is None:
             found = self._canonical[name] = self.ontology.canonical(name)
-            known = self._written.get(found, name)
-            self._written[found] = min(known, name, key=lambda each: ("://" in each, each))
         return found
 
     def written(self, name: str) -> str:
         """Return a canonical name as people write it: rather a label than a URI."""
-        return self._written.get(name, name)
+        if self.is_plain:
+            return name
+        same = [each for each in self.ontology.names_above(name) if self.canonical(each) == name]
+        return min([*same, name], key=lambda each: ("://" in each or ":" in each, each))
 
     def above(self, name: str) -> FrozenSet[str]:
         """Return the canonical names that subsume a canonical name."""
@@ -111,17 +110,17 @@ class Names:
 
     def subsumes(self, upper: str, name: str) -> bool:
         """Whether one canonical name subsumes another."""
-        return upper == name or (not self._is_plain and upper in self.above(name))
+        return upper == name or (not self.is_plain and upper in self.above(name))
 
     def fits(self, name: str, types: Types) -> bool:
         """Whether all types subsume a name."""
-        if self._is_plain:
+        if self.is_plain:
             return all(each == name for each in types)
         return types <= self.above(name)
 
     def narrowed(self, types: Types) -> Types:
         """Leave out the types that another one of them implies."""
-        if len(types) < 2 or self._is_plain:
+        if len(types) < 2 or self.is_plain:
             return types
         return frozenset(
             each
@@ -133,21 +132,39 @@ class Names:
             )
         )
 
+    def kinds(self, name: str) -> List[str]:
+        """Return what a canonical name is, as people write it: what is said most closely."""
+        above = self.above(name) - {name}
+        closest = [
+            each
+            for each in above
+            if not any(
+                each in self.above(other) and other not in self.above(each) for other in above
+            )
+        ]
+        return sorted(map(self.written, closest))
+
     def enter(self, name: str) -> None:
         """Let ``below`` know a canonical name that is supplied."""
-        if not self._is_plain and name not in self._entered:
-            self._entered[name] = None
+        if not self.is_plain and name not in self._entered:
             for upper in self.above(name):
-                self._below.setdefault(upper, {})[name] = None
+                self._below.setdefault(upper, []).append(name)
+            self._entered[name] = None
 
-    def below(self, types: Types) -> Collection[str]:
+    def below(self, types: Types) -> Sequence[str]:
         """Return the names that were entered and that all types subsume; one type at least."""
-        if self._is_plain:
-            return types if len(types) == 1 else ()
-        first, *others = (self._below.get(each, {}) for each in types)
-        if not others:
-            return first.keys()
-        return [each for each in first if all(each in other for other in others)]
+        if self.is_plain:
+            return tuple(types) if len(types) == 1 else ()
+        lists = sorted([self._below.get(each, []) for each in types], key=len)
+        if len(lists) == 1:
+            return lists[0]
+        return [each for each in lists[0] if self.fits(each, types)]
+
+    def is_known(self, types: Types) -> Union[None, str, Types]:
+        """Return what types say of a variable: without an ontology a type is the name."""
+        if not types:
+            return None
+        return next(iter(types)) if self.is_plain and len(types) == 1 else types
 
 
 def atoms_of(terms: Iterable[Term], variables: Sequence[str], names: Names) -> Tuple[Atom, ...]:
@@ -169,16 +186,36 @@ def atoms_of(terms: Iterable[Term], variables: Sequence[str], names: Names) -> T
     )
 
 
-def narrowed(pattern: Pattern, more: Sequence[Types], names: Names) -> Pattern:
-    """Return a pattern whose wanted variables have further types."""
-    types = list(pattern.types)
-    for variable, further in zip(pattern.wanted, more):
-        if further:
-            types[variable] = names.narrowed(types[variable] | further)
-    return pattern._replace(types=tuple(types))
+def pattern_of(
+    terms: Iterable[Term],
+    datatype: str,
+    names: Names,
+    wanted: Sequence[str] = (),
+    types: Sequence[Types] = (),
+) -> Pattern:
+    """Return the pattern of a demand.
+
+    Args:
+        terms: its tags.
+        datatype: ROS type; empty for any.
+        names: how names are related.
+        wanted: variables whose names matter.
+        types: their types, besides those of the tags.
+    """
+    terms = sorted(terms)
+    variables = list(dict.fromkeys(each for term in terms for each in term.variables))
+    known = {key: frozenset(map(names.canonical, of)) for key, of in types_of(terms).items()}
+    for variable, further in zip(wanted, types):
+        known[variable] = known.get(variable, NO_TYPES) | further
+    return Pattern(
+        atoms_of(terms, variables, names),
+        datatype,
+        tuple([names.narrowed(known.get(each, NO_TYPES)) for each in variables]),
+        tuple([variables.index(each) for each in wanted if each in variables]),
+    )
 
 
-def solutions(supplied: Iterable[Atom], pattern: Pattern, names: Names) -> List[Theta]:
+def solutions(supplied: Sequence[Atom], pattern: Pattern, names: Names) -> List[Theta]:
     """Match ground atoms with a pattern.
 
     Returns:
@@ -201,40 +238,82 @@ def solutions(supplied: Iterable[Atom], pattern: Pattern, names: Names) -> List[
     return sorted(found)
 
 
-def matcher(pattern: Pattern, names: Names) -> Callable[[Sequence[Atom]], Tuple[Theta, ...]]:
+def is_plain(pattern: Pattern) -> bool:
+    """Whether a pattern has one atom, and no variable occurs twice."""
+    if len(pattern.atoms) > 1:
+        return False
+    variables = [arg for arg in pattern.atoms[0].args if isinstance(arg, int)]
+    return len(set(variables)) == len(variables)
+
+
+def agrees(theta: Theta, known: Known, names: Names) -> bool:
+    """Whether names are as what is known of them."""
+    for name, each in zip(theta, known):
+        if each is None or each == name:
+            continue
+        if isinstance(each, str) or not names.fits(name, each):
+            return False
+    return True
+
+
+def bounds_of(pattern: Pattern, known: Known, atom: Atom, names: Names) -> Known:
+    """Return what is known of the arguments of an atom of a pattern."""
+    by_variable = dict(zip(pattern.wanted, known))
+    found: List[Union[None, str, Types]] = []
+    for arg in atom.args:
+        types = frozenset((arg,)) if isinstance(arg, str) else pattern.types[arg]
+        more = None if isinstance(arg, str) else by_variable.get(arg)
+        if isinstance(more, frozenset):
+            more = names.is_known(names.narrowed(types | more))
+        found.append(names.is_known(types) if more is None else more)
+    return tuple(found)
+
+
+def matcher(
+    pattern: Pattern, known: Known, names: Names
+) -> Callable[[Sequence[Atom]], Sequence[Theta]]:
     """Return what matches ground atoms with a pattern, fast where many are to be matched.
 
     The atoms are such that each of the pattern has one among them of the same number of
     arguments, whose functor it subsumes.
     """
+
+    def match(supplied: Sequence[Atom]) -> Sequence[Theta]:
+        found = solutions(supplied, pattern, names)
+        return [theta for theta in found if agrees(theta, known, names)] if known else found
+
+    if not is_plain(pattern):
+        return match
     args = pattern.atoms[0].args
-    if not _is_plain(pattern):
-        return lambda supplied: tuple(solutions(supplied, pattern, names))
-    bounds = [frozenset((arg,)) if isinstance(arg, str) else pattern.types[arg] for arg in args]
-    checked: List[Tuple[int, Types, Dict[Argument, bool]]] = [
-        (at, types, {}) for at, types in enumerate(bounds) if types
-    ]
+    exact: List[Tuple[int, str]] = []
+    typed: List[Tuple[int, Types, Dict[str, bool]]] = []
+    for at, each in enumerate(bounds_of(pattern, known, pattern.atoms[0], names)):
+        arg = args[at]
+        types = frozenset((arg,)) if isinstance(arg, str) else pattern.types[arg]
+        if isinstance(each, str):
+            exact.append((at, each))
+        if types and not (names.is_plain and types == {each}):
+            typed.append((at, types, {}))
+        if isinstance(each, frozenset) and each != types:
+            typed.append((at, each, {}))
     places = [args.index(each) for each in pattern.wanted]
 
-    def match(supplied: Sequence[Atom]) -> Tuple[Theta, ...]:
+    def match_one(supplied: Sequence[Atom]) -> Sequence[Theta]:
         if len(supplied) > 1:
-            return tuple(solutions(supplied, pattern, names))
+            return match(supplied)
         have: Tuple[Any, ...] = supplied[0].args
-        for at, types, known in checked:
+        for at, name in exact:
+            if have[at] != name:
+                return ()
+        for at, types, checked in typed:
             name = have[at]
-            if name not in known:
-                known[name] = names.fits(name, types)
-            if not known[name]:
+            if name not in checked:
+                checked[name] = names.fits(name, types)
+            if not checked[name]:
                 return ()
         return (tuple([have[at] for at in places]),)
 
-    return match
-
-
-def _is_plain(pattern: Pattern) -> bool:
-    """Whether a pattern has one atom, and no variable occurs twice."""
-    variables = [arg for arg in pattern.atoms[0].args if isinstance(arg, int)]
-    return len(pattern.atoms) == 1 and len(set(variables)) == len(variables)
+    return match_one
 
 
 def places_in(pattern: Pattern, supplied: Sequence[Atom]) -> Optional[Tuple[Argument, ...]]:
@@ -242,34 +321,10 @@ def places_in(pattern: Pattern, supplied: Sequence[Atom]) -> Optional[Tuple[Argu
 
     None if it cannot be told before the variables are bound whether the atoms match.
     """
-    if len(supplied) > 1 or not _is_plain(pattern):
+    if len(supplied) > 1 or not is_plain(pattern):
         return None
     args = pattern.atoms[0].args
     return tuple([supplied[0].args[args.index(each)] for each in pattern.wanted])
-
-
-def _bound(
-    supplied: Atom, demanded: Atom, types: Tuple[Types, ...], bound: Dict[int, str], names: Names
-) -> Optional[Dict[int, str]]:
-    if len(supplied.args) != len(demanded.args):
-        return None
-    if not names.subsumes(demanded.functor, supplied.functor):
-        return None
-    more = bound
-    for have, want in zip(supplied.args, demanded.args):
-        assert isinstance(have, str)
-        if isinstance(want, str):
-            if want != have and not names.subsumes(want, have):
-                return None
-            continue
-        known = more.get(want)
-        if known is None:
-            if types[want] and not names.fits(have, types[want]):
-                return None
-            more = {**more, want: have}
-        elif known != have:
-            return None
-    return more
 
 
 def pushed(
@@ -303,6 +358,30 @@ def pushed(
     return tuple(
         [names.narrowed(types - own[i]) if types else types for i, types in enumerate(more)]
     )
+
+
+def _bound(
+    supplied: Atom, demanded: Atom, types: Tuple[Types, ...], bound: Dict[int, str], names: Names
+) -> Optional[Dict[int, str]]:
+    if len(supplied.args) != len(demanded.args):
+        return None
+    if not names.subsumes(demanded.functor, supplied.functor):
+        return None
+    more = bound
+    for have, want in zip(supplied.args, demanded.args):
+        assert isinstance(have, str)
+        if isinstance(want, str):
+            if want != have and not names.subsumes(want, have):
+                return None
+            continue
+        known = more.get(want)
+        if known is None:
+            if types[want] and not names.fits(have, types[want]):
+                return None
+            more = {**more, want: have}
+        elif known != have:
+            return None
+    return more
 
 
 def _can_be(supplied: Atom, demanded: Atom, types: Tuple[Types, ...], names: Names) -> bool:

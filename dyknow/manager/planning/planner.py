@@ -3,9 +3,8 @@
 
 """Finds the cheapest way to a stream.
 
-First Knuth's generalisation of Dijkstra's algorithm (``knuth``) finds the cheapest *tree* of
-instances, in which a part that is used twice is paid twice; lower bounds from a search without
-bindings guide it (``refinement``). Then the plan is improved by counting shared parts once
+First the cheapest *tree* of instances, in which a part that is used twice is paid twice
+(``search``, guided by ``bounds``). Then the plan is improved by counting shared parts once
 (``improvement``), within a budget. Costs are Python's integers: stacked diamonds make trees that
 cost 2**1000, without overflow. No function is recursive. Labels, bindings and ports decide
 between equal costs, so equal problems have equal plans.
@@ -14,50 +13,35 @@ between equal costs, so equal problems have equal plans.
 from __future__ import annotations
 
 import time
-from types import MappingProxyType
-from typing import (
-    AbstractSet,
-    Callable,
-    Dict,
-    FrozenSet,
-    Iterable,
-    List,
-    Mapping,
-    Tuple,
-)
+from typing import AbstractSet, Callable, Dict, FrozenSet, Iterable, List, Mapping, Tuple
 
-from dyknow.manager.planning.budget import Budget
-from dyknow.manager.planning.costs import Costs
-from dyknow.manager.planning.extraction import no_plan, plan_of
-from dyknow.manager.planning.improvement import Improved, drafted, improve, soonest
-from dyknow.manager.planning.instances import Instances
-from dyknow.manager.planning.knuth import cheapest
-from dyknow.manager.planning.latency import microseconds
-from dyknow.manager.planning.live_streams import LiveStreams
-from dyknow.manager.planning.network import Network
-from dyknow.manager.planning.problem import NO_FREE, NO_LABELS, Answer, NoPlan
-from dyknow.manager.planning.reach import Scope
-from dyknow.manager.planning.refinement import Refinement
-from dyknow.manager.planning.stream_actions import StreamActions
+from dyknow.manager.planning.and_or_graph import Draft, drafted
+from dyknow.manager.planning.answer import plan_of
+from dyknow.manager.planning.bounds import Bounds
+from dyknow.manager.planning.budget import STEPS, Budget
+from dyknow.manager.planning.improvement import Improved, improve, soonest
+from dyknow.manager.planning.library import LibraryWriter
+from dyknow.manager.planning.problem import NO_FREE, NO_LABELS, Answer, NoPlan, TaggedStream
+from dyknow.manager.planning.reasons import no_plan
+from dyknow.manager.planning.request import NO_FEEDERS, Need, Request
+from dyknow.manager.planning.search import Instance, Search
 from dyknow.manager.planning.supply import Demand
-from dyknow.manager.planning.wishes import (
-    NO_WISHES,
-    TaggedStream,
-    Wishes,
-    charges_of,
-)
+from dyknow.manager.planning.wishes import NO_WISHES, Wishes, charges_of
 from dyknow.manager.specifications.tags import NO_ONTOLOGY, Bindings, Subsumption
 from dyknow.model.transformation import Transformation
 
 #: Seconds that the improvement of a plan may take.
 BUDGET = 0.1
-
-NO_FEEDERS: Mapping[str, FrozenSet[str]] = MappingProxyType({})
-"""It is not known what feeds the live streams."""
+#: Steps that the search for the cheapest tree may take, besides the budget.
+_SEARCH = 30_000_000
 
 
 class Planner:
-    """Plans with a library that changes a little at a time; one call at a time."""
+    """Plans with a library that changes a little at a time.
+
+    One thread at a time changes the library. Any thread plans meanwhile, with the library as it
+    was when it began, without a lock.
+    """
 
     def __init__(
         self,
@@ -65,25 +49,25 @@ class Planner:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """Start with an empty library."""
-        self._network = Network(ontology)
+        self._writer = LibraryWriter(ontology)
         self._clock = clock
 
     def __len__(self) -> int:
         """Count the transformations that can be planned with."""
-        return len(self._network)
+        return len(self._writer.library.by_label)
 
     @property
     def waste(self) -> int:
         """Numbers that are kept in vain; a new planner would have none."""
-        return self._network.waste
+        return self._writer.waste
 
     def add(self, transformations: Iterable[Transformation]) -> None:
         """Add transformations; those of known labels are replaced. Topics are no actions."""
-        self._network.add(transformations)
+        self._writer.change((), transformations)
 
-    def remove(self, label: str) -> None:
-        """Forget a transformation, if it is known."""
-        self._network.remove(label)
+    def remove(self, *labels: str) -> None:
+        """Forget transformations, as far as they are known."""
+        self._writer.change(labels, ())
 
     def plan(
         self,
@@ -110,33 +94,30 @@ class Planner:
             wishes: what is to be used rather than other things.
             feeders: labels of what feeds the live streams, by their nodelets.
         """
-        network = self._network
-        usable = [each for each in live if each[0].label not in exclude]
-        charges = charges_of(network, demand, usable, exclude, wishes)
-        used = StreamActions(network, charges, feeders, bool(demand.max_age))
-        streams = LiveStreams(network.names)
-        for stream, terms in usable:
-            if not used.add(stream, terms):
-                streams.add(stream, terms)
-        with used:
-            goal = network.goal(demand)
-            scope = Scope(network, goal, streams, exclude | paused)
-            problem = Refinement(scope, free, used.charges)
-            instances, trees = problem.trees()
-            if goal not in trees.value:
-                return no_plan(instances, trees, demand)
-            draft = drafted(instances, trees.chosen)
-            limit = microseconds(demand.max_age) if demand.max_age else None
+        library = self._writer.library
+        streams = list(live)
+        charges = charges_of(library, demand, streams, exclude, wishes)
+        request = Request(library, demand, streams, exclude, paused, free, charges, feeders)
+        bounds = Bounds(request)
+        least, actions = bounds.least()
+        goal = Need(request.goal, ())
+        if bounds.is_simple and request.goal in least:
+            draft = drafted(request, _choices(request, actions), goal)
+        else:
+            search = Search(request, bounds, least)
+            search.run(_SEARCH + int(budget * STEPS))
+            if goal not in search.value:
+                return no_plan(request, search)
+            draft = drafted(request, search.chosen, goal)
 
-            def latency() -> float:
-                return plan_of(streams, demand, Improved(draft, 0, False)).latency
+        def latency(draft: Draft) -> float:
+            return plan_of(request, Improved(draft, 0, False)).latency
 
-            if limit is not None and microseconds(latency()) > limit:
-                draft, is_in_time = soonest(problem, draft, limit)
-                if not is_in_time:
-                    return NoPlan(demand, (), False, latency())
-            improved = improve(problem, draft, Budget(budget, self._clock), limit)
-            return used.restored(plan_of(streams, demand, improved))
+        if request.limit is not None and not demand.is_soon(latency(draft)):
+            draft, is_in_time = soonest(request, bounds, draft)
+            if not is_in_time:
+                return NoPlan(demand, (), False, latency(draft))
+        return plan_of(request, improve(request, bounds, draft, Budget(budget, self._clock)))
 
     def charges(
         self,
@@ -146,8 +127,7 @@ class Planner:
         wishes: Wishes,
     ) -> Dict[str, int]:
         """Return what the parts of a plan are charged besides their costs, by label."""
-        usable = [each for each in live if each[0].label not in exclude]
-        return charges_of(self._network, demand, usable, exclude, wishes)
+        return charges_of(self._writer.library, demand, list(live), exclude, wishes)
 
     def bindings(
         self,
@@ -166,19 +146,31 @@ class Planner:
             The bindings, sorted, and whether these are all. Without a variable there is an empty
             one if the stream can be made.
         """
-        network = self._network
-        streams = LiveStreams(network.names)
-        for stream, terms in live:
-            streams.add(stream, terms)
+        library = self._writer.library
         variables = sorted({each for term in demand.tags for each in term.variables})
-        goal = network.goal(demand, variables)
-        reach = Scope(network, goal, streams, NO_LABELS).everything(False)
-        instances = Instances(network, reach, Costs(network, NO_FREE))
-        values = cheapest(instances, is_all=True, budget=Budget(budget, self._clock))
-        written = network.names.written
-        found = [
-            tuple(zip(variables, map(written, theta)))
-            for node, theta in instances.nodes_of(goal)
-            if node in values.value
-        ]
-        return sorted(found), values.is_complete
+        request = Request(library, demand, list(live), wanted=variables)
+        bounds = Bounds(request)
+        search = Search(request, bounds, bounds.least()[0])
+        search.run(int(budget * STEPS), is_all=True)
+        written = request.names.written
+        found = [tuple(zip(variables, map(written, node.theta))) for node in search.goal.answers]
+        return sorted(found), search.is_complete
+
+
+def _choices(request: Request, actions: Dict[int, int]) -> Dict[Need, Instance]:
+    """Return what supplies the nodes where no name is bound."""
+    found: Dict[Need, Instance] = {}
+    made: Dict[int, Instance] = {}
+    waiting = [request.goal]
+    for number in waiting:  # grows meanwhile
+        action = actions[number]
+        instance = made.get(action)
+        if instance is None:
+            inputs = request.inputs(action)
+            cost = request.floor(action)
+            instance = made[action] = Instance(
+                action, (), cost, tuple([Need(each, ()) for each in inputs])
+            )
+            waiting += inputs
+        found[Need(number, ())] = instance
+    return found

@@ -15,7 +15,7 @@ from typing import FrozenSet, Mapping, NamedTuple, Tuple, Union
 
 from dyknow.demand_text import write_missing
 from dyknow.manager.planning.supply import Demand
-from dyknow.manager.specifications.tags import Bindings
+from dyknow.manager.specifications.tags import Bindings, Term
 
 
 class Live(NamedTuple):
@@ -38,6 +38,10 @@ class Live(NamedTuple):
     datatype: str
     rate: float = 0.0
     latency: float = 0.0
+
+
+TaggedStream = Tuple[Live, Tuple[Term, ...]]
+"""A stream and what it is about."""
 
 
 class New(NamedTuple):
@@ -132,6 +136,22 @@ class Plan(NamedTuple):
         return tuple(sorted(source for source in used if isinstance(source, Live)))
 
 
+class Obstacle(NamedTuple):
+    """A demand that something would supply, but for a cause.
+
+    Attributes:
+        demand: what is not supplied.
+        causes: what is in the way, as sentences.
+    """
+
+    demand: Demand
+    causes: Tuple[str, ...]
+
+    def __str__(self) -> str:
+        """Name the demand and its causes."""
+        return f"{self.demand} cannot be used: {', and '.join(self.causes)}"
+
+
 class NoPlan(NamedTuple):
     """Why there is none.
 
@@ -140,16 +160,24 @@ class NoPlan(NamedTuple):
         missing: demands that nothing supplies, sorted by their text.
         circular: whether nothing is missing, but everything that supplies it needs it first.
         latency: of the soonest plan, in s, if all are too late; else 0.
+        obstacles: demands that would be met but for a type, a rate, or what may not be used.
+        is_cut_short: whether the search reached its limit, so that there may be a plan.
     """
 
     demand: Demand
     missing: Tuple[Demand, ...]
     circular: bool
     latency: float = 0.0
+    obstacles: Tuple[Obstacle, ...] = ()
+    is_cut_short: bool = False
 
     @property
     def reason(self) -> str:
-        """Tell why there is no plan although nothing is missing."""
+        """Tell why there is no plan, besides what is missing."""
+        if self.obstacles:
+            return "; ".join(map(str, self.obstacles))
+        if self.is_cut_short:
+            return "the search reached its limit before it found one; a larger budget raises that"
         if self.latency:
             return f"the soonest plan found takes {self.latency:g} s"
         return "everything that supplies it needs it first"
@@ -157,7 +185,8 @@ class NoPlan(NamedTuple):
     def __str__(self) -> str:
         """Name what is missing."""
         if self.missing:
-            return write_missing(str(self.demand), map(str, self.missing))
+            text = write_missing(str(self.demand), map(str, self.missing))
+            return "; ".join([text, *map(str, self.obstacles)])
         return f"no plan for {self.demand}: {self.reason}"
 
 

@@ -11,29 +11,18 @@ charges.
 
 from __future__ import annotations
 
-from typing import (
-    AbstractSet,
-    Dict,
-    FrozenSet,
-    Iterable,
-    NamedTuple,
-    Sequence,
-    Tuple,
-)
+from typing import AbstractSet, Dict, FrozenSet, Iterable, NamedTuple, Sequence, Set, Tuple
 
-from dyknow.manager.planning.live_streams import LiveStreams
-from dyknow.manager.planning.network import Network
-from dyknow.manager.planning.problem import Live
-from dyknow.manager.planning.reach import Scope
+from dyknow.manager.planning.bounds import Bounds
+from dyknow.manager.planning.library import RuleLibrary
+from dyknow.manager.planning.problem import TaggedStream
+from dyknow.manager.planning.request import Request, base
 from dyknow.manager.planning.supply import Demand
-from dyknow.manager.specifications.tags import Term
+from dyknow.manager.specifications.tags import Term, read_tags
 
 #: What a part is charged besides its cost.
 AVOIDED = 1000
 NOT_PREFERRED = 100
-
-TaggedStream = Tuple[Live, Tuple[Term, ...]]
-"""A stream and what it is about."""
 
 
 class Wishes(NamedTuple):
@@ -48,7 +37,7 @@ NO_WISHES = Wishes()
 
 
 def charges_of(
-    network: Network,
+    library: RuleLibrary,
     goal: Demand,
     streams: Sequence[TaggedStream],
     exclude: AbstractSet[str],
@@ -57,15 +46,25 @@ def charges_of(
     """Return what the parts that may help to reach a goal are charged, by label."""
     if wishes == NO_WISHES:
         return {}
-    names = network.names
-    everything = LiveStreams(names)
-    tags: Dict[str, FrozenSet[Term]] = {}
+    names = library.names
+    bounds = Bounds(Request(library, goal, (), exclude), is_whole=True)
+    request = Request(library, goal, streams, exclude)
+    tags: Dict[str, Set[Term]] = {}
     for stream, terms in streams:
-        everything.add(stream, terms)
-        tags[stream.label] = tags.get(stream.label, frozenset()).union(terms)
-    reach = Scope(network, network.goal(goal), LiveStreams(names), exclude).everything(False)
-    for action in reach.serves:
-        tags[network.labels[action]] = frozenset(network.tags(action))
+        if stream.label not in exclude:
+            tags.setdefault(stream.label, set()).update(terms)
+    suppliers: Dict[int, Set[str]] = {}
+    for number in bounds.users:
+        makers = [base(each) for each in request.makers(number)]
+        facts = [head for head, _ in request.facts(number, ())]
+        for action in {
+            *makers,
+            *[head.action for head in facts if head.action not in request.charged],
+        }:
+            texts = tuple([text for head in library.heads[action] for text in head.texts])
+            tags.setdefault(library.labels[action], set()).update(read_tags(texts))
+        suppliers[number] = {library.labels[each] for each in makers}
+        suppliers[number].update([head.source.label for head in facts])
 
     def meant(wanted: Iterable[str]) -> FrozenSet[str]:
         labels = frozenset(wanted)
@@ -84,13 +83,10 @@ def charges_of(
 
     charges = dict.fromkeys(meant(wishes.avoid), AVOIDED)
     preferred = meant(wishes.prefer)
-    others: FrozenSet[str] = frozenset()
-    if preferred:
-        for demand in reach.above:
-            suppliers = {network.labels[action] for action in network.suppliers(demand)} - exclude
-            suppliers |= everything.labels(network.patterns[demand])
-            if not preferred.isdisjoint(suppliers):
-                others = others.union(suppliers - preferred)
+    others: Set[str] = set()
+    for labels in suppliers.values():
+        if not preferred.isdisjoint(labels):
+            others.update(labels - preferred)
     for label in others:
         charges[label] = charges.get(label, 0) + NOT_PREFERRED
     return charges

@@ -23,8 +23,9 @@ def field(monkeypatch: pytest.MonkeyPatch) -> Iterator[Field]:
 
 def numbers(field: Field) -> int:
     planner = field.reconciler._planner
-    networks = [each._planner._network for each in (planner._rounds, planner._requests)]
-    return max(len(network.labels) + len(network.patterns) for network in networks)
+    planners = [each._planner for each in (planner._rounds, planner._requests)]
+    libraries = [each._writer.library for each in planners]
+    return max(len(library.labels) + len(library.patterns) for library in libraries)
 
 
 def test_tags_that_were_asked_for_once(field: Field) -> None:

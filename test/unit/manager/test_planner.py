@@ -364,6 +364,41 @@ def test_one_nodelet_is_free_for_one_instance() -> None:
     assert plan(library, "Depth", free={"rectifier": ()}).cost == 2
 
 
+def test_a_way_without_a_second_nodelet_may_be_cheaper() -> None:
+    library = [
+        make("cam1", [], ["Raw(cam1)"], 3),
+        make("cam2", [], ["Raw(cam2)"], 0),
+        make("rectifier", ["Raw(?c)"], ["Rect(?c)"], 10),
+        make("left", [], ["Rect(cam1)"], 4),
+        make("stereo", ["Rect(cam1)", "Rect(cam2)"], ["Depth"], 3),
+    ]
+    answer = plan(library, "Depth", free={"rectifier": ()})
+    assert isinstance(answer, Plan)
+    assert (answer.cost, answer.least_cost) == (7, 7)
+
+
+def test_a_port_that_states_no_rate_is_as_fast_as_what_feeds_it() -> None:
+    def rated(each: Transformation, rate: float) -> Transformation:
+        return each._replace(ports=(*each.ports[:-1], each.ports[-1]._replace(rate=rate)))
+
+    slow, fast = make("slow", [], ["Raw"], 1), make("fast", [], ["Raw"], 5)
+    follower = make("filter", ["Raw"], ["Smooth"], 1)
+    planner = Planner()
+    planner.add([rated(slow, 5.0), follower])
+    goal = demand("Smooth")._replace(min_rate=10.0)
+    refused = planner.plan(goal)
+    assert isinstance(refused, NoPlan)
+    assert "Raw [at least 10 Hz] cannot be used: it is stated at 5 Hz, below 10 Hz" in str(refused)
+    planner.add([rated(fast, 30.0)])
+    answer = planner.plan(goal)
+    assert isinstance(answer, Plan)
+    assert [step.action.label for step in answer.steps] == ["fast", "filter"]
+    planner.add([rated(follower, 20.0)])
+    answer = planner.plan(goal)
+    assert isinstance(answer, Plan)
+    assert [step.action.label for step in answer.steps] == ["slow", "filter"]
+
+
 def test_what_the_garbage_collector_collects_and_when_is_left_alone() -> None:
     is_on = []
     planner = Planner(clock=lambda: float(is_on.append(gc.isenabled()) or 0.0))

@@ -338,7 +338,7 @@ def test_what_a_claim_excludes_does_not_come_to_it_through_others(field: Field) 
     assert field.state(easy.claim_id) is ClaimState.ACTIVE
     assert easy.topic in field.moving
     assert field.state(picky.claim_id) is ClaimState.PENDING
-    assert "nothing supplies" in field.claim(picky.claim_id).detail
+    assert "ceiling camera is excluded" in field.claim(picky.claim_id).detail
     field.manager.add_transformation(LIBRARY)
     field.settle()
     assert field.state(picky.claim_id) is ClaimState.ACTIVE

@@ -31,13 +31,14 @@ _MOST_SETS = 30_000
 
 
 class Problem(NamedTuple):
-    """A library, what runs, and what is asked for."""
+    """A library, what runs, and what is asked for; of what is free there is one nodelet."""
 
     library: Tuple[Transformation, ...]
     live: Tuple[Tuple[Live, Tuple[Term, ...]], ...]
     exclude: frozenset[str]
     goal: Demand
     ontology: Subsumption
+    free: Tuple[str, ...] = ()
 
 
 class TooLarge(Exception):
@@ -135,10 +136,18 @@ class Suppliers(NamedTuple):
     Attributes:
         mask: the suppliers as bits; the first one stands for what is live.
         latencies: of the soonest stream of each supplier, in microseconds.
+        fast: those that are fast enough by themselves.
+        followers: those that are as fast as what feeds them.
     """
 
     mask: int
     latencies: Dict[int, int]
+    fast: int
+    followers: int
+
+    def is_fast(self, there: int, quick: int) -> bool:
+        """Whether there is a fast stream; ``quick`` are those of which all inputs are fast."""
+        return bool(there & self.fast or quick & self.followers)
 
 
 class Instances(NamedTuple):
@@ -148,11 +157,13 @@ class Instances(NamedTuple):
         goal: what supplies the goal.
         needs: what supplies the in-ports of each instance.
         costs: of each instance.
+        groups: for each instance those of which one costs nothing, itself among them, as bits.
     """
 
     goal: Suppliers
     needs: List[List[Suppliers]]
     costs: List[int]
+    groups: List[int]
 
     def latency(self, there: int) -> float:
         """Return when the goal is supplied with some instances, in microseconds."""
@@ -177,12 +188,56 @@ def least_cost(problem: Problem) -> Optional[int]:
     Raises:
         TooLarge: it was not found among the sets that were tried.
     """
-    return _cheapest_set(written_out(problem), problem.goal.max_age)
+    return _cheapest_set(written_out(problem), problem.goal)
 
 
 def least_latency(problem: Problem) -> float:
     """Return the latency of the soonest plan, in s."""
     return written_out(problem).latency(-1) / 1e6
+
+
+class Supplied(NamedTuple):
+    """What an instance would supply, if it could be made, or a live stream."""
+
+    label: str
+    tags: Sequence[Term]
+    datatype: str
+    rate: float
+
+
+def supplied(problem: Problem) -> List[Supplied]:
+    """Write out what all instances would supply, excluded or not."""
+    found = [
+        Supplied(stream.label, tags, stream.datatype, stream.rate) for stream, tags in problem.live
+    ]
+    for each in instances(problem._replace(exclude=frozenset())):
+        found += [
+            Supplied(
+                each.transformation.label,
+                bound(tags_of(port), each.bindings),
+                port.datatype,
+                port.rate,
+            )
+            for port in each.transformation.ports
+            if port.direction == "out" and port.tags
+        ]
+    return found
+
+
+def supplies(streams: Iterable[Supplied], demand: Demand, problem: Problem) -> bool:
+    """Whether one of some streams is what is demanded; a rate that is not stated will do."""
+    terms = sorted(demand.tags)
+    variables = sorted({arg for term in terms for arg in term.args if arg.startswith("?")})
+    ontology = problem.ontology
+    for values in itertools.product(individuals(problem), repeat=len(variables)):
+        bindings = dict(zip(variables, values))
+        if is_typed(terms, bindings, ontology) and any(
+            demand.is_fast(each.rate)
+            and fits(each.tags, each.datatype, terms, demand.datatype, bindings, ontology)
+            for each in streams
+        ):
+            return True
+    return False
 
 
 def written_out(problem: Problem) -> Instances:
@@ -206,20 +261,27 @@ def written_out(problem: Problem) -> Instances:
             if port.direction == "out" and port.tags
         ]
 
+    needy = {0: False}
+    for number, each in enumerate(every, 1):
+        ports = each.transformation.ports
+        needy[number] = any(port.direction == "in" and port.tags for port in ports)
+
     def suppliers(
-        demanded: Sequence[Term],
-        datatype: str,
-        many: Iterable[Mapping[str, str]],
-        min_rate: float = 0.0,
+        demanded: Sequence[Term], datatype: str, many: Iterable[Mapping[str, str]]
     ) -> Suppliers:
         found: Dict[int, int] = {}
+        fast, followers = 0, 0
         for bindings in many:
             for number, tags, kind, rate, latency in streams:
-                if (not rate or rate >= min_rate) and fits(
-                    tags, kind, demanded, datatype, bindings, ontology
-                ):
+                if fits(tags, kind, demanded, datatype, bindings, ontology):
                     found[number] = min(latency, found.get(number, latency))
-        return Suppliers(sum(1 << number for number in found), found)
+                    if rate >= goal_rate if rate else not needy[number]:
+                        fast |= 1 << number
+                    elif not rate:
+                        followers |= 1 << number
+        return Suppliers(sum(1 << number for number in found), found, fast, followers)
+
+    goal_rate = problem.goal.min_rate
 
     needs = [
         [
@@ -236,14 +298,22 @@ def written_out(problem: Problem) -> Instances:
     ]
     ways = [each for each in ways if is_typed(goal, each, ontology)]
     return Instances(
-        suppliers(goal, problem.goal.datatype, ways, problem.goal.min_rate),
+        suppliers(goal, problem.goal.datatype, ways),
         needs,
         [each.transformation.cost for each in every],
+        [
+            sum(
+                2 << number
+                for number, other in enumerate(every)
+                if other.transformation.label == each.transformation.label in problem.free
+            )
+            for each in every
+        ],
     )
 
 
-def _cheapest_set(every: Instances, max_age: float) -> Optional[int]:
-    goal, needs, costs = every
+def _cheapest_set(every: Instances, asked: Demand) -> Optional[int]:
+    goal, needs, costs, groups = every
     relevant = goal.mask
     grown = True
     while grown:
@@ -259,27 +329,38 @@ def _cheapest_set(every: Instances, max_age: float) -> Optional[int]:
     users = [demand for demands in [*needs, [goal]] for demand in demands]
     kept = []
     for number in numbers:
-        needed = tuple(tuple(sorted(each.latencies.items())) for each in needs[number])
-        made = tuple(each.latencies.get(number + 1) for each in users)
-        key = costs[number], needed, made
+        needed = tuple(
+            (tuple(sorted(each.latencies.items())), each.fast, each.followers)
+            for each in needs[number]
+        )
+        made = tuple(
+            (each.latencies.get(number + 1), each.fast >> number & 2, each.followers >> number & 2)
+            for each in users
+        )
+        key = costs[number], needed, made, groups[number] and number
         if key not in alike:
             alike[key] = number
             kept.append(number)
-    heap = [(0, 1)]
-    seen: Set[int] = set()
+    max_age, min_rate = asked.max_age, asked.min_rate
+    heap = [(0, 1, 0)]  # the second mask is of those all of whose inputs are fast
+    seen: Set[Tuple[int, int]] = set()
     while heap:
-        cost, there = heapq.heappop(heap)
-        if there in seen:
+        cost, there, quick = heapq.heappop(heap)
+        if (there, quick) in seen:
             continue
-        seen.add(there)
+        seen.add((there, quick))
         if len(seen) > _MOST_SETS:
             raise TooLarge
-        if there & goal.mask and (not max_age or every.latency(there) <= round(max_age * 1e6)):
+        is_met = goal.is_fast(there, quick) if min_rate else there & goal.mask
+        if is_met and (not max_age or every.latency(there) <= round(max_age * 1e6)):
             return cost
         for number in kept:
             bit = 2 << number
             if not there & bit and all(there & each.mask for each in needs[number]):
-                heapq.heappush(heap, (cost + costs[number], there | bit))
+                is_quick = min_rate and all(each.is_fast(there, quick) for each in needs[number])
+                is_free = groups[number] and not groups[number] & there
+                total = cost if is_free else cost + costs[number]
+                heapq.heappush(heap, (total, there | bit, quick | bit if is_quick else quick))
     return None
 
 

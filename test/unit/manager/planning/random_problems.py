@@ -182,8 +182,7 @@ def with_limits(problem: Problem, seed: int) -> Problem:
         for each in problem.library
     ]
     live = [(stream._replace(**stated()), terms) for stream, terms in problem.live]
-    goal = problem.goal._replace(
-        min_rate=chance.choice([0.0, 0.0, 10.0]),
-        max_age=chance.choice([0.0, 0.005, 0.01, 0.03, 0.03, 0.05, 0.1, 0.12]),
-    )
+    min_rate = chance.choice([0.0, 0.0, 10.0])
+    max_age = chance.choice([0.0, 0.005, 0.01, 0.03, 0.03, 0.05, 0.1, 0.12])
+    goal = problem.goal._replace(min_rate=min_rate, max_age=0.0 if min_rate else max_age)
     return problem._replace(library=tuple(library), live=tuple(live), goal=goal)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import itertools
 import random
+from typing import List
 
 import pytest
 from unit.manager.planning.brute_force import (
@@ -19,9 +20,12 @@ from unit.manager.planning.brute_force import (
 )
 from unit.manager.planning.random_problems import random_problem
 
-from dyknow.manager.planning import refinement
+from dyknow.manager.planning import library
 from dyknow.manager.planning.planner import Planner
 from dyknow.manager.planning.problem import Answer, NoPlan, Plan
+from dyknow.manager.planning.supply import Demand
+from dyknow.manager.specifications.tags import NO_ONTOLOGY, parse_tag
+from dyknow.model.transformation import Port, Transformation
 
 _SHARE = 1_000
 
@@ -35,10 +39,10 @@ def solve(problem: Problem, seed: int = 0) -> Answer:
     return planner.plan(problem.goal, problem.live, problem.exclude, budget=1.0)
 
 
-@pytest.fixture(autouse=True, params=[0, refinement.SMALL])
-def small(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Search small problems in the abstract first too, as large ones are."""
-    monkeypatch.setattr(refinement, "SMALL", request.param)
+@pytest.fixture(autouse=True, params=[0, library.MANY])
+def many(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Look makers up by known names, also where they are few."""
+    monkeypatch.setattr(library, "MANY", request.param)
 
 
 def compare(seeds: range) -> None:
@@ -71,6 +75,49 @@ def compare(seeds: range) -> None:
 
 def test_a_share_of_random_libraries() -> None:
     compare(range(_SHARE // 3))
+
+
+def _rectified(seed: int) -> Problem:
+    """Write a problem in which one nodelet is free, and more than one may be needed."""
+    chance = random.Random(seed)
+
+    def make(label: str, needs: List[str], supplied: str) -> Transformation:
+        ports = [Port(f"in{number}", "in", "", (need,)) for number, need in enumerate(needs)]
+        ports.append(Port("out", "out", "", (supplied,)))
+        return Transformation(label, "p/X", cost=chance.randint(0, 9), ports=tuple(ports))
+
+    cameras = [f"cam{number}" for number in range(chance.randint(2, 4))]
+    library = [make(each, [], f"Raw({each})") for each in cameras]
+    library += [
+        make(f"other {each}", [], f"Rect({each})") for each in cameras if chance.random() < 0.7
+    ]
+    library.append(make("rectifier", ["Raw(?c)"], "Rect(?c)"))
+    library.append(make("depth", [f"Rect({each})" for each in cameras], "Depth"))
+    goal = Demand(frozenset([parse_tag("Depth")]))
+    free = ("rectifier",) if chance.random() < 0.8 else ("rectifier", *cameras[:1])
+    return Problem(tuple(library), (), frozenset(), goal, NO_ONTOLOGY, free)
+
+
+def test_one_nodelet_of_what_is_free_costs_nothing() -> None:
+    twice = 0
+    for seed in range(150):
+        problem = _rectified(seed) if seed % 3 else random_problem(seed)
+        if not problem.free:
+            labels = [each.label for each in problem.library]
+            chosen = random.Random(seed).sample(labels, len(labels) // 2)
+            problem = problem._replace(free=tuple(chosen))
+        free = {label: () for label in problem.free}
+        planner = Planner(problem.ontology, clock=lambda: 0.0)
+        planner.add(problem.library)
+        answer = planner.plan(problem.goal, problem.live, problem.exclude, free, budget=1.0)
+        expected = least_cost(problem)
+        assert isinstance(answer, NoPlan) is (expected is None), seed
+        if isinstance(answer, Plan):
+            assert expected is not None
+            assert answer.cost == answer.least_cost == expected, seed
+            used = [each.action.label for each in answer.steps if each.action.label in free]
+            twice += len(used) > len({*used})
+    assert twice > 10
 
 
 def test_a_second_search_may_find_other_inputs_for_an_instance() -> None:

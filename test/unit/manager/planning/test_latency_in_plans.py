@@ -17,12 +17,11 @@ from unit.manager.planning.brute_force import (
 )
 from unit.manager.planning.random_problems import random_problem, with_limits
 
-from dyknow.manager.planning import refinement
+from dyknow.manager.planning import library
 from dyknow.manager.planning.explanation import as_tree, tree_as_dot
 from dyknow.manager.planning.planner import Planner
-from dyknow.manager.planning.problem import Answer, Live, NoPlan, Plan
+from dyknow.manager.planning.problem import Answer, Live, NoPlan, Plan, TaggedStream
 from dyknow.manager.planning.supply import Demand
-from dyknow.manager.planning.wishes import TaggedStream
 from dyknow.manager.specifications.tags import parse_tag
 from dyknow.model.transformation import Port, Transformation
 
@@ -69,10 +68,10 @@ def compare(seeds: range) -> None:
     assert skipped < len(seeds) // 25
 
 
-@pytest.fixture(autouse=True, params=[0, refinement.SMALL])
-def small(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Search small problems in the abstract first too, as large ones are."""
-    monkeypatch.setattr(refinement, "SMALL", request.param)
+@pytest.fixture(autouse=True, params=[0, library.MANY])
+def many(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Look makers up by known names, also where they are few."""
+    monkeypatch.setattr(library, "MANY", request.param)
 
 
 def test_a_share_of_random_libraries() -> None:

@@ -12,12 +12,12 @@ import pytest
 from unit.manager.planning.brute_force import Problem, TooLarge, least_cost
 from unit.manager.planning.random_problems import Kinds, random_problem
 
-from dyknow.manager.planning import refinement
+from dyknow.manager.planning import library
 from dyknow.manager.planning.explanation import as_tree, tree_as_dot
 from dyknow.manager.planning.planner import Planner
-from dyknow.manager.planning.problem import Live, NoPlan, Plan
+from dyknow.manager.planning.problem import Live, NoPlan, Plan, TaggedStream
 from dyknow.manager.planning.supply import Demand
-from dyknow.manager.planning.wishes import AVOIDED, NOT_PREFERRED, TaggedStream, Wishes
+from dyknow.manager.planning.wishes import AVOIDED, NOT_PREFERRED, Wishes
 from dyknow.manager.specifications.tags import parse_tag
 from dyknow.model.transformation import Port, Transformation
 
@@ -49,9 +49,9 @@ def charged(problem: Problem, charges: dict[str, int]) -> Problem:
     return problem._replace(library=tuple(library), live=tuple(free), exclude=frozenset())
 
 
-@pytest.mark.parametrize("small", [0, refinement.SMALL])
-def test_the_cheapest_plan_with_charges(small: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(refinement, "SMALL", small)
+@pytest.mark.parametrize("many", [0, library.MANY])
+def test_the_cheapest_plan_with_charges(many: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(library, "MANY", many)
     plans, paying, proven = 0, 0, 0
     for seed in range(300):
         problem = random_problem(seed)

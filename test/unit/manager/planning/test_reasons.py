@@ -1,0 +1,174 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""Refusals name causes that hold: each is checked against all instances, and by examples."""
+
+from __future__ import annotations
+
+import random
+from typing import FrozenSet, List
+
+import pytest
+from unit.manager.planning.brute_force import Problem, supplied, supplies
+from unit.manager.planning.random_problems import random_problem
+
+from dyknow.manager.planning import library
+from dyknow.manager.planning.explanation import as_tree
+from dyknow.manager.planning.planner import Planner
+from dyknow.manager.planning.problem import Answer, Live, NoPlan
+from dyknow.manager.planning.supply import Demand
+from dyknow.manager.specifications.tags import parse_tag
+from dyknow.model.transformation import Port, Transformation
+
+
+def solve(problem: Problem) -> Answer:
+    planner = Planner(problem.ontology, clock=lambda: 0.0)
+    planner.add(problem.library)
+    return planner.plan(problem.goal, problem.live, problem.exclude)
+
+
+@pytest.mark.parametrize("many", [0, library.MANY])
+def test_refusals_of_random_problems_state_no_falsehood(
+    many: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(library, "MANY", many)
+    missing = excluded = typed = of_datatypes = slow = 0
+    for seed in range(1_500):
+        problem = random_problem(seed)
+        chance = random.Random(seed)
+        labels = [each.label for each in problem.library]
+        goal = problem.goal
+        if chance.random() < 0.3:
+            goal = goal._replace(min_rate=10.0)
+        problem = problem._replace(
+            exclude=problem.exclude | {*chance.sample(labels, len(labels) // 3)},
+            goal=goal,
+            library=tuple(
+                each._replace(
+                    ports=tuple(
+                        port._replace(rate=chance.choice([0.0, 5.0, 30.0]))
+                        if port.direction == "out"
+                        else port
+                        for port in each.ports
+                    )
+                )
+                for each in problem.library
+            ),
+        )
+        answer = solve(problem)
+        if not isinstance(answer, NoPlan):
+            continue
+        assert answer.missing or answer.obstacles or answer.circular, seed
+        streams = supplied(problem)
+        for demand in answer.missing:
+            missing += 1
+            assert not supplies(streams, demand, problem), (seed, str(demand))
+        for demand, causes in answer.obstacles:
+            usable = [each for each in streams if each.label not in problem.exclude]
+            # Types of variables that have names are not written.
+            is_written = not any("has to be" in cause or ", not a" in cause for cause in causes)
+            is_written = is_written and not any("not known" in cause for cause in causes)
+            assert not (is_written and supplies(usable, demand, problem)), (seed, str(demand))
+            fast = [each for each in streams if not 0 < each.rate < demand.min_rate]
+            for cause in causes:
+                if "excluded" in cause:
+                    excluded += 1
+                    named = cause.rpartition(" is ")[0] or cause.rpartition(" are ")[0]
+                    assert {*named.split(", ")} <= problem.exclude, (seed, cause)
+                elif "Hz" in cause:
+                    slow += 1
+                    assert not supplies(fast, demand, problem), (seed, cause)
+                elif "has to be" in cause:
+                    assert " and a " in cause
+                elif "it is a " in cause:
+                    of_datatypes += 1
+                    assert demand.datatype not in ("", "*")
+                else:
+                    typed += 1
+                    for said in cause.split("; "):
+                        name, _, kinds = said.partition(" is ")
+                        for kind in kinds.rpartition(" a ")[2].split(" and "):
+                            assert kind not in problem.ontology.names_above(name), (seed, cause)
+            if len(causes) == 1 and "excluded" in causes[0]:
+                # What has in-ports would supply it for an individual that there may not be.
+                named = causes[0].rpartition(" is ")[0] or causes[0].rpartition(" are ")[0]
+                needy = [
+                    each.label
+                    for each in problem.library
+                    if any(port.direction == "in" for port in each.ports)
+                ]
+                is_needy = not {*named.split(", ")}.isdisjoint(needy)
+                assert is_needy or supplies(streams, demand, problem), (seed, causes)
+    assert min(missing, excluded, typed, of_datatypes, slow) > 10
+
+
+class Cameras:
+    """What a nose and an eye are."""
+
+    def names_above(self, name: str) -> FrozenSet[str]:
+        above = {"nose": ["RobotCamera", "Camera"], "RobotCamera": ["Camera"]}
+        return frozenset((name, *above.get(name, ())))
+
+    def canonical(self, name: str) -> str:
+        return name
+
+
+def make(label: str, needs: List[str], supplied: str, datatype: str = "", rate: float = 0.0):  # type: ignore[no-untyped-def]
+    ports = [Port(f"in{number}", "in", "", (need,)) for number, need in enumerate(needs)]
+    ports.append(Port("out", "out", datatype, (supplied,), rate))
+    return Transformation(label, "p/X", ports=tuple(ports))
+
+
+def refused(tag: str, *transformations: Transformation, **kwds) -> str:  # type: ignore[no-untyped-def]
+    planner = Planner(Cameras())
+    planner.add(transformations)
+    demand = Demand(
+        frozenset((parse_tag(tag),)), kwds.pop("datatype", ""), kwds.pop("min_rate", 0.0)
+    )
+    answer = planner.plan(demand, **kwds)
+    assert isinstance(answer, NoPlan)
+    assert all(str(each) in as_tree(answer) for each in answer.obstacles)
+    return str(answer).partition(": ")[2]
+
+
+def test_an_individual_of_another_type_is_named_with_its_own() -> None:
+    detector = make("detector", ["Image(?c: FieldCamera)"], "Ball(?c)")
+    why = "cannot be used: nose is a RobotCamera, not a FieldCamera"
+    camera = make("camera", [], "Image(nose)")
+    assert refused("Ball(nose)", camera, detector) == f"Image(nose) {why}"
+    assert refused("Ball(?which)", camera, detector) == f"Image(?c: FieldCamera) {why}"
+    unknown = refused("Ball(ear)", make("camera", [], "Image(ear)"), detector)
+    assert unknown == "Image(ear) cannot be used: ear is not known to be a FieldCamera"
+    assert refused("Ball(ear)", camera, detector) == "nothing supplies Image(ear)"
+
+
+def test_what_must_not_be_used_is_named() -> None:
+    camera = make("camera", [], "Image(nose)")
+    excluded = refused("Image(nose)", camera, exclude=frozenset(("camera",)))
+    assert excluded == "Image(nose) cannot be used: camera is excluded"
+    paused = refused("Image(nose)", camera, paused=frozenset(("camera",)))
+    assert paused == "Image(nose) cannot be used: camera failed and is paused"
+    stream = Live("/image", "out", "/camera_1", "camera", "")
+    live = [(stream, (parse_tag("Image(nose)"),))]
+    excluded = refused("Image(nose)", live=live, exclude=frozenset(("camera",)))
+    assert excluded == "Image(nose) cannot be used: camera is excluded"
+
+
+def test_a_rate_and_a_ros_type_are_named() -> None:
+    camera = make("camera", [], "Image(nose)", "t/One", 5.0)
+    slow = refused("Image(nose)", camera, min_rate=10.0)
+    assert slow == (
+        "Image(nose) [at least 10 Hz] cannot be used: it is stated at 5 Hz, below 10 Hz"
+    )
+    other = refused("Image(nose)", camera, datatype="t/Two")
+    assert other == "Image(nose) [t/Two] cannot be used: it is a t/One, not a t/Two"
+
+
+def test_what_is_missing_comes_before_what_cannot_be_used() -> None:
+    detector = make("detector", ["Image(?c: FieldCamera)", "Lamps"], "Ball(?c)")
+    text = refused("Ball(nose)", make("camera", [], "Image(nose)"), detector)
+    why = "Image(nose) cannot be used: nose is a RobotCamera, not a FieldCamera"
+    assert text == f"nothing supplies Lamps; {why}"
+    lamps = make("lamps", ["Power"], "Lamps")
+    text = refused("Ball(nose)", make("camera", [], "Image(nose)"), detector, lamps)
+    assert text == f"nothing supplies Power; {why}"
