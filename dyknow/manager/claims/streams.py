@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from math import inf
 from typing import AbstractSet, Dict, Iterable, List, Sequence, Set, Tuple
 
 from dyknow.manager.claims.bound_tags import Inlet, Way, supplied, ways_to_bind
@@ -29,7 +30,7 @@ def live_streams(
     A nodelet's out-ports supply their tags only while the nodelet runs and each of its tagged
     in-ports is connected to a stream that satisfies it: a detector without input supplies nothing.
     These streams bind the nodelet's variables. What a stream states of its latency adds to that of
-    the latest one that feeds its nodelet.
+    the latest one that feeds its nodelet; one that states no rate is as fast as the slowest one.
 
     Args:
         records: the nodelets of the graph.
@@ -41,6 +42,7 @@ def live_streams(
     streams: List[TaggedStream] = []
     on_topic: Dict[str, Tuple[Tuple[Term, ...], str]] = {}  # tags and type
     latencies: Dict[str, float] = {}
+    rates: Dict[str, float] = {}  # infinite if none is stated
 
     def supply(stream: Live, tags: Tuple[Term, ...]) -> None:
         if stream.topic:
@@ -48,6 +50,7 @@ def live_streams(
             known, _ = on_topic.get(stream.topic, ((), ""))
             on_topic[stream.topic] = (known + tags, stream.datatype)
             latencies[stream.topic] = max(stream.latency, latencies.get(stream.topic, 0.0))
+            rates[stream.topic] = max(stream.rate or inf, rates.get(stream.topic, 0.0))
         streams.append((stream, tags))
 
     def ways(record: Record) -> List[Way]:
@@ -79,9 +82,11 @@ def live_streams(
                 progress = True
                 fed = [record.topics.get(port, "") for port, _ in _demands(record)]
                 begun = max([latencies.get(topic, 0.0) for topic in fed], default=0.0)
+                slowest = min([rates.get(topic, inf) for topic in fed], default=inf)
                 for stream, tags in _outputs(record):
                     latency = round(begun + stream.latency, 6)
-                    supply(stream._replace(latency=latency), supplied(tags, found))
+                    rate = stream.rate or (slowest if slowest < inf else 0.0)
+                    supply(stream._replace(latency=latency, rate=rate), supplied(tags, found))
     return streams
 
 

@@ -27,7 +27,7 @@ class Live(NamedTuple):
         nodelet: its publisher, empty for topics of ordinary nodes.
         label: the transformation behind it.
         datatype: ROS type.
-        rate: Hz that its out-port states; 0 if it states none.
+        rate: Hz that its out-port states, or what feeds its nodelet; 0 if they state none.
         latency: seconds that its nodelet and all that feeds it state.
     """
 

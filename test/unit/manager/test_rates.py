@@ -206,6 +206,23 @@ def test_a_stated_rate_that_is_too_low_is_not_used_for_the_goal(field: FieldWith
         field.acquire("Thermal(field)", min_rate=31.0)
 
 
+def test_what_a_slow_part_feeds_is_slow_also_while_it_runs(field: FieldWithRates) -> None:
+    field.manager.add_transformation(
+        """<transformation><label>slow</label><source>soccer/Camera</source>
+        <ports><port type="out" rate="5">image</port></ports>
+        <tags><tag port="image">Thermal(field)</tag></tags></transformation>"""
+    )
+    field.manager.add_transformation(
+        """<transformation><label>smoother</label><source>dyknow/Relay</source>
+        <ports><port type="in">in</port><port type="out">out</port></ports>
+        <tags><tag port="in">Thermal(field)</tag>
+        <tag port="out">Smooth(field)</tag></tags></transformation>"""
+    )
+    field.acquire("Smooth(field)")
+    with pytest.raises(NoPlanFound, match="it is stated at 5 Hz, below 10 Hz"):
+        field.acquire("Smooth(field)", min_rate=10.0)
+
+
 @settings(max_examples=10, deadline=None)
 @given(
     st.lists(st.tuples(st.sampled_from(CHAIN), st.integers(1, 6), st.integers(2, 15)), max_size=5)
