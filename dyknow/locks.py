@@ -29,7 +29,6 @@ TURNS: Tuple[str, ...] = (
     "simulated manager",
     "claim request",
     "claim work",
-    "plans of requests",
     "look at nodelet managers",
     "services of C++ nodelets",
     "opening of a stream session",

@@ -28,7 +28,6 @@ from typing import (
 from dyknow.backoff import Backoff
 from dyknow.datatypes import ANY
 from dyknow.errors import StreamTypeMismatch
-from dyknow.locks import turn_lock
 from dyknow.manager.claim import Claim
 from dyknow.manager.claims.context import ClaimContext
 from dyknow.manager.claims.own_nodelets import Instance, OwnNodelet, assigned, instance_of
@@ -36,7 +35,15 @@ from dyknow.manager.claims.plan_context import STAMPED
 from dyknow.manager.claims.supplies import Supplies, wishes_of
 from dyknow.manager.claims.topology import demand_of, may_share
 from dyknow.manager.planning.planner import BUDGET, Planner
-from dyknow.manager.planning.problem import NO_LABELS, Answer, Live, NoPlan, Plan, TaggedStream
+from dyknow.manager.planning.problem import (
+    NO_LABELS,
+    Answer,
+    Live,
+    NoPlan,
+    Plan,
+    PlanStep,
+    TaggedStream,
+)
 from dyknow.manager.planning.supply import Demand, ways_to_meet
 from dyknow.manager.planning.wishes import NO_WISHES, Wishes
 from dyknow.manager.specifications.tags import Bindings, Subsumption, Term
@@ -108,10 +115,7 @@ class ClaimPlanner:
         self._lock = context.lock
         self._monitor = context.monitor
         self._ontology = ontology
-        self._rounds = KeptPlanner(ontology)
-        # Of their own, since a planner is used by one thread at a time.
-        self._requests = KeptPlanner(ontology)
-        self._turn = turn_lock("plans of requests")
+        self._planner = KeptPlanner(ontology)
         self._known: Mapping[str, Transformation] = {}
         #: What exists.
         self.supplies = Supplies(context, ontology)
@@ -149,7 +153,7 @@ class ClaimPlanner:
         exclude = frozenset(claim.request.exclude)
         streams = self.supplies.streams(exclude)
         demand = demand_of(self._table.together(claim))
-        charges = self._rounds.at(self._known).charges(demand, streams, exclude, wishes_of(claim))
+        charges = self._planner.at(self._known).charges(demand, streams, exclude, wishes_of(claim))
         return saved + sum(
             charges.get(label, 0) for label in self.supplies.labels(claim.nodelets, claim.sources)
         )
@@ -216,6 +220,7 @@ class ClaimPlanner:
         return (
             before.demand == now.demand
             and not steps & now.exclude
+            and steps <= before.known.keys()
             and all(now.known.get(label) == before.known[label] for label in steps)
             and all(before.tags(live) == now.tags(live) for live in proposal.answer.live)
         )
@@ -278,7 +283,7 @@ class ClaimPlanner:
         steps = tuple(
             step._replace(
                 action=step.action._replace(
-                    cost=0 if instance_of(step) in used else known[step.action.label].cost
+                    cost=0 if instance_of(step) in used else _cost(step, known)
                 )
             )
             for step in plan.steps
@@ -296,7 +301,8 @@ class ClaimPlanner:
         goal = plan.goal
         if isinstance(goal, Live):
             return goal.datatype
-        ports = self._known[goal.label].ports
+        found = self._known.get(goal.label)  # None if the library has changed meanwhile
+        ports = found.ports if found is not None else ()
         return next((port.datatype for port in ports if port.name == goal.port), "")
 
     def _paused(self, claims: Iterable[Claim]) -> FrozenSet[str]:
@@ -356,12 +362,9 @@ class ClaimPlanner:
         Returns:
             What to plan with, and whether rounds may pass.
         """
+        planner = self._planner.at(known)
         with self._lock.pause() as is_aside:
-            if not is_aside:
-                yield self._rounds.at(known), False
-                return
-            with self._turn:
-                yield self._requests.at(known), True
+            yield planner, is_aside
 
     def _solved(self, situation: Situation, paused: FrozenSet[str]) -> Answer:
         """Plan; in a round no longer than is usual, whatever clients allow."""
@@ -395,7 +398,9 @@ class ClaimPlanner:
         used = self.assigned(plan, situation.own)
         steps = [step for step in plan.steps if instance_of(step) not in used]
         return frozenset(
-            step.action.label for step in steps if situation.known[step.action.label].node
+            step.action.label
+            for step in steps
+            if step.action.label in situation.known and situation.known[step.action.label].node
         )
 
     def _present(self, situation: Situation) -> Optional[Plan]:
@@ -415,8 +420,17 @@ class ClaimPlanner:
         self._known = self.supplies.transformations()
 
 
+def _cost(step: PlanStep, known: Mapping[str, Transformation]) -> int:
+    """Return the price of a new nodelet; the library may have changed since it was planned."""
+    found = known.get(step.action.label)
+    return step.action.cost if found is None else found.cost
+
+
 class KeptPlanner:
-    """A planner that follows the library; used by one thread at a time."""
+    """A planner that follows the library; used under the lock of the claims.
+
+    What it returns is used by any thread: each plan is made with the library as it was then.
+    """
 
     def __init__(self, ontology: Subsumption) -> None:
         """Start with an empty library."""
@@ -431,8 +445,9 @@ class KeptPlanner:
             self._known = {}
         known = self._known
         if known is not present:
-            for label in [label for label in known if label not in present]:
-                self._planner.remove(label)
+            gone = [label for label in known if label not in present]
+            if gone:
+                self._planner.remove(*gone)
             self._planner.add(each for each in present.values() if known.get(each.label) != each)
             self._known = present
         return self._planner

@@ -102,10 +102,10 @@ def test_a_stream_is_repaired_while_a_client_waits_for_a_plan(
 def test_other_clients_are_served_while_one_waits_for_a_plan(
     field: Field, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    camera = field.acquire("YUV(field)").claim
     slow = Slow(monkeypatch, "plan")
     slow.start(lambda: acquire(field, ""))
-    assert field.reconciler.acquire(StreamRequest("YUV(field)")).claim.topic == camera.topic
+    assert len(field.acquire("Planes(field)").spawned) == 2
+    assert field.reconciler.find_bindings("YUV(?where)") == ([(("?where", "field"),)], True)
     assert slow.result().claim.state is ClaimState.ACTIVE
 
 
