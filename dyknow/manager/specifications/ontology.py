@@ -197,7 +197,8 @@ def load_ontology(
 
     Raises:
         OntologyFileError: A file cannot be read, or is not of its extension's format.
-        LabelsError: Two classes, or two individuals, have the same label.
+        LabelsError: Two classes, or two individuals, have the same label, in the preferred
+            language or in none.
         OntologyError: The language is none.
     """
     labels = Labels(language)
@@ -209,9 +210,12 @@ def load_ontology(
             remarks.not_read(file.path, expression)
         labels.read(file.path, file.graph)
     hierarchy = statements.hierarchy
-    if not hierarchy.complete_unions():
+    if not statements.complete():
         remarks.too_many_unions()
-    classes = Naming("classes", (each for each in hierarchy if not is_blank(each)), labels)
+    named = [each for each in hierarchy if not is_blank(each)]
+    labels.leave_shared(named, hierarchy.are_equivalent)
+    labels.leave_shared(statements.types, lambda one, other: one == other)
+    classes = Naming("classes", named, labels)
     individuals = Naming("individuals", statements.types, labels)
     refused = [
         *(each for each in classes.refused if not hierarchy.are_equivalent(each.one, each.other)),

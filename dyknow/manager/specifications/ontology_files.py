@@ -10,6 +10,7 @@ ontology, else by the file that a catalogue names, else by a `file:` URI itself.
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 from typing import Dict, Iterable, Iterator, List, NamedTuple, Set, Tuple
 
@@ -23,6 +24,19 @@ from dyknow.manager.specifications.ontology_catalogue import Catalogues, local_p
 
 FORMATS = {".ttl": "turtle", ".owl": "xml", ".rdf": "xml", ".nt": "nt"}
 """The formats that are read, by the file's extension."""
+
+_NAMES = {"turtle": "Turtle", "xml": "RDF/XML", "nt": "N-Triples"}
+_XML = r"(<\?xml[^>]*>\s*)?(<!--.*?-->\s*)*"
+#: How files begin, their format, and its name.
+_BEGINNINGS = (
+    (r"(Prefix|Ontology)\s*\(", "", "OWL functional syntax, which is not read"),
+    (r"(Prefix|Ontology):", "", "Manchester syntax, which is not read"),
+    (_XML + r"<Ontology\b", "", "OWL/XML, which is not read"),
+    (r"(@prefix|@base|PREFIX|BASE)\s", "turtle", "Turtle, whose ending is .ttl"),
+    (_XML + r"<rdf:RDF\b", "xml", "RDF/XML, whose endings are .owl and .rdf"),
+)
+#: Bytes that are looked at to find the format.
+_BEGINNING = 10_000
 
 
 class OntologyFile(NamedTuple):
@@ -113,11 +127,25 @@ def _plain(uri: str) -> str:
     return uri.rstrip("#")
 
 
+def _check_format(path: str, data: bytes, kind: str) -> None:
+    """Refuse a file that begins as one in another format than its ending says.
+
+    Raises:
+        OntologyFileError: it does.
+    """
+    lines = (line.strip() for line in data[:_BEGINNING].decode("utf-8", "replace").splitlines())
+    text = "\n".join(line for line in lines if line and not line.startswith("#"))
+    for beginning, its_kind, name in _BEGINNINGS:
+        if its_kind != kind and re.match(beginning, text):
+            raise OntologyFileError(path, f"is in {name}; expected {_NAMES[kind]}")
+
+
 def _parse(path: str, limits: SpecificationLimits) -> OntologyFile:
     kind = FORMATS.get(Path(path).suffix.lower())
     if kind is None:
         raise OntologyFileError(path, f"expected a file ending in {', '.join(sorted(FORMATS))}")
     data = read_bytes(path, limits.ontology_size)
+    _check_format(path, data, kind)
     graph = rdflib.Graph()
     try:
         if kind == "xml":

@@ -15,7 +15,7 @@ from typing import Dict, Iterable, Iterator, List, Mapping, Set, Tuple
 
 _Edges = Dict[str, Set[str]]
 #: The classes that are visited at most to find what the parts of unions have in common.
-_VISITS = 5_000_000
+VISITS = 5_000_000
 
 
 class Hierarchy:
@@ -67,7 +67,7 @@ class Hierarchy:
         if parts:
             self._unions.append((whole, parts))
 
-    def complete_unions(self, visits: int = _VISITS) -> bool:
+    def complete_unions(self, visits: int = VISITS) -> bool:
         """Make each union a subclass of what all its parts are subclasses of.
 
         Args:

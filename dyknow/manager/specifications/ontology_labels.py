@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import re
-from typing import Dict, Iterable, Iterator, List, NamedTuple, Tuple
+from typing import Callable, Dict, Iterable, Iterator, List, NamedTuple, Tuple
 
 import rdflib
 from rdflib import RDFS
@@ -63,6 +63,8 @@ class Labels:
         self._ranges.append("")
         self.language = language
         self._by_entity: Dict[str, List[Label]] = {}
+        #: Labels that do not count since other entities have them too, with these.
+        self.left: Dict[Label, List[str]] = {}
 
     def read(self, file: str, graph: rdflib.Graph) -> None:
         """Take the labels of a file."""
@@ -85,6 +87,35 @@ class Labels:
             return list(labels)
         best = min(label.rank for label in labels)
         return sorted({label.text: label for label in labels if label.rank == best}.values())
+
+    def is_preferred(self, label: Label) -> bool:
+        """Whether a label is in the preferred language, or in none."""
+        return label.rank[0] < len(self._ranges)
+
+    def leave_shared(self, entities: Iterable[str], alike: Callable[[str, str], bool]) -> None:
+        """Leave out terms in other languages than the preferred one that two entities have.
+
+        Args:
+            entities: classes, or individuals.
+            alike: whether two of them may share a term.
+        """
+        names = sorted(entities)
+        is_new = True
+        while is_new:
+            is_new = False
+            owners: Dict[str, List[Tuple[str, Label]]] = {}
+            for entity in names:
+                for label in self.terms(entity):
+                    owners.setdefault(label.text, []).append((entity, label))
+            for found in owners.values():
+                first = found[0][0]
+                if all(alike(first, entity) for entity, _ in found):
+                    continue
+                for entity, label in found:
+                    if not self.is_preferred(label):
+                        self._by_entity[entity].remove(label)
+                        self.left.setdefault(label, []).append(entity)
+                        is_new = True
 
     def of(self, entity: str) -> List[Label]:
         """Return all labels of an entity, the best first."""

@@ -65,6 +65,13 @@ class Remarks:
 
     def names(self, labels: Labels, classes: Naming, individuals: Naming) -> None:
         """Note the names that are no labels in the preferred language."""
+        for label, entities in labels.left.items():
+            for entity in entities:
+                message = (
+                    f"the label '{label.text}' of <{entity}> in '{label.language}' is that of "
+                    f"another one too, and there is none in '{labels.language}'; it does not count"
+                )
+                self._note(label.file, entity, "label", message)
         for naming in (classes, individuals):
             for entity, found in labels.fallbacks(naming):
                 languages = ", ".join(sorted({label.language for label in found}))

@@ -4,20 +4,21 @@
 """Reads what an ontology states about classes and individuals.
 
 Class expressions are blank nodes, and classes like any other: what is stated of them takes part in
-the hierarchy, they only have no name. A restriction is a class of which nothing is known, so an
-intersection with one is a subclass of its other parts and contains nothing by itself.
+the hierarchy, they only have no name. Of restrictions owl:someValuesFrom takes
+part too; any other one is a class of which nothing is known, so an intersection with one is a
+subclass of its other parts and contains nothing by itself.
 """
 
 from __future__ import annotations
 
-from typing import Dict, Iterator, List, NamedTuple, Set, Tuple
+from typing import Dict, Iterator, List, NamedTuple, Sequence, Set, Tuple
 
 import rdflib
 from rdflib import OWL, RDF, RDFS
 
 from dyknow.errors import OntologyFileError
 from dyknow.manager.specifications.ontology_files import OntologyFile
-from dyknow.manager.specifications.ontology_hierarchy import Hierarchy
+from dyknow.manager.specifications.ontology_hierarchy import VISITS, Hierarchy
 from dyknow.manager.specifications.rdf_nodes import list_members, local_name, node_key
 
 _BUILT_IN = (
@@ -25,6 +26,7 @@ _BUILT_IN = (
     "http://www.w3.org/1999/02/22-rdf-syntax-ns#",
     "http://www.w3.org/2000/01/rdf-schema#",
 )
+_XSD = ("http://www.w3.org/2001/XMLSchema#",)
 _CLASSES = (OWL.Class, RDFS.Class)
 _INDIVIDUALS = (OWL.NamedIndividual, OWL.Thing)
 _DATA = (RDFS.Datatype, OWL.DataRange)
@@ -52,6 +54,7 @@ class OntologyStatements:
     def __init__(self) -> None:
         self.hierarchy = Hierarchy()
         self.types: Dict[str, Set[str]] = {}
+        self._graphs: List[rdflib.Graph] = []
 
     def read(self, file: OntologyFile) -> List[UnreadExpression]:
         """Take the statements of a file.
@@ -62,7 +65,105 @@ class OntologyStatements:
         Raises:
             OntologyFileError: a list in the file is malformed.
         """
+        self._graphs.append(file.graph)
         return _Reading(file, self.hierarchy, self.types).unread
+
+    def complete(self, visits: int = VISITS) -> bool:
+        """Find what follows from properties, and from what the parts of unions have in common.
+
+        Domains and ranges are classes of what a property relates. Whatever has some relative of
+        one class has some relative of each class above it.
+
+        Args:
+            visits: the classes to visit at most.
+
+        Returns:
+            Whether that was enough; else only some of what follows was found.
+        """
+        properties = _Properties(self._graphs)
+        self._add_relatives(properties)
+        relatives = properties.some_values()
+        for key, name, _ in relatives:
+            for domain in properties.of(name, RDFS.domain):
+                self.hierarchy.add_subclass(key, domain)
+        by_property: Dict[str, List[Tuple[str, str]]] = {}
+        for key, name, filler in relatives:
+            by_property.setdefault(name, []).append((key, filler))
+        changed = True
+        while changed:
+            changed = False
+            if not self.hierarchy.complete_unions(visits):
+                return False
+            for key, name, filler in relatives:
+                above, known = self.hierarchy.above((filler,)), self.hierarchy.above((key,))
+                visits -= len(above) + len(known)
+                if visits < 0:
+                    return False
+                for upper in properties.above(name):
+                    for wider, kind in by_property.get(upper, ()):
+                        if kind in above and wider not in known:
+                            self.hierarchy.add_subclass(key, wider)
+                            changed = True
+        return True
+
+    def _add_relatives(self, properties: _Properties) -> None:
+        """Take the domains and ranges of properties as types of the individuals they relate."""
+        for graph in self._graphs:
+            for predicate in set(graph.predicates()):
+                domains = properties.of(str(predicate), RDFS.domain)
+                ranges = properties.of(str(predicate), RDFS.range)
+                if not domains and not ranges:
+                    continue
+                for node, value in graph.subject_objects(predicate):
+                    if node_key(node) in self.types:
+                        self.types[node_key(node)] |= domains
+                    if not isinstance(value, rdflib.Literal) and node_key(value) in self.types:
+                        self.types[node_key(value)] |= ranges
+                for each in domains | ranges:
+                    self.hierarchy.add(each)
+
+
+class _Properties:
+    """The properties of an ontology, with what is stated of them."""
+
+    def __init__(self, graphs: Sequence[rdflib.Graph]) -> None:
+        self._graphs = graphs
+        self._stated: Dict[Tuple[rdflib.URIRef, str], Set[str]] = {}
+        data = {
+            node for graph in graphs for kind in _DATA for node in graph.subjects(RDF.type, kind)
+        }
+        for graph in graphs:
+            for predicate in (RDFS.subPropertyOf, RDFS.domain, RDFS.range):
+                for node, value in graph.subject_objects(predicate):
+                    is_class = value not in data and not str(value).startswith(_BUILT_IN + _XSD)
+                    if isinstance(node, rdflib.URIRef) and is_class:
+                        key = node_key(value)
+                        self._stated.setdefault((predicate, str(node)), set()).add(key)
+
+    def above(self, name: str) -> Set[str]:
+        """Return the properties above one, itself included."""
+        found = {name}
+        waiting = [name]
+        while waiting:
+            more = self._stated.get((RDFS.subPropertyOf, waiting.pop()), set()) - found
+            found |= more
+            waiting.extend(more)
+        return found
+
+    def of(self, name: str, predicate: rdflib.URIRef) -> Set[str]:
+        """Return the domains, or the ranges, of a property."""
+        stated = [self._stated.get((predicate, each), set()) for each in self.above(name)]
+        return set().union(*stated)
+
+    def some_values(self) -> List[Tuple[str, str, str]]:
+        """Return the classes that owl:someValuesFrom describes: key, property and class."""
+        return sorted(
+            (node_key(node), str(name), node_key(filler))
+            for graph in self._graphs
+            for node, filler in graph.subject_objects(OWL.someValuesFrom)
+            for name in graph.objects(node, OWL.onProperty)
+            if isinstance(name, rdflib.URIRef) and not isinstance(filler, rdflib.Literal)
+        )
 
 
 class _Reading:
@@ -81,7 +182,7 @@ class _Reading:
         self._read_types()
         self._read_subclasses()
         self._read_lists()
-        self.unread = sorted(self._unread())
+        self.unread = sorted({*self._unread(), *self._same()})
 
     def _read_types(self) -> None:
         hierarchy, types = self._hierarchy, self._types
@@ -170,6 +271,11 @@ class _Reading:
                     waiting.append(each)
                     if not self._is_read(each):
                         yield UnreadExpression(str(owner), self._word(each))
+
+    def _same(self) -> Iterator[UnreadExpression]:
+        """Find what is said to be the same individual, which is not read."""
+        for node, _ in self._graph.subject_objects(OWL.sameAs):
+            yield UnreadExpression(node_key(node), "sameAs")
 
     def _is_read(self, expression: rdflib.BNode) -> bool:
         return any((expression, each, None) in self._graph for each in _BOOLEANS)

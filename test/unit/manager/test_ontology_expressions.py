@@ -18,6 +18,7 @@ from property_tests import examples
 from dyknow.errors import OntologyFileError
 from dyknow.manager.specifications.ontology import Ontology, load_ontology
 from dyknow.manager.specifications.ontology_hierarchy import Hierarchy
+from dyknow.manager.specifications.ontology_statements import OntologyStatements
 
 BASE = "http://example.org/#"
 PREFIXES = f"""
@@ -230,7 +231,7 @@ def test_there_is_an_end_to_what_unions_have_in_common() -> None:
 
 
 def test_too_many_unions_are_told(ontology, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Hierarchy.complete_unions, "__defaults__", (1,))
+    monkeypatch.setattr(OntologyStatements.complete, "__defaults__", (1,))
     found = ontology(":C owl:unionOf ( :A :B ) .")
 
     assert found.is_subsumed("A", "C")
@@ -401,3 +402,40 @@ def test_the_checker_of_models_knows_what_a_model_is() -> None:
     assert ("x", "A") in entailed([one])
     assert ("y", "B") in entailed([one, ("a", "y", "A"), ("a", "x", "B")])
     assert ("y", "B") not in entailed([("a", "y", "A"), ("a", "x", "B")])
+
+
+def test_what_has_some_relative_has_one_of_each_class_above_it(ontology) -> None:
+    found = ontology(
+        ":teaches rdfs:subPropertyOf :knows ; rdfs:domain :Teacher .\n"
+        ":Lecture a owl:Class ; rdfs:subClassOf :Course .\n"
+        ":Lecturer rdfs:subClassOf :Person,"
+        " [ a owl:Restriction ; owl:onProperty :teaches ; owl:someValuesFrom :Lecture ] .\n"
+        ":Learned owl:equivalentClass [ owl:intersectionOf ( :Person"
+        " [ a owl:Restriction ; owl:onProperty :knows ; owl:someValuesFrom :Course ] ) ] .\n"
+        ":Knowing owl:equivalentClass"
+        " [ a owl:Restriction ; owl:onProperty :teaches ; owl:someValuesFrom :Person ] .\n"
+    )
+    assert found.is_subsumed("Lecturer", "Learned")
+    assert found.is_subsumed("Lecturer", "Teacher")
+    assert found.is_subsumed("Knowing", "Teacher")
+    assert not found.is_subsumed("Lecturer", "Knowing")
+    assert not found.is_subsumed("Learned", "Lecturer")
+    assert not found.is_subsumed("Person", "Learned")
+
+
+def test_domains_and_ranges_are_classes_of_what_a_property_relates(ontology) -> None:
+    found = ontology(
+        ":sees rdfs:subPropertyOf :senses ; rdfs:domain :Camera .\n"
+        ":senses rdfs:range :Thing . :named rdfs:domain :Named ; rdfs:range rdfs:Literal .\n"
+        ":nose a owl:NamedIndividual ; :sees :ball ; :named 'nose' . :ball a owl:NamedIndividual ."
+    )
+    assert found.is_subsumed("nose", "Camera")
+    assert found.is_subsumed("nose", "Named")
+    assert found.is_subsumed("ball", "Thing")
+    assert not found.is_subsumed("ball", "Camera")
+
+
+def test_that_two_are_the_same_is_not_read_and_a_warning(ontology) -> None:
+    found = ontology(":a a :Camera . :b a :Robot ; owl:sameAs :a .")
+    assert not found.is_subsumed("a", "Robot")
+    assert any("owl:sameAs in the description of" in each.message for each in found.warnings)

@@ -259,3 +259,29 @@ class TestSharedNames:
         assert found.is_subsumed("Nao", "Model")
         assert found.is_subsumed("n", "Nao")
         assert not found.is_subsumed("n", "Model")
+
+
+def test_classes_that_share_a_label_in_another_language_alone_are_named_by_their_uris(
+    ontology,
+) -> None:
+    found = ontology(
+        ':Rosa a owl:Class ; rdfs:label "Cobertura"@pt .\n'
+        ':Nut a owl:Class ; rdfs:label "Cobertura"@pt .\n'
+        ':Topping a owl:Class ; rdfs:label "Topping"@en, "Cobertura"@pt .\n'
+    )
+    for name in ("Rosa", "Nut"):
+        assert found.canonical(name) == BASE + name
+    assert found.canonical("Topping") == BASE + "Topping"
+    said = f"the label 'Cobertura' of <{BASE}Nut> in 'pt' is that of another one too"
+    assert any(each.startswith(said) for each in messages(found))
+    with pytest.raises(LabelsError):
+        ontology(':A a owl:Class ; rdfs:label "X"@en . :B a owl:Class ; rdfs:label "X"@en .')
+
+
+def test_individuals_that_share_a_label_in_another_language_alone(ontology) -> None:
+    found = ontology(
+        ":Camera a owl:Class .\n"
+        ':left a :Camera ; rdfs:label "kamera"@sv .\n'
+        ':right a :Camera ; rdfs:label "kamera"@sv .\n'
+    )
+    assert found.individuals(BASE + "Camera") == ("left", "right")
