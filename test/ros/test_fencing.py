@@ -95,7 +95,7 @@ class Fencing(HostsCase):
         self.senders = Senders(topic)
         self.addCleanup(self.senders.close)
         eventually(lambda: self.senders.last() == "/far", NOTICED, "messages come from /far")
-        time.sleep(1.0)  # the lease is confirmed
+        time.sleep(3.0)  # the lease, which takes half a second, is confirmed
 
     def far_manager(self) -> Running:
         return self.nodelet_manager(self.far, "far")
@@ -212,7 +212,7 @@ class FencingTest(Fencing):
         senders = self.senders = Senders(claim.topic)
         self.addCleanup(senders.close)
         eventually(lambda: senders.last() == CHILD, NOTICED, "messages come", self.reasons)
-        time.sleep(1.0)
+        time.sleep(3.0)
         child = self.manager.child()
         child.signal(signal.SIGSTOP)
         try:

@@ -178,6 +178,8 @@ class _Renewer:
 
     def release(self) -> None:
         self._worker.close()
+        if not self._answers():
+            return
         try:
             self._client.call(TIMEOUT, **self._request(0.0))
         except (HostError, PeerTimeout) as error:
