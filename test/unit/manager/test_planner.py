@@ -412,3 +412,13 @@ def test_what_the_garbage_collector_collects_and_when_is_left_alone() -> None:
     finally:
         gc.set_threshold(*threshold)
     assert is_on and all(is_on)
+
+
+def test_many_transformations_are_removed_at_once() -> None:
+    planner = Planner()
+    planner.add([make(f"camera {number}", [], [f"Raw({number})"]) for number in range(20)])
+    planner.remove(*[f"camera {number}" for number in range(19)], "nonesuch")
+    assert len(planner) == 1
+    assert planner.bindings(demand("Raw(?x)")) == ([(("?x", "19"),)], True)
+    planner.remove()
+    assert isinstance(planner.plan(demand("Raw(19)")), Plan)
