@@ -5,10 +5,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 from pathlib import Path
-from typing import Any, List, Sequence, Tuple
+from typing import Any, Dict, List, Sequence, Tuple
 from xml.parsers import expat
 
 import roslaunch.config
@@ -85,18 +86,45 @@ def explain(sources: Sequence[Source], error: BaseException) -> str:
 
     Args:
         sources: the launch files. They are read again.
-        error: what roslaunch raised.
+        error: what roslaunch raised, or an expression in a launch file.
     """
-    text = re.sub(r"while processing [^\n]*:\n", "", str(error))
-    if isinstance(error, rospkg.ResourceNotFound):
-        text = f"there is no package '{error.args[0]}' on ROS_PACKAGE_PATH"
-    text = one_line(text)
+    text = one_line(_message(error))
+    loader = _read_again(sources)
+    place = loader.place if loader.has_failed else loader.place_of(text)
+    return f"{place}: {text}" if place else text
+
+
+def place_of_node(sources: Sequence[Source], node: Any) -> str:
+    """Return `FILE:LINE` of one of roslaunch's nodes, or as much of that as can be told.
+
+    Args:
+        sources: the launch files. They are read again.
+        node: the node.
+    """
+    return _read_again(sources).nodes.get((node.filename, node.name), str(node.filename))
+
+
+def _read_again(sources: Sequence[Source]) -> _Locator:
     loader = _Locator()
     try:
         roslaunch.config.load_config_default(sources, None, loader=loader, assign_machines=False)
-    except ERRORS:
-        return f"{loader.place}: {text}" if loader.place else text
-    return text
+    except Exception:  # the boundary: what it was is known
+        loader.has_failed = True
+    return loader
+
+
+def _message(error: BaseException) -> str:
+    if isinstance(error, rospkg.ResourceNotFound):
+        return f"there is no package '{error.args[0]}' on ROS_PACKAGE_PATH"
+    if isinstance(error, KeyError):  # roslaunch takes an attribute for granted
+        return f"attribute {error} is missing"
+    if isinstance(error, OSError):
+        return f"{error.strerror}: '{error.filename}'"
+    text = re.sub(r"while processing [^\n]*:\n", "", str(error))
+    text = re.sub(r"Invalid roslaunch XML syntax: \[Errno \d+\] ", "", text)
+    if "maximum recursion depth exceeded" in text:
+        return "the launch files include each other without end"
+    return text if isinstance(error, ERRORS) else f"{type(error).__name__}: {text}"
 
 
 def one_line(error: object) -> str:
@@ -109,15 +137,28 @@ class _Locator(XmlLoader):  # type: ignore[misc]
 
     Attributes:
         place: `FILE` or `FILE:LINE` of the element that is read; empty before the first.
+        nodes: such places of nodes, by file and name.
+        has_failed: whether that is where reading failed.
     """
 
     def __init__(self) -> None:
         super().__init__()
         self.place = ""
+        self.nodes: Dict[Tuple[str, str], str] = {}
+        self.has_failed = False
+        self._machines: Dict[str, str] = {}  # places, by what machines are called and where
         self._found = False
 
+    def place_of(self, text: str) -> str:
+        """Return where the machine is named of which an error speaks, in brackets."""
+        named = re.search(r"\bmachine \[([^]]*)\]", text)
+        return self._machines.get(named.group(1), "") if named else ""
+
     def _parse_launch(self, filename: str, verbose: bool) -> Any:
-        self.place = filename  # all that is known of one that is no XML
+        if os.path.isfile(filename):  # else the place is that of what includes it
+            self.place = filename  # all that is known of one that is no XML
+            with contextlib.suppress(expat.ExpatError):
+                self.place = f"{filename}:{_lines(filename)[0]}"
         launch = super()._parse_launch(filename, verbose)
         root = launch.ownerDocument.documentElement
         for element, line in zip([root, *root.getElementsByTagName("*")], _lines(filename)):
@@ -135,7 +176,7 @@ class _Locator(XmlLoader):  # type: ignore[misc]
     def _include_tag(self, tag: Any, context: Any, *rest: Any) -> Any:
         try:
             return super()._include_tag(tag, context, *rest)
-        except LoadException as error:
+        except Exception as error:
             if str(error).startswith("unused args"):  # found when the included file was read
                 self._come_to(tag, context)
             self._found = True
@@ -144,6 +185,22 @@ class _Locator(XmlLoader):  # type: ignore[misc]
     def _come_to(self, tag: Any, context: Any) -> None:
         if not self._found and hasattr(context, "filename"):  # of <launch> itself it is another
             self.place = f"{context.filename}:{tag.getUserData('line')}"
+            self._note(tag, context)
+
+    def _note(self, tag: Any, context: Any) -> None:
+        """Note where nodes and machines are spoken of: errors that come later name them."""
+
+        def value(attribute: str) -> str:
+            try:
+                return str(self.resolve_args(tag.getAttribute(attribute), context))
+            except Exception:  # the boundary: its reader is to find that error
+                return ""
+
+        if tag.tagName in ("node", "test"):
+            self.nodes.setdefault((context.filename, value("name")), self.place)
+            self._machines.setdefault(value("machine"), self.place)
+        elif tag.tagName == "machine":
+            self._machines[value("address")] = self.place
 
 
 def _lines(file: str) -> List[int]:

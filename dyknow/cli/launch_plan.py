@@ -133,12 +133,8 @@ class LaunchPlanner:
     is_local: Callable[[Any], bool]
     chosen: NodeFilter
 
-    def plan(self, nodes: Sequence[Any]) -> List[Treatment]:
-        """Decide what becomes of each of roslaunch's nodes, in their order."""
-        return [self.treat(node) for node in nodes]
-
     def treat(self, node: Any) -> Treatment:
-        """Decide what becomes of a node, which is not changed."""
+        """Decide what becomes of one of roslaunch's nodes, which is not changed."""
         local = self.is_local(node.machine)
         name = names.join(node.namespace, node.name)
         program = f"{node.package}/{node.type}"

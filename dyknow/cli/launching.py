@@ -22,7 +22,7 @@ from roslaunch.core import is_machine_local
 from roslaunch.parent import ROSLaunchParent
 from roslib.packages import find_node
 
-from dyknow.cli.launch_files import ERRORS, STDIN, explain, one_line
+from dyknow.cli.launch_files import ERRORS, STDIN, explain, one_line, place_of_node
 from dyknow.cli.launch_plan import LaunchPlanner, NodeFilter, Treatment
 from dyknow.cli.rewirable import find_in_workspaces
 from dyknow.errors import CannotLaunch
@@ -83,7 +83,7 @@ def read(
             **_given_timeouts(options),
         )
         parent._load_config()
-    except ERRORS as error:
+    except Exception as error:  # a boundary: launch files have expressions, which may raise any
         raise CannotLaunch(explain(sources, error)) from error
     return parent
 
@@ -109,10 +109,15 @@ def plan(parent: ROSLaunchParent, chosen: NodeFilter) -> List[Treatment]:
         except rospkg.ResourceNotFound:
             return None
 
-    try:
-        return LaunchPlanner(rewirable, find, is_machine_local, chosen).plan(parent.config.nodes)
-    except ERRORS as error:
-        raise CannotLaunch(one_line(error)) from error
+    planner = LaunchPlanner(rewirable, find, is_machine_local, chosen)
+    treatments = []
+    for node in parent.config.nodes:
+        try:
+            treatments.append(planner.treat(node))
+        except ERRORS as error:
+            place = place_of_node(parent.roslaunch_files, node)
+            raise CannotLaunch(f"{place}: node {node.name}: {one_line(error)}") from error
+    return treatments
 
 
 def run(parent: ROSLaunchParent, treatments: Sequence[Treatment]) -> None:

@@ -77,14 +77,31 @@ def test_what_is_not_there_is_named(folder: Path, capsys: pytest.CaptureFixture[
         ),
         (
             ['<node name="a" pkg="p" type="t" machine="m"/>'],
-            "ERROR: unknown machine [m]",
+            "a.launch:2: ERROR: unknown machine [m]",
+        ),
+        (
+            ['<include file="gone.launch"/>'],
+            "a.launch:2: No such file or directory: 'gone.launch'",
+        ),
+        (['<include file="d.launch"/>'], "d.launch:2: Invalid roslaunch XML syntax: no root"),
+        (["", '<include file="a.launch"/>'], "a.launch:1: the launch files include each other"),
+        (["", "<include/>"], "a.launch:3: attribute 'file' is missing"),
+        (
+            ['<param name="p" value="$(eval 1/0)"/>'],
+            "a.launch:2: ZeroDivisionError: division by zero",
+        ),
+        (["", '<group if="$(eval q)"/>'], "a.launch:3: NameError: name 'q' is not defined"),
+        (['<param name="p" textfile="gone"/>'], "a.launch:2: No such file or directory: 'gone'"),
+        (
+            ["", """<node name="a" pkg="p" type="t" launch-prefix="'nice"/>"""],
+            "a.launch:3: node a: No closing quotation",
         ),
         (
             [
                 '<machine name="m" address="no.such.host.invalid"/>',
                 '<node name="a" pkg="p" type="t" machine="m"/>',
             ],
-            "cannot resolve host address for machine [no.such.host.invalid]",
+            "a.launch:2: cannot resolve host address for machine [no.such.host.invalid]",
         ),
     ],
 )
@@ -94,6 +111,7 @@ def test_errors_have_file_and_line(
     write(folder / "a.launch", *lines)
     write(folder / "b.launch", '<param name="p" value="q"/>')
     write(folder / "c.launch", '<arg name="x" default=""/>', '<arg name="z" value="$(arg y)"/>')
+    (folder / "d.launch").write_text("\n<lunch/>")
     assert refused(capsys, "a.launch")[: len(message)] == message
 
 

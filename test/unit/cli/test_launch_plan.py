@@ -232,5 +232,5 @@ def test_patterns_choose(planner: LaunchPlanner) -> None:
 
 def test_patterns_without_a_match_are_known(planner: LaunchPlanner) -> None:
     choice = selected(planner, "it x", "pkg/relay y")
-    plan = choice.plan([node()])
+    plan = [choice.treat(node())]
     assert choice.chosen.without_match(plan) == (["x"], ["y"])
