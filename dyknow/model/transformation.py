@@ -10,7 +10,6 @@ import shlex
 from dataclasses import dataclass
 from decimal import Decimal
 from typing import List, NamedTuple, Tuple
-from xml.sax.saxutils import escape, quoteattr
 
 NODELET = "nodelet"
 NODE = "node"
@@ -196,8 +195,12 @@ def _text(text: str) -> str:
 
 
 def _escaped(text: str) -> str:
+    from xml.sax.saxutils import escape  # here: it imports urllib, for which nodes would wait
+
     return escape(text, {"\r": "&#13;"})
 
 
 def _attribute(text: str) -> str:
+    from xml.sax.saxutils import quoteattr
+
     return quoteattr(text.replace("${", "$${"), {"\r": "&#13;"})

@@ -16,7 +16,6 @@ import os
 import re
 import sys
 import sysconfig
-from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
 from types import ModuleType
@@ -114,7 +113,7 @@ def _completes(spec: ModuleSpec, home: str) -> bool:
         return False
 
 
-class CatkinFinder(MetaPathFinder):
+class CatkinFinder:
     """Lets Python itself import the packages of devel spaces with all of their folders."""
 
     @classmethod

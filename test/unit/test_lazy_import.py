@@ -40,6 +40,12 @@ def test_the_client_needs_no_node_and_no_rospy() -> None:
     assert "rospy" not in modules_after("from dyknow import ManagerClient")
 
 
+def test_a_script_of_its_own_waits_for_no_parser() -> None:
+    """Each of these costs every re-wirable script its time at the start."""
+    modules = modules_after("import dyknow.ros.nodelets.script_process")
+    assert modules.isdisjoint({"lxml", "rdflib", "urllib.request", "importlib.resources"})
+
+
 def test_names_are_listed_and_others_refused() -> None:
     assert {"ManagerClient", "Nodelet", "NodeHandle", "acquire"} <= set(dir(dyknow))
     with pytest.raises(AttributeError, match="nonesuch"):

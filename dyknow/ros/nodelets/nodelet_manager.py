@@ -33,15 +33,13 @@ from dyknow import names
 from dyknow.errors import BadParameter, DyKnowError, LimitExceeded
 from dyknow.locks import state_condition
 from dyknow.model.graph import NodeletKind
-from dyknow.nodelet.class_imports import ClassImports
 from dyknow.nodelet.context import Context, Runtime
 from dyknow.nodelet.crash_record import CrashRecord
 from dyknow.nodelet.growing_pool import GrowingPool
 from dyknow.nodelet.loader import Loader
 from dyknow.nodelet.middleware import Closable
 from dyknow.nodelet.nodelet import Nodelet
-from dyknow.nodelet.plugins import Plugins
-from dyknow.nodelet.scheduler import WorkerPool
+from dyknow.nodelet.scheduler import Executor, WorkerPool
 from dyknow.nodelet.stuck import StuckCallbacks
 from dyknow.proxy.proxy import NodeletProxy
 from dyknow.ros import descriptors, programs
@@ -54,9 +52,7 @@ from dyknow.ros.nodelets.guard_parameters import SPAWNED, GuardParameters, calle
 from dyknow.ros.nodelets.lease_service import LeaseService
 from dyknow.ros.nodelets.name_watch import end_when_displaced
 from dyknow.ros.nodelets.owner import end_when_orphaned
-from dyknow.ros.nodelets.packages import plugin_files
 from dyknow.ros.nodelets.proxy_services import ProxyServices
-from dyknow.ros.scripts.libraries import importer_with_libraries
 from dyknow.ros.transport.middleware import rospy_middleware
 from dyknow.ros.transport.own_topics import guard_topics, hide_topics
 
@@ -121,20 +117,24 @@ class NodeletManager(Closable):
 
         Args:
             settings: how it works.
-            find_class: returns the class of a type; by default what packages declare.
+            find_class: returns the class of the one thing that it hosts, whose callbacks have a
+                thread each; by default it hosts what packages declare, on worker threads.
             bound: whether guards bind what nodelets connect themselves, not only set_config.
         """
         self._workers = settings.workers
         sys.setswitchinterval(settings.switch_interval)
         self._record = _crash_record()
-        pool = WorkerPool(settings.workers, settings.stuck_after, record=self._record)
+        blocking = GrowingPool(self._record)
+        pool: Executor = blocking
+        if find_class is None:
+            pool = WorkerPool(settings.workers, settings.stuck_after, record=self._record)
         self._guards = GuardParameters()
         self._runtime = Runtime.make(
             rospy_middleware(pool),
             pool,
             guards=self._guards.current,
             bound=bound,
-            blocking=GrowingPool(self._record),
+            blocking=blocking,
         )
         if bound:
             guard_topics(lambda topic: self._guards.current().check_topic(topic))
@@ -355,6 +355,12 @@ class NodeletManager(Closable):
 
 
 def _declared_classes() -> Callable[[str, Context], Type[Nodelet]]:
+    # Here: a script in a process of its own does not wait for the parser of XML.
+    from dyknow.nodelet.class_imports import ClassImports
+    from dyknow.nodelet.plugins import Plugins
+    from dyknow.ros.nodelets.packages import plugin_files
+    from dyknow.ros.scripts.libraries import importer_with_libraries
+
     plugins, imports = Plugins(plugin_files), ClassImports(importer_with_libraries)
     return lambda type_name, context: imports.load(plugins.find(type_name), context)
 
