@@ -37,6 +37,7 @@ SLOW = (
     "debian_scripts",
     "stream_ages",
     "stream_rates",
+    "security",
 )
 #: What each test that is skipped prints: rostest counts it as passed.
 SKIPPED = re.compile(r"^skipped: (.*)", re.MULTILINE)
