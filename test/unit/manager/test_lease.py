@@ -109,3 +109,20 @@ def test_a_claim_that_means_nothing_is_set_aside_and_the_others_are_kept(
     assert "claims 'bad'" in field.store.complaint
     (aside,) = kept_aside(path)
     assert json.loads(aside.read_text())[0]["key"] == "bad"
+
+
+def test_clients_hear_that_a_backup_took_the_place_of_the_state(tmp_path: Path) -> None:
+    path = tmp_path / "state"
+    field = Field(str(path))
+    claim = field.acquire().claim
+    field.store.close()
+    data = path.read_bytes()
+    assert data.count(b"FieldPosition(ball)")
+    path.write_bytes(data.replace(b"FieldPosition(ball)", b"FieldPosition(bull)"))
+    field.open()
+    assert "backup" in field.store.complaint
+    field.reconciler.report(field.store.complaint)
+    assert [each.after.claim_id for each in field.events] == [claim.claim_id]
+    assert field.reasons() == [field.store.complaint]
+    field.settle()
+    assert field.claim(claim.claim_id).request.tag == "FieldPosition(ball)"
