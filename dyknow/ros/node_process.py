@@ -72,6 +72,7 @@ class NodeProcess:
         start: Callable[[], Optional[Closable]],
         on_displaced: Optional[Callable[[], None]] = None,
     ) -> None:
+        use_one_heap()  # first: a thread that has a heap keeps it
         self._node = node
         self._argv = list(argv)
         self._start = start
@@ -98,7 +99,6 @@ class NodeProcess:
 
     def run(self) -> int:
         """Run, and return the exit code."""
-        use_one_heap()
         on_signals((signal.SIGINT, signal.SIGTERM), self.end)
         starting = in_background("start", self._begin)
         order = self._told.get()
