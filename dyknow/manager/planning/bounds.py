@@ -127,9 +127,9 @@ class Bounds:
             actions.append(-1)
             costs.append(cost)
             serves.append([number])
-        # Labels decide between equal costs, if it matters what supplies a demand.
+        # Labels decide between equal costs, where it matters what supplies a demand.
         ranks, by_rank = list(range(len(actions))), list(range(len(actions)))
-        if self.is_simple:
+        if self.is_simple and use_sum:
             label = self._request.label
             by_rank.sort(key=lambda place: (label(actions[place]), actions[place] < 0))
             for rank, place in enumerate(by_rank):

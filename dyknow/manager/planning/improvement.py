@@ -9,6 +9,9 @@ less than the maximum over its inputs. On the others landmark cuts are a lower b
 (``landmarks``), a branch-and-bound search is exact if it ends within its share of the budget
 (``branching``), and if it does not, a large neighbourhood search improves the plan: it takes some
 actions out of the plan and completes it again by the cheapest tree, at prices that vary.
+
+A solver for integer programs would do the same in fewer lines, but HiGHS in scipy holds the
+interpreter's lock until it has ended, and the manager would stand still for as long.
 """
 
 from __future__ import annotations

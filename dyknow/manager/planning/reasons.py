@@ -273,11 +273,11 @@ class _Causes:
         return lacking
 
     def _sentence(self, cause: int, heads: Sequence[Head]) -> str:
-        if cause in (_EXCLUDED, _PAUSED):
-            labels = sorted({head.source.label for head in heads})
-            what = "is excluded" if cause == _EXCLUDED else "failed and is paused"
-            plural = "are excluded" if cause == _EXCLUDED else "failed and are paused"
-            return f"{_listed(labels)} {what if len(labels) == 1 else plural}"
+        labels = sorted({head.source.label for head in heads})
+        if cause == _EXCLUDED:
+            return f"{_listed(labels)} {'is' if len(labels) == 1 else 'are'} excluded"
+        if cause == _PAUSED:
+            return f"no new nodelet of {_listed(labels)} is made now"
         if cause == _RATE:
             fastest = max([head.rate for head in heads])
             return f"it is stated at {fastest:g} Hz, below {self._request.demand.min_rate:g} Hz"
