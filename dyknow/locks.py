@@ -52,6 +52,7 @@ STATE_LOCKS: Tuple[str, ...] = (
     "port",
     "bus",
     OTHER_STATE_LOCKS,
+    "running clock",
     "event queue",
     "messages",
 )
