@@ -96,6 +96,7 @@ class Truth(FaultyLife):
 
     def teardown(self) -> None:
         self.end_faults()
+        self.witness.excuse()  # what people connected while others could not be reached
         self.arrive_late()
         self.witness.excuse()
         for _ in range(3):
