@@ -420,6 +420,8 @@ class LibraryWriter:
             library.written.append(written)
             for functor in dict.fromkeys([atom.functor for atom in pattern.atoms]):
                 self._by_functor.setdefault(functor, []).append(found)
+        elif written < library.written[found]:  # of names of one entity, whatever the order
+            library.written[found] = written
         return found
 
 

@@ -135,10 +135,9 @@ def test_of_several_out_ports_one_is_taken_that_supplies_the_names() -> None:
     assert answer.cost == least_cost(problem)
 
 
-@pytest.mark.parametrize("seed", [4678, 17328])
+@pytest.mark.parametrize("seed", [4678, 17328, 28605])
 def test_ties_do_not_depend_on_the_order_in_which_demands_were_met(seed: int) -> None:
     problem = random_problem(seed)
-    assert isinstance(solve(problem), Plan)
     assert solve(problem, 1) == solve(problem)
 
 
