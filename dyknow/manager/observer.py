@@ -299,12 +299,13 @@ class Observer:
         self._graph.put(record)
 
     def _ports(self, record: Record) -> Tuple[PortState, ...]:
-        """Ask for the ports of a nodelet, and connect those as they should be that are new.
+        """Ask for the ports of a nodelet; those of claims that are new are connected as planned.
 
         A lazy nodelet makes declared ports when a subscriber comes, some at topics of its choice.
+        Of other nodelets that cannot be told from what people connected a moment before.
         """
         ports = self._host.ports(record.name)
-        if not (record.is_spawned and record.awaited):
+        if not (record.claimed and record.awaited):
             return ports
         wanted = missing_connections(record, [port for port in ports if port.datatype])
         late = {port: topic for port, topic in wanted.items() if port in record.awaited}

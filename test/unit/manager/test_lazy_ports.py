@@ -74,20 +74,26 @@ def test_it_is_tried_again(field: Field) -> None:
     assert not [each for each in field.reasons() if "elsewhere" in each]
 
 
-def test_what_people_connect_before_it_is_made_is_their_will(field: Field) -> None:
-    field.spawn("rectify", "/mine", config={"image": "/image"})
+@pytest.mark.parametrize("is_noticed", [True, False])
+def test_what_people_connect_before_it_is_made_is_their_will(
+    field: Field, is_noticed: bool
+) -> None:
+    field.spawn("rectify", "/mine", config={"image": "/image", "camera_info": "/other"})
     field.host.connect("/mine", {"camera_info": "/info"})
+    if is_noticed:
+        field.manager.look({"/mine"})
+        assert field.manager.graph.get("/mine").topics["camera_info"] == "/info"
+    field.host.lazy.clear()
     field.manager.look({"/mine"})
     assert field.manager.graph.get("/mine").topics["camera_info"] == "/info"
-    make_ports(field, "/mine")
     assert field.host.nodelet("/mine").ports["camera_info"].topic == "/info"
     assert field.host.nodelet("/mine").ports["image"].topic == "/image"
 
 
 def test_what_people_connect_afterwards_is_their_will(field: Field) -> None:
     field.spawn("rectify", "/mine", config={"image": "/image", "camera_info": "/info"})
-    make_ports(field, "/mine")
-    assert field.host.nodelet("/mine").ports["camera_info"].topic == "/info"
+    field.host.lazy.clear()
+    field.manager.look({"/mine"})
     field.host.connect("/mine", {"camera_info": "/elsewhere"})
     field.manager.look({"/mine"})
     assert field.manager.graph.get("/mine").topics["camera_info"] == "/elsewhere"
