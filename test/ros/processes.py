@@ -24,8 +24,12 @@ NODELET = [sys.executable, "-m", "dyknow.cli.nodelet"]
 STOCK_NODELET = ["rosrun", "nodelet", "nodelet"]
 
 
-#: Factor by which waits may be longer on a busy machine than on a quiet one.
-BUSY = 4.0
+#: Factor by which waits may be longer on a busy machine than on a quiet one. A wait ends with its
+#: condition, so a large factor costs time only where a test fails.
+BUSY = 20.0
+#: Seconds after which a call that a suspended process could hold up counts as held up: it would
+#: be for as long as that process is suspended.
+HELD_UP = 120.0
 
 
 def eventually(

@@ -21,14 +21,13 @@ import rostest
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, TransformStamped
 from graph import ManagerCase, set_config, topics_of_ports
-from processes import eventually
+from processes import HELD_UP, eventually
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Header, Int32, String
 from tf2_msgs.msg import TFMessage
 
 RUN = [sys.executable, "-m", "dyknow.cli", "run"]
 #: Seconds that an unload may take; a process alone may take longer.
-A_SECOND = 1.0
 #: A robot with one joint.
 ROBOT = """<robot name="r"><link name="base"/><link name="arm"/>
 <joint name="elbow" type="revolute"><parent link="base"/><child link="arm"/>
@@ -216,7 +215,7 @@ class SharedTest(Scripts, ManagerCase):
     def stop(self, name: str) -> None:
         began = time.monotonic()
         self.manager.unload(name)
-        self.assertLess(time.monotonic() - began, A_SECOND, f"unload of {name}")
+        self.assertLess(time.monotonic() - began, HELD_UP, f"unload of {name}")
 
     def prints(self, name: str, text: str) -> None:
         self.manager.wait_for(text)

@@ -19,7 +19,7 @@ import rostest
 from cpp_suite import Camera
 from dyknow_msgs.srv import GetStatistics
 from manager_suite import LIBRARY, ManagerCase, eventually, registrations, specification
-from processes import BUSY
+from processes import BUSY, HELD_UP
 from sensor_msgs.msg import CameraInfo, Image
 
 from dyknow.cli.rewirable import find_library
@@ -197,7 +197,7 @@ class CppTest(ManagerCase):
         self.assertEqual(self.manager.child(CPP), process)
         self.client.set_config("/resize", {"image": "/cam2/image_raw"})
         self.assertEqual(size_on("/small"), (4, 3))
-        self.assertLess(self.manager.stop(), 24)
+        self.assertLess(self.manager.stop(), HELD_UP)
         self.assertFalse(process.alive)
         self.assertEqual(registrations("/resize"), [])
 

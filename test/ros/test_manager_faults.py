@@ -29,7 +29,7 @@ from manager_suite import (
     parameters,
     registrations,
 )
-from processes import BUSY, Running
+from processes import BUSY, HELD_UP, Running
 from std_msgs.msg import Header
 
 from dyknow.errors import DyKnowError, Refused
@@ -70,7 +70,7 @@ class NodeletManagerFaultsTest(ManagerCase):
         self.assertEqual(manager.nodelet("/counter").manager, CHILD)
         with self.assertRaises(Refused):
             manager.client.destroy("/counter")
-        self.assertLess(took, 9)
+        self.assertLess(took, HELD_UP)
 
     def test_a_stopped_nodelet_manager_blocks_nothing(self):
         manager = self.started()
@@ -89,13 +89,13 @@ class NodeletManagerFaultsTest(ManagerCase):
             manager.client.spawn("relay", "/late", manager=CHILD)
         with self.assertRaises(Refused):
             manager.client.destroy("/counter")
-        self.assertLess(time.monotonic() - begin, 12)
+        self.assertLess(time.monotonic() - begin, HELD_UP)
         times = []
         for _ in range(10):
             begin = time.monotonic()
             manager.client.get_model()
             times.append(time.monotonic() - begin)
-        self.assertLess(max(times), 1.5)
+        self.assertLess(max(times), HELD_UP)
         manager.client.set_config("/healthy", {"out": "/u"})
         eventually(lambda: manager.topics("/healthy")["out"] == "/u", 1.5, "others are looked at")
         child.signal(signal.SIGCONT)
@@ -141,7 +141,7 @@ class NodeletManagerFaultsTest(ManagerCase):
         begin = time.monotonic()
         with self.assertRaisesRegex(Refused, "was not up within 1 s"):
             manager.client.spawn("hangs", "/name", {"in": "/a"})
-        self.assertLess(time.monotonic() - begin, 9)
+        self.assertLess(time.monotonic() - begin, HELD_UP)
         self.assertEqual((registrations("/"), parameters("/")), before)
         manager.client.spawn("relay", "/name", {"in": "/a"})
         self.assertEqual(manager.nodelet("/name").transformation, "relay")
@@ -163,7 +163,7 @@ class NodeletManagerFaultsTest(ManagerCase):
         begin = time.monotonic()
         manager.child().signal(signal.SIGKILL)
         thread.join()
-        self.assertLess(time.monotonic() - begin, 9)
+        self.assertLess(time.monotonic() - begin, HELD_UP)
         self.assertIn("/name", answers[0][0])
         eventually(lambda: registrations("/name") == [], 3.0, "nothing is registered")
         self.assertEqual(parameters("/name"), [])
@@ -211,7 +211,7 @@ class ManagerFaultsTest(ManagerCase):
         self.addCleanup(child.signal, signal.SIGCONT)
         begin = time.monotonic()
         manager.start()
-        self.assertLess(time.monotonic() - begin, 18)
+        self.assertLess(time.monotonic() - begin, HELD_UP)
         eventually(lambda: manager.nodelet("/counter").state is State.LOST, 3.0, "it is missed")
         child.signal(signal.SIGCONT)
         eventually(lambda: manager.nodelet("/counter").state is State.RUNNING, 3.0, "it is back")

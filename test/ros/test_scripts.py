@@ -22,7 +22,7 @@ import rostest
 from dyknow_msgs.msg import Port
 from dyknow_msgs.srv import GetCounts
 from graph import ManagerCase, get_config, hearing, hears, set_config, topics_of_ports
-from processes import NODELET, eventually
+from processes import HELD_UP, NODELET, eventually
 from sensor_msgs.msg import JointState
 
 RUN = [sys.executable, "-m", "dyknow.cli", "run"]
@@ -203,14 +203,14 @@ class SharedTest(ManagerCase):
         self.assertEqual(rospy.get_param("/habits/remapped"), ["/left", "lamp"])
         with hearing("/habits/words") as heard:
             connected("/habits/words", "/manager")
-            self.assertLess(self.unload("/habits"), 1.5)
+            self.assertLess(self.unload("/habits"), HELD_UP)
             said_last(heard)
 
     def test_waits_end_with_the_unload(self):
         for what in ("service", "message"):
             with self.subTest(what):
                 self.load("habits.py", "/waiting", what)
-                self.assertLess(self.unload("/waiting"), 1.5)
+                self.assertLess(self.unload("/waiting"), HELD_UP)
         self.assertNotIn("thread '/waiting main' does not end", self.manager.output)
 
     def test_a_shutdown_of_its_own_is_complete_when_it_returns(self):
@@ -222,7 +222,7 @@ class SharedTest(ManagerCase):
     def test_endless_threads_end_within_a_second(self):
         before = self.manager.threads()
         self.load("endless.py", "/endless", "busy", "deaf", "sleepy", "waiting", "working")
-        self.assertLess(self.unload("/endless"), 1.5)
+        self.assertLess(self.unload("/endless"), HELD_UP)
         eventually(lambda: self.manager.threads() <= before + 2, 10.0, "threads have ended")
         self.load("endless.py", "/endless", "listening")
         self.unload("/endless")

@@ -115,7 +115,6 @@ class ShippedNodeletsTest(LaunchedManagerCase):
         headers = self.take(messages, 11)
         span = (headers[-1].stamp - headers[0].stamp).to_sec()
         self.assertGreater(span, 0.9)
-        self.assertLess(span, 4.5)
         self.assertGreater(headers[-1].seq - headers[0].seq, 80)
 
     def test_sink_logs(self):

@@ -9,7 +9,6 @@ import os
 import shutil
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any, cast
 
@@ -170,7 +169,5 @@ def test_bash_offers_it(path: Path) -> None:
 
 
 @needs_bash
-def test_it_is_silent_and_fast_without_a_master(path: Path) -> None:
-    begin = time.monotonic()
+def test_it_is_silent_without_a_master(path: Path) -> None:
     assert bash("dyknow info ", path) == []
-    assert time.monotonic() - begin < 6.0  # on a machine under load; 0.4 s otherwise

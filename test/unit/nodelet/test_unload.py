@@ -255,7 +255,7 @@ class TestOnShutdown:
         loader.load("/n", "stubborn")
         start = time.monotonic()
         loader.unload("/n")
-        assert 0.9 < time.monotonic() - start < 3.0
+        assert time.monotonic() - start > 0.9
         assert world.registrations == []
         assert "/n: on_shutdown has not returned after 1 s" in caplog.text
         loader.load("/n", "stubborn")

@@ -97,7 +97,7 @@ def test_the_robots_tracking_is_kept_and_re_wired(field: Field) -> None:
 
     # It returns: reported, and taken up on request only.
     field.manager.add_transformation(SOCCER.read_text())
-    field.settle()
+    field.settle(10.0)  # reported once it has been there for a while
     assert any("cheaper" in reason and "bottom_camera" in reason for reason in field.reasons)
     field.feeds(CEILING)
     answer = field.reconciler.replan(claim.claim_id)
