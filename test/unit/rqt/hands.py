@@ -27,7 +27,7 @@ HSV_IN = PortRef("/nao1/line_detector", "hsv")
 
 def until(qtbot, condition):
     """Wait for something, as long as a busy machine may need."""
-    qtbot.waitUntil(condition, timeout=20_000)
+    qtbot.waitUntil(condition, timeout=120_000)
 
 
 def topic(remote, ref):

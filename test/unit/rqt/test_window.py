@@ -98,18 +98,18 @@ def test_five_hundred_nodelets_stay_usable(qtbot):
     widget.resize(1400, 800)
     widget.show()
     widget.start()
-    worst = max(pauses(qtbot, 30000, lambda: len(widget.graph.drawn.vertices) == 1000))
+    worst = max(pauses(qtbot, 180000, lambda: len(widget.graph.drawn.vertices) == 1000))
     assert len(widget.graph.drawn.vertices) == 1000
     assert worst < 2.0, worst
     remote.client.set_config("/part7/nodelet3", {"in": "/elsewhere"})
-    worst = max(pauses(qtbot, 30000, lambda: "t_/elsewhere" in vertex_keys(widget)))
+    worst = max(pauses(qtbot, 180000, lambda: "t_/elsewhere" in vertex_keys(widget)))
     assert "t_/elsewhere" in vertex_keys(widget)
     assert worst < 2.0, worst
     for i in range(100):
         remote.client.spawn(
             "relay", f"/more/n{i}", {"in": f"/more/t{i}", "out": f"/more/t{i + 1}"}
         )
-    worst = max(pauses(qtbot, 30000, lambda: "n_/more/n99" in vertex_keys(widget)))
+    worst = max(pauses(qtbot, 180000, lambda: "n_/more/n99" in vertex_keys(widget)))
     zoom = widget.graph.view.zoom
     assert "n_/more/n99" in vertex_keys(widget)
     assert worst < 2.0, worst
