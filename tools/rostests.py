@@ -20,7 +20,7 @@ from processes import own_network, run_logged
 from reports import read_report
 
 IN_WORKSPACE = ("bash", str(Path(__file__).resolve().parent / "in-workspace.sh"))
-SUITE_TIMEOUT = 420.0  # s
+SUITE_TIMEOUT = 960.0  # s
 #: Suites that take a minute or longer, the longest first.
 SLOW = (
     "nodelet_manager",

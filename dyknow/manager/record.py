@@ -162,9 +162,10 @@ def declared_ports(record: Record) -> Tuple[PortState, ...]:
 def with_ports(record: Record, ports: Tuple[PortState, ...]) -> Record:
     """Return a record with the ports that a proxy reports.
 
-    Of a port that was connected before the nodelet made it, the proxy reports the topic alone.
+    Of a port that was connected before the nodelet made it, the proxy reports the topic alone. A
+    nodelet that was written for DyKnow has made its ports when it is loaded.
     """
-    made = {port.name for port in ports if port.datatype}
+    made = {port.name for port in ports if port.datatype or record.kind.is_written_for_dyknow}
     awaited = [port.name for port in declared_ports(record) if port.name not in made]
     return replace(record, ports=seen_ports(record, ports), awaited=tuple(awaited))
 
