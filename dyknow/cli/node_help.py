@@ -32,6 +32,11 @@ Private parameters (default):
                          0: for ever (300)
   ~state_dir             folder of the durable state (dyknow in ROS_HOME)
   ~denied_topics         patterns of topics that no port may be connected to (none)
+  ~allowed_topics        patterns of the only topics that ports may be connected to (all)
+  ~allowed_programs      patterns, such as my_robot/*, of the only programs and scripts
+                         that may be started (all)
+  ~remote_programs       whether services may start programs that no file of
+                         ~transformations names (true)
   ~read_only             refuse every change (false)
   ~limits/string_length, ~limits/array_length, ~limits/nodelets, ~limits/text_size,
   ~limits/transformations
