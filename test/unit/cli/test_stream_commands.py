@@ -190,7 +190,7 @@ class TestAcquire:
         told = [line.split(" ", 1)[1] for line in outcome.lines if line[2:3] == ":"]
         assert told == [
             "recovering: nodelet /camera_1 is gone",
-            "active: mended: nodelet /camera_1 is gone",
+            "active: mended: nodelet /camera_1 is gone; /camera_2 is used now",
         ]
 
     def test_a_claim_that_others_release_ends_it(self, client: FakeClient) -> None:
