@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 __all__ = ["ManagerClient", "NodeHandle", "Nodelet", "acquire"]
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 _HOMES = {
     "ManagerClient": "dyknow.ros.client",
