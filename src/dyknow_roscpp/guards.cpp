@@ -22,7 +22,6 @@ namespace
 
 /// The environment variable of programs that a DyKnow manager starts, see guard_parameters.py.
 constexpr const char* SPAWNED = "DYKNOW_SPAWNED";
-constexpr std::chrono::milliseconds MASTER_PATIENCE(1000);
 
 /// The key under which a manager hands over its guards, see dyknow/ros/nodelets/guard_parameters.py.
 std::string keyOf(const std::string& owner)

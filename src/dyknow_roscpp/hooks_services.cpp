@@ -18,6 +18,7 @@
 #include "guards.h"
 #include "names.h"
 #include "problems.h"
+#include "question.h"
 #include "symbols.h"
 
 namespace dyknow
@@ -26,8 +27,6 @@ namespace
 {
 
 using Check = void (*)(const ros::ServiceCallbackHelperCallParams&, const Guards&, const std::string& caller);
-
-constexpr std::chrono::milliseconds MASTER_PATIENCE(1000);
 
 /// The answer of a service that fails with a text.
 ros::SerializedMessage failure(const std::string& text)

@@ -15,6 +15,7 @@
 #include "master_state.h"
 #include "names.h"
 #include "problems.h"
+#include "question.h"
 #include "registry.h"
 
 namespace dyknow
@@ -24,8 +25,7 @@ namespace
 
 /// How long a reconfiguration waits for peers outside.
 constexpr std::chrono::milliseconds PATIENCE(500);
-/// How long it waits for the ROS master, and for another reconfiguration of the nodelet.
-constexpr std::chrono::milliseconds MASTER_PATIENCE(1000);
+/// How long it waits for another reconfiguration of the nodelet.
 constexpr std::chrono::milliseconds TURN_PATIENCE(2000);
 constexpr std::chrono::milliseconds STEP(1);
 

@@ -7,12 +7,16 @@
 
 #include <xmlrpcpp/XmlRpcValue.h>
 
+#include <chrono>
 #include <string>
 
 #include "traffic.h"
 
 namespace dyknow
 {
+
+/// How long an operation waits for the ROS master: on a busy machine an answer may take more than a second.
+constexpr std::chrono::milliseconds MASTER_PATIENCE(5000);
 
 /// Calls a function of the API of the ROS master or of a node: roscpp waits for ever for one that hangs.
 ///
