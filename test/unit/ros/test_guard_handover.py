@@ -67,7 +67,9 @@ class OneChild:
     """A single nodelet manager, which is up."""
 
     def __init__(self):
-        record = SimpleNamespace(name=NODELET_MANAGER, kind=NodeletKind.PYTHON, isolated_for="")
+        record = SimpleNamespace(
+            name=NODELET_MANAGER, kind=NodeletKind.PYTHON, isolated_for="", process=None
+        )
         self._child = SimpleNamespace(record=record, incarnation="1", rewirable=True)
 
     def all(self):
