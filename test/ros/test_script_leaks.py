@@ -58,9 +58,17 @@ class ScriptLeakTest(ManagerCase):
             after = self.holdings()
             return {key: after[key] - before[key] for key in most}
 
+        def is_settled():
+            if all(value <= most[key] for key, value in grown().items()):
+                return True
+            # A class that all scripts share may keep the last script's copies of a library, as
+            # actionlib's does, until another script has used it. What leaks grows by this.
+            self.cycle()
+            return False
+
         print(f"after {cycles} cycles: {grown()}")
         eventually(
-            lambda: all(value <= most[key] for key, value in grown().items()),
+            is_settled,
             5.0,
             f"no more than {most} is left of {cycles} cycles",
             grown,
