@@ -16,9 +16,7 @@ from typing import Dict, List, NamedTuple, Sequence, Tuple
 from dyknow.manager.planning.patterns import (
     NO_TYPES,
     Names,
-    Pattern,
     Types,
-    atoms_of,
 )
 from dyknow.manager.specifications.tags import Term, types_of
 from dyknow.model.placeholders import variables_of
@@ -89,35 +87,6 @@ class Rule(NamedTuple):
             if types
         }
         return [term.substitute(known) for term in self.premises[port].terms]
-
-
-def pattern_of(
-    terms: Sequence[Term],
-    datatype: str,
-    names: Names,
-    wanted: Sequence[str] = (),
-    types: Sequence[Types] = (),
-) -> Pattern:
-    """Return the pattern of a demand.
-
-    Args:
-        terms: its tags.
-        datatype: ROS type; empty for any.
-        names: how names are related.
-        wanted: variables whose names matter.
-        types: their types, besides those of the tags.
-    """
-    terms = sorted(terms)
-    variables = list(dict.fromkeys(each for term in terms for each in term.variables))
-    known = {key: frozenset(map(names.canonical, of)) for key, of in types_of(terms).items()}
-    for variable, further in zip(wanted, types):
-        known[variable] = known.get(variable, NO_TYPES) | further
-    return Pattern(
-        atoms_of(terms, variables, names),
-        datatype,
-        tuple([names.narrowed(known.get(each, NO_TYPES)) for each in variables]),
-        tuple([variables.index(each) for each in wanted if each in variables]),
-    )
 
 
 def rule_of(
