@@ -156,13 +156,26 @@ class ManagerNode(Closable):
         self._watch.refresh(nodelet)
 
     def close(self) -> None:
-        """End on purpose, with all nodelets and nodelet managers."""
+        """End on purpose, with all nodelets and nodelet managers.
+
+        A manager that leaves ends for the elder manager of its name, which has the name's nodelets
+        and claims. Nothing is forgotten then: the state on disk is that of a manager that was
+        killed. The nodelet managers end, whose names those of the elder bear; what runs in others
+        is the elder's.
+        """
         if self.leaves:
-            self._leave()
-            return
-        rospy.loginfo("the manager %s ends, and its nodelets with it", rospy.get_name())
+            rospy.logwarn(
+                "an older manager %s goes on, so this one leaves; its state stays in %s",
+                rospy.get_name(),
+                self._settings.state_path("sqlite3"),
+            )
+        else:
+            rospy.loginfo("the manager %s ends, and its nodelets with it", rospy.get_name())
         self._services.close()
-        self._streams.close()
+        if self.leaves:
+            self._streams.suspend()
+        else:
+            self._streams.close()
         self._listener.close()
         self._watch.close(1.0)
         self._backups.close(1.0)
@@ -170,38 +183,15 @@ class ManagerNode(Closable):
         self._cpp.close()
         self._children.end_all()
         self._workers.close(_WORKERS_PATIENCE)
-        self.manager.end()
-        self._host.release()
-        self._forget_transformations()
+        if not self.leaves:
+            self.manager.end()
+            self._host.release()
+            self._forget_transformations()
         self._host.close()
         self._store.close()
         self._owner.release()
 
     # Inside
-
-    def _leave(self) -> None:
-        """End for the elder manager of this name, which has the name's nodelets and claims.
-
-        Nothing is forgotten: the state on disk is that of a manager that was killed. The nodelet
-        managers end, whose names those of the elder bear; what runs in others is the elder's.
-        """
-        rospy.logwarn(
-            "an older manager %s goes on, so this one leaves; its state stays in %s",
-            rospy.get_name(),
-            self._settings.state_path("sqlite3"),
-        )
-        self._services.close()
-        self._streams.suspend()
-        self._listener.close()
-        self._watch.close(1.0)
-        self._backups.close(1.0)
-        self._publisher.close()
-        self._cpp.close()
-        self._children.end_all()
-        self._workers.close(_WORKERS_PATIENCE)
-        self._host.close()
-        self._store.close()
-        self._owner.release()
 
     def _introduce(self) -> None:
         """Say who starts, and with what."""
