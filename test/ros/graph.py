@@ -282,6 +282,19 @@ def bus_info(node: str) -> list[Any]:
     return xmlrpc.client.ServerProxy(uri).getBusInfo(rospy.get_name())[2]
 
 
+def is_fed(topic: str) -> bool:
+    """Whether each publisher of a topic has this process among its connections.
+
+    A subscriber counts a connection before its publisher sends anything on it, so a message that
+    is published in between is lost.
+    """
+    publishers = nodes_on(topic)[0] - {rospy.get_name()}
+    return bool(publishers) and all(
+        any(to == rospy.get_name() and name == topic for _, to, _, _, name, *_ in bus_info(node))
+        for node in publishers
+    )
+
+
 def parameters() -> dict[str, Any]:
     """All parameters except those of roslaunch and rosout."""
     every = rospy.get_param("/")

@@ -19,6 +19,7 @@ os.environ["QT_QPA_PLATFORM"] = "offscreen"
 import rospy
 import rostest
 from manager_suite import ManagerCase
+from processes import BUSY
 from python_qt_binding.QtCore import Qt
 from python_qt_binding.QtTest import QTest
 from python_qt_binding.QtWidgets import QApplication
@@ -34,7 +35,7 @@ EXAMPLES = Path(__file__).resolve().parent.parent.parent / "examples"
 
 
 def until(condition: Callable[[], object], what: str) -> None:
-    screenshots.wait(condition, 40.0, what)
+    screenshots.wait(condition, 4.0 * BUSY, what)
 
 
 class CaseStudyTest(ManagerCase):

@@ -19,7 +19,7 @@ os.environ["QT_QPA_PLATFORM"] = "offscreen"
 import rospy
 import rostest
 from manager_suite import LIBRARY, ManagerCase, Receiver, eventually
-from processes import Running, free_port
+from processes import HELD_UP, Running, free_port
 from python_qt_binding.QtTest import QTest
 from python_qt_binding.QtWidgets import QApplication
 from roslib.packages import find_node
@@ -37,7 +37,7 @@ from dyknow_rqt.window import DyKnowWidget
 OUT, IN = PortRef("/count", "out"), PortRef("/relay", "in")
 
 
-def until(condition: Callable[[], object], what: str, timeout: float = 30.0) -> None:
+def until(condition: Callable[[], object], what: str, timeout: float = HELD_UP) -> None:
     """Process the window's events until something holds."""
     start = time.monotonic()
     while not condition():

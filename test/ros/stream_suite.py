@@ -125,12 +125,9 @@ class StreamCase(ManagerCase):
     def tell(self, nodelet: str, order: str) -> None:
         """Send an order to a nodelet that can be told to misbehave."""
         publisher = rospy.Publisher(f"{nodelet}/order", String, queue_size=1)
-        try:
-            eventually(publisher.get_num_connections, 5.0, f"{nodelet} listens")
-            publisher.publish(order)
-            time.sleep(0.1)  # unregistering drops what is not sent yet
-        finally:
-            publisher.unregister()
+        self.addCleanup(publisher.unregister)  # not before, which would drop what is not sent yet
+        eventually(publisher.get_num_connections, 5.0, f"{nodelet} listens")
+        publisher.publish(order)
 
     def claim(self, manager: ManagerProcess, claim_id: str) -> StreamStatus:
         return next(each for each in manager.client.list_streams() if each.claim_id == claim_id)

@@ -39,7 +39,7 @@ class BusTest(ManagerCase):
         heard = []
         subscriber = rospy.Subscriber(topic, message_class, heard.append, tcp_nodelay=True)
         self.addCleanup(subscriber.unregister)
-        eventually(subscriber.get_num_connections, 5.0, f"connected to {topic}")
+        eventually(lambda: graph.is_fed(topic), 5.0, f"connected to {topic}")
         return heard
 
     def wait_for_numbers(self, numbers, nodelet):

@@ -532,7 +532,7 @@ class LaunchTest(Started):
             speaker = rospy.Publisher("/robot/source", Header, queue_size=1)
             self.heard = []
             eventually(
-                lambda: heard.get_num_connections() and speaker.get_num_connections(),
+                lambda: graph.is_fed("/result") and speaker.get_num_connections(),
                 5.0,
                 "the relay is connected",
             )
