@@ -288,11 +288,16 @@ def is_fed(topic: str) -> bool:
     A subscriber counts a connection before its publisher sends anything on it, so a message that
     is published in between is lost.
     """
-    publishers = nodes_on(topic)[0] - {rospy.get_name()}
-    return bool(publishers) and all(
-        any(to == rospy.get_name() and name == topic for _, to, _, _, name, *_ in bus_info(node))
-        for node in publishers
-    )
+    fed = []
+    for node in nodes_on(topic)[0] - {rospy.get_name()}:
+        with contextlib.suppress(ConnectionRefusedError):  # it was killed, and is still registered
+            fed.append(
+                any(
+                    to == rospy.get_name() and name == topic
+                    for _, to, _, _, name, *_ in bus_info(node)
+                )
+            )
+    return any(fed) and all(fed)
 
 
 def parameters() -> dict[str, Any]:
