@@ -19,4 +19,8 @@ load_workspace() {
 # ROS's Python is the system's, whichever other one comes first.
 export PATH="/usr/bin:$PATH"
 load_workspace
+
+# Tests start hundreds of processes: none is to compile again what another one has compiled.
+unset PYTHONDONTWRITEBYTECODE
+export PYTHONPYCACHEPREFIX="$root/build/pycache"
 exec "$@"

@@ -40,6 +40,8 @@ def eventually(
 ) -> float:
     """Wait until something holds and return how long (s) that took; fail if it does not.
 
+    The longer it takes, the more seldom it looks: a look may cost several processes some work.
+
     Args:
         condition: Whether it holds.
         timeout: How long (s) it may take on a quiet machine.
@@ -49,9 +51,10 @@ def eventually(
     start = time.monotonic()
     timeout *= BUSY
     while not condition():
-        if time.monotonic() - start > timeout:
+        waited = time.monotonic() - start
+        if waited > timeout:
             raise AssertionError(f"not within {timeout:g} s: {what}\n{shown()}".rstrip())
-        time.sleep(0.02)
+        time.sleep(min(max(0.02, waited / 8), 0.5))
     return time.monotonic() - start
 
 
