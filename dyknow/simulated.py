@@ -17,8 +17,7 @@ from dyknow import names
 from dyknow.errors import DyKnowError, HostError, NodeletUnreachable, Refused
 from dyknow.locks import turn_lock
 from dyknow.manager.claim import ClaimEvent
-from dyknow.manager.claims.advice import unknown_labels
-from dyknow.manager.claims.answers import StreamAnswers, refusal_of
+from dyknow.manager.claims.answers import StreamAnswers, refusal_of, unknown_labels
 from dyknow.manager.claims.reconciler import StreamReconciler
 from dyknow.manager.fake_host import FakeHost
 from dyknow.manager.library import Library

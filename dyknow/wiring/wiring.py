@@ -10,7 +10,7 @@ from typing import List, Tuple
 from xml.sax.saxutils import quoteattr
 
 from dyknow.errors import DyKnowError
-from dyknow.manager.claims.relay import transformation_of_relay
+from dyknow.manager.claims.ends import transformation_of_relay
 from dyknow.model.graph import Model, NodeletStatus, SpawnRequest
 from dyknow.model.transformation import Transformation
 

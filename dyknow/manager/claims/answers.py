@@ -1,12 +1,13 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What clients see of claims, as values."""
+"""What clients receive besides messages: answers, refusals, and news of cheaper plans."""
 
 from __future__ import annotations
 
 import time
-from typing import Callable, Optional, Sequence, Tuple, Type
+from dataclasses import dataclass, replace
+from typing import Callable, Dict, FrozenSet, Hashable, Optional, Sequence, Set, Tuple, Type
 
 from dyknow.errors import (
     Denied,
@@ -18,12 +19,159 @@ from dyknow.errors import (
     Result,
     StreamRefused,
     StreamTypeMismatch,
+    UnknownTransformation,
 )
 from dyknow.manager.claim import Claim, ClaimEvent
-from dyknow.manager.claims.reconciler import Acquired
+from dyknow.manager.claims.claim_planner import ClaimPlanner
+from dyknow.manager.claims.claim_table import ClaimTable
+from dyknow.manager.claims.ends import RELAY_COST
+from dyknow.manager.manager import Manager
 from dyknow.manager.planning.explanation import as_tree
-from dyknow.manager.specifications.tags import written_bindings
-from dyknow.model.streams import Acquisition, Replanned, StreamEvent, StreamStatus
+from dyknow.manager.planning.problem import Live, NoPlan, Plan
+from dyknow.manager.specifications.findings import listed
+from dyknow.manager.specifications.tags import Term, read_tags, written_bindings
+from dyknow.model.streams import Acquisition, ClaimState, Replanned, StreamEvent, StreamStatus
+from dyknow.model.transformation import OUT
+from dyknow.similar import did_you_mean
+
+#: Transformations beyond which nothing is suggested: the search would take too long.
+_SEARCHED = 10_000
+#: Missing tags, and unknown labels, for which something is suggested.
+_EXPLAINED = 3
+#: Seconds that a cheaper way has to be there before it is reported.
+_SETTLED = 3.0
+
+
+def refusal(manager: Manager, answer: NoPlan, exclude: Sequence[str]) -> str:
+    """Explain to a client why there is no plan."""
+    excluded = f" (excluded: {listed(exclude)})" if exclude and not answer.obstacles else ""
+    unknown = [f"; {each}" for each in unknown_labels(manager, exclude)] if exclude else []
+    return "".join([str(answer), excluded, _similar_tags(manager, answer), *unknown])
+
+
+def unknown_labels(manager: Manager, exclude: Sequence[str]) -> Tuple[str, ...]:
+    """Say which of the labels that a client excludes belong to nothing."""
+    known = {each.label for each in manager.library.all()}
+    known |= {record.label for record in manager.graph.all()}
+    unknown = [label for label in exclude if label not in known]
+    among = known if len(known) < _SEARCHED else set()
+    return tuple(
+        str(UnknownTransformation(label, did_you_mean(label, among)))
+        for label in unknown[:_EXPLAINED]
+    )
+
+
+def _similar_tags(manager: Manager, answer: NoPlan) -> str:
+    transformations = manager.library.all()
+    if len(transformations) > _SEARCHED:
+        return ""
+    supplied: Set[Term] = {
+        term
+        for each in transformations
+        for port in each.ports
+        if port.direction == OUT
+        for term in read_tags(port.tags)
+    }
+    missing = {str(term): term for demand in answer.missing for term in demand.tags}
+    advice = ""
+    for tag in sorted(missing)[:_EXPLAINED]:
+        known = {str(_as_asked(each, missing[tag])) for each in supplied}
+        if tag not in known:
+            advice += did_you_mean(tag, known, at_most=2)
+    return advice
+
+
+def _as_asked(supplied: Term, asked: Term) -> Term:
+    """Put what was asked for in the places of the variables of a supplied tag."""
+    if supplied.is_ground or len(supplied.args) != len(asked.args):
+        return supplied
+    pairs = zip(supplied.args, asked.args)
+    return supplied.substitute({have: want for have, want in pairs if have[:1] == "?"})
+
+
+@dataclass(frozen=True)
+class _Comparison:
+    """What is known of cheaper ways to a claim's stream.
+
+    Attributes:
+        nodelets: of the stream as it is.
+        offers: what was on offer when it was compared last.
+        way: the cheaper way, in words; empty if there is none.
+        since: when that was found first.
+        reported: ways that the client was informed of.
+    """
+
+    nodelets: Tuple[str, ...]
+    offers: Hashable = None
+    way: str = ""
+    since: float = 0.0
+    reported: FrozenSet[str] = frozenset()
+
+
+class CheaperPlans:
+    """Compares what streams cost with what they would cost today."""
+
+    def __init__(
+        self, table: ClaimTable, planner: ClaimPlanner, clock: Callable[[], float]
+    ) -> None:
+        """Begin with no comparison.
+
+        Args:
+            table: the claims.
+            planner: knows the prices.
+            clock: steady time, in seconds.
+        """
+        self._table = table
+        self._planner = planner
+        self._clock = clock
+        self._compared: Dict[str, _Comparison] = {}
+
+    def find(self, claim: Claim) -> Optional[Plan]:
+        """Return a plan by which all claims together cost less than now, or None."""
+        answer = self._planner.plan_from_scratch(claim)
+        if isinstance(answer, NoPlan):
+            return None
+        elsewhere = isinstance(answer.goal, Live) and answer.goal.topic not in ("", claim.topic)
+        cost = answer.cost + (RELAY_COST if elsewhere else 0)
+        if cost >= self._planner.price(claim):
+            return None
+        return self._planner.with_own(answer, self._planner.own(claim))
+
+    def report(self) -> None:
+        """Report a cheaper plan of a claim once, when it has been on offer for some time.
+
+        In each call one claim is compared anew, if anything new is on offer.
+        """
+        offers, now = self._planner.supplies.offers(), self._clock()
+        claims = [each for each in self._table.living() if each.state is ClaimState.ACTIVE]
+        for claim in claims:
+            known = self._compared.get(claim.claim_id)
+            if known is None or known.nodelets != claim.nodelets:
+                known = _Comparison(claim.nodelets)
+            elif known.offers == offers:
+                continue
+            way = self._way(claim)
+            since = known.since if way == known.way else now
+            self._compared[claim.claim_id] = replace(known, offers=offers, way=way, since=since)
+            break
+        for claim_id, known in list(self._compared.items()):
+            is_settled = known.offers == offers and now - known.since >= _SETTLED
+            if known.way and known.way not in known.reported and is_settled:
+                self._table.report(claim_id, known.way)
+                reported = known.reported | {known.way}
+                self._compared[claim_id] = replace(known, reported=reported)
+        living = {claim.claim_id for claim in self._table.living()}
+        self._compared = {key: each for key, each in self._compared.items() if key in living}
+
+    def _way(self, claim: Claim) -> str:
+        """Say how a claim's stream would cost less; empty if there is no such way."""
+        cheaper = self.find(claim)
+        if cheaper is None:
+            return ""
+        labels = ", ".join(sorted(step.action.label for step in cheaper.steps))
+        way = f"with {labels}" if labels else "with what others use"
+        return f"a cheaper way has appeared, {way}; replanning takes it"
+
 
 _RESULTS: Tuple[Tuple[Type[DyKnowError], Result], ...] = (
     (NoPlanFound, Result.NO_PLAN),
@@ -33,6 +181,28 @@ _RESULTS: Tuple[Tuple[Type[DyKnowError], Result], ...] = (
     (Denied, Result.DENIED),
     (LimitExceeded, Result.DENIED),
 )
+
+
+@dataclass(frozen=True)
+class Acquired:
+    """Answer to a request.
+
+    Attributes:
+        claim: the claim; without an id for a dry run.
+        plan: how the stream is made; None for a claim that existed before.
+        spawned: nodelets that were made; for a dry run, labels of those that would be.
+        reused: nodelets that are used as they are.
+    """
+
+    claim: Claim
+    plan: Optional[Plan]
+    spawned: Tuple[str, ...] = ()
+    reused: Tuple[str, ...] = ()
+
+    @property
+    def cost(self) -> int:
+        """Cost of the nodelets that were, or would be, made."""
+        return 0 if self.plan is None else self.plan.cost
 
 
 class StreamAnswers:

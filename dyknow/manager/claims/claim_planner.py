@@ -29,10 +29,16 @@ from dyknow.backoff import Backoff
 from dyknow.datatypes import ANY
 from dyknow.errors import StreamTypeMismatch
 from dyknow.manager.claim import Claim
+from dyknow.manager.claims.assembly import STAMPED
 from dyknow.manager.claims.context import ClaimContext
-from dyknow.manager.claims.own_nodelets import Instance, OwnNodelet, assigned, instance_of
-from dyknow.manager.claims.plan_context import STAMPED
-from dyknow.manager.claims.supplies import Supplies, wishes_of
+from dyknow.manager.claims.supplies import (
+    Instance,
+    OwnNodelet,
+    Supplies,
+    assigned,
+    instance_of,
+    wishes_of,
+)
 from dyknow.manager.claims.topology import demand_of, may_share
 from dyknow.manager.planning.planner import BUDGET, Planner
 from dyknow.manager.planning.problem import (

@@ -1,18 +1,128 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The ends of streams: what each port of a nodelet sends, or has to receive."""
+"""The ends of streams: what each port of a nodelet sends, or has to receive.
+
+A relay brings a stream to where a client listens. It is made where the stream itself has to stay
+on its topic: an ordinary node publishes it, or other clients listen there.
+
+Variables are bound by what a nodelet was given at its spawn, and by the streams at its in-ports. A
+stream with several tags may bind a variable in several ways, and all of them are true of what the
+nodelet sends. In-ports that contradict each other leave no way.
+"""
 
 from __future__ import annotations
 
-from typing import FrozenSet, List, NamedTuple, Tuple
+import itertools
+from typing import Dict, FrozenSet, Iterable, List, Mapping, NamedTuple, Optional, Sequence, Tuple
 
-from dyknow.manager.claims.bound_tags import Way
-from dyknow.manager.claims.relay import is_relay
-from dyknow.manager.planning.supply import Demand
+from dyknow.datatypes import ANY
+from dyknow.errors import SpawnFailed
+from dyknow.manager.planning.supply import Demand, ways_to_meet
 from dyknow.manager.record import Record
-from dyknow.manager.specifications.tags import NO_BINDINGS, Term, read_tags
-from dyknow.model.transformation import OUT, Port
+from dyknow.manager.specifications.tags import NO_BINDINGS, Subsumption, Term, read_tags
+from dyknow.model.graph import NodeletStatus
+from dyknow.model.transformation import IN, OUT, Parameter, Port, Transformation
+
+#: What a relay costs, as transformations do that say nothing else.
+RELAY_COST = 1
+#: Labels of relays begin with this.
+_PREFIX = "relay of "
+#: Ways that are followed; beyond, less is supplied than could be.
+_MOST_WAYS = 64
+
+
+def relay(topic: str, datatype: str, tags: Tuple[str, ...]) -> Transformation:
+    """Describe a relay for a topic: it supplies what the topic does.
+
+    Raises:
+        SpawnFailed: the type of the topic is not known.
+    """
+    if datatype in ANY:
+        raise SpawnFailed(_PREFIX + topic, "the type of its messages is not known")
+    tags = tuple(tag for tag in tags if all(term.is_ground for term in read_tags((tag,))))
+    return Transformation(
+        _PREFIX + topic,
+        "dyknow/Relay",
+        cost=RELAY_COST,
+        parameters=(Parameter("datatype", "string", datatype),),
+        ports=(Port("in", IN, datatype, tags), Port("out", OUT, datatype, tags)),
+    )
+
+
+def is_relay(transformation: Optional[Transformation]) -> bool:
+    """Whether a transformation is one of ours, not of the library."""
+    return (
+        transformation is not None
+        and transformation.label.startswith(_PREFIX + "/")
+        and transformation.source == "dyknow/Relay"
+    )
+
+
+def transformation_of_relay(nodelet: NodeletStatus) -> Optional[Transformation]:
+    """Return the transformation of a relay, which no library has; None for any other nodelet."""
+    out = nodelet.port("out")
+    if not nodelet.transformation.startswith(_PREFIX + "/") or out is None or out.datatype in ANY:
+        return None
+    return relay(nodelet.transformation[len(_PREFIX) :], out.datatype, out.tags)
+
+
+Way = Mapping[str, str]
+"""A name for each variable that is bound."""
+
+Sent = Tuple[Tuple[Term, ...], str]
+"""The tags and the ROS type of what a source sends."""
+
+
+class Inlet(NamedTuple):
+    """An in-port that receives something.
+
+    Attributes:
+        demand: what it has to receive.
+        sources: what is sent there; all of it binds the same names.
+    """
+
+    demand: Demand
+    sources: Tuple[Sent, ...]
+
+
+def ways_to_bind(
+    known: Iterable[Way], inlets: Iterable[Inlet], ontology: Subsumption
+) -> List[Way]:
+    """List the ways in which every in-port receives what it demands.
+
+    Args:
+        known: what variables stand for in any case, in each way.
+        inlets: in-ports of one nodelet.
+        ontology: what is a kind of what.
+
+    Returns:
+        All ways, each once, in a deterministic order; none if the in-ports contradict each other.
+        All of them bind the same variables.
+    """
+    found: List[Way] = list(known)
+    for demand, sources in inlets:
+        for tags, datatype in sources:
+            more = (
+                way
+                for before in found
+                for way in ways_to_meet(tags, datatype, demand, ontology, before)
+            )
+            found = list(_distinct(itertools.islice(more, _MOST_WAYS)))
+    return found
+
+
+def supplied(tags: Sequence[Term], ways: Iterable[Way]) -> Tuple[Term, ...]:
+    """Return the tags of an out-port in all ways; with unbound variables they supply nothing."""
+    bound = [term.substitute(way) for way in ways for term in tags]
+    return tuple(dict.fromkeys(term for term in bound if term.is_ground))
+
+
+def _distinct(ways: Iterable[Way]) -> Iterable[Way]:
+    found: Dict[Tuple[Tuple[str, str], ...], Way] = {}
+    for way in ways:
+        found.setdefault(tuple(sorted(way.items())), way)
+    return found.values()
 
 
 class Producer(NamedTuple):

@@ -17,11 +17,12 @@ import itertools
 from dataclasses import dataclass
 from typing import Callable, Dict, FrozenSet, Iterable, List, Mapping, Set, Tuple
 
+from dyknow.manager.claim import Claim
 from dyknow.manager.graph import Graph
 from dyknow.manager.host import Count, Host, Listening
 from dyknow.manager.record import Record
 from dyknow.model.graph import State
-from dyknow.model.transformation import IN
+from dyknow.model.transformation import IN, OUT
 
 #: Seconds without an answer after which a nodelet is unresponsive.
 UNANSWERED = 2.0
@@ -229,3 +230,61 @@ class FlowMeter:
             flow.came_after, flow.quiet_from = flow.quiet_until, count.answered
         flow.quiet_until, flow.latched = count.asked, count.latched
         return came
+
+
+class StreamParts:
+    """Out-ports and ordinary topics of a claim.
+
+    Attributes:
+        claim: whose stream it is.
+        topics: where the messages of each place go.
+    """
+
+    def __init__(self, claim: Claim, graph: Graph) -> None:
+        """Find the places at which messages can be counted now."""
+        self.claim = claim
+        self.topics: Dict[Place, str] = {("", topic): topic for topic in claim.sources}
+        for name in claim.nodelets:
+            record = graph.find(name)
+            if (
+                record is None
+                or record.transformation is None
+                or record.state is not State.RUNNING
+            ):
+                continue
+            outs = {port.name for port in record.transformation.ports if port.direction == OUT}
+            for port, topic in claim.wiring[name].items():
+                if port in outs:
+                    self.topics[(name, port)] = topic
+        self._senders: Dict[str, List[Place]] = {}
+        for place, topic in sorted(self.topics.items()):
+            self._senders.setdefault(topic, []).append(place)
+
+    @property
+    def goal(self) -> Place:
+        """What publishes where the client listens."""
+        return goal_of(self.claim)
+
+    def feeders(self, place: Place) -> List[List[Place]]:
+        """List what feeds a place: the senders on the topic of each in-port of its nodelet."""
+        name, _ = place
+        topics = self.claim.wiring.get(name, {}).values()
+        feeding = [
+            [each for each in self._senders.get(topic, ()) if each[0] != name] for topic in topics
+        ]
+        return [senders for senders in feeding if senders]
+
+
+def goal_of(claim: Claim) -> Place:
+    """Return what publishes where a claim's client listens."""
+    return claim.goal if claim.goal[0] else ("", claim.topic)
+
+
+def name_of(place: Place) -> str:
+    """Name of the nodelet, or of the topic where there is none."""
+    return place[0] or place[1]
+
+
+def described(place: Place) -> str:
+    """Name a place for people."""
+    return f"nodelet {place[0]}" if place[0] else f"topic {place[1]}"

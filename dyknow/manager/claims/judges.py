@@ -1,19 +1,56 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What there is to each limit that a claim may set for its stream: who judges by it."""
+"""Judges of streams by the limits that a claim may set: a rate, an age.
+
+A count holds for some moment between its question and its answer, so of two counts only a range of
+rates follows. A rate counts as too low if all of the range is: a slow network discredits no part.
+It has to be too low in the first and the last third of a window as well: a pause is no slowness.
+
+Of each place the age of one message is measured for each count. A stream is too old if most of the
+last messages are, and most of the first and of the last third of them: a hiccup is no delay.
+"""
 
 from __future__ import annotations
 
+import collections
+import statistics
 from abc import ABC, abstractmethod
-from typing import Dict, Iterable, Mapping, NamedTuple, Optional, Tuple, TypeVar
+from typing import (
+    Callable,
+    Deque,
+    Dict,
+    Iterable,
+    List,
+    Mapping,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Tuple,
+    TypeVar,
+)
 
 from dyknow.manager.claim import Claim
-from dyknow.manager.claims.flows import Place
-from dyknow.manager.claims.stream_parts import StreamParts
+from dyknow.manager.claims.flows import UNANSWERED, Place, StreamParts, described
 from dyknow.manager.host import Count
 
 _Value = TypeVar("_Value")
+#: Seconds that a part may take to begin, before its rate is judged.
+GRACE = 2.0
+#: Seconds over which a rate is taken, and the messages that are due in it at the least.
+_WINDOW = 4.5
+_MESSAGES = 10
+#: Messages by which two counts may differ by chance.
+_CHANCE = 2
+#: A part that sends more than this part of what it receives from a feeder does not wait for it.
+_ALIKE = 1.25
+#: Messages that are judged together, and seconds that lie between two of them at the least.
+_SAMPLES = 9
+_THIRD = _SAMPLES // 3
+_SPACING = 0.4
+#: The part of the limit that a place may use up, however much those behind it add.
+_FAIR_PART = 0.5
+_NEVER = float("-inf")
 
 
 class Judgement(NamedTuple):
@@ -92,3 +129,336 @@ def kept(by_claim: Mapping[str, _Value], claim_ids: Iterable[str]) -> Dict[str, 
     """Return what there is about some claims."""
     ids = set(claim_ids)
     return {claim_id: each for claim_id, each in by_claim.items() if claim_id in ids}
+
+
+class _Cause(NamedTuple):
+    """Whether a feeder slows a place down, if that is sure, and its share of what is needed."""
+
+    is_slow: bool
+    is_sure: bool
+    share: float
+
+
+class Span(NamedTuple):
+    """Two counts of one place."""
+
+    first: Count
+    last: Count
+
+    @property
+    def messages(self) -> int:
+        """Messages between the two."""
+        return self.last.messages - self.first.messages
+
+    @property
+    def seconds(self) -> float:
+        """Seconds that certainly lie between them."""
+        return self.last.asked - self.first.answered
+
+    @property
+    def rate(self) -> float:
+        """About how many messages a second there were, in Hz."""
+        return self.messages / self.seconds
+
+
+class RateJudge(Judge):
+    """Judges by ``min_rate``, from the latest counts of each place."""
+
+    def __init__(self) -> None:
+        """Begin without a count."""
+        super().__init__()
+        self._counts: Dict[Place, Deque[Count]] = {}
+        self._began: Dict[Place, float] = {}
+        #: The highest rate of each place, by claim, since its stream was changed last.
+        self._usual: Dict[str, Dict[Place, float]] = {}
+
+    def limit(self, claim: Claim) -> float:
+        """Hz that a claim demands."""
+        return claim.request.min_rate
+
+    def window(self, limit: float) -> float:
+        """Seconds over which a rate is judged that has to be at least so high."""
+        return max(_WINDOW, _MESSAGES / limit)
+
+    def add(self, counted: Mapping[Place, Count], windows: Mapping[Place, float]) -> None:
+        """Take counts in."""
+        for place in [place for place in self._counts if place not in windows]:
+            del self._counts[place]
+        for place in windows.keys() & counted.keys():
+            self._add(place, counted[place], windows[place])
+
+    def _add(self, place: Place, count: Count, window: float) -> None:
+        counts = self._counts.setdefault(place, collections.deque())
+        if counts and (
+            count.messages < counts[-1].messages or count.asked - counts[-1].answered > UNANSWERED
+        ):
+            counts.clear()  # it was loaded again, or stopped
+        if not counts:
+            self._began[place] = count.answered
+        elif count.messages == counts[0].messages and count.asked - self._began[place] < GRACE:
+            counts.clear()  # it has not begun to send
+        counts.append(count)
+        while len(counts) > 2 and count.asked - counts[1].answered >= window:
+            counts.popleft()
+
+    def restart(self, claim_id: str, names: Iterable[str], now: float) -> None:
+        """Begin again with nodelets that were connected elsewhere for a claim."""
+        super().restart(claim_id, names, now)
+        names = set(names)
+        if names:
+            self._usual.pop(claim_id, None)
+            for place in [place for place in self._counts if place[0] in names]:
+                del self._counts[place]
+
+    def keep(self, claim_ids: Iterable[str]) -> None:
+        """Forget all other claims."""
+        super().keep(claim_ids)
+        self._usual = kept(self._usual, claim_ids)
+
+    def falls_short(self, place: Place, limit: float) -> Optional[bool]:
+        """Whether a place certainly sends less than a rate; None as long as that is not known."""
+        window = self.window(limit)
+        whole = self._span(place, window)
+        if whole is None:
+            return None
+        if whole.messages + 1 >= limit * whole.seconds:
+            return False
+        third = window / 3
+        counts = [each for each in self._counts[place] if each.asked >= whole.first.asked]
+        begin = next(each for each in counts if Span(whole.first, each).seconds >= third)
+        end = next(each for each in reversed(counts) if Span(each, whole.last).seconds >= third)
+        return all(
+            each.messages < limit * each.seconds
+            for each in (Span(whole.first, begin), Span(end, whole.last))
+        )
+
+    def judge(self, parts: StreamParts, now: float) -> Optional[Judgement]:
+        """Find out what slows a stream down; None if it is fast enough or that is not known."""
+        limit = self.limit(parts.claim)
+        window = self.window(limit)
+        is_below = self.falls_short(parts.goal, limit)
+        if is_below is None:
+            return None
+        if not is_below:
+            self._note_good(parts.claim.claim_id, now)
+            usual = self._usual.setdefault(parts.claim.claim_id, {})
+            for place in parts.topics:
+                span = self._span(place, window)
+                if span is not None:
+                    usual[place] = max(span.rate, usual.get(place, 0.0))
+            return None
+        culprit = self._culprit(parts, window)
+        if culprit is None:
+            return None
+        place, needed = culprit
+        whole, own = self._span(parts.goal, window), self._span(place, window)
+        assert whole is not None and own is not None
+        has = f"the stream has {whole.rate:.3g} Hz, at least {limit:g} Hz are demanded"
+        what = f"{described(place)} is too slow: it sends {own.rate:.3g} Hz; {has}"
+        return Judgement(place, needed, what)
+
+    def _span(self, place: Place, window: float) -> Optional[Span]:
+        """Return the shortest span of a window at least, up to the latest count."""
+        counts: Sequence[Count] = self._counts.get(place, ())
+        for first in reversed(counts):
+            span = Span(first, counts[-1])
+            if span.seconds >= window:
+                return span
+        return None
+
+    def _culprit(self, parts: StreamParts, window: float) -> Optional[Tuple[Place, float]]:
+        """Follow what is too slow to where it begins; None as long as that is not certain.
+
+        Returns:
+            Who is to blame, and the rate that it would have to have.
+        """
+        place, needed, seen = parts.goal, parts.claim.request.min_rate, {parts.goal}
+        while True:
+            feeders = {each for senders in parts.feeders(place) for each in senders} - seen
+            if any(self._span(each, window) is None for each in feeders):
+                return None
+            causes = {each: self._cause(each, place, needed, parts, window) for each in feeders}
+            slow = sorted((each.share, feeder) for feeder, each in causes.items() if each.is_slow)
+            if not slow:
+                return (place, needed) if all(each.is_sure for each in causes.values()) else None
+            _, feeder = slow[0]
+            needed *= self._ratio(feeder, place, parts)
+            place = feeder
+            seen.add(place)
+
+    def _cause(
+        self, feeder: Place, place: Place, needed: float, parts: StreamParts, window: float
+    ) -> _Cause:
+        """Tell whether a place is too slow since its feeder is.
+
+        A place that kept up with a feeder that is too slow is not to blame. Neither is a feeder
+        that the place did not keep up with, or that it never waited for. Nor is one that is as
+        fast as while the stream was fast enough, but that does not say who is.
+        """
+        given, sent = self._span(feeder, window), self._span(place, window)
+        assert given is not None and sent is not None
+        usual, _ = known = self._known(feeder, place, parts)
+        ratio, is_known = self._ratio(feeder, place, parts), all(known)
+        changes_alone = not given.messages and given.last.latched
+        is_ahead = not is_known and sent.messages > _ALIKE * given.messages + _CHANCE
+        is_behind = (sent.messages + _CHANCE) * ratio < given.messages
+        is_as_ever = is_known and given.messages + 1 >= usual * given.seconds
+        share = given.rate / (needed * ratio)
+        if changes_alone or is_ahead or is_behind:
+            return _Cause(False, True, share)
+        is_slow = not is_as_ever and (given.messages + 1) / ratio + 1 < needed * given.seconds
+        return _Cause(is_slow, is_slow, share)
+
+    def _ratio(self, feeder: Place, place: Place, parts: StreamParts) -> float:
+        """Messages of a feeder for each one of a place; 1 where that was never seen."""
+        given, sent = self._known(feeder, place, parts)
+        return given / sent if given and sent else 1.0
+
+    def _known(self, feeder: Place, place: Place, parts: StreamParts) -> Tuple[float, float]:
+        """Usual rates of both; 0 where there was no message while the stream was fast enough."""
+        usual = self._usual.get(parts.claim.claim_id, {})
+        return usual.get(feeder, 0.0), usual.get(place, 0.0)
+
+
+class _Sample(NamedTuple):
+    """The age of a message in seconds, None if not known, and when it was asked for."""
+
+    age: Optional[float]
+    asked: float
+
+
+class AgeJudge(Judge):
+    """Judges by ``max_age``, from the latest messages of each place."""
+
+    def __init__(self, stated_latency: Callable[[Place], float]) -> None:
+        """Begin without a message.
+
+        Args:
+            stated_latency: returns the seconds that a place states to add.
+        """
+        super().__init__()
+        self._stated_latency = stated_latency
+        self._counts: Dict[Place, Count] = {}
+        self._samples: Dict[Place, Deque[_Sample]] = {}
+        #: When the stream of a claim was changed last.
+        self._changed: Dict[str, float] = {}
+
+    def limit(self, claim: Claim) -> float:
+        """Seconds that a claim's messages may be old."""
+        return claim.request.max_age
+
+    def window(self, limit: float) -> float:
+        """Seconds over which an age is judged, at least."""
+        return _WINDOW
+
+    def add(self, counted: Mapping[Place, Count], windows: Mapping[Place, float]) -> None:
+        """Take a sample of each place that has sent messages since its last one."""
+        for place in [place for place in self._counts if place not in windows]:
+            del self._counts[place]
+            self._samples.pop(place, None)
+        for place in windows.keys() & counted.keys():
+            count, last = counted[place], self._counts.get(place)
+            if last is None or count.messages < last.messages:  # the nodelet was loaded again
+                self._counts[place] = count
+                self._samples[place] = collections.deque(maxlen=_SAMPLES)
+            elif count.messages > last.messages and count.asked - last.asked >= _SPACING:
+                self._counts[place] = count
+                self._samples[place].append(_Sample(count.age, last.answered))
+
+    def restart(self, claim_id: str, names: Iterable[str], now: float) -> None:
+        """Judge a claim's stream only by what was sent after now."""
+        super().restart(claim_id, names, now)
+        if names:
+            self._changed[claim_id] = now
+
+    def keep(self, claim_ids: Iterable[str]) -> None:
+        """Forget all other claims."""
+        super().keep(claim_ids)
+        self._changed = kept(self._changed, claim_ids)
+
+    def is_unknown(self, place: Place) -> bool:
+        """Whether a place has sent messages, and nobody can tell how old they are."""
+        samples = self._samples.get(place, ())
+        return len(samples) == _SAMPLES and not self._ages(place)
+
+    def falls_short(self, place: Place, limit: float) -> Optional[bool]:
+        """Whether what a place sends is too old; None as long as that is not known."""
+        return _are_above(self._ages(place), limit)
+
+    def judge(self, parts: StreamParts, now: float) -> Optional[Judgement]:
+        """Find out what delays a stream; None if nothing does or that is not known."""
+        claim_id, limit = parts.claim.claim_id, self.limit(parts.claim)
+        since = self._changed.get(claim_id, _NEVER)
+        ages = self._ages(parts.goal, since)
+        is_late = _are_above(ages, limit)
+        if is_late is None:
+            return None
+        if not is_late:
+            self._note_good(claim_id, now)
+            return None
+        place, added = self._culprit(parts, since)
+        age = statistics.median(ages)
+        behind = age - statistics.median(self._ages(place, since))
+        needed = max(limit - behind, _FAIR_PART * limit)
+        what = f"{described(place)} delays the stream by {added:.3g} s"
+        return Judgement(
+            place, needed, f"{what}: it is {age:.3g} s old, at most {limit:g} s was asked for"
+        )
+
+    def _ages(self, place: Place, since: float = _NEVER) -> List[float]:
+        """Known ages of the latest messages of a place that were sent after a moment."""
+        return [
+            each.age
+            for each in self._samples.get(place, ())
+            if each.age is not None and each.asked >= since
+        ]
+
+    def _culprit(self, parts: StreamParts, since: float) -> Tuple[Place, float]:
+        """Follow the oldest messages to their source; find what adds most beyond what it states.
+
+        Returns:
+            Who that is, and the seconds that it adds.
+        """
+        place, seen = parts.goal, {parts.goal}
+        found: List[Tuple[float, int, Place, float]] = []
+        while True:
+            ages = self._ages(place, since)
+            age = statistics.median(ages)
+            feeders = self._stamped_feeders(place, parts, since, seen)
+            # A place that sends younger messages than it receives has another stamp for them.
+            typical = {
+                each: received for each, received in feeders.items() if received <= max(ages)
+            }
+            base = max(sorted(typical), key=lambda each: typical[each], default=None)
+            added = age if base is None else age - min(age, typical[base])
+            found.append((added - self._stated_latency(place), len(found), place, added))
+            if base is None:
+                _, _, culprit, seconds = max(found)
+                return culprit, seconds
+            place = base
+
+    def _stamped_feeders(
+        self, place: Place, parts: StreamParts, since: float, seen: set[Place]
+    ) -> Dict[Place, float]:
+        """Typical ages of what feeds a place; of what feeds that, where it has no stamps."""
+        found: Dict[Place, float] = {}
+        waiting = [place]
+        while waiting:
+            for each in [one for senders in parts.feeders(waiting.pop()) for one in senders]:
+                if each in seen:
+                    continue
+                seen.add(each)
+                ages = self._ages(each, since)
+                if ages:
+                    found[each] = statistics.median(ages)
+                else:
+                    waiting.append(each)
+        return found
+
+
+def _are_above(ages: List[float], limit: float) -> Optional[bool]:
+    """Whether most of all ages, and of the first and last third, are above a limit."""
+    if len(ages) < _SAMPLES:
+        return None
+    parts = (ages, ages[:_THIRD], ages[-_THIRD:])
+    return all(statistics.median(each) > limit for each in parts)

@@ -22,17 +22,16 @@ from typing import Callable, List, Optional, Tuple
 
 from dyknow.errors import DyKnowError, NoPlanFound, StreamTypeMismatch
 from dyknow.manager.claim import Claim, ClaimEvent, check_request
-from dyknow.manager.claims.advice import CheaperPlans, refusal
-from dyknow.manager.claims.assembly import Handover
+from dyknow.manager.claims.answers import Acquired, CheaperPlans, refusal
+from dyknow.manager.claims.assembly import STAMPED, AssemblyResult, Handover
 from dyknow.manager.claims.claim_planner import ClaimPlanner, Proposal
 from dyknow.manager.claims.claim_table import ClaimTable
 from dyknow.manager.claims.connector import Connector
 from dyknow.manager.claims.context import ClaimContext, ClaimLock
 from dyknow.manager.claims.garbage_collector import GarbageCollector
 from dyknow.manager.claims.monitors import StreamMonitor
-from dyknow.manager.claims.own_nodelets import instance_of
-from dyknow.manager.claims.plan_context import STAMPED, AssemblyResult
 from dyknow.manager.claims.repair import Repair, outcome, with_remarks
+from dyknow.manager.claims.supplies import instance_of
 from dyknow.manager.claims.topology import demand_of
 from dyknow.manager.manager import Manager
 from dyknow.manager.planning.problem import NoPlan, Plan
@@ -63,28 +62,6 @@ class ReconcilerSettings:
 
 DEFAULT_RECONCILER_SETTINGS = ReconcilerSettings()
 """Nodelets linger for five seconds; replacements have two to deliver."""
-
-
-@dataclass(frozen=True)
-class Acquired:
-    """Answer to a request.
-
-    Attributes:
-        claim: the claim; without an id for a dry run.
-        plan: how the stream is made; None for a claim that existed before.
-        spawned: nodelets that were made; for a dry run, labels of those that would be.
-        reused: nodelets that are used as they are.
-    """
-
-    claim: Claim
-    plan: Optional[Plan]
-    spawned: Tuple[str, ...] = ()
-    reused: Tuple[str, ...] = ()
-
-    @property
-    def cost(self) -> int:
-        """Cost of the nodelets that were, or would be, made."""
-        return 0 if self.plan is None else self.plan.cost
 
 
 class StreamReconciler:

@@ -11,13 +11,17 @@ from typing import Any, Callable, Dict, FrozenSet, Hashable, List, Optional, Seq
 from dyknow.backoff import Backoff
 from dyknow.errors import DyKnowError, StreamTypeMismatch
 from dyknow.manager.claim import Claim
-from dyknow.manager.claims.assembly import Assembly, Handover, timed_out
+from dyknow.manager.claims.assembly import (
+    Assembly,
+    AssemblyRequest,
+    AssemblyResult,
+    Handover,
+    timed_out,
+)
 from dyknow.manager.claims.claim_planner import ClaimPlanner
 from dyknow.manager.claims.context import ClaimContext
 from dyknow.manager.claims.garbage_collector import GarbageCollector
-from dyknow.manager.claims.own_nodelets import OwnNodelet
-from dyknow.manager.claims.plan_context import AssemblyRequest, AssemblyResult
-from dyknow.manager.claims.supplies import is_current
+from dyknow.manager.claims.supplies import OwnNodelet, is_current
 from dyknow.manager.claims.topology import wanted_type
 from dyknow.manager.planning.problem import NoPlan, Plan
 from dyknow.manager.record import Record

@@ -15,8 +15,7 @@ import rospy
 from dyknow_msgs.msg import StreamEvent
 
 from dyknow.manager.claim import ClaimEvent
-from dyknow.manager.claims.advice import unknown_labels
-from dyknow.manager.claims.answers import StreamAnswers
+from dyknow.manager.claims.answers import StreamAnswers, unknown_labels
 from dyknow.manager.claims.reconciler import StreamReconciler
 from dyknow.manager.manager import Manager
 from dyknow.periodic import in_background

@@ -13,7 +13,8 @@ from unit.manager.hand_clock import HandClock
 
 from dyknow.errors import HostTimeout
 from dyknow.manager.claim import Claim, ClaimEvent
-from dyknow.manager.claims.reconciler import Acquired, StreamReconciler
+from dyknow.manager.claims.answers import Acquired
+from dyknow.manager.claims.reconciler import StreamReconciler
 from dyknow.manager.fake_host import FakeHost
 from dyknow.manager.library import Library
 from dyknow.manager.manager import Manager

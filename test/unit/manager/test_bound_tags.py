@@ -13,9 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from unit.manager.witness import Concepts, satisfies
 
-from dyknow.manager.claims.bound_tags import Inlet, supplied, ways_to_bind
-from dyknow.manager.claims.ends import ends_of
-from dyknow.manager.claims.streams import live_streams
+from dyknow.manager.claims.ends import Inlet, ends_of, supplied, ways_to_bind
+from dyknow.manager.claims.supplies import live_streams
 from dyknow.manager.claims.topology import Topology
 from dyknow.manager.planning.supply import Demand
 from dyknow.manager.record import Record

@@ -12,8 +12,8 @@ import pytest
 from unit.manager.field import GOAL, LINGER, Field, transformation
 
 from dyknow.errors import DyKnowError, HostError
+from dyknow.manager.claims.answers import Acquired
 from dyknow.manager.claims.context import ClaimLock
-from dyknow.manager.claims.reconciler import Acquired
 from dyknow.model.streams import ClaimState, StreamRequest
 
 BALL = "RelativePosition(ball)"

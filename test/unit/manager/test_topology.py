@@ -11,8 +11,7 @@ import pytest
 from unit.manager.field import Field
 
 from dyknow.manager.claims import connector
-from dyknow.manager.claims.ends import NodeletEnds, ends_of
-from dyknow.manager.claims.relay import relay
+from dyknow.manager.claims.ends import NodeletEnds, ends_of, relay
 from dyknow.manager.claims.topology import Topology
 from dyknow.manager.record import Record
 from dyknow.manager.specifications.tags import NO_ONTOLOGY
