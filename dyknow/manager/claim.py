@@ -5,13 +5,14 @@
 
 from __future__ import annotations
 
+import functools
+import time
 from dataclasses import asdict, dataclass, field
-from typing import Any, Dict, Mapping, Optional, Tuple
+from typing import Any, Callable, Dict, Mapping, Optional, Tuple
 
 from dyknow.errors import BadParameter
-from dyknow.manager.moment import Moment
 from dyknow.manager.specifications.tags import Bindings, parse_tag
-from dyknow.manager.well_typed import check_types
+from dyknow.manager.store import check_types
 from dyknow.model.streams import ClaimState, StreamRequest
 
 #: Seconds that the improvement of one plan may take: meanwhile no other request is served.
@@ -131,3 +132,38 @@ class ClaimEvent:
     before: Claim
     after: Claim
     reason: str
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A moment on two clocks.
+
+    Attributes:
+        steady: seconds on the steady clock, which all processes share until the machine restarts.
+        wall: seconds of the wall clock, which may be set.
+        boot: names the steady clock; empty where it cannot be named.
+    """
+
+    steady: float
+    wall: float
+    boot: str
+
+    @classmethod
+    def now(cls, steady: Callable[[], float]) -> Moment:
+        """Return this moment."""
+        return cls(steady(), time.time(), _boot())
+
+    def since(self, earlier: Moment) -> float:
+        """Seconds from an earlier moment, at least 0: on the steady clock if it is the same."""
+        if self.boot and self.boot == earlier.boot:
+            return max(0.0, self.steady - earlier.steady)
+        return max(0.0, self.wall - earlier.wall)
+
+
+@functools.lru_cache(maxsize=None)
+def _boot() -> str:
+    try:
+        with open("/proc/sys/kernel/random/boot_id") as file:
+            return file.read().strip()
+    except OSError:
+        return ""

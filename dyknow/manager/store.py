@@ -11,16 +11,33 @@ a meaning are set aside, and the others are used. Backups take the place of a fi
 
 from __future__ import annotations
 
+import collections.abc
+import dataclasses
+import enum
+import functools
 import json
 import time
-from typing import Any, Callable, Dict, Iterable, List, Mapping, Optional, TypeVar
+from typing import (
+    Any,
+    Callable,
+    Dict,
+    Iterable,
+    List,
+    Mapping,
+    Optional,
+    Tuple,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 from dyknow import names
 from dyknow.errors import DyKnowError
 from dyknow.manager.record import Heard, Record
 from dyknow.manager.specifications.given import set_on_load
 from dyknow.manager.state_file import IN_MEMORY, StateFile
-from dyknow.manager.well_typed import check_types
 from dyknow.model.graph import NodeletKind, State
 from dyknow.model.transformation import Parameter, Port, Transformation
 
@@ -267,3 +284,55 @@ def _record(name: str, text: str) -> Record:
     if transformation is not None:
         set_on_load(transformation, given)
     return record
+
+
+def check_types(value: Any) -> None:
+    """Check the fields of a dataclass or named tuple, and what they hold.
+
+    Raises:
+        TypeError: a field holds something else than is declared.
+    """
+    for name, hint in _fields(value.__class__).items():
+        if not _fits(getattr(value, name), hint):
+            raise TypeError(f"{name} is {getattr(value, name)!r}, expected {_written(hint)}")
+
+
+@functools.lru_cache(maxsize=None)
+def _fields(kind: Any) -> Dict[str, Any]:
+    return get_type_hints(kind)
+
+
+def _fits(value: Any, hint: Any) -> bool:
+    if hint is str:
+        return isinstance(value, str)
+    origin, arguments = get_origin(hint), get_args(hint)
+    if origin is Union:
+        return any(_fits(value, each) for each in arguments)
+    if origin is tuple:
+        return isinstance(value, tuple) and _fits_tuple(value, arguments)
+    if origin is collections.abc.Mapping:
+        return isinstance(value, collections.abc.Mapping) and all(
+            _fits(key, arguments[0]) and _fits(each, arguments[1]) for key, each in value.items()
+        )
+    if hint in (int, float):
+        kinds = (int, float) if hint is float else (int,)
+        return (
+            isinstance(value, kinds)
+            and not isinstance(value, (bool, enum.Enum))
+            and value == value
+        )
+    if not isinstance(value, hint):
+        return False
+    if dataclasses.is_dataclass(hint) or hasattr(hint, "_fields"):
+        check_types(value)
+    return True
+
+
+def _fits_tuple(values: Tuple[Any, ...], hints: Tuple[Any, ...]) -> bool:
+    if len(hints) == 2 and hints[1] is Ellipsis:
+        return all(_fits(each, hints[0]) for each in values)
+    return len(values) == len(hints) and all(map(_fits, values, hints))
+
+
+def _written(hint: Any) -> str:
+    return getattr(hint, "__name__", None) or str(hint).replace("typing.", "")

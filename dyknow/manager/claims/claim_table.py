@@ -15,8 +15,7 @@ from typing import Any, Callable, Dict, List, Optional, Set
 from dyknow.errors import UnknownClaim
 from dyknow.event_queue import EventQueue
 from dyknow.locks import state_lock, turn_lock
-from dyknow.manager.claim import Claim, ClaimEvent
-from dyknow.manager.moment import Moment
+from dyknow.manager.claim import Claim, ClaimEvent, Moment
 from dyknow.manager.store import MEANINGLESS, Store
 from dyknow.model.streams import ClaimState, StreamRequest
 

@@ -38,12 +38,11 @@ from dyknow.ros.hosting.cpp_nodelets import CppNodelets
 from dyknow.ros.hosting.host import RosHost
 from dyknow.ros.hosting.launcher import Launcher
 from dyknow.ros.installed import missing_here
-from dyknow.ros.manager.manager_services import ManagerServices
+from dyknow.ros.manager.loops import ModelPublisher, Watch
 from dyknow.ros.manager.manager_settings import ManagerSettings
-from dyknow.ros.manager.model_publisher import ModelPublisher
+from dyknow.ros.manager.services import ManagerServices
 from dyknow.ros.manager.stream_node import StreamNode
 from dyknow.ros.manager.tenure import VARIABLE, Tenure
-from dyknow.ros.manager.watch import Watch
 from dyknow.ros.master import Master
 from dyknow.ros.model_messages import ModelMessages
 from dyknow.ros.node_process import NodeProcess

@@ -15,13 +15,13 @@ import rospy
 from dyknow_msgs.msg import StreamEvent
 
 from dyknow.manager.claim import ClaimEvent
-from dyknow.manager.claims.answers import StreamAnswers, unknown_labels
+from dyknow.manager.claims.answers import StreamAnswers
 from dyknow.manager.claims.reconciler import StreamReconciler
 from dyknow.manager.manager import Manager
 from dyknow.periodic import in_background
 from dyknow.ros.bonding.claim_bonds import ClaimBonds
-from dyknow.ros.manager.reconcile_loop import ReconcileLoop
-from dyknow.ros.manager.stream_services import StreamServices
+from dyknow.ros.manager.loops import ReconcileLoop
+from dyknow.ros.manager.services import StreamServices
 from dyknow.ros.messages import event_message
 
 #: Events that may wait for a slow subscriber.
@@ -59,14 +59,7 @@ class StreamNode:
         if manager.store.complaint:
             self._reconciler.report(manager.store.complaint)
         self._bonds.follow()
-        self._services = StreamServices(
-            self._reconciler,
-            manager.guards,
-            self._answers,
-            after_change,
-            lambda: manager.store.remark,
-            lambda labels: unknown_labels(manager, labels) if labels else (),
-        )
+        self._services = StreamServices(manager, reconciler, self._answers, after_change)
         self._reconciling.start()
 
     def note_change(self) -> None:

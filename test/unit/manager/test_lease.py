@@ -13,8 +13,7 @@ import pytest
 from faulty_disk import kept_aside
 from unit.manager.field import Field
 
-from dyknow.manager.claim import Claim
-from dyknow.manager.moment import Moment
+from dyknow.manager.claim import Claim, Moment
 from dyknow.manager.state_file import StateFile
 from dyknow.model.streams import ClaimState, StreamRequest
 

@@ -13,7 +13,7 @@ import pytest
 from dyknow.manager.claim import Claim
 from dyknow.model.streams import ClaimState, StreamRequest
 from dyknow.periodic import PAUSE
-from dyknow.ros.manager.reconcile_loop import PERIOD, ReconcileLoop
+from dyknow.ros.manager.loops import PERIOD, ReconcileLoop
 
 
 class FakeReconciler:

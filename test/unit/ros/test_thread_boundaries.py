@@ -17,7 +17,7 @@ from dyknow import periodic
 from dyknow.model.graph import Model
 from dyknow.ros import stream_session
 from dyknow.ros.bonding import bonds, client_bond
-from dyknow.ros.manager.model_publisher import ModelPublisher
+from dyknow.ros.manager.loops import ModelPublisher
 from dyknow.ros.nodelets.announcements import Announcer
 
 PATIENCE = 10.0

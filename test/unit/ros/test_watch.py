@@ -11,8 +11,8 @@ from typing import Any, Iterator
 import pytest
 
 from dyknow.errors import DyKnowError
-from dyknow.ros.manager import watch as watching
-from dyknow.ros.manager.watch import Watch
+from dyknow.ros.manager import loops as watching
+from dyknow.ros.manager.loops import Watch
 
 
 class FakeManager:
