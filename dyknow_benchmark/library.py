@@ -10,8 +10,7 @@ import time
 from typing import List, Tuple
 
 from dyknow.manager.planning.planner import Planner
-from dyknow.manager.planning.problem import Plan
-from dyknow.manager.planning.supply import Demand
+from dyknow.manager.planning.problem import Demand, Plan
 from dyknow.manager.specifications.specification import parse
 from dyknow.manager.specifications.tags import parse_tag
 from dyknow_benchmark import machine, options, progress, system

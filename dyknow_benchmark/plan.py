@@ -13,8 +13,7 @@ import time
 from typing import Iterator, List, Tuple
 
 from dyknow.manager.planning.planner import Planner
-from dyknow.manager.planning.problem import Plan
-from dyknow.manager.planning.supply import Demand
+from dyknow.manager.planning.problem import Demand, Plan
 from dyknow.manager.specifications.tags import parse_tag
 from dyknow_benchmark import machine, options, progress
 from dyknow_benchmark.planning_libraries import LIBRARIES, PlanningLibrary

@@ -43,15 +43,17 @@ from dyknow.manager.claims.topology import demand_of, may_share
 from dyknow.manager.planning.planner import BUDGET, Planner
 from dyknow.manager.planning.problem import (
     NO_LABELS,
+    NO_WISHES,
     Answer,
+    Demand,
     Live,
     NoPlan,
     Plan,
     PlanStep,
     TaggedStream,
+    Wishes,
+    ways_to_meet,
 )
-from dyknow.manager.planning.supply import Demand, ways_to_meet
-from dyknow.manager.planning.wishes import NO_WISHES, Wishes
 from dyknow.manager.specifications.tags import Bindings, Subsumption, Term
 from dyknow.model.transformation import Transformation
 

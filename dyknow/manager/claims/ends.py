@@ -18,7 +18,7 @@ from typing import Dict, FrozenSet, Iterable, List, Mapping, NamedTuple, Optiona
 
 from dyknow.datatypes import ANY
 from dyknow.errors import SpawnFailed
-from dyknow.manager.planning.supply import Demand, ways_to_meet
+from dyknow.manager.planning.problem import Demand, ways_to_meet
 from dyknow.manager.record import Record
 from dyknow.manager.specifications.tags import NO_BINDINGS, Subsumption, Term, read_tags
 from dyknow.model.graph import NodeletStatus

@@ -34,8 +34,7 @@ from dyknow.manager.claims.repair import Repair, outcome, with_remarks
 from dyknow.manager.claims.supplies import instance_of
 from dyknow.manager.claims.topology import demand_of
 from dyknow.manager.manager import Manager
-from dyknow.manager.planning.problem import NoPlan, Plan
-from dyknow.manager.planning.supply import Demand
+from dyknow.manager.planning.problem import Demand, NoPlan, Plan
 from dyknow.manager.specifications.tags import Bindings, parse_tag
 from dyknow.model.streams import ClaimState, StreamRequest
 

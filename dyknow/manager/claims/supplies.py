@@ -27,9 +27,17 @@ from dyknow.manager.claims.context import ClaimContext
 from dyknow.manager.claims.ends import Inlet, Way, is_relay, supplied, ways_to_bind
 from dyknow.manager.claims.topology import Topology
 from dyknow.manager.library import Library
-from dyknow.manager.planning.problem import NO_LABELS, Live, New, Plan, PlanStep, TaggedStream
-from dyknow.manager.planning.supply import Demand
-from dyknow.manager.planning.wishes import NO_WISHES, Wishes
+from dyknow.manager.planning.problem import (
+    NO_LABELS,
+    NO_WISHES,
+    Demand,
+    Live,
+    New,
+    Plan,
+    PlanStep,
+    TaggedStream,
+    Wishes,
+)
 from dyknow.manager.record import Record, ports_on
 from dyknow.manager.specifications.given import exposed_variables
 from dyknow.manager.specifications.tags import Bindings, Subsumption, Term, read_tags

@@ -44,7 +44,7 @@ from dyknow.manager.claims.ends import (
     supplied,
     ways_to_bind,
 )
-from dyknow.manager.planning.supply import Demand, meets, ways_to_meet
+from dyknow.manager.planning.problem import Demand, meets, ways_to_meet
 from dyknow.manager.record import NOTHING_HEARD, Heard
 from dyknow.manager.specifications.tags import Subsumption, Term, parse_tag, read_tags
 from dyknow.model.transformation import Transformation

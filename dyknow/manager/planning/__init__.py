@@ -3,8 +3,8 @@
 
 """The cheapest way to a stream, from what can run and what does run.
 
-What is known, from the bottom: ``problem`` and ``supply`` are the values that go in and out,
-``patterns`` are tags with numbered variables, ``rules`` are transformations with variables, and a
+What is known, from the bottom: ``problem`` has the values that go in and out, ``patterns``
+are tags with numbered variables, ``rules`` are transformations with variables, and a
 ``library`` has them in numbers: a value that any thread may search while it is replaced by the
 next one. A ``request`` adds what runs at the moment, and what everything costs this client.
 

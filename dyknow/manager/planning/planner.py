@@ -21,12 +21,20 @@ from dyknow.manager.planning.bounds import Bounds
 from dyknow.manager.planning.budget import STEPS, Budget
 from dyknow.manager.planning.improvement import Improved, improve, soonest
 from dyknow.manager.planning.library import LibraryWriter
-from dyknow.manager.planning.problem import NO_FREE, NO_LABELS, Answer, NoPlan, TaggedStream
+from dyknow.manager.planning.problem import (
+    NO_FREE,
+    NO_LABELS,
+    NO_WISHES,
+    Answer,
+    Demand,
+    NoPlan,
+    TaggedStream,
+    Wishes,
+)
 from dyknow.manager.planning.reasons import no_plan
 from dyknow.manager.planning.request import NO_FEEDERS, Need, Request
 from dyknow.manager.planning.search import Instance, Search
-from dyknow.manager.planning.supply import Demand
-from dyknow.manager.planning.wishes import NO_WISHES, Wishes, charges_of
+from dyknow.manager.planning.wishes import charges_of
 from dyknow.manager.specifications.tags import NO_ONTOLOGY, Bindings, Subsumption
 from dyknow.model.transformation import Transformation
 

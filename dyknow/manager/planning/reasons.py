@@ -15,10 +15,9 @@ from typing import Dict, Iterator, List, Mapping, NamedTuple, Optional, Sequence
 
 from dyknow.manager.planning.library import Head
 from dyknow.manager.planning.patterns import Atom, Known, Names, Pattern, Types
-from dyknow.manager.planning.problem import NoPlan, Obstacle
+from dyknow.manager.planning.problem import Demand, NoPlan, Obstacle
 from dyknow.manager.planning.request import Request, base
 from dyknow.manager.planning.search import Search
-from dyknow.manager.planning.supply import Demand
 from dyknow.manager.specifications.tags import Term, types_of
 
 #: Answers of one in-port with which the next one is looked at, and obstacles that are told.

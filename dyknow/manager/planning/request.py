@@ -47,8 +47,7 @@ from dyknow.manager.planning.patterns import (
     pattern_of,
     solutions,
 )
-from dyknow.manager.planning.problem import NO_FREE, NO_LABELS, Live, TaggedStream
-from dyknow.manager.planning.supply import Demand
+from dyknow.manager.planning.problem import NO_FREE, NO_LABELS, Demand, Live, TaggedStream
 from dyknow.manager.specifications.tags import Bindings, Term
 
 GOAL = 1 << 60

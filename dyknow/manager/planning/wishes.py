@@ -11,29 +11,17 @@ charges.
 
 from __future__ import annotations
 
-from typing import AbstractSet, Dict, FrozenSet, Iterable, NamedTuple, Sequence, Set, Tuple
+from typing import AbstractSet, Dict, FrozenSet, Iterable, Sequence, Set
 
 from dyknow.manager.planning.bounds import Bounds
 from dyknow.manager.planning.library import RuleLibrary
-from dyknow.manager.planning.problem import TaggedStream
+from dyknow.manager.planning.problem import NO_WISHES, Demand, TaggedStream, Wishes
 from dyknow.manager.planning.request import Request, base
-from dyknow.manager.planning.supply import Demand
 from dyknow.manager.specifications.tags import Term, read_tags
 
 #: What a part is charged besides its cost.
 AVOIDED = 1000
 NOT_PREFERRED = 100
-
-
-class Wishes(NamedTuple):
-    """What is preferred, and what is avoided: labels, and concepts of tags of out-ports."""
-
-    prefer: Tuple[str, ...] = ()
-    avoid: Tuple[str, ...] = ()
-
-
-NO_WISHES = Wishes()
-"""Everything is as good as everything else."""
 
 
 def charges_of(

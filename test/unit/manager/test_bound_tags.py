@@ -16,7 +16,7 @@ from unit.manager.witness import Concepts, satisfies
 from dyknow.manager.claims.ends import Inlet, ends_of, supplied, ways_to_bind
 from dyknow.manager.claims.supplies import live_streams
 from dyknow.manager.claims.topology import Topology
-from dyknow.manager.planning.supply import Demand
+from dyknow.manager.planning.problem import Demand
 from dyknow.manager.record import Record
 from dyknow.manager.specifications.tags import NO_ONTOLOGY, parse_tag
 from dyknow.model.graph import State

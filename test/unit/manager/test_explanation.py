@@ -13,8 +13,7 @@ import pytest
 from unit.manager.field import GOAL, Field
 
 from dyknow.manager.planning.explanation import Entry, as_tree, read_tree, tree_as_dot
-from dyknow.manager.planning.problem import Action, Live, New, NoPlan, Plan, PlanStep
-from dyknow.manager.planning.supply import Demand
+from dyknow.manager.planning.problem import Action, Demand, Live, New, NoPlan, Plan, PlanStep
 from dyknow.manager.specifications.tags import parse_tag
 from dyknow.model.streams import StreamRequest
 

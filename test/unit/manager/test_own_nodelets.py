@@ -6,8 +6,7 @@
 from __future__ import annotations
 
 from dyknow.manager.claims.supplies import Instance, OwnNodelet, assigned
-from dyknow.manager.planning.problem import Action, New, Plan, PlanStep
-from dyknow.manager.planning.supply import Demand
+from dyknow.manager.planning.problem import Action, Demand, New, Plan, PlanStep
 from dyknow.manager.specifications.tags import NO_ONTOLOGY, Bindings, parse_tag
 
 LEFT: Bindings = (("?c", "left"),)

@@ -15,8 +15,7 @@ from hypothesis import strategies as st
 from property_tests import examples
 
 from dyknow.manager.planning.planner import Planner
-from dyknow.manager.planning.problem import Answer, Live, New, NoPlan, Plan
-from dyknow.manager.planning.supply import Demand
+from dyknow.manager.planning.problem import Answer, Demand, Live, New, NoPlan, Plan
 from dyknow.manager.specifications.tags import parse_tag
 from dyknow.model.transformation import Port, Transformation
 

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from dyknow.errors import InvalidTag
 from dyknow.manager.planning.library import LibraryWriter
+from dyknow.manager.planning.problem import Demand, meets
 from dyknow.manager.planning.request import Request
-from dyknow.manager.planning.supply import Demand, meets
 from dyknow.manager.specifications.tags import (
     Term,
     matches,

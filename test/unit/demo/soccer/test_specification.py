@@ -14,8 +14,7 @@ from pathlib import Path
 import pytest
 
 from dyknow.manager.planning.planner import Planner
-from dyknow.manager.planning.problem import Live, NoPlan
-from dyknow.manager.planning.supply import Demand
+from dyknow.manager.planning.problem import Demand, Live, NoPlan
 from dyknow.manager.specifications.ontology import load_ontology
 from dyknow.manager.specifications.specification import check, parse_file
 from dyknow.manager.specifications.tags import parse_tag

@@ -21,8 +21,7 @@ from typing import (
     Tuple,
 )
 
-from dyknow.manager.planning.problem import Live, Plan
-from dyknow.manager.planning.supply import Demand
+from dyknow.manager.planning.problem import Demand, Live, Plan
 from dyknow.manager.specifications.tags import Subsumption, Term, parse_tag
 from dyknow.model.transformation import Port, Transformation
 

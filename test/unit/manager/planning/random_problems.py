@@ -10,8 +10,7 @@ from typing import Any, Dict, FrozenSet, List, Sequence, Tuple
 
 from unit.manager.planning.brute_force import Problem
 
-from dyknow.manager.planning.problem import Live
-from dyknow.manager.planning.supply import Demand
+from dyknow.manager.planning.problem import Demand, Live
 from dyknow.manager.specifications.tags import NO_ONTOLOGY, Term, parse_tag
 from dyknow.model.transformation import Port, Transformation
 

@@ -22,8 +22,7 @@ from unit.manager.planning.random_problems import random_problem
 
 from dyknow.manager.planning import library
 from dyknow.manager.planning.planner import Planner
-from dyknow.manager.planning.problem import Answer, NoPlan, Plan
-from dyknow.manager.planning.supply import Demand
+from dyknow.manager.planning.problem import Answer, Demand, NoPlan, Plan
 from dyknow.manager.specifications.tags import NO_ONTOLOGY, parse_tag
 from dyknow.model.transformation import Port, Transformation
 

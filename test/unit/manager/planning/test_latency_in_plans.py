@@ -20,8 +20,7 @@ from unit.manager.planning.random_problems import random_problem, with_limits
 from dyknow.manager.planning import library
 from dyknow.manager.planning.explanation import as_tree, tree_as_dot
 from dyknow.manager.planning.planner import Planner
-from dyknow.manager.planning.problem import Answer, Live, NoPlan, Plan, TaggedStream
-from dyknow.manager.planning.supply import Demand
+from dyknow.manager.planning.problem import Answer, Demand, Live, NoPlan, Plan, TaggedStream
 from dyknow.manager.specifications.tags import parse_tag
 from dyknow.model.transformation import Port, Transformation
 

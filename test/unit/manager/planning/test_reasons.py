@@ -15,8 +15,7 @@ from unit.manager.planning.random_problems import random_problem
 from dyknow.manager.planning import library
 from dyknow.manager.planning.explanation import as_tree
 from dyknow.manager.planning.planner import Planner
-from dyknow.manager.planning.problem import Answer, Live, NoPlan
-from dyknow.manager.planning.supply import Demand
+from dyknow.manager.planning.problem import Answer, Demand, Live, NoPlan
 from dyknow.manager.specifications.tags import parse_tag
 from dyknow.model.transformation import Port, Transformation
 

@@ -13,10 +13,9 @@ import pytest
 from dyknow.manager.planning import library, planner
 from dyknow.manager.planning.bounds import Bounds
 from dyknow.manager.planning.planner import Planner
-from dyknow.manager.planning.problem import NoPlan, Plan
+from dyknow.manager.planning.problem import Demand, NoPlan, Plan
 from dyknow.manager.planning.request import Request
 from dyknow.manager.planning.search import Search
-from dyknow.manager.planning.supply import Demand
 from dyknow.manager.specifications.tags import NO_ONTOLOGY, parse_tag
 from dyknow.model.transformation import IN, OUT, Port, Transformation
 from dyknow_benchmark.planning_libraries import PlanningLibrary, individuals, rooms

@@ -11,8 +11,7 @@ from typing import Callable, List
 import pytest
 
 from dyknow.manager.planning.planner import BUDGET, Planner
-from dyknow.manager.planning.problem import Plan
-from dyknow.manager.planning.supply import Demand
+from dyknow.manager.planning.problem import Demand, Plan
 from dyknow.manager.specifications.tags import parse_tag
 from dyknow.model.transformation import Transformation
 
