@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Callable, Dict, Iterable, List, Mapping, Optio
 from dyknow.errors import LimitExceeded, Problem, SpecificationError, UnknownTransformation
 from dyknow.locks import state_lock, turn_lock
 from dyknow.manager.specifications.findings import listed
+from dyknow.manager.specifications.given import shares_variables
 from dyknow.manager.specifications.limits import DEFAULT_LIMITS, SpecificationLimits
 from dyknow.manager.specifications.specification import Specifications, parse
 from dyknow.manager.specifications.tags import NO_ONTOLOGY, Subsumption
-from dyknow.manager.specifications.variables import shares_variables
 from dyknow.manager.store import Store
 from dyknow.model.transformation import TOPIC, Transformation
 from dyknow.similar import did_you_mean

@@ -12,9 +12,8 @@ from dyknow import names
 from dyknow.errors import InvalidName
 from dyknow.guards import NO_GUARDS
 from dyknow.manager.specifications.findings import EnoughProblems, Findings
-from dyknow.manager.specifications.grammar import TRANSFORMATIONS
 from dyknow.manager.specifications.limits import DEFAULT_LIMITS
-from dyknow.manager.specifications.reader import SpecificationReader
+from dyknow.manager.specifications.reader import TRANSFORMATIONS, SpecificationReader
 from dyknow.manager.specifications.specification import transformations_of
 from dyknow.manager.specifications.xml_reader import ANY, NEEDED, Attribute, Attributes, Element
 from dyknow.model.graph import SpawnRequest

@@ -10,15 +10,15 @@ from functools import lru_cache
 from typing import Dict, List, Optional, Set, Tuple
 
 from dyknow.errors import InvalidTag, InvalidType
-from dyknow.manager.specifications.draft import TransformationDraft
 from dyknow.manager.specifications.findings import EnoughProblems, Findings, listed, meant, shorten
 from dyknow.manager.specifications.limits import SpecificationLimits
-from dyknow.manager.specifications.tags import parse_tag
+from dyknow.manager.specifications.reader import TransformationDraft
+from dyknow.manager.specifications.tags import parse_tag, with_variables
 from dyknow.manager.specifications.template import Concepts
 from dyknow.manager.specifications.values import BadValue, infer_type, parse_value
-from dyknow.manager.specifications.variables import check_variables
 from dyknow.model.placeholders import fill, variables_of
 from dyknow.model.transformation import (
+    IN,
     NODE,
     NODELET,
     OUT,
@@ -75,7 +75,7 @@ class Builder:
         cost = self._cost(draft)
         parameters = self._parameters(draft)
         ports = self._ports(draft)
-        check_variables(draft, self._findings, self._ontology)
+        _check_variables(draft, self._findings, self._ontology)
         if draft.label is None or (draft.source is None and draft.node is None):
             return None
         return Transformation(
@@ -332,3 +332,43 @@ def _count_ports(draft: TransformationDraft) -> str:
     ins = sum(port.direction != OUT for port in draft.ports)
     outs = len(draft.ports) - ins
     return f"{ins} in-port{'s' * (ins != 1)} and {outs} out-port{'s' * (outs != 1)}"
+
+
+def _check_variables(
+    draft: TransformationDraft, findings: Findings, ontology: Optional[Concepts] = None
+) -> None:
+    """Note unbound variables, and types that are not classes.
+
+    The streams at the in-ports of a nodelet bind its variables, so tags of out-ports and texts of
+    parameters may use only variables that stand in the tags of in-ports.
+    """
+    directions = {port.name: port.direction for port in draft.ports}
+    used: List[Tuple[str, str, int]] = []  # variable, where, line
+    bound: Dict[str, None] = {}
+    for tag in draft.tags:
+        term, where = with_variables(tag.text), f"the tag '{shorten(tag.text)}'"
+        if term is None:
+            continue
+        for type_ in term.types:
+            if type_ and ontology is not None and not ontology.is_class(type_):
+                unknown = f"{where} has the type '{shorten(type_)}', which is no class"
+                findings.warning(tag.line, f"{unknown} of the ontology")
+        if directions.get(tag.port) == IN:
+            bound.update(dict.fromkeys(term.variables))
+        else:
+            used += [(each, where, tag.line) for each in term.variables]
+    for name, _, text, line in draft.parameters:
+        used += [(each, f"the parameter '{shorten(name)}'", line) for each in variables_of(text)]
+    for variable, where, line in used:
+        if draft.type == TOPIC:
+            findings.problem(
+                line,
+                f"{where} of a topic has the variable {shorten(variable)}; expected names, as "
+                "nothing binds it",
+            )
+        elif variable not in bound and draft.ports_known:
+            findings.problem(
+                line,
+                f"{where} has the variable {shorten(variable)}, which no tag of an in-port binds; "
+                f"known variables: {listed(bound)}{meant(variable, bound)}",
+            )

@@ -165,6 +165,12 @@ def variables(transformation: Transformation) -> Set[str]:
     return {variable for term in _terms(transformation) for variable in term.variables}
 
 
+def shares_variables(transformation: Transformation) -> bool:
+    """Whether a variable stands in several tags of a transformation."""
+    used = [variable for term in _terms(transformation) for variable in term.variables]
+    return len(set(used)) < len(used)
+
+
 def _terms(transformation: Transformation) -> List[Term]:
     return [term for port in transformation.ports for term in read_tags(port.tags)]
 

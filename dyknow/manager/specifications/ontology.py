@@ -14,11 +14,9 @@ from typing import Dict, FrozenSet, Iterable, List, Sequence, Tuple
 from dyknow.errors import IndividualsError, LabelsError, Problem, UnknownConcept
 from dyknow.manager.specifications.limits import DEFAULT_LIMITS, SpecificationLimits
 from dyknow.manager.specifications.ontology_files import OntologyFiles
-from dyknow.manager.specifications.ontology_labels import Labels
-from dyknow.manager.specifications.ontology_naming import Naming
+from dyknow.manager.specifications.ontology_names import Labels, Naming, is_blank, local_name
 from dyknow.manager.specifications.ontology_remarks import Remarks
 from dyknow.manager.specifications.ontology_statements import OntologyStatements
-from dyknow.manager.specifications.rdf_nodes import is_blank, local_name
 
 
 class Ontology:

@@ -9,18 +9,223 @@ ontology, else by the file that a catalogue names, else by a `file:` URI itself.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
+from collections import Counter
 from pathlib import Path
-from typing import Dict, Iterable, Iterator, List, NamedTuple, Set, Tuple
+from typing import Dict, Iterable, Iterator, List, NamedTuple, Optional, Set, Tuple
+from urllib.parse import unquote, urljoin, urlsplit
+from xml.parsers import expat
 
 import rdflib
+from lxml import etree
 from rdflib import OWL, RDF
 
 from dyknow.errors import OntologyFileError
-from dyknow.manager.specifications.entities import check_entities
 from dyknow.manager.specifications.limits import SpecificationLimits
-from dyknow.manager.specifications.ontology_catalogue import Catalogues, local_path, read_bytes
+
+_REFERENCE = re.compile(rb"&([^;&<>#\s]+);")
+_WIDE = (b"\xff\xfe", b"\xfe\xff", b"\x00<", b"<\x00")
+
+
+class _Begun(Exception):
+    """The first element has begun: entities are only declared before it."""
+
+
+def check_entities(data: bytes, limits: SpecificationLimits) -> None:
+    """Refuse a text with dangerous entities before anything is expanded.
+
+    A text that is not well-formed passes: the parser that follows refuses it.
+
+    Raises:
+        ValueError: entities contain entities, or expand to more than the limit.
+    """
+    sizes = _declared(data)
+    if not sizes:
+        return
+    if data[:2] in _WIDE:
+        raise ValueError("entities in UTF-16; expected UTF-8")
+    counts = Counter(match.group(1) for match in _REFERENCE.finditer(data))
+    expanded = sum(count * sizes.get(name, 0) for name, count in counts.items())
+    if expanded > limits.expanded_entities:
+        raise ValueError(
+            f"its entities expand to {expanded} bytes; expected at most {limits.expanded_entities}"
+        )
+
+
+def _declared(data: bytes) -> Dict[bytes, int]:
+    """Sizes in bytes of the entities that a text declares, by name."""
+    sizes: Dict[bytes, int] = {}
+
+    def note(name: str, is_parameter: bool, value: str | None, *_: object) -> None:
+        if value is None:
+            return
+        if is_parameter or "&" in value:
+            what = "is one for declarations" if is_parameter else "contains others"
+            raise ValueError(f"the entity '{name[:60]}' {what}; expected plain text in it")
+        sizes.setdefault(name.encode("utf-8"), len(value.encode("utf-8")))
+
+    def begin(*_: object) -> None:
+        raise _Begun
+
+    parser = expat.ParserCreate()
+    parser.EntityDeclHandler = note
+    parser.StartElementHandler = begin
+    with contextlib.suppress(_Begun, expat.ExpatError):
+        parser.Parse(data, True)
+    return sizes
+
+
+BESIDE = "catalog-v001.xml"
+"""The catalogue that is read where an ontology lies."""
+
+_NAMESPACE = "{urn:oasis:names:tc:entity:xmlns:xml:catalog}"
+#: The entries that are read, in groups too, with `xml:base`; each must have these attributes.
+_ENTRIES = {
+    "uri": ("name", "uri"),
+    "rewriteURI": ("uriStartString", "rewritePrefix"),
+    "nextCatalog": ("catalog",),
+}
+
+
+class Catalogue:
+    """URIs of ontologies and their places, as an OASIS XML catalogue lists them.
+
+    Attributes:
+        following: Paths of the catalogues to ask next.
+    """
+
+    def __init__(self, path: str, limits: SpecificationLimits) -> None:
+        """Read a catalogue.
+
+        Raises:
+            OntologyFileError: It cannot be read, or is not a catalogue.
+        """
+        self.following: List[str] = []
+        self._path = path
+        self._uris: Dict[str, str] = {}
+        self._prefixes: List[Tuple[str, str]] = []
+        parser = etree.XMLParser(resolve_entities=False, load_dtd=False, no_network=True)
+        data = read_bytes(path, limits.text_size)
+        try:
+            root = etree.fromstring(data, parser, base_url=Path(path).absolute().as_uri())
+            if root.tag != f"{_NAMESPACE}catalog":
+                found = etree.QName(root).localname
+                raise self._error(root, f"begins with <{found}>; expected an OASIS <catalog>")
+            dtd = root.getroottree().docinfo.internalDTD
+            for entity in dtd.iterentities() if dtd is not None else ():
+                raise self._error(root, f"declares the entity '{entity.name[:60]}'; expected none")
+            for name, attributes in _ENTRIES.items():
+                for entry in root.iter(_NAMESPACE + name):
+                    self._add(name, entry, [entry.get(each) for each in attributes])
+        except (etree.XMLSyntaxError, ValueError) as error:  # of XML, of URIs
+            raise OntologyFileError(path, f"is not a valid catalogue: {error}") from error
+
+    def find(self, uri: str) -> Optional[str]:
+        """Return the URI where an ontology is; None if it is not listed."""
+        if uri in self._uris:
+            return self._uris[uri]
+        fitting = [each for each in self._prefixes if uri.startswith(each[0])]
+        if not fitting:
+            return None
+        start, prefix = max(fitting, key=lambda each: len(each[0]))
+        return prefix + uri[len(start) :]
+
+    def _add(self, name: str, entry: etree._Element, values: List[Optional[str]]) -> None:
+        if None in values:
+            expected = " and ".join(_ENTRIES[name])
+            raise self._error(
+                entry, f"<{name}> without all of its attributes; expected {expected}"
+            )
+        *names, target = [str(value) for value in values]
+        target = urljoin(entry.base or "", target)
+        if name == "uri":
+            self._uris.setdefault(names[0], target)
+        elif name == "rewriteURI":
+            self._prefixes.append((names[0], target))
+        else:
+            path = local_path(target)
+            if path is None:
+                raise self._error(entry, f"the next catalogue <{target}>; expected a local file")
+            self.following.append(os.path.realpath(path))
+
+    def _error(self, element: etree._Element, reason: str) -> OntologyFileError:
+        return OntologyFileError(self._path, f"line {element.sourceline}: {reason}")
+
+
+class Catalogues:
+    """Every catalogue that is asked, each read once."""
+
+    def __init__(self, paths: Iterable[str], limits: SpecificationLimits) -> None:
+        """Take the catalogues that are asked about all imports, in this order.
+
+        Raises:
+            OntologyFileError: one cannot be read.
+        """
+        self._limits = limits
+        self._read: Dict[str, Catalogue] = {}
+        self._paths = tuple(paths)
+        for path in self._paths:
+            self._get(path)
+
+    def find(self, uri: str, importer: str) -> Optional[str]:
+        """Return the local file of an ontology; None if no catalogue names one.
+
+        Args:
+            uri: what is imported.
+            importer: the file that imports it; the catalogue beside it is asked too.
+
+        Raises:
+            OntologyFileError: a catalogue cannot be read.
+        """
+        beside = Path(importer).absolute().parent / BESIDE
+        waiting = [*self._paths, *([str(beside)] if beside.is_file() else [])]
+        asked = set()
+        while waiting:
+            path = waiting.pop(0)
+            if path in asked:
+                continue
+            asked.add(path)
+            catalogue = self._get(path)
+            found = catalogue.find(uri)
+            if found is not None:
+                return local_path(found)
+            waiting[:0] = catalogue.following
+        return None
+
+    def _get(self, path: str) -> Catalogue:
+        if path not in self._read:
+            self._read[path] = Catalogue(path, self._limits)
+        return self._read[path]
+
+
+def local_path(uri: str) -> Optional[str]:
+    """Return the path of a file's URI; None if it is none of this host."""
+    try:
+        parts = urlsplit(uri)
+    except ValueError:
+        return None
+    path = unquote(parts.path)
+    is_local = parts.scheme == "file" and parts.netloc in ("", "localhost")
+    return path if is_local and "\0" not in path else None
+
+
+def read_bytes(path: str, limit: int) -> bytes:
+    """Read a file.
+
+    Raises:
+        OntologyFileError: it cannot be read, or is larger than the limit.
+    """
+    try:
+        with open(path, "rb") as file:
+            data = file.read(limit + 1)
+    except OSError as error:
+        raise OntologyFileError(path, f"cannot be read: {error.strerror or error}") from error
+    if len(data) > limit:
+        raise OntologyFileError(path, f"is too large; expected at most {limit} bytes")
+    return data
+
 
 FORMATS = {".ttl": "turtle", ".owl": "xml", ".rdf": "xml", ".nt": "nt"}
 """The formats that are read, by the file's extension."""

@@ -17,10 +17,8 @@ import rdflib
 
 from dyknow.errors import Problem
 from dyknow.manager.specifications.ontology_files import OntologyFile
-from dyknow.manager.specifications.ontology_labels import Labels
-from dyknow.manager.specifications.ontology_naming import Naming
+from dyknow.manager.specifications.ontology_names import Labels, Naming, is_blank, local_name
 from dyknow.manager.specifications.ontology_statements import UnreadExpression
-from dyknow.manager.specifications.rdf_nodes import is_blank, local_name
 
 #: The most remarks that are listed for one file.
 LISTED = 100

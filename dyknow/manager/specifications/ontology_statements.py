@@ -19,7 +19,7 @@ from rdflib import OWL, RDF, RDFS
 from dyknow.errors import OntologyFileError
 from dyknow.manager.specifications.ontology_files import OntologyFile
 from dyknow.manager.specifications.ontology_hierarchy import VISITS, Hierarchy
-from dyknow.manager.specifications.rdf_nodes import list_members, local_name, node_key
+from dyknow.manager.specifications.ontology_names import list_members, local_name, node_key
 
 _BUILT_IN = (
     "http://www.w3.org/2002/07/owl#",

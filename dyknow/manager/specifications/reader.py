@@ -1,25 +1,179 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Reads specification XML into drafts."""
+"""Reads specification XML into drafts: texts and lines, before templates and checks.
+
+The elements are those of `transformations.rng`, which is for people and their editors; a test
+compares the two.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field, replace
 from sys import intern
-from typing import Iterator, List, Optional, Union
+from typing import Callable, Iterator, List, NamedTuple, Optional, Tuple, Union
 
-from dyknow.manager.specifications.draft import (
-    ArgDraft,
-    ParameterDraft,
-    PortDraft,
-    TagDraft,
-    TransformationDraft,
-)
 from dyknow.manager.specifications.findings import Findings
-from dyknow.manager.specifications.grammar import TRANSFORMATION, TRANSFORMATIONS
 from dyknow.manager.specifications.limits import SpecificationLimits
-from dyknow.manager.specifications.wellformed import Unreadable
-from dyknow.manager.specifications.xml_reader import Attributes, Element, XmlReader
+from dyknow.manager.specifications.xml_reader import (
+    ANY,
+    NEEDED,
+    Attribute,
+    Attributes,
+    Element,
+    Unreadable,
+    XmlReader,
+)
+
+
+class ArgDraft(NamedTuple):
+    """An `<arg>`: a variable of the template and where its terms come from."""
+
+    label: str
+    terms: str
+    line: int
+
+
+class ParameterDraft(NamedTuple):
+    """A `<param>`; the type is empty when it was left out."""
+
+    name: str
+    type: str
+    text: str
+    line: int
+
+
+class PortDraft(NamedTuple):
+    """A `<port>`; what was left out of its attributes is empty."""
+
+    name: str
+    direction: str
+    datatype: str
+    line: int
+    rate: str = ""
+    latency: str = ""
+
+
+class TagDraft(NamedTuple):
+    """A `<tag>`."""
+
+    port: str
+    text: str
+    line: int
+
+
+@dataclass
+class TransformationDraft:
+    """One `<transformation>` as read; what was left out, or could not be read, is None or empty.
+
+    Attributes:
+        line: The line of the start tag.
+        node: The external node that it describes, if any.
+        ports_known: Whether `ports` is complete; False when a port could not be read.
+        has_variables: Whether some text contains `${`.
+    """
+
+    line: int
+    type: str = ""
+    cost: str = "1"
+    isolated: bool = False
+    node: Optional[str] = None
+    label: Optional[str] = None
+    label_line: int = 0
+    source: Optional[str] = None
+    source_line: int = 0
+    args: List[ArgDraft] = field(default_factory=list)
+    parameters: List[ParameterDraft] = field(default_factory=list)
+    ports: List[PortDraft] = field(default_factory=list)
+    tags: List[TagDraft] = field(default_factory=list)
+    ports_known: bool = True
+    has_variables: bool = False
+
+    def values(self) -> Iterator[Tuple[str, int]]:
+        """The texts of parameters, with their lines: variables are substituted there too."""
+        for parameter in self.parameters:
+            yield parameter.text, parameter.line
+
+    def texts(self) -> Iterator[Tuple[str, int]]:
+        """The other texts in which variables are substituted, with their lines."""
+        yield self.cost, self.line
+        yield self.node or "", self.line
+        yield self.label or "", self.label_line
+        yield self.source or "", self.source_line
+        for parameter in self.parameters:
+            yield parameter.name, parameter.line
+        for port in self.ports:
+            yield port.name, port.line
+            yield port.datatype, port.line
+            yield port.rate, port.line
+            yield port.latency, port.line
+        for tag in self.tags:
+            yield tag.port, tag.line
+            yield tag.text, tag.line
+
+    def map(
+        self, render: Callable[[str], str], render_value: Callable[[str], str]
+    ) -> TransformationDraft:
+        """Make a copy in which all of `texts` and `values` are rendered."""
+        return replace(
+            self,
+            cost=render(self.cost),
+            node=None if self.node is None else render(self.node),
+            label=None if self.label is None else render(self.label),
+            source=None if self.source is None else render(self.source),
+            args=[],
+            parameters=[
+                each._replace(name=render(each.name), text=render_value(each.text))
+                for each in self.parameters
+            ],
+            ports=[
+                PortDraft(
+                    render(name), direction, render(datatype), line, render(rate), render(latency)
+                )
+                for name, direction, datatype, line, rate, latency in self.ports
+            ],
+            tags=[TagDraft(render(port), render(text), line) for port, text, line in self.tags],
+            has_variables=False,
+        )
+
+
+_ARG = Element("arg", attributes={"label": NEEDED}, holds_text=True, may_repeat=True)
+_PARAM = Element(
+    "param",
+    attributes={"name": NEEDED, "type": Attribute(("string", "int", "double", "bool", "yaml"))},
+    holds_text=True,
+    may_repeat=True,
+)
+_PORT = Element(
+    "port",
+    attributes={
+        "type": Attribute(("in", "out"), is_required=True),
+        "datatype": ANY,
+        "rate": ANY,
+        "latency": ANY,
+    },
+    holds_text=True,
+    may_repeat=True,
+)
+_TAG = Element("tag", attributes={"port": NEEDED}, holds_text=True, may_repeat=True)
+
+TRANSFORMATION = Element(
+    "transformation",
+    Element("label", holds_text=True, is_required=True),
+    Element("source", holds_text=True, is_required=True, unless="node"),
+    Element("args", _ARG),
+    Element("params", _PARAM),
+    Element("ports", _PORT),
+    Element("tags", _TAG),
+    attributes={
+        "type": Attribute(("nodelet", "node", "topic")),
+        "cost": ANY,
+        "isolated": Attribute(("true", "false")),
+        "node": ANY,
+    },
+    may_repeat=True,
+)
+TRANSFORMATIONS = Element("transformations", TRANSFORMATION)
 
 
 class SpecificationReader(XmlReader):

@@ -11,10 +11,9 @@ from typing import Iterable, Iterator, Optional, Tuple, Union
 
 from dyknow.errors import Problem, SpecificationError
 from dyknow.manager.specifications.builder import Builder
-from dyknow.manager.specifications.draft import TransformationDraft
 from dyknow.manager.specifications.findings import EnoughProblems, Findings
 from dyknow.manager.specifications.limits import DEFAULT_LIMITS, SpecificationLimits
-from dyknow.manager.specifications.reader import SpecificationReader
+from dyknow.manager.specifications.reader import SpecificationReader, TransformationDraft
 from dyknow.manager.specifications.template import Concepts, Expander
 from dyknow.model.transformation import Transformation
 

@@ -19,9 +19,9 @@ from math import prod
 from typing import Dict, Iterator, List, Optional, Protocol, Sequence, Tuple, Union
 
 from dyknow.errors import OntologyError
-from dyknow.manager.specifications.draft import ArgDraft, TransformationDraft
 from dyknow.manager.specifications.findings import Findings, listed, meant, shorten
 from dyknow.manager.specifications.limits import SpecificationLimits
+from dyknow.manager.specifications.reader import ArgDraft, TransformationDraft
 from dyknow.manager.specifications.tags import Subsumption
 from dyknow.manager.specifications.xml_reader import BLANK
 from dyknow.model import placeholders

@@ -3,11 +3,9 @@
 
 """Reads XML by the rules of its elements, safely, and explains problems in plain words.
 
-The text may come from anybody who reaches the manager's service, so the reader streams: it
-builds no tree, knows the exact line of everything, and stops at a DOCTYPE before anything in it
-is looked at. Without a DOCTYPE there are no entities to expand; nothing is ever fetched.
-libxml2 could validate against a schema, but it stops at the first surprise and wants the whole
-document in memory.
+The text may come from any client of the manager's service, so the reader streams: it builds no
+tree, knows the exact line of everything, and stops at a DOCTYPE before anything in it is looked
+at. Without a DOCTYPE there are no entities to expand; nothing is ever fetched.
 """
 
 from __future__ import annotations
@@ -18,7 +16,75 @@ from xml.parsers import expat
 
 from dyknow.manager.specifications.findings import Findings, meant, shorten
 from dyknow.manager.specifications.limits import SpecificationLimits
-from dyknow.manager.specifications.wellformed import Unreadable, explain, to_utf8
+
+#: Reasons of expat when an element is not closed.
+_UNFINISHED = (
+    expat.errors.XML_ERROR_TAG_MISMATCH,
+    expat.errors.XML_ERROR_NO_ELEMENTS,
+    expat.errors.XML_ERROR_UNCLOSED_TOKEN,
+    expat.errors.XML_ERROR_UNCLOSED_CDATA_SECTION,
+)
+
+
+class Unreadable(Exception):
+    """The text cannot be read beyond this line."""
+
+    def __init__(self, line: int, message: str) -> None:
+        super().__init__(line, message)
+        self.line = line
+        self.message = message
+
+
+def to_utf8(text: Union[str, bytes], limits: SpecificationLimits) -> bytes:
+    """Encode a text, or make sure that it is UTF-8 already.
+
+    Args:
+        text: The characters, or the bytes of a file.
+        limits: The cap on its size.
+
+    Raises:
+        Unreadable: It is too large, or not UTF-8.
+    """
+    _check_size(len(text), limits)
+    if isinstance(text, str):
+        try:
+            data = text.encode("utf-8")
+        except UnicodeEncodeError as error:
+            line = text.count("\n", 0, error.start) + 1
+            raise Unreadable(line, "half of a surrogate pair; expected UTF-8") from None
+        _check_size(len(data), limits)
+        return data
+    try:
+        text.decode("utf-8")
+    except UnicodeDecodeError as error:
+        line = text.count(b"\n", 0, error.start) + 1
+        found = text[error.start]
+        raise Unreadable(line, f"the byte 0x{found:02x} is not UTF-8; expected UTF-8") from None
+    return text
+
+
+def _check_size(size: int, limits: SpecificationLimits) -> None:
+    if size > limits.text_size:
+        raise Unreadable(0, f"the text has {size} bytes; expected at most {limits.text_size}")
+
+
+def explain(
+    error: expat.ExpatError, open_elements: List[Tuple[str, int]], roots: str
+) -> Unreadable:
+    """Say where expat stopped, and what was expected.
+
+    Args:
+        error: What expat raised.
+        open_elements: Names and lines of the open elements, outermost first.
+        roots: The elements that the text may start with, in words.
+    """
+    reason = expat.errors.messages[error.code]
+    expected = f"well-formed XML with one root element, {roots}"
+    if open_elements and reason in _UNFINISHED:
+        name, line = open_elements[-1]
+        expected = f"the end </{name}> of the element in line {line}"
+    return Unreadable(error.lineno, f"{reason} at column {error.offset + 1}; expected {expected}")
+
 
 BLANK = " \t\r\n"
 """XML's white space, which is stripped from both ends of every value and term."""
@@ -163,13 +229,7 @@ class XmlReader:
             yield
             if isinstance(error, expat.ExpatError):
                 open_ = [(rule.name, line) for rule, _, line, _ in self._stack[1:]]
-                error = explain(
-                    error,
-                    data,
-                    self._parser.ErrorByteIndex,
-                    open_ + self._unknown,
-                    self._top.expected,
-                )
+                error = explain(error, open_ + self._unknown, self._top.expected)
             self._findings.problem(error.line, error.message)
 
     @property

@@ -10,13 +10,16 @@ from hypothesis import strategies as st
 from lxml import etree
 from specification_strategies import transformations
 
-from dyknow.manager.specifications import grammar
+from dyknow.manager.specifications import reader
 from dyknow.manager.specifications.findings import Findings
-from dyknow.manager.specifications.grammar import TRANSFORMATION, TRANSFORMATIONS
 from dyknow.manager.specifications.limits import DEFAULT_LIMITS
-from dyknow.manager.specifications.reader import SpecificationReader
+from dyknow.manager.specifications.reader import (
+    TRANSFORMATION,
+    TRANSFORMATIONS,
+    SpecificationReader,
+)
 
-SCHEMA = Path(grammar.__file__).with_name("transformations.rng")
+SCHEMA = Path(reader.__file__).with_name("transformations.rng")
 SCHEMA_OF_LIBXML2 = etree.RelaxNG(etree.parse(str(SCHEMA)))
 RNG = "{http://relaxng.org/ns/structure/1.0}"
 

@@ -259,17 +259,23 @@ NESTED_ENTITIES = '<!DOCTYPE catalog [<!ENTITY a "x"><!ENTITY b "&a;&a;">]>'
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("", "is not a valid catalogue: no element found"),
-        ("nonsense", "is not a valid catalogue: syntax error: line 1"),
-        (f"<catalog {NAMESPACE}>", "is not a valid catalogue: no element found"),
+        ("", "is not a valid catalogue: "),
+        ("nonsense", "is not a valid catalogue: Start tag expected"),
+        (f"<catalog {NAMESPACE}>", "is not a valid catalogue: "),
         ("<html/>", "line 1: begins with <html>; expected an OASIS <catalog>"),
         ("<catalog/>", "line 1: begins with <catalog>; expected an OASIS <catalog>"),
         (catalogue('\n<uri name="x"/>'), "line 3: <uri> without all of its attributes; expected"),
         (catalogue('<nextCatalog catalog="http://x.org/"/>'), "<http://x.org/>; expected a local"),
         (catalogue('<nextCatalog catalog="gone.xml"/>'), "gone.xml: cannot be read: No such file"),
         (catalogue(uri("http://o.org/b", "http://[::1/")), "is not a valid catalogue: .*IPv6"),
-        (catalogue("<group>" * 40), "elements nest deeper than 32"),
-        (catalogue('<group xml:base="http://[x"/>'), "is not a valid catalogue: .*IPv6"),
+        (
+            catalogue("<group>" * 300 + "</group>" * 300),
+            "is not a valid catalogue: Excessive depth",
+        ),
+        (
+            catalogue(f'<group xml:base="http://[x">{uri("http://o.org/b", "b.ttl")}</group>'),
+            "is not a valid catalogue: .*IPv6",
+        ),
         (NESTED_ENTITIES + f"<catalog {NAMESPACE}/>", "declares the entity 'a'; expected none"),
         ('<?xml version="1.0" encoding="nonsense"?><catalog/>', "is not a valid catalogue"),
     ],
