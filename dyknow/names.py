@@ -85,10 +85,11 @@ def disconnected(node: str, port: str) -> str:
 def mark(name: str) -> int:
     """Hash a name to 64 bits: an even number above 0.
 
-    Among a hundred thousand names, two share a hash with a probability of 1 in 10^9.
+    Among a hundred thousand names, two share a hash with a probability of 1 in 10^9. The bits are
+    never those of a double that is not a number, since they are stored as one.
     """
     digest = hashlib.blake2b(name.encode(), digest_size=8).digest()
-    return (int.from_bytes(digest, "big") | 2) & ~1
+    return (int.from_bytes(digest, "big") | 2) & ~1 & ~(1 << 62)
 
 
 def pair_remappings(

@@ -3,15 +3,14 @@
 
 """What one nodelet owns in the runtime, and returns when it is unloaded.
 
-Who owns what: the ``Runtime`` is one for the process; a ``Context`` is one for a nodelet and owns
-its strands, endpoints, services and timers. Handles only refer to it.
+Who owns what: there is one ``Runtime`` for the process; a ``Context`` is one for a nodelet and
+owns its strands, endpoints, services and timers. Handles only refer to it.
 """
 
 from __future__ import annotations
 
 import logging
 import threading
-import time
 import traceback
 from dataclasses import dataclass
 from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple, TypeVar
@@ -21,7 +20,7 @@ from dyknow.errors import NoMessageClass
 from dyknow.guards import NO_GUARDS, Guards
 from dyknow.locks import state_lock
 from dyknow.nodelet.bus import Bus, Endpoint
-from dyknow.nodelet.endpoints import Callback, Publication, Subscription
+from dyknow.nodelet.endpoints import Publication, Subscription
 from dyknow.nodelet.middleware import Closable, Middleware, Node, Services, Transport
 from dyknow.nodelet.scheduler import Clock, Executor, Strand
 from dyknow.nodelet.timers import Timer, TimerQueue
@@ -34,10 +33,6 @@ _LOG_PLACES = 100
 Part = TypeVar("Part", bound=Closable)
 
 _log = logging.getLogger("rosout.dyknow")
-
-
-def _no_callback(message: Any) -> None:
-    """Receive a message that no callback is for."""
 
 
 def check_message_class(what: str, datatype: Any) -> None:
@@ -58,16 +53,16 @@ class Runtime:
     timers: TimerQueue
     #: Runs callbacks that may block for long.
     blocking: Executor
-    clock: Clock = time.monotonic
-    #: Returns what must not be done at this moment.
-    guards: Callable[[], Guards] = lambda: NO_GUARDS
+    #: Steady time.
+    clock: Clock
+    #: Returns the guards currently in force.
+    guards: Callable[[], Guards]
 
     @classmethod
     def make(
         cls,
         middleware: Middleware,
         executor: Executor,
-        clock: Clock = time.monotonic,
         guards: Callable[[], Guards] = lambda: NO_GUARDS,
         blocking: Optional[Executor] = None,
         bound: bool = True,
@@ -76,23 +71,21 @@ class Runtime:
 
         Args:
             middleware: the outside.
-            executor: runs callbacks.
-            clock: steady time.
-            guards: returns what may not be done at this moment.
+            executor: runs callbacks, and has the clock.
+            guards: returns the guards currently in force.
             blocking: runs callbacks that may block for long; by default the ``executor`` does.
             bound: whether the guards bind every endpoint, not only what ``set_config`` connects.
         """
         check = (lambda topic: guards().check_topic(topic)) if bound else None
-        transport = middleware.transport
         return cls(
             middleware.node,
             middleware.services,
-            transport,
-            Bus(transport, clock, check),
+            middleware.transport,
+            Bus(middleware.transport, executor.clock, check),
             executor,
             TimerQueue(middleware.ticker),
             blocking or executor,
-            clock,
+            executor.clock,
             guards,
         )
 
@@ -123,7 +116,6 @@ class Context:
         self.mark = names.mark(name)
         self.strand = Strand(runtime.executor, name, held=True, mark=self.mark)
         self.callback_errors = 0
-        self._failures: Dict[Tuple[str, type, str], Tuple[float, int]] = {}
         self.closed = False
         self.closed_at = 0.0
         #: Threads of its own that have not ended at the unload.
@@ -137,7 +129,10 @@ class Context:
         self.shutdown_hooks: List[Callable[[], None]] = []
         #: Called when the nodelet is unloaded and none of its callbacks runs any more.
         self.last_hooks: List[Callable[[], None]] = []
+        #: By place: when it was last logged, and how many were not logged since.
+        self._failures: Dict[Tuple[str, type, str], Tuple[float, int]] = {}
         self._lock = state_lock("context")
+        self._held = True
         self._strands = [self.strand]
         self._endpoints: List[Endpoint] = []
         self._timers: List[Timer] = []
@@ -150,8 +145,6 @@ class Context:
             self._held = False
         for strand in strands:
             strand.resume()
-
-    _held = True
 
     def new_strand(self, what: str, at_once: bool = False) -> Strand:
         """Make a further strand, for what may overlap with the nodelet's other callbacks.
@@ -178,10 +171,10 @@ class Context:
                 self._strands.remove(strand)
 
     def failed(self, what: str, error: BaseException) -> None:
-        """Count and log what a callback raised; the nodelet lives on.
+        """Count and log an error of a callback; the nodelet lives on.
 
-        The same error at the same place is logged once a second, with the number of those that
-        were not: a callback that fails on every message must not fill the disk.
+        The same error at the same place is logged once a second, with the number of repetitions: a
+        callback that fails on every message must not fill the disk.
         """
         self.callback_errors += 1
         now = self.runtime.clock()
@@ -211,43 +204,26 @@ class Context:
             lambda: self.runtime.node.closed(f"publisher '{what}' of {self.name}"),
             options,
             self.runtime.transport.age_of,
+            self.name,
         )
         self._keep(publication)
         return publication
 
     def subscription(
-        self,
-        what: str,
-        datatype: Any,
-        callbacks: Sequence[Callback],
-        queue_size: Optional[int],
-        strand: Strand,
-        **options: Any,
+        self, what: str, datatype: Any, queue_size: Optional[int], strand: Strand, **options: Any
     ) -> Subscription:
-        """Make a subscription that this nodelet owns, not connected yet."""
+        """Make a subscription that this nodelet owns, without callbacks and not connected yet."""
         check_message_class(what, datatype)
         subscription = Subscription(
             datatype,
-            _no_callback,
             queue_size,
             strand,
             lambda error: self.failed(f"'{what}'", error),
-            self.runtime.clock,
             options,
+            self.name,
         )
-        for callback in callbacks:
-            self.add_callback(subscription, callback)
         self._keep(subscription)
         return subscription
-
-    def add_callback(self, subscription: Subscription, callback: Callback) -> int:
-        """Have a subscription call this back too; returns the number of the callback."""
-        subscription.callbacks = (*subscription.callbacks, callback)
-        function, args = callback
-        alone = len(subscription.callbacks) == 1 and not args
-        receive = function if alone else subscription.spread
-        subscription.receive = self.runtime.transport.adapt(subscription.datatype, receive)
-        return len(subscription.callbacks) - 1
 
     def timer(
         self, period: float, callback: Callable[[Any], None], strand: Strand, oneshot: bool
@@ -258,8 +234,7 @@ class Context:
         )
         with self._lock:
             ended = [each for each in self._timers if not each.is_alive()]
-            self._timers = [each for each in self._timers if each.is_alive()]
-            self._timers.append(timer)
+            self._timers = [*(each for each in self._timers if each.is_alive()), timer]
             late = self.closed
         for each in ended:
             self.drop_strand(each.strand)
@@ -268,7 +243,6 @@ class Context:
         return timer
 
     def _keep(self, endpoint: Endpoint) -> None:
-        endpoint.owner = self.name
         with self._lock:
             if self.closed:
                 raise self.runtime.node.closed(f"nodelet {self.name}")
@@ -295,7 +269,7 @@ class Context:
             closable.close()
 
     def forget(self, closable: Closable) -> None:
-        """Close it no more with the nodelet: it is closed already."""
+        """Undo ``close_with``: it is closed already."""
         with self._lock:
             if closable in self._closables:
                 self._closables.remove(closable)
@@ -318,21 +292,19 @@ class Context:
         return part
 
     def callback_age(self) -> float:
-        """Seconds that the callback has been running which began first; 0.0 if none runs."""
+        """Seconds for which the oldest running callback has been running; 0.0 if none runs."""
         with self._lock:
-            strands = list(self._strands)
-        running = ((strand.began, strand.clock()) for strand in strands)
-        ages = [now - began for began, now in running if began > 0.0]
+            ages = [strand.age for strand in self._strands]
         if any(thread.is_alive() for thread in self.late_threads):
             ages.append(self.runtime.clock() - self.closed_at)
         return max(ages, default=0.0)
 
     def stop(self) -> None:
-        """Drop what is queued and run no further callback; publishing is still possible."""
+        """Drop the queued callbacks and run no further one; publishing is still possible."""
         with self._lock:
             strands = list(self._strands)
         for strand in strands:
-            strand.kill(noted=True)
+            strand.kill(log_end=True)
 
     def close(self) -> None:
         """Return everything; late publishes are refused from now on."""
@@ -342,14 +314,12 @@ class Context:
             endpoints, self._endpoints = self._endpoints, []
             timers, self._timers = self._timers, []
             closables, self._closables = self._closables, []
-        steps: List[Tuple[str, Callable[[], None]]] = [
-            ("topics", lambda: self._withdraw(endpoints))
-        ]
-        steps += [("a timer", timer.shutdown) for timer in timers]
-        steps += [("a registration", closable.close) for closable in reversed(closables)]
-        for what, step in steps:
+        steps: List[Callable[[], None]] = [lambda: self._withdraw(endpoints)]
+        steps += [timer.shutdown for timer in timers]
+        steps += [closable.close for closable in reversed(closables)]
+        for step in steps:
             try:
                 step()
             except Exception:  # the boundary: one failure must not leave the rest behind
-                _log.exception("%s: closing %s failed", self.name, what)
+                _log.exception("%s: a step of its unload failed", self.name)
         self.shutdown_hooks.clear()

@@ -4,10 +4,10 @@
 """The two ends of a stream inside the process, and the link between them.
 
 A ``Publication`` hands each message, by reference, to the ``Connection`` of every subscription
-of its topic. A connection is one subscription's link to one topic and has the queue of what it
-has yet to deliver. When a subscription moves to another topic it gets a new connection: the old
-one takes no more but still delivers what it holds, and all of that stands in the nodelet's strand
-before anything of the new one.
+of its topic. A connection is one subscription's link to one topic and has a queue of the messages
+that it has yet to deliver. When a subscription moves to another topic it gets a new connection:
+the old one takes no more but still delivers what it holds, and all of that stands in the nodelet's
+strand before anything of the new one.
 
 Who owns what: the bus makes and links these objects; ports and handles hold them.
 """
@@ -18,15 +18,8 @@ import collections
 import threading
 from typing import Any, Callable, Deque, Dict, List, Optional, Sequence, Tuple
 
-from dyknow.nodelet.locking import message_lock
-from dyknow.nodelet.middleware import (
-    HERE,
-    OutsidePublisher,
-    OutsideSubscriber,
-    Receive,
-)
-from dyknow.nodelet.scheduler import Clock, Strand
-from dyknow.nodelet.traffic import Traffic
+from dyknow.nodelet.middleware import HERE, OutsidePublisher, OutsideSubscriber, Receive
+from dyknow.nodelet.scheduler import Clock, Strand, message_lock
 
 #: Stands for "no message", since a message may be None.
 NOTHING: Any = object()
@@ -34,9 +27,73 @@ NOTHING: Any = object()
 Callback = Tuple[Callable[..., Any], Tuple[Any, ...]]
 """A callback of a user, and its arguments after the message."""
 
+#: A rate is taken over the last one to two stretches of so many messages, so that it follows.
+_STRETCH = 32
+
 _attempt, _wait, _leave = message_lock.attempt, message_lock.wait, message_lock.leave
 
 _HELD, _OPEN, _CLOSED = "held", "open", "closed"
+
+
+class Traffic:
+    """Running counts of one end of a stream; written by one thread at a time.
+
+    They are written for every message of every port, mostly with cold caches, so that touches as
+    little memory as it can: no window of time stamps is kept, only where two stretches began.
+
+    Attributes:
+        messages: sent or received.
+        dropped: refused by a full queue, or published while disconnected.
+        busy: seconds that callbacks took.
+        longest: seconds that the longest of them took.
+    """
+
+    __slots__ = ("_before", "_begin", "_clock", "_last", "busy", "dropped", "longest", "messages")
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._last = 0.0
+        #: Number and time of the first message of this stretch and of the one before.
+        self._begin = self._before = (0, 0.0)
+        self.messages = 0
+        self.dropped = 0
+        self.busy = 0.0
+        self.longest = 0.0
+
+    def sent(self) -> None:
+        """Count one message that goes out now."""
+        self.messages = number = self.messages + 1
+        self._last = now = self._clock()
+        if number % _STRETCH == 1:
+            self._begin_stretch(number, now)
+
+    def received(self, start: float) -> None:
+        """Count one message whose callback began at ``start`` and has just returned."""
+        took = self._clock() - start
+        self.messages = number = self.messages + 1
+        self._last = start
+        self.busy += took
+        if took > self.longest:
+            self.longest = took
+        if number % _STRETCH == 1:
+            self._begin_stretch(number, start)
+
+    def _begin_stretch(self, number: int, now: float) -> None:
+        self._before = self._begin if number > 1 else (1, now)
+        self._begin = (number, now)
+
+    def rate(self) -> float:
+        """Return Hz over the last messages; 0 for less than two, falling while none come."""
+        number, last, (first, since) = self.messages, self._last, self._before
+        intervals = number - first
+        if intervals < 1 or first == 0:
+            return 0.0
+        span = last - since
+        silence = self._clock() - last
+        # Until one is overdue the rate is that of the stretch; then the silence counts with it.
+        if silence > 2 * span / intervals:
+            span += silence
+        return intervals / span if span > 0 else 0.0
 
 
 class Connection:
@@ -92,24 +149,27 @@ class Connection:
             queue.popleft()
             self._subscription.traffic.dropped += 1
         elif self._state is _OPEN:
-            self._strand.post_locked(self)
+            strand = self._strand
+            if strand.alive:  # as post_locked, without its call
+                strand._tasks.append(self)
+                if not strand._busy:
+                    strand._busy = True
+                    strand._ready(strand)
         elif self._arrived is not None:
             self._arrived.set()
 
     def __call__(self) -> None:
-        """Deliver the oldest message, if there is one."""
+        """Deliver the oldest message, if there is one; the strand has just noted the time."""
         try:  # without the lock: a push keeps queued messages == queued tasks
             message = self._queue.popleft()
         except IndexError:
             return
         subscription = self._subscription
-        clock = subscription.clock
-        start = clock()
         try:
             subscription.receive(message)
         except BaseException as error:  # the boundary: a callback never takes its neighbours down
             subscription.failed(error)
-        subscription.traffic.received(start, clock() - start)
+        subscription.traffic.received(self._strand.began)  # type: ignore[arg-type]
 
     def arrived(self, seconds: float) -> bool:
         """Wait for the first message of a held connection."""
@@ -129,7 +189,7 @@ class Connection:
                     self._strand.post_locked(self)
 
     def close(self, discard: bool) -> None:
-        """Take no more; what is queued is still delivered unless it is to be discarded."""
+        """Take no more; queued messages are still delivered unless they are to be discarded."""
         with message_lock:
             self._state = _CLOSED
             if discard:
@@ -141,7 +201,6 @@ class Subscription:
 
     __slots__ = (
         "callbacks",
-        "clock",
         "closed",
         "connection",
         "datatype",
@@ -157,36 +216,32 @@ class Subscription:
     def __init__(
         self,
         datatype: Any,
-        receive: Receive,
         queue_size: Optional[int],
         strand: Strand,
         failed: Callable[[BaseException], None],
-        clock: Clock,
-        options: Optional[Dict[str, Any]] = None,
+        options: Dict[str, Any],
+        owner: str = "",
     ) -> None:
         """Describe a subscription.
 
         Args:
             datatype: message class.
-            receive: called with each message, on the strand.
             queue_size: messages that wait at most; None or 0 for no bound, as in rospy.
-            strand: where ``receive`` is run.
-            failed: called with what ``receive`` raises.
-            clock: steady seconds, for the statistics.
+            strand: runs the callbacks.
+            failed: called with what a callback raises.
             options: further arguments for the registration outside.
+            owner: name of the nodelet.
         """
         self.datatype = datatype
-        self.receive = receive
         self.queue_size = queue_size
         self.strand = strand
         self.failed = failed
-        self.clock = clock
-        self.options = options or {}
-        #: What ``spread`` calls.
+        self.options = options
+        self.owner = owner
         self.callbacks: Tuple[Callback, ...] = ()
-        #: Name of the nodelet.
-        self.owner = ""
-        self.traffic = Traffic(clock)
+        #: Called with each message, on the strand.
+        self.receive: Receive = _ignore
+        self.traffic = Traffic(strand.clock)
         self.connection: Optional[Connection] = None
         self.closed = False
 
@@ -195,8 +250,20 @@ class Subscription:
         """Global name of the connected topic, empty when disconnected."""
         return self.connection.topic if self.connection is not None else ""
 
-    def spread(self, message: Any) -> None:
-        """Call every one of ``callbacks``."""
+    def add(self, callback: Callback, adapt: Callable[[Any, Receive], Receive]) -> int:
+        """Call this back too; returns the number of the callback.
+
+        Args:
+            callback: the function and its arguments after the message.
+            adapt: as ``Transport.adapt``.
+        """
+        self.callbacks = (*self.callbacks, callback)
+        function, args = callback
+        alone = len(self.callbacks) == 1 and not args
+        self.receive = adapt(self.datatype, function if alone else self._call_all)
+        return len(self.callbacks) - 1
+
+    def _call_all(self, message: Any) -> None:
         errors: List[BaseException] = []
         for callback, args in self.callbacks:
             try:
@@ -222,13 +289,13 @@ class Publication:
         "_age",
         "_age_of",
         "_build",
-        "_closed",
         "_fence",
         "_is_age_wanted",
-        "_keeps",
+        "_is_plain",
         "_outside",
         "_route",
         "_watchers",
+        "closed",
         "datatype",
         "latch",
         "latched",
@@ -248,41 +315,43 @@ class Publication:
         build: Callable[[Any, Sequence[Any], Dict[str, Any]], Any],
         clock: Clock,
         refusal: Callable[[], Exception],
-        options: Optional[Dict[str, Any]] = None,
+        options: Dict[str, Any],
         age_of: Callable[[Any], Optional[float]] = lambda message: None,
+        owner: str = "",
     ) -> None:
         """Describe a publication.
 
         Args:
             datatype: message class.
-            latch: keep the last message for subscriptions that come later.
+            latch: whether the last message is kept for later subscriptions.
             queue_size: bound for each slow subscriber outside.
             build: makes a message from its class and fields, as ``Transport.build``.
             clock: steady seconds, for the statistics.
             refusal: makes the exception that a publish raises after the end.
             options: further arguments for the registration outside.
-            age_of: tells the age of a message in seconds, as ``Transport.age_of``.
+            age_of: returns the age of a message, as ``Transport.age_of``.
+            owner: name of the nodelet.
         """
         self.datatype = datatype
         self.latch = latch
         self.queue_size = queue_size
-        self.options = options or {}
-        #: Name of the nodelet.
-        self.owner = ""
+        self.options = options
+        self.owner = owner
+        self.refusal = refusal
         self.topic = ""
         self.traffic = Traffic(clock)
         self.latched = NOTHING
+        #: Whether it was withdrawn.
+        self.closed = False
         self._build = build
         self._age_of = age_of
         self._age: Optional[float] = None
         self._is_age_wanted = False
         self._fence: Optional[Callable[[str], bool]] = None
-        #: Whether a message is looked at when it is published: this is all that it costs others.
-        self._keeps = latch
-        self.refusal = refusal
         self._route: Optional[Tuple[Connection, ...]] = None
+        #: Whether messages only pass: the one question that a publish asks of all the above.
+        self._is_plain = False
         self._outside: Optional[OutsidePublisher] = None
-        self._closed = False
         self._watchers: Tuple[Callable[[], None], ...] = ()
 
     def publish(self, message: Any = NOTHING, /, *fields: Any, **named: Any) -> None:
@@ -299,13 +368,10 @@ class Publication:
         if not _attempt(False):
             _wait()
         try:
-            if self._route is None:
-                self._unrouted(message)
-                return
-            if self._keeps and not self._keep(message):
+            if not (self._is_plain or self._admit(message)):
                 return
             self.traffic.sent()
-            for connection in self._route:
+            for connection in self._route:  # type: ignore[union-attr] # there is one, if admitted
                 connection.push_locked(message)
             outside = self._outside
             if outside is None or not (self.latch or outside.heard):
@@ -329,50 +395,22 @@ class Publication:
             outside.in_flight += 1
         _hand_over(outside, outside.publish_to, peer, message)
 
-    def _keep(self, message: Any) -> bool:
-        """Note what is kept of a message; returns whether it may be sent."""
-        if self._fence is not None and not self._fence(self.owner):
-            self.traffic.dropped += 1
-            return False
-        if self.latch:
-            self.latched = message
-        if self._is_age_wanted:
-            self._is_age_wanted, self._keeps = False, self.latch or self._fence is not None
-            self._age = self._age_of(message)
-        return True
-
     def set_fence(self, fence: Optional[Callable[[str], bool]]) -> None:
-        """Ask ``fence`` with each message whether our nodelet may publish on its topic now."""
+        """Check with ``fence`` at each message whether our nodelet may publish on its topic."""
         with message_lock:
             self._fence = fence
-            self._keeps = self.latch or self._is_age_wanted or fence is not None
+            self._note_plain()
 
     def sample_age(self) -> Optional[float]:
         """Return how old a message was when it was published, and let the next one be measured.
 
         Returns:
-            Seconds, of the first message after the last question; None if that is not known.
+            Seconds, of the first message after the previous call; None if that is not known.
         """
         with message_lock:
-            self._is_age_wanted = self._keeps = True
+            self._is_age_wanted = True
+            self._note_plain()
             return self._age
-
-    def _unrouted(self, message: Any) -> None:
-        if self._closed:
-            raise self.refusal()
-        self.traffic.dropped += 1
-        if self.latch:
-            self.latched = message
-
-    @property
-    def outside(self) -> Optional[OutsidePublisher]:
-        """The registration in ROS."""
-        return self._outside
-
-    @property
-    def closed(self) -> bool:
-        """Whether it was unregistered."""
-        return self._closed
 
     def set_outside(self, outside: Optional[OutsidePublisher]) -> Any:
         """Publish through this registration too; returns the latched message that it is owed."""
@@ -390,8 +428,8 @@ class Publication:
         fence: Optional[Callable[[str], bool]] = None,
     ) -> None:
         """Publish on another topic from now on, to all of its connections."""
-        self.set_fence(fence)
         with message_lock:
+            self._fence = fence
             self.topic = topic
             self._set_outside(outside)
             self._reroute(route, newcomers=route)
@@ -408,18 +446,24 @@ class Publication:
     def disconnect(self, closed: bool = False) -> None:
         """Publish to no topic; for good, if ``closed``."""
         with message_lock:
-            self._route = None
-            self._closed = self._closed or closed
+            self.closed = self.closed or closed
             self._set_outside(None)
             self.topic = ""
+            self._route = None
+            self._is_plain = False
         self._changed()
 
     def let_go(self) -> None:
-        """Drop what is kept for listeners, after the release."""
+        """Drop what is kept for subscribers, after the release."""
         self.latched, self._watchers = NOTHING, ()
 
+    @property
+    def outside(self) -> Optional[OutsidePublisher]:
+        """The registration in ROS."""
+        return self._outside
+
     def peers(self) -> Tuple[str, Tuple[Any, ...]]:
-        """The topic and its listeners: one for each outside, ``HERE`` for all of this process."""
+        """The topic and its subscribers: each outside, and ``HERE`` for all of this process."""
         with message_lock:
             topic, route, outside = self.topic, self._route, self._outside
         listening = outside.peers() if outside is not None else ()
@@ -435,7 +479,7 @@ class Publication:
             self._watchers = (*self._watchers, changed)
 
     def unwatch(self, changed: Callable[[], None]) -> None:
-        """End the calls that ``watch`` began."""
+        """End the calls that ``watch`` asked for."""
         with message_lock:
             self._watchers = tuple(each for each in self._watchers if each != changed)
 
@@ -444,6 +488,31 @@ class Publication:
             changed()
 
     # Under the lock:
+
+    def _admit(self, message: Any) -> bool:
+        """Note what is kept of a message; returns whether it may be sent."""
+        if self.closed:
+            raise self.refusal()
+        if self._route is None or (self._fence is not None and not self._fence(self.owner)):
+            self.traffic.dropped += 1
+            if self._route is None and self.latch:
+                self.latched = message
+            return False
+        if self.latch:
+            self.latched = message
+        if self._is_age_wanted:
+            self._is_age_wanted = False
+            self._note_plain()
+            self._age = self._age_of(message)
+        return True
+
+    def _note_plain(self) -> None:
+        self._is_plain = (
+            self._route is not None
+            and self._fence is None
+            and not self.latch
+            and not self._is_age_wanted
+        )
 
     def _set_outside(self, outside: Optional[OutsidePublisher]) -> None:
         if self._outside is not None:
@@ -454,6 +523,7 @@ class Publication:
 
     def _reroute(self, route: Tuple[Connection, ...], newcomers: Tuple[Connection, ...]) -> None:
         self._route = route
+        self._note_plain()
         if self.latched is not NOTHING:
             for connection in newcomers:
                 connection.push_locked(self.latched)

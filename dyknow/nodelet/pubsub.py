@@ -10,12 +10,13 @@ in ``dyknow.proxy``.
 
 from __future__ import annotations
 
-from typing import Any, Callable, Optional
+import functools
+from typing import Any, Callable, Dict, Optional, Tuple
 
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.endpoints import Publication
+from dyknow.nodelet.middleware import Closable
 from dyknow.nodelet.scheduler import Strand
-from dyknow.nodelet.subscriber_events import SubscriberEvents
 
 Callback = Callable[..., Any]
 
@@ -32,7 +33,7 @@ class Publisher:
             context: the owner.
             name: what it is called in errors and logs.
             publication: what the handle publishes through.
-            listener: is told who listens, as rospy's ``subscriber_listener``; may be None.
+            listener: is notified of subscribers, as rospy's ``subscriber_listener``; may be None.
         """
         #: Publish a message or its fields. It is the publication's own method: no call in between.
         self.publish: Callable[..., None] = publication.publish
@@ -57,7 +58,7 @@ class Publisher:
     resolved_name = name
 
     def get_num_connections(self) -> int:
-        """Count the listeners: one for each node outside, one for this process."""
+        """Count the subscribers: one for each node outside, one for this process."""
         return self.publication.get_num_connections()
 
     def unregister(self) -> None:
@@ -105,11 +106,9 @@ class Subscriber:
         """
         self._context = context
         self._strand = strand
-        args = () if callback_args is None else (callback_args,)
-        callbacks = () if callback is None else ((callback, args),)
-        self.subscription = context.subscription(
-            name, datatype, callbacks, queue_size, strand, **options
-        )
+        self.subscription = context.subscription(name, datatype, queue_size, strand, **options)
+        if callback is not None:
+            self.registerCallback(callback, *(() if callback_args is None else (callback_args,)))
         self.data_class = datatype
         self.type = datatype._type
         self.md5sum = datatype._md5sum
@@ -133,9 +132,79 @@ class Subscriber:
         Returns:
             The number of the callback.
         """
-        return self._context.add_callback(self.subscription, (callback, args))
+        return self.subscription.add((callback, args), self._context.runtime.transport.adapt)
 
     def unregister(self) -> None:
         """Stop receiving; messages that wait are dropped."""
         self._context.release(self.subscription)
         self._context.drop_strand(self._strand)
+
+
+class SubscriberEvents(Closable):
+    """Notifies a listener of the peers of one publication, on the nodelet's strand, as rospy does.
+
+    A lazy nodelet works only while it has subscribers: its publisher has a ``subscriber_listener``
+    (see ``rospy.SubscribeListener``) that subscribes to the nodelet's inputs in
+    ``peer_subscribe``.
+
+    No record is kept of joins and leaves. A change of the peers only asks for a comparison of the
+    present peers with those that the listener knows of. So the listener and
+    ``get_num_connections`` agree however a change came about: a subscriber of this process or of
+    another, a publication that moves to another topic, a subscription that does.
+    """
+
+    def __init__(
+        self,
+        publication: Publication,
+        listener: Any,
+        strand: Strand,
+        failed: Callable[[BaseException], None],
+    ) -> None:
+        """Start to watch the peers.
+
+        Args:
+            publication: whose peers.
+            listener: has ``peer_subscribe`` and ``peer_unsubscribe``.
+            strand: where they are called, so that they never overlap with the nodelet's callbacks.
+            failed: called with what they raise.
+        """
+        self._publication = publication
+        self._listener = listener
+        self._strand = strand
+        self._failed = failed
+        self._known: Dict[Tuple[str, Any], None] = {}
+        self._due = False
+        publication.watch(self._changed)
+        self._changed()
+
+    def close(self) -> None:
+        """End the calls, and drop the listener: mostly it refers to the publisher's nodelet."""
+        self._listener = None
+        self._publication.unwatch(self._changed)
+
+    def _changed(self) -> None:
+        if not self._due:  # two threads may both get here: then it is compared twice
+            self._due = True
+            self._strand.post(self._compare)
+
+    def _compare(self) -> None:
+        self._due = False  # first: what changes from now on is compared again
+        listener = self._listener
+        if listener is None:
+            return
+        topic, peers = self._publication.peers()
+        present = [(topic, peer) for peer in peers]
+        # Joins first: a lazy nodelet must not stop its inputs at a move between topics.
+        for each in [each for each in present if each not in self._known]:
+            self._known[each] = None
+            to_peer = functools.partial(self._publication.publish_to, *each)
+            self._notify(listener.peer_subscribe, topic, self._publication.publish, to_peer)
+        for each in [each for each in self._known if each not in present]:
+            del self._known[each]
+            self._notify(listener.peer_unsubscribe, each[0], len(self._known))
+
+    def _notify(self, method: Callable[..., Any], *args: Any) -> None:
+        try:
+            method(*args)
+        except BaseException as error:  # the boundary: the other peers are reported all the same
+            self._failed(error)

@@ -4,19 +4,11 @@
 """Which thread runs a callback, and when.
 
 A *strand* runs its tasks one after another in the order in which they came; a nodelet has one,
-so its callbacks never overlap. A *worker pool* runs many strands on few threads: a strand that
-has something to do stands once in the pool's queue, and a flag says that it does ("busy": it
-stands in the queue or runs). The thread that raises the flag puts the strand into the queue; the
-thread that finds the strand empty lowers it. Both happen under the lock of messages, so no wake-up
-is ever lost and nothing polls.
-
-The worker that was busy last is woken first: what it touched is still in the caches of its core,
-and since one thread at a time runs Python, another core would gain nothing. A worker that was
-woken and finds that another one did its work goes to the end of the line.
-
-A callback that blocks holds its worker. When all workers are held and work waits, the watchdog
-replaces one after another, so nodelets that block (or never return) do not starve the rest. It
-wakes up only while there is work.
+so its callbacks never overlap. An *executor* runs many strands. A strand that has something to do
+stands once in the executor's queue, and a flag says that it does ("busy": it stands in the queue
+or runs). The thread that raises the flag puts the strand into the queue; the thread that finds the
+strand empty lowers it. Both happen under the lock of messages, so no wake-up is lost and nothing
+polls.
 """
 
 from __future__ import annotations
@@ -28,31 +20,72 @@ import threading
 import time
 import traceback
 import weakref
-from typing import Callable, Deque, Dict, List, Optional, Tuple
+from typing import Callable, Deque, Dict, List, Optional
 
-from dyknow.locks import flag_lock, state_condition
-from dyknow.nodelet.crash_record import CrashRecord
-from dyknow.nodelet.locking import message_lock
+from dyknow.locks import flag_lock, reentrant_state_lock, state_condition
+from dyknow.nodelet.crash_record import CrashRecord, as_word
 
 Task = Callable[[], object]
 Clock = Callable[[], float]
 
-#: Seconds between two looks of the watchdog while there is work.
+#: Period of the watchdog while there is work, in seconds.
 _LOOK = 0.2
-
-_attempt, _wait, _leave = message_lock.attempt, message_lock.wait, message_lock.leave
+#: Seconds for which a thread without work stays in a pool that grows.
+_STAY = 5.0
 
 _log = logging.getLogger("rosout.dyknow")
 
 
+class MessageLock:
+    """The lock that every message passes, of publications, queues and strands together.
+
+    The work under it takes about a microsecond, and no code of a nodelet is called there. So it is
+    contended only if its holder has to hand over the interpreter in the middle. A thread that
+    finds it taken lets other threads run until it is free. Queueing up would be far slower (a
+    sixth of the throughput was left): a thread in a queue is handed the lock while it has no
+    interpreter, and then all stand in line at every message. The lock is reentrant, since a signal
+    handler or a finalizer that publishes may come in between.
+
+    The path of messages uses its parts, since ``with`` costs twice as much::
+
+        if not attempt(False):
+            wait()
+        try:
+            ...
+        finally:
+            leave()
+    """
+
+    def __init__(self) -> None:
+        lock = reentrant_state_lock("messages")
+        self.attempt = lock.acquire
+        self.leave = lock.release
+
+    def wait(self) -> None:
+        """Let other threads run until the lock is free, and take it."""
+        while not self.attempt(False):
+            time.sleep(0)
+
+    def __enter__(self) -> None:
+        self.wait()
+
+    def __exit__(self, *unused: object) -> None:
+        self.leave()
+
+
+message_lock = MessageLock()
+
+_attempt, _wait, _leave = message_lock.attempt, message_lock.wait, message_lock.leave
+
+
 class Strand:
-    """Serial executor: at most one of its tasks runs at any time, in the order of ``post``."""
+    """Runs at most one of its tasks at any time, in the order of ``post``."""
 
     __slots__ = (
         "__weakref__",
         "_busy",
         "_held",
-        "_noted",
+        "_is_end_logged",
         "_ready",
         "_tasks",
         "alive",
@@ -63,31 +96,33 @@ class Strand:
     )
 
     def __init__(self, executor: Executor, name: str, held: bool = False, mark: int = 0) -> None:
-        """Create a strand on ``executor``; a ``held`` one collects tasks until ``resume``.
+        """Create a strand on ``executor``.
 
         Args:
             executor: what runs it.
             name: for the log.
-            held: whether it waits for ``resume``.
+            held: whether it only collects tasks until ``resume``.
             mark: of the nodelet whose code it runs, for the crash record.
         """
         self.name = name
-        self.mark = mark
+        self.mark = as_word(mark)
         self.alive = True
-        #: When the task that runs now began, by ``clock``; 0.0 if none runs.
-        self.began = 0.0
+        #: When the running task began, by ``clock``; None if none runs.
+        self.began: Optional[float] = None
         self.clock = executor.clock
         self._tasks: Deque[Task] = collections.deque()
         self._busy = held
         self._ready = executor.ready
         self._held = held
-        self._noted = False
+        self._is_end_logged = False
         executor.strands.add(self)
 
     @property
-    def running(self) -> bool:
-        """Whether a task runs."""
-        return self.began > 0.0
+    def age(self) -> float:
+        """Seconds for which the present task has been running; 0.0 if none runs."""
+        began = self.began
+        # Above 0 even where a test's clock stands still.
+        return 0.0 if began is None else max(self.clock() - began, sys.float_info.min)
 
     @property
     def busy(self) -> bool:
@@ -103,8 +138,8 @@ class Strand:
         """Same, with the lock held."""
         if self.alive:
             self._tasks.append(task)
-            was_busy, self._busy = self._busy, True
-            if not was_busy:
+            if not self._busy:
+                self._busy = True
                 self._ready(self)
 
     def resume(self) -> None:
@@ -114,24 +149,24 @@ class Strand:
                 self._held = False
                 self._ready(self)
 
-    def kill(self, noted: bool = False) -> None:
-        """Drop what is queued and refuse what comes; a task that runs is not waited for.
+    def kill(self, log_end: bool = False) -> None:
+        """Drop the queued tasks and refuse further ones; a running task is not waited for.
 
         Args:
-            noted: say in the log when the task that runs now has ended.
+            log_end: whether the end of the running task is logged.
         """
-        if noted and self.running:
-            self._noted = True
+        if log_end and self.began is not None:
+            self._is_end_logged = True
         with message_lock:
             self.alive = False
             dropped, self._tasks = self._tasks, collections.deque()
-        del dropped  # without the lock: whatever goes with the tasks may call anything
+        del dropped  # without the lock: finalizers of the tasks may call anything
 
     # For executors, which hold the lock in ``take`` and ``try_idle``:
 
     def take(self) -> Optional[Task]:
         """Return the oldest task, to run it; None if there is none."""
-        return self._tasks.popleft() if self._tasks and self.alive else None
+        return self._tasks.popleft() if self._tasks else None
 
     def run(self, task: Task) -> None:
         """Run a task; called by one thread at a time."""
@@ -140,34 +175,36 @@ class Strand:
             task()
         except BaseException:  # the boundary: sys.exit() in a task must not end a worker
             _log.error("%s: a task failed\n%s", self.name, traceback.format_exc())
-        self.began = 0.0
-        if self._noted:
-            self._noted = False
+        self.began = None
+        if self._is_end_logged:
+            self._is_end_logged = False
             _log.info("%s: the callback that ran at the unload has ended", self.name)
 
     def try_idle(self) -> bool:
-        """Be idle from now on; False if there is more to do."""
+        """Become idle; False if there is more to do."""
         if self._tasks:
-            if self.alive:
-                return False
-            self._tasks.clear()
+            return False
         self._busy = False
         return True
 
 
 class Executor:
-    """Runs strands, and knows them all for ``drain``."""
+    """Runs strands, and knows them all for ``drain``.
+
+    Args:
+        record: where its threads note whose code they run.
+        clock: steady seconds.
+    """
 
     def __init__(
         self, record: Optional[CrashRecord] = None, clock: Clock = time.monotonic
     ) -> None:
         self.clock = clock
         self.strands: weakref.WeakSet[Strand] = weakref.WeakSet()
-        #: Where threads note whose code they run.
         self.record = record or CrashRecord()
 
     def ready(self, strand: Strand) -> None:
-        """Take a strand that has something to do; the caller has the lock."""
+        """Queue a strand that has something to do; called with the lock held."""
         raise NotImplementedError
 
     def drain(self, timeout: float = 10.0) -> bool:
@@ -175,14 +212,14 @@ class Executor:
         raise NotImplementedError
 
     def close(self) -> None:
-        """Stop; tasks that run are not waited for."""
+        """Stop; running tasks are not waited for."""
 
 
 class ManualExecutor(Executor):
     """Runs tasks in the thread that calls ``drain`` or ``step``: for tests, deterministic."""
 
-    def __init__(self) -> None:
-        super().__init__()
+    def __init__(self, clock: Clock = time.monotonic) -> None:
+        super().__init__(clock=clock)
         self._queue: Deque[Strand] = collections.deque()
 
     def ready(self, strand: Strand) -> None:
@@ -211,49 +248,58 @@ class ManualExecutor(Executor):
 
 
 class _Worker:
-    """One thread of the pool.
+    """One thread of a pool.
 
     Attributes:
         strand: what it works on; None while it waits.
-        turns: tasks that it has begun.
         replaced: whether it is to end as soon as it can, since another was hired in its place.
         wake: taken while it sleeps, released to wake it.
-        word: its index in the crash record.
     """
 
-    def __init__(self, word: int) -> None:
-        self.word = word
+    def __init__(self) -> None:
         self.strand: Optional[Strand] = None
-        self.turns = 0
         self.replaced = False
-        self.thread: Optional[threading.Thread] = None
         self.wake = flag_lock()
         self.wake.acquire()
+        self.thread: Optional[threading.Thread] = None
 
 
 class WorkerPool(Executor):
-    """``size`` threads on one queue of strands, a task at a time.
+    """Threads on one queue of strands, a task at a time.
 
-    Args:
-        size: callbacks that can run at the same time.
-        stuck_after: seconds after which a callback that has not returned is reported, once.
-        clock: seconds, steady.
-        record: where its threads note whose code they run.
+    The worker that was busy last is woken first: its data is still in the caches of its core, and
+    since one thread at a time runs Python, another core would gain nothing. A worker that was
+    woken and finds that another one did its work goes to the end of the line.
+
+    A callback that blocks holds its worker. In a pool of fixed size a watchdog replaces one worker
+    after another when all are held and work waits, so nodelets that block (or never return) do not
+    starve the rest. A pool that grows has a thread for every strand with work at once, as rospy
+    has; it is for callbacks that may block for long, as those of unchanged scripts do.
     """
 
     def __init__(
         self,
-        size: int,
+        size: Optional[int],
         stuck_after: float = 10.0,
         clock: Clock = time.monotonic,
         record: Optional[CrashRecord] = None,
+        stay: float = _STAY,
     ) -> None:
+        """Start the threads.
+
+        Args:
+            size: callbacks that can run at the same time; None for a pool that grows.
+            stuck_after: seconds after which a callback that has not returned is reported, once.
+            clock: steady seconds.
+            record: where the threads note whose code they run.
+            stay: seconds for which a thread without work stays in a pool that grows.
+        """
         super().__init__(record, clock)
-        if size < 1:
+        if size is not None and size < 1:
             raise ValueError(f"a worker pool needs at least one worker, not {size}")
-        self.size = size
+        self._grows = size is None
+        self._stay = stay if self._grows else -1.0
         self._stuck_after = stuck_after
-        self._clock = clock
         self._queue: Deque[Strand] = collections.deque()
         self._idle: Deque[_Worker] = collections.deque()
         self._woken = 0  # workers that were woken and have not noticed yet
@@ -262,15 +308,18 @@ class WorkerPool(Executor):
         self._drainers = 0
         self._closed = False
         self._awake = threading.Event()
-        self._dozes = True  # the watchdog, as nothing is done
-        self._watchdog = threading.Thread(target=self._watch, name="dyknow-watchdog", daemon=True)
-        for _ in range(size):
+        self._dozes = not self._grows  # the watchdog, as nothing is done
+        for _ in range(size or 0):
             self._hire()
-        self._watchdog.start()
+        if not self._grows:
+            self._watchdog = threading.Thread(
+                target=self._watch, name="dyknow-watchdog", daemon=True
+            )
+            self._watchdog.start()
 
     @property
     def threads(self) -> int:
-        """Workers at present; more than ``size`` while callbacks block."""
+        """Workers at present; more than the size of the pool while callbacks block."""
         return len(self._workers)
 
     def ready(self, strand: Strand) -> None:
@@ -278,11 +327,6 @@ class WorkerPool(Executor):
         self._queue.append(strand)
         if len(self._queue) > self._woken:
             self._wake_one()
-
-    def _wake_one(self) -> None:
-        if self._idle:
-            self._woken += 1
-            self._idle.pop().wake.release()
 
     def drain(self, timeout: float = 10.0) -> bool:
         """Wait until no strand has anything to do."""
@@ -296,40 +340,57 @@ class WorkerPool(Executor):
                 self._drainers -= 1
 
     def close(self) -> None:
-        """End the workers that are free; those that run a callback end with it."""
+        """End the free workers at once, and the others with the callbacks that they run."""
         with message_lock:
             self._closed = True
             while self._idle:
                 self._wake_one()
         self._awake.set()
 
+    def _wake_one(self) -> None:
+        if self._idle:
+            self._woken += 1
+            self._idle.pop().wake.release()
+        elif self._grows and not self._closed:
+            self._woken += 1
+            self._hire()
+
     def _hire(self) -> None:
-        worker = _Worker(self.record.take())
+        worker = _Worker()
+        self._workers.append(worker)
         worker.thread = threading.Thread(
             target=self._work, args=(worker,), name="dyknow-worker", daemon=True
         )
-        self._workers.append(worker)
         worker.thread.start()
 
     def _work(self, worker: _Worker) -> None:
         strand: Optional[Strand] = None
-        line_up = self._idle.append
-        words, word = self.record.words, worker.word
+        words, word = self.record.words, self.record.take()
+        queue = self._queue
+        is_woken = self._grows
         while True:
             if not _attempt(False):
                 _wait()
             try:
-                if strand is not None and not strand.try_idle():
-                    self._queue.append(strand)
+                line_up = self._idle.append
+                if is_woken:
+                    is_woken = False
+                    self._woken -= 1
+                    line_up = self._idle.appendleft  # unless it finds something to do now
+                if strand is not None:
+                    if strand._tasks:  # as take and try_idle, without their calls
+                        queue.append(strand)
+                    else:
+                        strand._busy = False
                 strand = task = None
                 if self._closed or worker.replaced:
-                    if self._queue:
+                    if queue:
                         self._wake_one()  # in place of this one
                     break
-                if self._queue:
-                    strand = self._queue.popleft()
-                    task = strand.take()
-                    worker.turns += 1
+                if queue:
+                    strand = queue.popleft()
+                    if strand._tasks:
+                        task = strand._tasks.popleft()
                 else:
                     line_up(worker)
                 worker.strand = strand
@@ -341,66 +402,67 @@ class WorkerPool(Executor):
                     self._awake.set()
                 words[word] = strand.mark
                 strand.run(task)
-                line_up = self._idle.append
             elif strand is None:
-                words[word] = 0
+                words[word] = 0.0
                 if self._drainers:
                     with self._quiet:
                         self._quiet.notify_all()
-                worker.wake.acquire()
-                with message_lock:
-                    self._woken -= 1
-                line_up = self._idle.appendleft  # unless it finds something to do now
+                if not worker.wake.acquire(timeout=self._stay) and self._has_retired(worker):
+                    break
+                is_woken = True
         worker.strand = None
         self.record.give_back(word)
         self._workers.remove(worker)
 
+    def _has_retired(self, worker: _Worker) -> bool:
+        """Take a worker without work out of the line; False if it was woken just now."""
+        with message_lock:
+            if worker in self._idle:
+                self._idle.remove(worker)
+                return True
+        worker.wake.acquire()
+        return False
+
     def _watch(self) -> None:
-        seen: Dict[_Worker, Tuple[int, float]] = {}
-        reported: weakref.WeakKeyDictionary[_Worker, int] = weakref.WeakKeyDictionary()
+        reported: weakref.WeakKeyDictionary[_Worker, float] = weakref.WeakKeyDictionary()
         pause = threading.Event()
         while self._awake.wait() and not self._closed:
             pause.wait(_LOOK)
-            now = self._clock()
-            running = [(w, w.strand) for w in list(self._workers) if w.strand is not None]
-            if not running and not self._queue:
-                seen.clear()
+            working = [(w, w.strand) for w in list(self._workers) if w.strand is not None]
+            if not working and not self._queue:
                 self._awake.clear()
                 self._dozes = True
                 if any(w.strand is not None for w in list(self._workers)):
                     self._dozes = False
                     self._awake.set()  # taken up between the look and the clear
                 continue
-            before, seen = seen, {}
-            stuck = []
-            for worker, strand in running:
-                last = before.get(worker)
-                turn = worker.turns
-                if last is None or last[0] != turn:
-                    seen[worker] = (turn, now)
-                    continue
-                seen[worker] = last
-                stuck.append(worker)
-                if now - last[1] >= self._stuck_after and reported.get(worker) != turn:
-                    reported[worker] = turn
-                    self._report(worker, strand, now - last[1])
-            free = len(self._workers) - len(stuck)
-            if stuck and free <= 0 and self._queue:
-                oldest = min(
-                    (w for w in stuck if not w.replaced), key=lambda w: seen[w][1], default=None
-                )
-                if oldest is not None and oldest.turns == seen[oldest][0]:
-                    oldest.replaced = True
+            now = self.clock()
+            stuck: Dict[_Worker, float] = {}
+            for worker, strand in working:
+                began = strand.began
+                if began is not None and worker.strand is strand and now - began >= _LOOK:
+                    stuck[worker] = began
+                    if now - began >= self._stuck_after and reported.get(worker) != began:
+                        reported[worker] = began
+                        self._report(worker, strand, now - began)
+            if stuck and len(stuck) >= len(self._workers) and self._queue:
+                held = sorted((w for w in stuck if not w.replaced), key=stuck.__getitem__)
+                with message_lock:
+                    for worker in held[:1]:
+                        busy_with = worker.strand
+                        worker.replaced = (
+                            busy_with is not None and busy_with.began == stuck[worker]
+                        )
+                if held and held[0].replaced:
                     self._hire()
 
     @staticmethod
     def _report(worker: _Worker, strand: Strand, seconds: float) -> None:
         thread = worker.thread
         frame = sys._current_frames().get(thread.ident or 0) if thread is not None else None
-        where = "".join(traceback.format_stack(frame)) if frame is not None else ""
         _log.warning(
             "%s: a callback has not returned for %.0f s; its other callbacks wait\n%s",
             strand.name,
             seconds,
-            where,
+            "".join(traceback.format_stack(frame)) if frame is not None else "",
         )

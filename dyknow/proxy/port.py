@@ -18,9 +18,8 @@ from dyknow.model.statistics import PortStatistics
 from dyknow.model.transformation import IN, OUT
 from dyknow.nodelet.bus import Endpoint
 from dyknow.nodelet.context import Context
-from dyknow.nodelet.endpoints import NOTHING, Publication
+from dyknow.nodelet.endpoints import NOTHING, Publication, Traffic
 from dyknow.nodelet.pubsub import Publisher, Subscriber
-from dyknow.nodelet.traffic import Traffic
 
 
 class ProxyPort:

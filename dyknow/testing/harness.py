@@ -71,9 +71,9 @@ class NodeletHarness:
         self._ticker = SteppedTicker()
         self._services = HarnessServices()
         self._node = HarnessNode(self._ticker, self._services, self.call)
-        self._executor = ManualExecutor()
+        self._executor = ManualExecutor(self._ticker.now)
         middleware = Middleware(HarnessTransport(), self._services, self._ticker, self._node)
-        self._runtime = Runtime.make(middleware, self._executor, self._ticker.now)
+        self._runtime = Runtime.make(middleware, self._executor)
         self._classes: Dict[str, Type[Nodelet]] = {}
         self._loader = Loader(self._runtime, lambda type_name, _: self._classes[type_name])
         self._publishers: Dict[str, Publisher] = {}

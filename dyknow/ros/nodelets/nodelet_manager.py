@@ -35,7 +35,6 @@ from dyknow.locks import state_condition
 from dyknow.model.graph import NodeletKind
 from dyknow.nodelet.context import Context, Runtime
 from dyknow.nodelet.crash_record import CrashRecord
-from dyknow.nodelet.growing_pool import GrowingPool
 from dyknow.nodelet.loader import Loader
 from dyknow.nodelet.middleware import Closable
 from dyknow.nodelet.nodelet import Nodelet
@@ -124,7 +123,7 @@ class NodeletManager(Closable):
         self._workers = settings.workers
         sys.setswitchinterval(settings.switch_interval)
         self._record = _crash_record()
-        blocking = GrowingPool(self._record)
+        blocking = WorkerPool(None, record=self._record)
         pool: Executor = blocking
         if find_class is None:
             pool = WorkerPool(settings.workers, settings.stuck_after, record=self._record)

@@ -97,7 +97,7 @@ class World:
     def __init__(
         self, executor: Optional[Executor] = None, clock: Any = time.monotonic, **options: Any
     ) -> None:
-        self.executor: Any = executor or ManualExecutor()
+        self.executor: Any = executor or ManualExecutor(clock)
         self.transport = RecordingTransport()
         middleware = LocalMiddleware(self.transport)
         self.services, self.ticker, self.node = (
@@ -105,7 +105,7 @@ class World:
             middleware.ticker,
             middleware.node,
         )
-        self.runtime = Runtime.make(middleware, self.executor, clock, **options)
+        self.runtime = Runtime.make(middleware, self.executor, **options)
         self.bus = self.runtime.bus
 
     def context(self, name: str = "/probe", **options: Any) -> Context:

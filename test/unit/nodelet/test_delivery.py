@@ -9,7 +9,7 @@ import pytest
 from unit.nodelet.fakes import AnyMessage, FakeClock, Message, OtherMessage, numbers
 
 from dyknow.errors import HandleClosed, TypeMismatch
-from dyknow.nodelet.traffic import Traffic
+from dyknow.nodelet.endpoints import Traffic
 
 
 def test_every_subscriber_gets_the_very_object_that_was_published(world):
@@ -313,11 +313,13 @@ class TestTraffic:
         clock = FakeClock()
         traffic = Traffic(clock)
         for took in (0.1, 0.3):
-            traffic.received(clock(), took)
+            start = clock()
+            clock.seconds += took
+            traffic.received(start)
             clock.seconds += 1.0
         assert traffic.messages == 2
         assert traffic.busy == pytest.approx(0.4)
-        assert traffic.longest == 0.3
+        assert traffic.longest == pytest.approx(0.3)
 
     def test_rate_follows_and_falls_in_silence(self):
         clock = FakeClock()

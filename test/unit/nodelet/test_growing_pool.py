@@ -11,24 +11,23 @@ from typing import Iterator, List
 
 import pytest
 
-from dyknow.nodelet.growing_pool import GrowingPool
-from dyknow.nodelet.scheduler import Strand
+from dyknow.nodelet.scheduler import Strand, WorkerPool
 
 PATIENCE = 10.0
 
 
 @pytest.fixture
-def pool() -> Iterator[GrowingPool]:
-    pool = GrowingPool(stay=0.2)
+def pool() -> Iterator[WorkerPool]:
+    pool = WorkerPool(None, stay=0.2)
     yield pool
     pool.close()
 
 
 def threads() -> List[threading.Thread]:
-    return [each for each in threading.enumerate() if each.name == "dyknow-blocking"]
+    return [each for each in threading.enumerate() if each.name == "dyknow-worker"]
 
 
-def test_blocked_callbacks_hold_up_nobody(pool: GrowingPool) -> None:
+def test_blocked_callbacks_hold_up_nobody(pool: WorkerPool) -> None:
     gate, inside = threading.Event(), threading.Semaphore(0)
 
     def block() -> None:
@@ -42,7 +41,7 @@ def test_blocked_callbacks_hold_up_nobody(pool: GrowingPool) -> None:
     assert pool.drain(PATIENCE)
 
 
-def test_a_strand_keeps_its_order_and_never_overlaps(pool: GrowingPool) -> None:
+def test_a_strand_keeps_its_order_and_never_overlaps(pool: WorkerPool) -> None:
     strand = Strand(pool, "s")
     seen: List[int] = []
     running: List[int] = []
@@ -68,7 +67,7 @@ def test_a_strand_keeps_its_order_and_never_overlaps(pool: GrowingPool) -> None:
     assert [n for n in seen if n < 500] == list(range(500))
 
 
-def test_threads_are_used_again_and_leave_when_nothing_is_to_do(pool: GrowingPool) -> None:
+def test_threads_are_used_again_and_leave_when_nothing_is_to_do(pool: WorkerPool) -> None:
     strand = Strand(pool, "s")
     names = set()
     for _ in range(10):
@@ -85,7 +84,7 @@ def test_threads_are_used_again_and_leave_when_nothing_is_to_do(pool: GrowingPoo
     assert pool.drain(PATIENCE) and 0 in names
 
 
-def test_killed_strands_run_nothing_more(pool: GrowingPool) -> None:
+def test_killed_strands_run_nothing_more(pool: WorkerPool) -> None:
     strand = Strand(pool, "s", held=True)
     seen: List[int] = []
     strand.post(lambda: seen.append(1))
@@ -95,7 +94,7 @@ def test_killed_strands_run_nothing_more(pool: GrowingPool) -> None:
     assert seen == []
 
 
-def test_a_closed_pool_runs_nothing(pool: GrowingPool) -> None:
+def test_a_closed_pool_runs_nothing(pool: WorkerPool) -> None:
     pool.close()
     seen: List[int] = []
     strand = Strand(pool, "s")

@@ -146,7 +146,7 @@ def test_the_end_of_a_callback_that_outlived_its_strand_is_noted_once(caplog):
     executor = ManualExecutor()
     strand = Strand(executor, "/late")
     caplog.set_level(logging.INFO)
-    strand.post(lambda: (strand.kill(noted=True), strand.kill(noted=True)))
+    strand.post(lambda: (strand.kill(log_end=True), strand.kill(log_end=True)))
     strand.post(lambda: None)
     executor.drain()
     assert [r.getMessage() for r in caplog.records] == [
@@ -159,9 +159,9 @@ def test_nothing_is_noted_of_a_strand_that_ran_nothing_when_it_was_killed(caplog
     caplog.set_level(logging.INFO)
     queued = Strand(executor, "/queued")
     queued.post(lambda: None)
-    queued.kill(noted=True)
+    queued.kill(log_end=True)
     held = Strand(executor, "/held", held=True)
-    held.kill(noted=True)
+    held.kill(log_end=True)
     held.resume()
     executor.drain()
     assert caplog.records == []

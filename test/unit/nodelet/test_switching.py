@@ -56,9 +56,9 @@ class Bench:
         for n in range(SUBSCRIBERS):
             context, log = self.contexts[n // 2], self.logs[n // 2]
             receive = lambda message, n=n, log=log: log.append((n, message.number))  # noqa: E731
-            self.ends.append(
-                context.subscription(str(n), Message, [(receive, ())], queue_size, context.strand)
-            )
+            subscription = context.subscription(str(n), Message, queue_size, context.strand)
+            subscription.receive = receive
+            self.ends.append(subscription)
         self.topics = [""] * len(self.ends)
         self.released = set()
         self.moved = set()

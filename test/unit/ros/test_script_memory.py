@@ -18,10 +18,9 @@ import rospy
 
 from dyknow.errors import LoadFailed
 from dyknow.nodelet.context import Runtime
-from dyknow.nodelet.growing_pool import GrowingPool
 from dyknow.nodelet.loader import Loader
 from dyknow.nodelet.local import LocalMiddleware
-from dyknow.nodelet.scheduler import ManualExecutor
+from dyknow.nodelet.scheduler import ManualExecutor, WorkerPool
 from dyknow.ros.scripts.script import ScriptNodelet
 
 PATIENCE = 10.0
@@ -93,7 +92,7 @@ def blocks(monkeypatch: pytest.MonkeyPatch) -> List[weakref.ReferenceType[object
 @pytest.fixture
 def loader(monkeypatch: pytest.MonkeyPatch) -> Iterator[Loader]:
     monkeypatch.setattr(rospy.rostime, "_rostime_initialized", True)
-    blocking = GrowingPool()
+    blocking = WorkerPool(None)
     runtime = Runtime.make(LocalMiddleware(), ManualExecutor(), blocking=blocking)
     yield Loader(runtime, lambda name, context: ScriptNodelet)
     runtime.close()
