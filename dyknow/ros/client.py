@@ -1,9 +1,10 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""A client of the DyKnow manager: typed, with a time limit for every call, answers as values.
+"""Clients of nodelets' proxies and of the DyKnow manager: every call has a time limit.
 
-It needs no node: scripts and command lines can use it without ``rospy.init_node``.
+Answers are values of ``dyknow.model``. No client needs a node, so scripts and command lines can
+use them without ``rospy.init_node``.
 """
 
 from __future__ import annotations
@@ -49,7 +50,45 @@ _SPOKEN_OF = ("add_transformation", "replan_stream")
 _log = logging.getLogger("rosout.dyknow")
 
 
-class ManagerClient(BaseManagerClient):
+class ProxyClient:
+    """Calls the three services that the proxy of each nodelet offers.
+
+    Every method raises ``Refused`` when the nodelet says no, ``HostError`` when the call fails,
+    and ``PeerTimeout`` when no answer comes in time.
+    """
+
+    def __init__(self, master: Master) -> None:
+        """Prepare calls in the name of the master's caller; nothing is sent yet."""
+        self._master = master
+
+    def get_config(self, nodelet: str, timeout: float = ASK_TIMEOUT) -> Tuple[PortState, ...]:
+        """Return the ports of a nodelet."""
+        answer = self._call(names.join(nodelet, "get_config"), srv.GetConfig, timeout)
+        return tuple(map(port_from, answer.ports))
+
+    def set_config(
+        self, nodelet: str, config: Mapping[str, str], timeout: float = CHANGE_TIMEOUT
+    ) -> None:
+        """Connect ports to topics, all or none; an empty topic disconnects."""
+        service, request = names.join(nodelet, "set_config"), config_message(config)
+        answer = self._call(service, srv.SetConfig, timeout, config=request)
+        if not answer.success:
+            raise Refused(answer.message)
+
+    def get_statistics(self, nodelet: str, timeout: float = ASK_TIMEOUT) -> NodeletStatistics:
+        """Return the counts of a nodelet and of its ports."""
+        service = names.join(nodelet, "get_statistics")
+        return statistics_from(self._call(service, srv.GetStatistics, timeout))
+
+    def _call(
+        self, service: str, service_class: Any, timeout: float, *request: Any, **fields: Any
+    ) -> Any:
+        return ServiceClient(self._master, service, service_class).call(
+            timeout, *request, **fields
+        )
+
+
+class ManagerClient(ProxyClient, BaseManagerClient):
     """Speaks with one DyKnow manager of the ROS graph, and with the proxies of nodelets."""
 
     def __init__(self, manager: str = "dyknow_manager", caller: str = "") -> None:
@@ -61,7 +100,7 @@ class ManagerClient(BaseManagerClient):
             caller: in whose name to call; by default a name of this process.
         """
         self.manager: str = rosgraph.names.script_resolve_name("dyknow", manager)
-        self._master = Master(caller or f"/dyknow_client_{os.getpid()}")
+        super().__init__(Master(caller or f"/dyknow_client_{os.getpid()}"))
         self._kept_lock = state_lock("kept services")
         self._kept: Dict[str, ServiceClient] = {}
 
@@ -99,22 +138,6 @@ class ManagerClient(BaseManagerClient):
 
     def nodelet_managers(self) -> List[str]:
         return self._nodes_with("/load_nodelet")
-
-    # Proxies
-
-    def get_config(self, nodelet: str) -> Tuple[PortState, ...]:
-        answer = self._call(names.join(nodelet, "get_config"), srv.GetConfig, ASK_TIMEOUT)
-        return tuple(port_from(port) for port in answer.ports)
-
-    def set_config(self, nodelet: str, config: Mapping[str, str]) -> None:
-        service, request = names.join(nodelet, "set_config"), config_message(config)
-        answer = self._call(service, srv.SetConfig, CHANGE_TIMEOUT, config=request)
-        if not answer.success:
-            raise Refused(answer.message)
-
-    def get_statistics(self, nodelet: str) -> NodeletStatistics:
-        service = names.join(nodelet, "get_statistics")
-        return statistics_from(self._call(service, srv.GetStatistics, ASK_TIMEOUT))
 
     # Streams
 
@@ -185,20 +208,15 @@ class ManagerClient(BaseManagerClient):
         kept: bool = False,
         **fields: Any,
     ) -> Any:
-        client = self._service(self._master, service, service_class, kept)
-        return client.call(timeout, *request, **fields)
-
-    def _service(
-        self, master: Master, service: str, service_class: Any, kept: bool
-    ) -> ServiceClient:
-        """Return a client for one call, or one whose connection is kept for the next."""
+        """Call a service, over a new connection, or over one that is kept for later calls."""
         if not kept:
-            return ServiceClient(master, service, service_class)
+            return super()._call(service, service_class, timeout, *request, **fields)
         with self._kept_lock:
-            if service not in self._kept:
-                made = ServiceClient(master, service, service_class, persistent=True)
-                self._kept[service] = made
-            return self._kept[service]
+            client = self._kept.get(service)
+            if client is None:
+                client = ServiceClient(self._master, service, service_class, persistent=True)
+                self._kept[service] = client
+        return client.call(timeout, *request, **fields)
 
     def _nodes_with(self, service: str) -> List[str]:
         """Return the nodes that offer a service of such a name, sorted."""

@@ -11,6 +11,7 @@ import re
 import xmlrpc.client
 from typing import Any, List, Set, Tuple
 
+from dyknow import names
 from dyknow.errors import PeerTimeout
 from dyknow.locks import assert_no_state_lock
 from dyknow.ros.addresses import connect
@@ -122,20 +123,13 @@ class Master:
     def datatype(self, topic: str) -> str:
         """Type of a topic with a live publisher or subscriber, else empty.
 
-        The master's types outlive the publishers that they come from, so they count only while
-        there is a publisher; without one the subscribers are asked.
+        The types that the master knows outlive the publishers, so only published topics are
+        looked up, in the namespace of this one. Without a publisher the subscribers are asked.
         """
-        known: List[Tuple[str, str]] = self.ask("getTopicTypes")
-        found = next((datatype for name, datatype in known if name == topic), "")
-        if not found:
-            return ""
-        state = self.ask("getSystemState")
-        publishers, subscribers = (
-            sorted(node for name, nodes in side if name == topic for node in nodes)
-            for side in state[:2]
-        )
-        if publishers:
-            return found
+        published = dict(self.ask("getPublishedTopics", names.parent(topic)))
+        if topic in published:
+            return str(published[topic])
+        subscribers = sorted(self.subscribers(topic))
         answers = (self._subscribed(node, topic) for node in subscribers)
         return next((answer for answer in answers if answer not in ("", "*")), "")
 

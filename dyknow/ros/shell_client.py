@@ -79,12 +79,11 @@ class ShellClient(ManagerClient):
             manager: global name of the manager's node.
             timeout: seconds for each answer; None for what suits the question.
         """
-        caller = f"/dyknow_{os.getpid()}"
-        super().__init__(manager, caller)
+        super().__init__(manager, f"/dyknow_{os.getpid()}")
         #: Where relative names of nodelets begin.
         self.namespace = names.parent(manager)
         self._timeout = timeout
-        self._asked = Master(caller, timeout=min(timeout or TIMEOUT, TIMEOUT))
+        self._master = Master(self._master.caller, timeout=min(timeout or TIMEOUT, TIMEOUT))
         self._master_seen = False
 
     def get_graph(self) -> Model:
@@ -122,7 +121,7 @@ class ShellClient(ManagerClient):
 
     def topics(self) -> List[str]:
         """Names of all topics that the master knows."""
-        known = self._on_master(lambda: self._asked.ask("getTopicTypes"))
+        known = self._on_master(lambda: self._master.ask("getTopicTypes"))
         return sorted(name for name, _ in known)
 
     def stored_parameters(self, nodelet: str, parameters: Sequence[str]) -> Dict[str, Any]:
@@ -130,7 +129,7 @@ class ShellClient(ManagerClient):
 
         def ask() -> Any:
             try:
-                return self._asked.ask("getParam", nodelet)
+                return self._master.ask("getParam", nodelet)
             except LookupError:
                 return {}  # it has none at all
 
@@ -146,7 +145,7 @@ class ShellClient(ManagerClient):
 
     def published(self, hosts: Container[str]) -> FrozenSet[str]:
         """Topics that nodes publish on, other than these nodelet managers."""
-        publishers, _, _ = self._on_master(lambda: self._asked.ask("getSystemState"))
+        publishers, _, _ = self._on_master(lambda: self._master.ask("getSystemState"))
         return frozenset(
             topic for topic, nodes in publishers if any(node not in hosts for node in nodes)
         )
@@ -163,15 +162,13 @@ class ShellClient(ManagerClient):
         service_class: Any,
         timeout: float,
         *request: Any,
-        kept: bool = False,
-        **fields: Any,
+        **options: Any,
     ) -> Any:
         self._find_master()
         seconds = self._timeout or timeout
         owner = names.parent(service)
-        client = self._service(self._asked, service, service_class, kept)
         try:
-            return client.call(seconds, *request, **fields)
+            return super()._call(service, service_class, seconds, *request, **options)
         except ServiceFailed as error:
             raise Refused(f"'{owner}': {error}") from error
         except ServiceLost as error:
@@ -191,7 +188,7 @@ class ShellClient(ManagerClient):
         topic = names.join(self.manager, name)
         self._find_master()
         try:
-            return TopicReader(self._asked, self.manager, topic, message_class, seconds)
+            return TopicReader(self._master, self.manager, topic, message_class, seconds)
         except (LookupError, PeerTimeout, OSError) as error:
             raise self._no_manager(error, seconds) from error
 
@@ -200,7 +197,7 @@ class ShellClient(ManagerClient):
 
     def _find_master(self) -> None:
         if not self._master_seen:
-            self._on_master(lambda: self._asked.ask("getPid"))
+            self._on_master(lambda: self._master.ask("getPid"))
             self._master_seen = True
 
     def _on_master(self, ask: Callable[[], T]) -> T:
@@ -217,7 +214,7 @@ class ShellClient(ManagerClient):
             xmlrpc.client.Error,
         ) as error:
             raise ManagerUnreachable(
-                f"no ROS master at {self._asked.uri} ({_words(error)}): is roscore running, and "
+                f"no ROS master at {self._master.uri} ({_words(error)}): is roscore running, and "
                 "ROS_MASTER_URI right?"
             ) from error
 

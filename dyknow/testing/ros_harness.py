@@ -18,13 +18,12 @@ from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence
 import rosgraph
 import rosmaster.master
 import rospy
-from dyknow_msgs.msg import PortConfig
-from dyknow_msgs.srv import GetConfig, SetConfig
 from nodelet.srv import NodeletList, NodeletLoad, NodeletUnload
 from roslib.packages import find_node
 
 from dyknow import names
-from dyknow.errors import DyKnowError
+from dyknow.ros.client import ProxyClient
+from dyknow.ros.master import Master
 from dyknow.testing.load_ports import check_ports, remappings_of_ports
 
 #: Seconds that anything may take on a busy machine.
@@ -146,8 +145,7 @@ class RosHarness:
 
     def topics(self, name: str) -> Dict[str, str]:
         """Return the topic of each port of a nodelet, empty where it is disconnected."""
-        answer = rospy.ServiceProxy(f"{name}/get_config", GetConfig)()
-        return {port.name: port.topic for port in answer.ports}
+        return {port.name: port.topic for port in self._proxies().get_config(name, _PATIENCE)}
 
     def connect(self, name: str, ports: Mapping[str, str]) -> None:
         """Connect ports of a nodelet to topics; an empty topic disconnects.
@@ -155,10 +153,11 @@ class RosHarness:
         Raises:
             DyKnowError: something is wrong with an entry; nothing was changed.
         """
-        config = [PortConfig(port, topic) for port, topic in ports.items()]
-        answer = rospy.ServiceProxy(f"{name}/set_config", SetConfig)(config)
-        if not answer.success:
-            raise DyKnowError(answer.message)
+        self._proxies().set_config(name, ports, _PATIENCE)
+
+    @staticmethod
+    def _proxies() -> ProxyClient:
+        return ProxyClient(Master(rospy.get_name()))
 
     # What goes in and comes out
 

@@ -9,7 +9,7 @@ import argparse
 from pathlib import Path
 from typing import Any, List, Sequence, Tuple
 
-from dyknow.errors import DyKnowError
+from dyknow.errors import DyKnowError, HostError, Refused
 from dyknow_demo.options import positive
 from dyknow_demo.shared_frames import SHARED_FRAMES
 
@@ -68,7 +68,7 @@ def _run(options: Any) -> bool:
         find_master,
         start_nodelet_manager,
     )
-    from dyknow_demo.rewiring.graph import CallFailed, HandWiredGraph
+    from dyknow_demo.rewiring.graph import HandWiredGraph
     from dyknow_demo.rewiring.story import Story
     from dyknow_demo.rewiring.table import ReportTable
 
@@ -91,7 +91,7 @@ def _run(options: Any) -> bool:
             return Story(
                 graph, table, processes.check, sources, options.rate, options.seconds
             ).run()
-        except CallFailed:
+        except (HostError, Refused):
             processes.check(patience=0.5)  # a process that ended is the better explanation
             raise
         finally:

@@ -9,25 +9,17 @@ import json
 import time
 from typing import Any, Dict, List, Mapping, Tuple
 
-import rospy
-from dyknow_msgs.msg import PortConfig
-from dyknow_msgs.srv import GetStatistics, SetConfig
 from nodelet.srv import NodeletLoad
 from std_srvs.srv import Trigger
 
 from dyknow import names
-from dyknow.errors import DyKnowError, PeerTimeout
+from dyknow.errors import PeerTimeout
+from dyknow.model.statistics import PortStatistics
+from dyknow.ros.client import ProxyClient
 from dyknow.ros.master import Master
-from dyknow.ros.remote_calls import call_within
+from dyknow.ros.service_client import ServiceClient
 
 _TIMEOUT = 10.0
-
-
-class CallFailed(DyKnowError):
-    """A service refused what it was asked, or is not there."""
-
-    def __init__(self, service: str, message: str) -> None:
-        super().__init__(f"{service}: {message}")
 
 
 class HandWiredGraph:
@@ -38,6 +30,7 @@ class HandWiredGraph:
         self._manager = manager
         self._namespace = names.parent(manager)
         self._master = Master(names.join(self._namespace, "dyknow_demo"))
+        self._proxies = ProxyClient(self._master)
         self._loaded: List[str] = []
 
     def is_up(self) -> bool:
@@ -92,20 +85,17 @@ class HandWiredGraph:
             When it was called and when it returned, in s of ROS time.
 
         Raises:
-            CallFailed: the nodelet refused it.
+            Refused: the nodelet refused it.
+            HostError: it is not there.
         """
-        service = names.join(self._full(name), "set_config")
         called = time.time()
-        answer = self._call(service, SetConfig, config=[PortConfig(port, topic)])
-        returned = time.time()
-        if not answer.success:
-            raise CallFailed(service, answer.message)
-        return called, returned
+        self._proxies.set_config(self._full(name), {port: topic}, _TIMEOUT)
+        return called, time.time()
 
-    def statistics(self, name: str) -> Tuple[Dict[str, Any], int]:
-        """Return dyknow_msgs/PortStatistics by port, and the number of callbacks that failed."""
-        answer = self._call(names.join(self._full(name), "get_statistics"), GetStatistics)
-        return {each.port: each for each in answer.ports}, answer.callback_errors
+    def statistics(self, name: str) -> Tuple[Dict[str, PortStatistics], int]:
+        """Return statistics by port, and the number of callbacks that failed."""
+        found = self._proxies.get_statistics(self._full(name), _TIMEOUT)
+        return {each.port: each for each in found.ports}, found.callback_errors or 0
 
     def arrivals(self, reporter: str) -> List[Any]:
         """Return the records of a reporter; see ``dyknow_demo.nodelets.reporter``."""
@@ -117,10 +107,5 @@ class HandWiredGraph:
     def _full(self, name: str) -> str:
         return names.join(self._namespace, name)
 
-    @staticmethod
-    def _call(service: str, service_class: Any, **fields: Any) -> Any:
-        proxy = rospy.ServiceProxy(service, service_class)
-        try:
-            return call_within(_TIMEOUT, service, lambda: proxy(**fields))
-        except rospy.ServiceException as error:
-            raise CallFailed(service, str(error)) from error
+    def _call(self, service: str, service_class: Any, **fields: Any) -> Any:
+        return ServiceClient(self._master, service, service_class).call(_TIMEOUT, **fields)

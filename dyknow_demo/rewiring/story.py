@@ -207,10 +207,10 @@ class Story:
 
     def _counts(self, camera: str) -> Tuple[int, int, int]:
         """Count by the proxy of the camera, by that of its witness, and by the witness itself."""
-        sent = self._graph.statistics(camera)[0]["image"].messages
+        sent = self._graph.statistics(camera)[0]["image"].messages or 0
         deadline = time.monotonic() + _SETTLE
         while True:
-            seen = self._graph.statistics(_witness(camera))[0]["image"].messages
+            seen = self._graph.statistics(_witness(camera))[0]["image"].messages or 0
             if seen == sent or time.monotonic() > deadline:
                 return sent, seen, len(self._graph.arrivals(_witness(camera)))
             time.sleep(_LOOK)

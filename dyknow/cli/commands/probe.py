@@ -126,12 +126,9 @@ def _settled(
     Raises:
         CannotRun: it ended, or made none in time.
     """
-    from dyknow_msgs.srv import GetConfig
+    from dyknow.ros.client import ProxyClient
 
-    from dyknow.ros.messages import port_from
-    from dyknow.ros.service_client import ServiceClient
-
-    client = ServiceClient(master, names.join(name, "get_config"), GetConfig)
+    client = ProxyClient(master)
     begin = since = time.monotonic()
     ports: List[PortState] = []
     while True:
@@ -139,7 +136,7 @@ def _settled(
         if not process.alive:
             raise CannotRun(f"the node ended by itself{_printed(output)}")
         try:
-            found = [port_from(port) for port in client.call(_ANSWER).ports]
+            found = list(client.get_config(name, _ANSWER))
         except (HostError, PeerTimeout, LookupError):
             found = ports
         if found != ports:

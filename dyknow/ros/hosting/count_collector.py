@@ -16,13 +16,15 @@ import time
 from typing import Collection, Dict, List, Mapping, Optional, Set
 
 from dyknow_msgs.msg import Port
-from dyknow_msgs.srv import GetCounts, GetStatistics
+from dyknow_msgs.srv import GetCounts
 
 from dyknow import names
 from dyknow.errors import HostError, PeerTimeout
 from dyknow.locks import state_lock
 from dyknow.manager.host import Count
+from dyknow.model.transformation import OUT
 from dyknow.periodic import PeriodicWorker
+from dyknow.ros.client import ProxyClient
 from dyknow.ros.master import Master
 from dyknow.ros.service_client import ServiceClient, ServiceFailed, ServiceLost
 
@@ -87,7 +89,7 @@ class _CountClient:
     """Questions to one nodelet manager, one after the other."""
 
     def __init__(self, master: Master, manager: str) -> None:
-        self._master = master
+        self._proxies = ProxyClient(master)
         self._client = ServiceClient(master, names.join(manager, SERVICE), GetCounts, True)
         self._state_lock = state_lock("counts")
         self._wanted: Set[str] = set()
@@ -165,10 +167,9 @@ class _CountClient:
         """Ask each nodelet's proxy, which does not say what is latched, or how old."""
         found: Counts = {}
         for name in nodelets:
-            client = ServiceClient(self._master, names.join(name, "get_statistics"), GetStatistics)
             asked = time.monotonic()
             try:
-                ports = client.call(TIMEOUT).ports
+                ports = self._proxies.get_statistics(name, TIMEOUT).ports
             except PeerTimeout:
                 break  # each of the others would take that long
             except HostError:
@@ -176,8 +177,8 @@ class _CountClient:
                 continue
             answered = time.monotonic()
             found[name] = {
-                port.port: Count(port.messages, asked, answered)
+                port.port: Count(port.messages or 0, asked, answered)
                 for port in ports
-                if port.direction == Port.OUT
+                if port.direction == OUT
             }
         return found

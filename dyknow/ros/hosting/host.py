@@ -31,13 +31,10 @@ from typing import (
 
 import rosgraph.network
 import rospy
-from dyknow_msgs.msg import Port as PortMessage
-from dyknow_msgs.msg import PortConfig
-from dyknow_msgs.srv import GetConfig, SetConfig
 from nodelet.srv import NodeletLoad, NodeletUnload
 
 from dyknow import names
-from dyknow.errors import HostError, HostTimeout, NameTaken, PeerTimeout
+from dyknow.errors import HostError, HostTimeout, NameTaken, PeerTimeout, Refused
 from dyknow.guards import NO_GUARDS, Guards
 from dyknow.locks import state_lock
 from dyknow.manager.host import (
@@ -52,6 +49,7 @@ from dyknow.manager.specifications.values import value_of
 from dyknow.model.graph import NodeletKind, PortState
 from dyknow.model.transformation import NODE, Parameter, Program, Transformation
 from dyknow.ros import ages, programs
+from dyknow.ros.client import ProxyClient
 from dyknow.ros.hosting.child_keeper import Child
 from dyknow.ros.hosting.children import Children
 from dyknow.ros.hosting.count_collector import CountCollector
@@ -110,6 +108,7 @@ class RosHost(Host):
             running: time for which this process has run, in seconds.
         """
         self._master = master
+        self._proxies = ProxyClient(master)
         self._children = children
         self._external = ExternalManagers(master, external)
         self._guards = GuardHandover(master, guards)
@@ -314,16 +313,8 @@ class RosHost(Host):
 
     def ports(self, name: str) -> Tuple[PortState, ...]:
         """Ask the proxy."""
-        answer = self._ask_proxy(name, "get_config", GetConfig, PORTS_TIMEOUT)
-        return tuple(
-            PortState(
-                port.name,
-                "out" if port.direction == PortMessage.OUT else "in",
-                port.datatype,
-                port.topic,
-            )
-            for port in answer.ports
-        )
+        with self._asking(name):
+            return self._proxies.get_config(name, PORTS_TIMEOUT)
 
     def detail(self, name: str) -> str:
         """Return what was announced last."""
@@ -333,10 +324,8 @@ class RosHost(Host):
 
     def connect(self, name: str, config: Mapping[str, str]) -> None:
         """Tell the proxy."""
-        pairs = [PortConfig(port, config[port]) for port in sorted(config)]
-        answer = self._ask_proxy(name, "set_config", SetConfig, CONNECT_TIMEOUT, pairs)
-        if not answer.success:
-            raise HostError(answer.message)
+        with self._asking(name):
+            self._proxies.set_config(name, config, CONNECT_TIMEOUT)
 
     def published(self, topics: Iterable[str]) -> FrozenSet[str]:
         """Ask the master."""
@@ -464,15 +453,17 @@ class RosHost(Host):
             self.unload(manager, name)
         return [each for each in listed if each not in late]
 
-    def _ask_proxy(
-        self, nodelet: str, service: str, service_class: Any, timeout: float, *args: Any
-    ) -> Any:
-        """Call a service of a nodelet, unless its nodelet manager is known not to answer."""
+    @contextlib.contextmanager
+    def _asking(self, nodelet: str) -> Iterator[None]:
+        """Ask the proxy of a nodelet, unless its nodelet manager is known not to answer."""
         external = self._external.hosting(nodelet)
         if external is not None:
             external.check()
         with _host_errors(nodelet):
-            return self._call(names.join(nodelet, service), service_class, timeout, *args)
+            try:
+                yield
+            except Refused as error:
+                raise HostError(str(error)) from error
 
     def _start_node(self, request: LoadRequest, timeout: float) -> None:
         self._children.check_free(request.name)

@@ -45,3 +45,14 @@ def test_a_successor_stays(uri: str) -> None:
     asking.purge("/dead", URI)
     assert asking.node("/dead") == other
     assert asking.publishers("/topic") == {"/dead"}
+
+
+def test_a_topic_has_a_type_while_somebody_publishes_it(uri: str) -> None:
+    node = Master("/node", uri)
+    node.ask("registerPublisher", "/space/topic", "std_msgs/Empty", URI)
+    node.ask("registerPublisher", "/top", "std_msgs/Header", URI)
+    assert node.datatype("/space/topic") == "std_msgs/Empty"
+    assert node.datatype("/top") == "std_msgs/Header"
+    assert node.datatype("/space/other") == ""
+    node.ask("unregisterPublisher", "/space/topic", URI)
+    assert node.datatype("/space/topic") == ""
