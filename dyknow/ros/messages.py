@@ -1,18 +1,21 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Conversion between DyKnow's values and the messages of ``dyknow_msgs``: all of it is here.
+"""Conversion between the values of ``dyknow.model`` and the messages of ``dyknow_msgs``.
 
-``x_message`` makes the message of a value, ``x_from`` the value of a message.
+``x_message`` makes the message of a value, ``x_from`` the value of a message. Fields that have the
+same name on both sides are converted by their type; the functions state only the others.
 """
 
 from __future__ import annotations
 
+import dataclasses
+import enum
 import math
-from typing import Any, List, Mapping, Sequence, Tuple
+from typing import Any, List, Mapping, Sequence, Tuple, Type, TypeVar, Union
 
 from dyknow_msgs import msg, srv
-from genpy import Duration, Time
+from genpy import Duration, Time, TVal
 
 from dyknow.errors import Result, StreamRefused
 from dyknow.model.graph import (
@@ -34,8 +37,45 @@ from dyknow.model.streams import (
 )
 from dyknow.model.transformation import IN, OUT, Parameter, Port, Transformation
 
+T = TypeVar("T")
+
 #: Begins the lines of an answer to ``acquire_stream`` that are no detail of the claim.
 _WARNING = "warning: "
+_SECONDS = {"duration": Duration, "time": Time}
+
+
+def _message(message_class: Type[Any], value: object, /, **fields: object) -> Any:
+    """Make a message from ``fields``, and the others from the attributes of a value."""
+    for name, kind in zip(message_class.__slots__, message_class._slot_types):
+        if name not in fields and hasattr(value, name):
+            fields[name] = _field(kind, getattr(value, name))
+    return message_class(**fields)
+
+
+def _field(kind: str, value: Any) -> Any:
+    if kind in _SECONDS:
+        return _SECONDS[kind].from_sec(value)
+    if isinstance(value, enum.Enum):
+        return value.value
+    return list(value) if isinstance(value, tuple) else value
+
+
+def _value(value_class: Type[T], message: Any, /, **attributes: object) -> T:
+    """Make a value from ``attributes``, and the others from the fields of a message."""
+    names = getattr(value_class, "_fields", None) or [
+        each.name
+        for each in dataclasses.fields(value_class)  # type: ignore[arg-type]
+    ]
+    for name in names:
+        if name not in attributes and hasattr(message, name):
+            attributes[name] = _attribute(getattr(message, name))
+    return value_class(**attributes)
+
+
+def _attribute(field: Any) -> Any:
+    if isinstance(field, TVal):
+        return field.to_sec()
+    return tuple(field) if isinstance(field, list) else field
 
 
 # Ports and where they are connected
@@ -50,26 +90,14 @@ def _direction_from(message: Any) -> str:
     return OUT if message.direction == msg.Port.OUT else IN
 
 
-def port_message(port: PortState) -> msg.Port:
-    """Convert a port of a running nodelet."""
-    return msg.Port(
-        name=port.name,
-        direction=direction_message(port.direction),
-        datatype=port.datatype,
-        topic=port.topic,
-        tags=list(port.tags),
-    )
+def port_message(port: Union[PortState, Port]) -> msg.Port:
+    """Convert a port of a running nodelet, or of a transformation."""
+    return _message(msg.Port, port, direction=direction_message(port.direction))
 
 
 def port_from(message: msg.Port) -> PortState:
     """Read a port of a running nodelet."""
-    return PortState(
-        message.name,
-        _direction_from(message),
-        message.datatype,
-        message.topic,
-        tuple(message.tags),
-    )
+    return _value(PortState, message, direction=_direction_from(message))
 
 
 def config_message(config: Mapping[str, str]) -> List[msg.PortConfig]:
@@ -82,7 +110,7 @@ def config_pairs(config: Sequence[msg.PortConfig]) -> List[Tuple[str, str]]:
     return [(entry.port, entry.topic) for entry in config]
 
 
-# What can run
+# Transformations and nodelets
 
 
 def _parameter_messages(parameters: Sequence[Parameter]) -> List[msg.Parameter]:
@@ -96,89 +124,44 @@ def parameters_from(messages: Sequence[msg.Parameter]) -> Tuple[Parameter, ...]:
 
 def transformation_message(transformation: Transformation) -> msg.Transformation:
     """Convert a transformation."""
-    return msg.Transformation(
-        label=transformation.label,
-        type=transformation.type,
-        source=transformation.source,
-        cost=transformation.cost,
+    return _message(
+        msg.Transformation,
+        transformation,
         parameters=_parameter_messages(transformation.parameters),
-        ports=[
-            msg.Port(
-                port.name,
-                direction_message(port.direction),
-                port.datatype,
-                "",
-                list(port.tags),
-                port.rate,
-                port.latency,
-            )
-            for port in transformation.ports
-        ],
+        ports=list(map(port_message, transformation.ports)),
         specification=transformation.to_xml(),
-        isolated=transformation.isolated,
-        node=transformation.node,
     )
 
 
 def transformation_from(message: msg.Transformation) -> Transformation:
     """Read a transformation."""
-    return Transformation(
-        message.label,
-        message.source,
-        message.type,
-        message.cost,
-        parameters_from(message.parameters),
-        tuple(
-            Port(
-                each.name,
-                _direction_from(each),
-                each.datatype,
-                tuple(each.tags),
-                each.rate,
-                each.latency,
-            )
-            for each in message.ports
-        ),
-        message.isolated,
-        message.node,
+    ports = (_value(Port, each, direction=_direction_from(each)) for each in message.ports)
+    return _value(
+        Transformation,
+        message,
+        parameters=parameters_from(message.parameters),
+        ports=tuple(ports),
     )
-
-
-# What runs
 
 
 def nodelet_message(nodelet: NodeletStatus) -> msg.Nodelet:
     """Convert a nodelet."""
-    return msg.Nodelet(
-        name=nodelet.name,
-        transformation=nodelet.transformation,
-        manager=nodelet.manager,
-        is_protected=nodelet.is_protected,
-        isolated=nodelet.isolated,
-        rewired_by_reload=nodelet.rewired_by_reload,
-        state=int(nodelet.state),
-        detail=nodelet.detail,
-        ports=[port_message(port) for port in nodelet.ports],
-        kind=nodelet.kind.value,
-        host=nodelet.host,
+    return _message(
+        msg.Nodelet,
+        nodelet,
+        ports=list(map(port_message, nodelet.ports)),
         parameters=_parameter_messages(nodelet.parameters),
     )
 
 
 def _nodelet_from(message: msg.Nodelet) -> NodeletStatus:
-    return NodeletStatus(
-        message.name,
-        message.transformation,
-        message.manager,
-        message.is_protected,
-        message.isolated,
-        message.rewired_by_reload,
-        State(message.state),
-        message.detail,
-        tuple(port_from(port) for port in message.ports),
-        parameters_from(message.parameters),
-        NodeletKind(message.kind),
-        message.host,
+    return _value(
+        NodeletStatus,
+        message,
+        state=State(message.state),
+        ports=tuple(map(port_from, message.ports)),
+        parameters=parameters_from(message.parameters),
+        kind=NodeletKind(message.kind),
     )
 
 
@@ -190,32 +173,29 @@ def model_from(message: msg.Model) -> Model:
     return Model(
         message.revision,
         message.library_revision,
-        tuple(_nodelet_from(each) for each in message.nodelets),
-        tuple(transformation_from(each) for each in message.transformations),
+        tuple(map(_nodelet_from, message.nodelets)),
+        tuple(map(transformation_from, message.transformations)),
     )
 
 
 def spawn_message(request: SpawnRequest) -> srv.SpawnRequest:
     """Convert the request for a nodelet."""
-    return srv.SpawnRequest(
-        label=request.label,
-        name=request.name,
-        is_protected=request.is_protected,
-        isolated=request.isolated,
+    return _message(
+        srv.SpawnRequest,
+        request,
         config=config_message(request.config),
-        manager=request.manager,
         parameters=_parameter_messages(request.parameters),
     )
 
 
-# What it has done
+# Statistics
 
 
 def statistics_message(statistics: NodeletStatistics) -> srv.GetStatisticsResponse:
-    """Convert what a nodelet has done."""
-    return srv.GetStatisticsResponse(
-        uptime=Duration.from_sec(statistics.uptime),
-        reconfigurations=statistics.reconfigurations,
+    """Convert the statistics of a nodelet."""
+    return _message(
+        srv.GetStatisticsResponse,
+        statistics,
         callback_errors=statistics.callback_errors or 0,
         ports=[
             msg.PortStatistics(
@@ -234,36 +214,26 @@ def statistics_message(statistics: NodeletStatistics) -> srv.GetStatisticsRespon
 
 
 def statistics_from(answer: srv.GetStatisticsResponse) -> NodeletStatistics:
-    """Read what a nodelet has done; a rate of NaN says that nobody counts."""
+    """Read the statistics of a nodelet; a rate of NaN says that nothing is counted."""
     ports = tuple(map(_port_statistics_from, answer.ports))
     is_counted = all(each.rate is not None for each in ports)
-    return NodeletStatistics(
-        answer.uptime.to_sec(),
-        answer.reconfigurations,
-        answer.callback_errors if is_counted else None,
-        ports,
-    )
+    errors = answer.callback_errors if is_counted else None
+    return _value(NodeletStatistics, answer, callback_errors=errors, ports=ports)
 
 
 def _port_statistics_from(message: msg.PortStatistics) -> PortStatistics:
-    port = (message.port, _direction_from(message), message.topic)
+    direction = _direction_from(message)
     if math.isnan(message.rate):
-        return PortStatistics(*port, None, None, None, None, None)
-    return PortStatistics(
-        *port,
-        message.messages,
-        message.dropped,
-        message.rate,
-        message.mean_callback.to_sec(),
-        message.max_callback.to_sec(),
-    )
+        return PortStatistics(message.port, direction, message.topic, None, None, None, None, None)
+    return _value(PortStatistics, message, direction=direction)
 
 
 def counts_message(nodelet: str, statistics: NodeletStatistics) -> msg.NodeletCounts:
     """Convert a nodelet's part of the answer of ``get_counts``."""
-    return msg.NodeletCounts(
+    return _message(
+        msg.NodeletCounts,
+        statistics,
         nodelet=nodelet,
-        uptime=Duration.from_sec(statistics.uptime),
         ports=[
             msg.PortCount(
                 port=each.port,
@@ -282,116 +252,47 @@ def counts_message(nodelet: str, statistics: NodeletStatistics) -> msg.NodeletCo
 
 def stream_message(stream: StreamStatus) -> msg.StreamStatus:
     """Convert a claim."""
-    return msg.StreamStatus(
-        claim_id=stream.claim_id,
-        client_id=stream.client_id,
-        tag=stream.tag,
-        topic=stream.topic,
-        datatype=stream.datatype,
-        state=int(stream.state),
-        detail=stream.detail,
-        nodelets=list(stream.nodelets),
-        expires=Time.from_sec(stream.expires),
-        bindings=list(stream.bindings),
-    )
+    return _message(msg.StreamStatus, stream)
 
 
 def stream_from(message: msg.StreamStatus) -> StreamStatus:
     """Read a claim."""
-    return StreamStatus(
-        message.claim_id,
-        message.client_id,
-        message.tag,
-        message.topic,
-        message.datatype,
-        ClaimState(message.state),
-        message.detail,
-        tuple(message.nodelets),
-        message.expires.to_sec(),
-        tuple(message.bindings),
-    )
+    return _value(StreamStatus, message, state=ClaimState(message.state))
 
 
 def event_message(event: StreamEvent) -> msg.StreamEvent:
     """Convert a change of a claim."""
-    return msg.StreamEvent(
-        stamp=Time.from_sec(event.stamp),
-        before=msg.StreamStatus() if event.before is None else stream_message(event.before),
-        after=stream_message(event.after),
-        reason=event.reason,
-    )
+    before = msg.StreamStatus() if event.before is None else stream_message(event.before)
+    return _message(msg.StreamEvent, event, before=before, after=stream_message(event.after))
 
 
 def event_from(message: msg.StreamEvent) -> StreamEvent:
     """Read a change of a claim."""
-    return StreamEvent(
-        message.stamp.to_sec(),
-        stream_from(message.before) if message.before.claim_id else None,
-        stream_from(message.after),
-        message.reason,
-    )
+    before = stream_from(message.before) if message.before.claim_id else None
+    return _value(StreamEvent, message, before=before, after=stream_from(message.after))
 
 
 def acquire_message(request: StreamRequest, dry_run: bool) -> srv.AcquireStreamRequest:
     """Convert the request for a stream."""
-    return srv.AcquireStreamRequest(
-        tag=request.tag,
-        datatype=request.datatype,
-        client_id=request.client_id,
-        request_id=request.request_id,
-        bond_id=request.bond_id,
-        lease=Duration.from_sec(request.lease),
-        max_silence=request.max_silence,
-        exclude=list(request.exclude),
-        dry_run=dry_run,
-        min_rate=request.min_rate,
-        max_age=request.max_age,
-        prefer=list(request.prefer),
-        avoid=list(request.avoid),
-        budget=request.budget,
-    )
+    return _message(srv.AcquireStreamRequest, request, dry_run=dry_run)
 
 
 def acquire_from(message: srv.AcquireStreamRequest) -> StreamRequest:
     """Read the request for a stream; its lists are sorted."""
-    return StreamRequest(
-        tag=message.tag,
-        datatype=message.datatype,
-        client_id=message.client_id,
-        request_id=message.request_id,
-        bond_id=message.bond_id,
-        lease=message.lease.to_sec(),
-        max_silence=message.max_silence,
-        exclude=tuple(sorted(set(message.exclude))),
-        min_rate=message.min_rate,
-        max_age=message.max_age,
-        prefer=tuple(sorted(set(message.prefer))),
-        avoid=tuple(sorted(set(message.avoid))),
-        budget=message.budget,
-    )
+    labels = {
+        name: tuple(sorted(set(getattr(message, name)))) for name in ("exclude", "prefer", "avoid")
+    }
+    return _value(StreamRequest, message, **labels)
 
 
 def acquisition_message(got: Acquisition) -> srv.AcquireStreamResponse:
-    """Convert what became of the request for a stream."""
+    """Convert the answer to the request for a stream."""
     lines = [*filter(None, [got.message]), *(_WARNING + each for each in got.warnings)]
-    return srv.AcquireStreamResponse(
-        success=True,
-        message="\n".join(lines),
-        claim_id=got.claim_id,
-        topic=got.topic,
-        datatype=got.datatype,
-        spawned=list(got.spawned),
-        reused=list(got.reused),
-        cost=got.cost,
-        expires=Time.from_sec(got.expires),
-        plan=got.plan,
-        bindings=list(got.bindings),
-        least_cost=got.least_cost,
-    )
+    return _message(srv.AcquireStreamResponse, got, success=True, message="\n".join(lines))
 
 
 def acquisition_from(answer: srv.AcquireStreamResponse) -> Acquisition:
-    """Read what became of the request for a stream.
+    """Read the answer to the request for a stream.
 
     Raises:
         StreamRefused: it was refused.
@@ -399,46 +300,24 @@ def acquisition_from(answer: srv.AcquireStreamResponse) -> Acquisition:
     if not answer.success:
         raise StreamRefused(answer.message, Result(answer.result), answer.claim_id)
     lines = answer.message.splitlines()
-    return Acquisition(
-        answer.claim_id,
-        answer.topic,
-        answer.datatype,
-        tuple(answer.spawned),
-        tuple(answer.reused),
-        answer.cost,
-        answer.expires.to_sec(),
-        answer.plan,
-        "\n".join(line for line in lines if not line.startswith(_WARNING)),
-        tuple(line[len(_WARNING) :] for line in lines if line.startswith(_WARNING)),
-        tuple(answer.bindings),
-        answer.least_cost,
+    return _value(
+        Acquisition,
+        answer,
+        message="\n".join(line for line in lines if not line.startswith(_WARNING)),
+        warnings=tuple(line[len(_WARNING) :] for line in lines if line.startswith(_WARNING)),
     )
 
 
 def refusal_message(refusal: StreamRefused) -> srv.AcquireStreamResponse:
     """Convert the refusal of a stream."""
-    return srv.AcquireStreamResponse(
-        success=False,
-        result=int(refusal.result),
-        message=str(refusal),
-        claim_id=refusal.claim_id,
-    )
+    return _message(srv.AcquireStreamResponse, refusal, success=False, message=str(refusal))
 
 
 def replanned_message(replanned: Replanned) -> srv.ReplanStreamResponse:
-    """Convert what became of a claim that was planned again."""
-    return srv.ReplanStreamResponse(
-        success=True,
-        message=replanned.message,
-        spawned=list(replanned.spawned),
-        reused=list(replanned.reused),
-        cost=replanned.cost,
-        plan=replanned.plan,
-    )
+    """Convert the answer to the request for a new plan."""
+    return _message(srv.ReplanStreamResponse, replanned, success=True)
 
 
 def replanned_from(answer: srv.ReplanStreamResponse) -> Replanned:
-    """Read what became of a claim that was planned again."""
-    return Replanned(
-        tuple(answer.spawned), tuple(answer.reused), answer.cost, answer.plan, answer.message
-    )
+    """Read the answer to the request for a new plan."""
+    return _value(Replanned, answer)

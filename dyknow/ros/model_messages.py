@@ -77,8 +77,8 @@ class ModelMessages:
             return part
 
 
-class _ReadyModel(ModelMessage):
-    """A model that is serialised already; its fields are not filled in."""
+class _Ready:
+    """A message that is serialised already; its fields are not filled in."""
 
     def __init__(self, body: bytes) -> None:
         super().__init__()
@@ -89,16 +89,12 @@ class _ReadyModel(ModelMessage):
         buff.write(self._body)
 
 
-class _ReadyResponse(GetModelResponse):
-    """A response that is serialised already; its fields are not filled in."""
+class _ReadyModel(_Ready, ModelMessage):
+    pass
 
-    def __init__(self, body: bytes) -> None:
-        super().__init__()
-        self._body = body
 
-    def serialize(self, buff: Any) -> None:
-        """Write it."""
-        buff.write(self._body)
+class _ReadyResponse(_Ready, GetModelResponse):
+    pass
 
 
 def _bytes(message: Any) -> bytes:
