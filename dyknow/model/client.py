@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The interface to a DyKnow manager: everything outside the manager speaks with it through this.
+"""The interface to a DyKnow manager, which all of its clients use.
 
-``dyknow.ros.client.ManagerClient`` speaks with a manager of the ROS graph;
+``dyknow.ros.client.ManagerClient`` calls a manager of the ROS graph;
 ``dyknow.simulated.SimulatedManagerClient`` is one without ROS, for tests and pictures.
 """
 
@@ -22,7 +22,7 @@ class BaseManagerClient(ABC):
     """One DyKnow manager, and the proxies of its nodelets.
 
     Every method may block and raises ``DyKnowError``: ``Refused`` when the answer is no, in the
-    manager's or the nodelet's words; ``HostError`` when nobody is there to answer; ``PeerTimeout``
+    manager's or the nodelet's words; ``HostError`` when it cannot be reached; ``PeerTimeout``
     when no answer comes in time.
 
     Attributes:
@@ -35,7 +35,7 @@ class BaseManagerClient(ABC):
 
     @abstractmethod
     def add_transformation(self, specification: str) -> Added:
-        """Add what a specification (XML text) says."""
+        """Add the transformations of a specification (XML text)."""
 
     @abstractmethod
     def remove_transformation(self, label: str) -> None:
@@ -77,21 +77,21 @@ class BaseManagerClient(ABC):
 
     @abstractmethod
     def get_model(self) -> Model:
-        """Ask what runs and what can run."""
+        """Return the nodelets and the transformations."""
 
     def get_graph(self) -> Model:
-        """Ask what runs; the transformations, which may be many, may be left out."""
+        """Return the nodelets; the transformations, which may be many, may be left out."""
         return self.get_model()
 
     @abstractmethod
     def nodelet_managers(self) -> Sequence[str]:
-        """Ask for the global names of the nodelet managers that are up, sorted."""
+        """Return the global names of the nodelet managers that are up, sorted."""
 
     # Proxies
 
     @abstractmethod
     def get_config(self, nodelet: str) -> Tuple[PortState, ...]:
-        """Ask a nodelet for its ports; it does not know their tags."""
+        """Return the ports of a nodelet, without their tags."""
 
     @abstractmethod
     def set_config(self, nodelet: str, config: Mapping[str, str]) -> None:
@@ -99,13 +99,13 @@ class BaseManagerClient(ABC):
 
     @abstractmethod
     def get_statistics(self, nodelet: str) -> NodeletStatistics:
-        """Ask a nodelet what it has done."""
+        """Return the counts of a nodelet."""
 
     # Streams
 
     @abstractmethod
     def acquire_stream(self, request: StreamRequest, dry_run: bool = False) -> Acquisition:
-        """Ask for a stream, or with ``dry_run`` for how it would be made.
+        """Request a stream, or with ``dry_run`` only its plan.
 
         Raises:
             StreamRefused: it cannot be made now; the claim that it names waits until it can.
@@ -113,11 +113,11 @@ class BaseManagerClient(ABC):
 
     @abstractmethod
     def release_stream(self, claim_id: str) -> None:
-        """End a claim; ending it again is no error."""
+        """End a claim; ending it again has no effect."""
 
     @abstractmethod
     def renew_stream(self, claim_id: str, lease: float) -> float:
-        """Let a claim live for so many seconds from now, 0 for until it is released.
+        """Renew the lease of a claim: seconds from now, 0 for until it is released.
 
         Returns:
             When it ends, in seconds of ROS time; 0 for until it is released.
@@ -125,17 +125,17 @@ class BaseManagerClient(ABC):
 
     @abstractmethod
     def replan_stream(self, claim_id: str, dry_run: bool = False) -> Replanned:
-        """Take the way that is the cheapest now, or with ``dry_run`` ask which that is."""
+        """Switch to the cheapest plan of now, or with ``dry_run`` only describe it."""
 
     @abstractmethod
     def list_streams(self) -> Tuple[StreamStatus, ...]:
-        """Ask for all claims, those that ended lately too."""
+        """Return all claims, and those that ended lately."""
 
     @abstractmethod
     def find_bindings(self, tag: str, datatype: str = "") -> Tuple[str, ...]:
-        """Ask for which names a stream of a tag is there or can be made.
+        """Return the bindings under which a stream of a tag exists or can be made.
 
         Returns:
-            For each way what the variables stand for, such as ``?camera=left, ?robot=nao``. A tag
-            without variables has one way, the empty text, or none.
+            For each binding its variables, such as ``?camera=left, ?robot=nao``. A tag without
+            variables has one binding, the empty text, or none.
         """

@@ -22,7 +22,7 @@ class State(enum.IntEnum):
 
 
 class NodeletKind(enum.Enum):
-    """What something with ports is; the values are those of ``dyknow_msgs/Nodelet``."""
+    """Kind of an object with ports; the values are those of ``dyknow_msgs/Nodelet``."""
 
     PYTHON = "nodelet"
     CPP = "cpp_nodelet"
@@ -52,7 +52,7 @@ class NodeletKind(enum.Enum):
 
     @property
     def title(self) -> str:
-        """What people call it."""
+        """Display name."""
         return _TITLES[self]
 
 
@@ -102,8 +102,8 @@ class NodeletStatus:
 
     Attributes:
         name: global name.
-        transformation: label of the transformation that it was made from; empty if others loaded
-            it.
+        transformation: label of the transformation that it was made from; empty if another
+            client loaded it.
         manager: nodelet manager that hosts it; empty for a node in a process of its own.
         is_protected: whether ``destroy`` refuses it.
         isolated: whether it has a process of its own.
@@ -113,8 +113,8 @@ class NodeletStatus:
         detail: why it does not, in words.
         ports: in the order in which the nodelet made them.
         parameters: those that were given to it when it was spawned, by name.
-        kind: what it is.
-        host: machine that it runs on, as ROS names it; empty if that is not known.
+        kind: Python or C++, nodelet, script or node.
+        host: machine that it runs on, as ROS names it; empty if unknown.
     """
 
     name: str
@@ -143,7 +143,7 @@ class NodeletStatus:
 
     @property
     def request(self) -> SpawnRequest:
-        """What makes it again as it is; an isolated one gets another process of its own."""
+        """The request that makes it again; an isolated one gets another process of its own."""
         return SpawnRequest(
             self.transformation,
             self.name,
@@ -167,7 +167,7 @@ class Model:
         revision: grows with every change of the nodelets, over restarts too.
         library_revision: grows with every change of the transformations.
         nodelets: by name.
-        transformations: by label; empty where only the graph was asked for.
+        transformations: by label; empty where only the graph was requested.
     """
 
     revision: int
@@ -182,7 +182,7 @@ class Model:
 
 @dataclass(frozen=True)
 class SpawnRequest:
-    """What a spawn asks for.
+    """A request for a new nodelet.
 
     Attributes:
         label: of the transformation.
@@ -192,7 +192,7 @@ class SpawnRequest:
         isolated: give it a process of its own.
         manager: nodelet manager to use; empty for the manager's choice.
         parameters: names override the transformation's parameters, variables such as ``?camera``
-            say what fills them; an empty type is the transformation's, or follows from the text.
+            carry their names; an empty type is the transformation's, or follows from the text.
     """
 
     label: str

@@ -27,7 +27,7 @@ Pieces = Tuple[Union[str, Placeholder], ...]
 
 
 def cut(text: str) -> Pieces:
-    """Cut a text at its placeholders; what is between them is plain.
+    """Cut a text at its placeholders; the pieces between them are plain.
 
     Raises:
         ValueError: a placeholder does not end.

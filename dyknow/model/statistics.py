@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What nodelets have done, as values."""
+"""Counts of nodelets and ports, as values."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Optional, Tuple
 
 @dataclass(frozen=True)
 class PortStatistics:
-    """What went through a port since its nodelet was loaded; None where nobody counts.
+    """Messages of a port since its nodelet was loaded; None where they are not counted.
 
     Attributes:
         port: its name.
@@ -22,9 +22,9 @@ class PortStatistics:
         rate: Hz over the last messages; 0 for less than two, falling while none come.
         mean_callback: seconds that a callback takes on average; 0 for an out-port.
         max_callback: seconds that the longest callback took.
-        latched: an out-port that keeps a message for whoever connects later.
+        latched: an out-port that keeps a message for subscribers that connect later.
         age: seconds between the stamp and the publishing of the first message that an out-port
-            sent after the last question; None where that is not known.
+            sent after the last query; None where that is unknown.
     """
 
     port: str
@@ -41,13 +41,13 @@ class PortStatistics:
 
 @dataclass(frozen=True)
 class NodeletStatistics:
-    """What a nodelet has done since it was loaded.
+    """Counts of a nodelet since it was loaded.
 
     Attributes:
         uptime: seconds, steady.
         reconfigurations: how often its ports were connected elsewhere.
-        callback_errors: callbacks that raised; None where nobody counts.
-        ports: what went through each port.
+        callback_errors: callbacks that raised; None where they are not counted.
+        ports: the counts of each port.
     """
 
     uptime: float

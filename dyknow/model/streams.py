@@ -23,7 +23,7 @@ class ClaimState(enum.IntEnum):
 
     @property
     def ended(self) -> bool:
-        """Whether nothing will come of it any more."""
+        """True once the claim is RELEASED or EXPIRED."""
         return self in (ClaimState.RELEASED, ClaimState.EXPIRED)
 
 
@@ -36,22 +36,22 @@ UNKNOWN_AGE = "not known how old messages are: they bear no stamp, or nobody tel
 
 @dataclass(frozen=True)
 class StreamRequest:
-    """What a client asks for.
+    """A client's request for a stream.
 
     Attributes:
         tag: a term, such as ``FieldPosition(ball)``.
         datatype: ROS type; empty for any.
-        client_id: who asks.
+        client_id: name of the client.
         request_id: the same request again gets the same claim; empty: every request is a new one.
-        bond_id: bond of the client, for whoever watches it; empty: there is none.
+        bond_id: the client's bond, which the manager watches; empty for none.
         lease: seconds until the claim ends unless it is renewed; 0 for until it is released.
         max_silence: seconds without a message after which a part counts as broken; 0: never.
         exclude: labels of transformations that must not be used.
         min_rate: Hz below which the stream is too slow; 0: any rate will do.
         max_age: seconds beyond which messages are too old when they are sent, by the stamps in
             their headers; 0: any age will do.
-        prefer: concepts or labels; what belongs to them is used where there is a choice.
-        avoid: concepts or labels; what belongs to them is used only where there is no choice.
+        prefer: concepts or labels of parts to use where there is a choice.
+        avoid: concepts or labels of parts to use only where there is no choice.
         budget: seconds for the improvement of the plan; 0 for the default.
     """
 
@@ -74,8 +74,8 @@ class StreamRequest:
 class StreamStatus:
     """A claim as the manager shows it; the fields are those of ``dyknow_msgs/StreamStatus``.
 
-    ``expires`` is in seconds of ROS time, 0 for until released; ``bindings`` says what the
-    variables of the tag stand for, each as ``?camera=left``.
+    ``expires`` is in seconds of ROS time, 0 for until released; ``bindings`` has the
+    values of the tag's variables, each as ``?camera=left``.
     """
 
     claim_id: str
@@ -91,7 +91,7 @@ class StreamStatus:
 
     @property
     def bound_tag(self) -> str:
-        """The tag and what its variables stand for: ``Image(?camera) ?camera=left``."""
+        """The tag and the values of its variables: ``Image(?camera) ?camera=left``."""
         return " ".join([self.tag, *self.bindings])
 
 
@@ -103,7 +103,7 @@ class StreamEvent:
         stamp: ROS time in seconds.
         before: the claim as it was; None for a new one.
         after: the claim as it is.
-        reason: what brought the change about.
+        reason: cause of the change.
     """
 
     stamp: float
@@ -118,8 +118,8 @@ class Acquisition:
 
     Attributes:
         message: the detail of the claim.
-        warnings: what is probably not meant; in the service they are lines of the message.
-        bindings: what the variables of the tag stand for, each as ``?camera=left``.
+        warnings: probable mistakes; in the service they are lines of the message.
+        bindings: values of the tag's variables, each as ``?camera=left``.
         least_cost: no plan costs less; if it is the cost, the plan is proven to cost least.
     """
 

@@ -41,8 +41,8 @@ class Port(NamedTuple):
         datatype: The ROS type, such as `sensor_msgs/Image`; empty when it is not stated.
         tags: Semantic descriptions of the stream, in the order written.
         rate: Messages a second that an out-port sends, in Hz; 0 when it is not stated.
-        latency: Seconds that its nodelet adds to the age of what an out-port sends; 0 when it is
-            not stated, too.
+        latency: Seconds that its nodelet adds to the age of an out-port's messages; 0 when it is
+            not stated.
     """
 
     name: str
@@ -62,7 +62,7 @@ class Program(NamedTuple):
     Attributes:
         package: the name of a package.
         executable: the name of a program in it.
-        arguments: what the program is given.
+        arguments: its command-line arguments.
     """
 
     package: str
@@ -74,7 +74,7 @@ class Program(NamedTuple):
         """Read a source: `package/executable` and arguments, quoted as in a shell.
 
         Raises:
-            ValueError: it is something else; the text says what is wrong.
+            ValueError: it is something else; the text names the fault.
         """
         first, *arguments = shlex.split(source) or [""]
         found = _PROGRAM.match(first)
@@ -94,7 +94,7 @@ class Program(NamedTuple):
 
 
 class Transformation(NamedTuple):
-    """A blueprint for nodelets and nodes, or a description of what others run.
+    """A blueprint for nodelets and nodes, or a description of an external node or topic.
 
     These are values: equal when they say the same, safe to share between threads. They are
     named tuples because a library may hold hundreds of thousands of them.
@@ -104,11 +104,11 @@ class Transformation(NamedTuple):
         source: The nodelet's plugin name, `package/Class`; of a node `package/executable`, with
             its arguments as in a shell; the topic if `type` is `topic`.
         type: `nodelet`, `node` or `topic`.
-        cost: What a nodelet of this kind costs the planner, 0 to 2**32 - 1.
-        parameters: What is set before the load, in the order written.
-        ports: What can be connected, in the order written.
+        cost: Cost of such a nodelet in a plan, 0 to 2**32 - 1.
+        parameters: Parameters to set before the load, in the order written.
+        ports: The ports, in the order written.
         isolated: Whether a nodelet gets a process of its own, unless the spawn says where it goes.
-        node: Global name of the node of others that this describes; empty for a blueprint.
+        node: Global name of the external node that this describes; empty for a blueprint.
     """
 
     label: str
@@ -122,7 +122,7 @@ class Transformation(NamedTuple):
 
     @property
     def is_described(self) -> bool:
-        """Whether it describes what others run, and nothing can be made of it."""
+        """True for external nodes and topics, which cannot be spawned."""
         return self.type == TOPIC or bool(self.node)
 
     def to_xml(self) -> str:
@@ -147,11 +147,11 @@ class Transformation(NamedTuple):
 
 @dataclass(frozen=True)
 class Added:
-    """What a specification added to the library.
+    """The outcome of adding a specification to the library.
 
     Attributes:
-        labels: of what was added or replaced, sorted.
-        warnings: what is probably a mistake, one a line.
+        labels: of the added or replaced transformations, sorted.
+        warnings: probable mistakes, one a line.
     """
 
     labels: Tuple[str, ...]
@@ -160,7 +160,7 @@ class Added:
 
 def _param_xml(parameter: Parameter) -> str:
     name, type_, text = parameter
-    # Templates leave placeholders, and what is written before `{?`, as they are.
+    # Templates leave placeholders, and dollars before `{?`, as they are.
     written = _escaped(re.sub(r"\$\{(?!\?)", "$${", text))
     return f'<param name={_attribute(name)} type="{type_}">{written}</param>'
 

@@ -37,7 +37,7 @@ _DATATYPE = re.compile(r"[A-Za-z][A-Za-z0-9_]*/[A-Za-z][A-Za-z0-9_]*\Z")
 #: Rates and latencies have at most six decimal places, and are no larger than this.
 _DECIMAL = re.compile(r"(?=.{1,20}\Z)\+?([0-9]+(\.[0-9]{0,6})?|\.[0-9]{1,6})\Z")
 _MAX_DECIMAL = 1_000_000
-#: What out-ports may state, each with the least value and with what is expected.
+#: Numbers that out-ports may state, each with the least value and the expected text.
 _STATED = {
     "rate": (1e-6, "Hz above 0, such as 30 or 0.5"),
     "latency": (0.0, "seconds from 0, such as 0.05"),
@@ -318,7 +318,7 @@ class Builder:
 
 @lru_cache(maxsize=4096)
 def _name_trouble(name: str) -> Tuple[str, str]:
-    """Return what is wrong and what is doubtful about a name; empty texts for a ROS name."""
+    """Return the fault of a name and the doubt about it; empty texts for a ROS name."""
     if not name:
         return "is empty", ""
     if name.split() != [name]:

@@ -3,7 +3,7 @@
 
 """Collects the problems of a text, so that all are reported at once, and words them.
 
-Messages quote what was found; long texts and long lists are shortened.
+Messages quote the text; long texts and long lists are shortened.
 """
 
 from __future__ import annotations

@@ -46,7 +46,7 @@ def undeclared(transformation: Optional[Transformation], given: Iterable[Paramet
 
 
 def filling(transformation: Transformation, bindings: Mapping[str, str]) -> Tuple[Parameter, ...]:
-    """Return what has to be given to a nodelet so that its parameters are filled."""
+    """Return the given parameters that fill the placeholders of a nodelet's parameters."""
     used = sorted(filling_variables(transformation))
     return tuple(Parameter(variable, "string", bindings[variable]) for variable in used)
 
@@ -74,9 +74,9 @@ def completed(
     """Check parameters that are given to a nodelet.
 
     Args:
-        transformation: what the nodelet is made from.
+        transformation: blueprint of the nodelet.
         given: where the type is empty, it is the transformation's or follows from the text.
-        ontology: what is a kind of what; None: the types of variables are not checked.
+        ontology: subsumption of names; None: the types of variables are not checked.
 
     Returns:
         The same with their types, by name.
@@ -118,10 +118,10 @@ def completed(
 def set_on_load(
     transformation: Transformation, given: Sequence[Parameter]
 ) -> Tuple[Parameter, ...]:
-    """Return what is set in the namespace of a nodelet before it is loaded.
+    """Return the parameters to set in a nodelet's namespace before it is loaded.
 
     Args:
-        transformation: what the nodelet is made from.
+        transformation: blueprint of the nodelet.
         given: parameters that were given to the nodelet, with their types.
 
     Raises:

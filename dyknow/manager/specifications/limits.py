@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Limits of what is read, so that a hostile text cannot exhaust the manager's memory.
+"""Limits of specifications, so that a hostile text cannot exhaust the manager's memory.
 
 ``dyknow.guards.Guards`` limits requests in general; the page on security lists all limits.
 """

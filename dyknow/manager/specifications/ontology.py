@@ -3,8 +3,8 @@
 
 """Ontologies: the individuals of classes, and the subclass relation.
 
-The files are read once, with rdflib, into plain dictionaries. Only local files are read. What is
-not read of them is listed in `warnings`.
+The files are read once, with rdflib, into plain dictionaries. Only local files are read. Skipped
+statements are listed in `warnings`.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Ontology:
     `BallObject(nao1)` are names. All names of a class or individual are equivalent.
 
     Attributes:
-        warnings: What the files state that is not read, and what is doubtful in them.
+        warnings: Statements that were skipped, and doubtful ones.
     """
 
     def __init__(
@@ -38,7 +38,7 @@ class Ontology:
         individuals: Naming,
         warnings: Sequence[Problem] = (),
     ) -> None:
-        """Take what was read; `load_ontology` reads it."""
+        """Use `load_ontology`, which reads the files."""
         self.warnings: Tuple[Problem, ...] = tuple(warnings)
         self._hierarchy = statements.hierarchy
         shared: Dict[FrozenSet[str], FrozenSet[str]] = {}

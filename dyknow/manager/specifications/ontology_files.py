@@ -173,7 +173,7 @@ class Catalogues:
         """Return the local file of an ontology; None if no catalogue names one.
 
         Args:
-            uri: what is imported.
+            uri: URI of the imported ontology.
             importer: the file that imports it; the catalogue beside it is asked too.
 
         Raises:

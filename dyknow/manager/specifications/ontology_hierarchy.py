@@ -3,10 +3,10 @@
 
 """Subsumption among classes, as statements about classes entail it.
 
-A union is a superclass of each of its parts, and a subclass of what all of them are subclasses
-of. An intersection is a subclass of each of its parts, and contains what is in all of them. All
-this is found by following the rules from the classes in question; only what the parts of unions
-have in common is found in advance, so a large ontology loads quickly.
+A union is a superclass of each of its parts, and a subclass of all that its parts have in common.
+An intersection is a subclass of each of its parts, and contains the individuals that are in all of
+them. These rules are followed from the queried classes; only the common superclasses of unions are
+found in advance, so a large ontology loads quickly.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from __future__ import annotations
 from typing import Dict, Iterable, Iterator, List, Mapping, Set, Tuple
 
 _Edges = Dict[str, Set[str]]
-#: The classes that are visited at most to find what the parts of unions have in common.
+#: Most classes to visit when the common superclasses of unions are found.
 VISITS = 5_000_000
 
 
 class Hierarchy:
-    """Classes by their keys, with what was said of them; cycles are allowed."""
+    """Classes by their keys, with the statements about them; cycles are allowed."""
 
     def __init__(self) -> None:
         self._above: _Edges = {}
@@ -50,17 +50,17 @@ class Hierarchy:
         self._below[upper].add(lower)
 
     def add_intersection(self, whole: str, parts: Iterable[str]) -> None:
-        """State that a class is the intersection of others."""
+        """State that a class is the intersection of its parts."""
         parts = sorted(set(parts))
         for part in parts:
             self.add_subclass(whole, part)
             self._intersections_of.setdefault(part, []).append(len(self._intersections))
         self._intersections.append((whole, len(parts)))
-        # What is in the intersection is in each part, so one of them leads to all candidates.
+        # Its individuals are in each part, so one part leads to all candidates.
         self._parts.setdefault(whole, []).extend(parts[:1])
 
     def add_union(self, whole: str, parts: Iterable[str]) -> None:
-        """State that a class is the union of others."""
+        """State that a class is the union of its parts."""
         parts = sorted(set(parts))
         for part in parts:
             self.add_subclass(part, whole)
@@ -88,7 +88,7 @@ class Hierarchy:
                     common = common & found if common else found
                     if visits < 0:
                         return False
-                    if len(common) == len(known):  # what is above the union is above each part
+                    if len(common) == len(known):  # a superclass of the union is above each part
                         break
                 for upper in common - known:
                     self.add_subclass(whole, upper)

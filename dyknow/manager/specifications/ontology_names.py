@@ -42,7 +42,7 @@ def list_members(
         seen: the nodes of the lists that were read; those of this one are added.
 
     Raises:
-        ValueError: it is no complete list, or shares nodes with another one or itself.
+        ValueError: it is not a complete list, or shares nodes with another one or itself.
     """
     members: List[rdflib.term.Node] = []
     while head != RDF.nil:
@@ -251,7 +251,7 @@ class Naming:
         return iter(self._sorted)
 
     def get(self, name: str) -> Optional[str]:
-        """Return what a name stands for; None if that is nothing."""
+        """Return the entity of a name, or None."""
         return self._entities.get(name)
 
     def names(self, entity: str) -> Iterator[str]:
@@ -267,7 +267,7 @@ class Naming:
         return sorted(each for each in both if self._entities[each] != other._entities[each])
 
     def _add(self, names: Iterable[Tuple[str, str]]) -> Dict[str, List[str]]:
-        """Add what names one entity only, and return the rest."""
+        """Add the names of one entity only, and return the rest."""
         owners: Dict[str, Set[str]] = {}
         for name, entity in names:
             if name not in self._entities:

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Warnings about an ontology: what is not read, and names that are doubtful, with file and line.
+"""Warnings about an ontology: skipped statements and doubtful names, with file and line.
 
 rdflib does not keep lines, so they are searched: the nearest place after a mention of the term
 where the construct is named.
@@ -62,7 +62,7 @@ class Remarks:
         self._note(next(iter(self._files)), "unionOf", "", message)
 
     def names(self, labels: Labels, classes: Naming, individuals: Naming) -> None:
-        """Note the names that are no labels in the preferred language."""
+        """Note the names that are not labels in the preferred language."""
         for label, entities in labels.left.items():
             for entity in entities:
                 message = (

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Reads what an ontology states about classes and individuals.
+"""Reads the statements of an ontology about classes and individuals.
 
-Class expressions are blank nodes, and classes like any other: what is stated of them takes part in
-the hierarchy, they only have no name. Of restrictions owl:someValuesFrom takes
+Class expressions are blank nodes, and classes without a name: statements about them take part in
+the hierarchy. Of restrictions owl:someValuesFrom takes
 part too; any other one is a class of which nothing is known, so an intersection with one is a
 subclass of its other parts and contains nothing by itself.
 """
@@ -44,7 +44,7 @@ class UnreadExpression(NamedTuple):
 
 
 class OntologyStatements:
-    """What the files of an ontology state.
+    """The statements of an ontology's files.
 
     Attributes:
         hierarchy: the classes.
@@ -60,7 +60,7 @@ class OntologyStatements:
         """Take the statements of a file.
 
         Returns:
-            What is not read of it, each expression once.
+            The skipped expressions, each once.
 
         Raises:
             OntologyFileError: a list in the file is malformed.
@@ -69,16 +69,16 @@ class OntologyStatements:
         return _Reading(file, self.hierarchy, self.types).unread
 
     def complete(self, visits: int = VISITS) -> bool:
-        """Find what follows from properties, and from what the parts of unions have in common.
+        """Add the consequences of properties and of unions.
 
-        Domains and ranges are classes of what a property relates. Whatever has some relative of
+        Domains and ranges are classes of the related individuals. A class with some relative of
         one class has some relative of each class above it.
 
         Args:
             visits: the classes to visit at most.
 
         Returns:
-            Whether that was enough; else only some of what follows was found.
+            Whether that was enough; else only some consequences were found.
         """
         properties = _Properties(self._graphs)
         self._add_relatives(properties)
@@ -124,7 +124,7 @@ class OntologyStatements:
 
 
 class _Properties:
-    """The properties of an ontology, with what is stated of them."""
+    """The properties of an ontology, with their statements."""
 
     def __init__(self, graphs: Sequence[rdflib.Graph]) -> None:
         self._graphs = graphs
@@ -176,7 +176,7 @@ class _Reading:
         self._graph = file.graph
         self._hierarchy = hierarchy
         self._types = types
-        #: The expressions by what they describe: a class, an individual, or another expression.
+        #: Expressions by the class, individual or expression that they describe.
         self._described: List[Tuple[rdflib.term.Node, rdflib.BNode]] = []
         self._data = {node for kind in _DATA for node in file.graph.subjects(RDF.type, kind)}
         self._read_types()
@@ -273,7 +273,7 @@ class _Reading:
                         yield UnreadExpression(str(owner), self._word(each))
 
     def _same(self) -> Iterator[UnreadExpression]:
-        """Find what is said to be the same individual, which is not read."""
+        """Find owl:sameAs, which is skipped."""
         for node, _ in self._graph.subject_objects(OWL.sameAs):
             yield UnreadExpression(node_key(node), "sameAs")
 

@@ -44,7 +44,7 @@ class ParameterDraft(NamedTuple):
 
 
 class PortDraft(NamedTuple):
-    """A `<port>`; what was left out of its attributes is empty."""
+    """A `<port>`; missing attributes are empty."""
 
     name: str
     direction: str
@@ -64,7 +64,7 @@ class TagDraft(NamedTuple):
 
 @dataclass
 class TransformationDraft:
-    """One `<transformation>` as read; what was left out, or could not be read, is None or empty.
+    """One `<transformation>` as read; missing or unreadable values are None or empty.
 
     Attributes:
         line: The line of the start tag.

@@ -24,7 +24,7 @@ class Specifications:
 
     Attributes:
         transformations: The transformations, templates expanded, in the order written.
-        warnings: What is accepted, but probably a mistake.
+        warnings: Accepted texts that are probably mistakes.
     """
 
     transformations: Tuple[Transformation, ...]
@@ -38,7 +38,7 @@ class Report:
     Attributes:
         labels: The labels of the transformations; empty if there are problems.
         problems: Why the text would be refused; empty if it would be accepted.
-        warnings: What is accepted, but probably a mistake.
+        warnings: Accepted texts that are probably mistakes.
     """
 
     labels: Tuple[str, ...]

@@ -43,7 +43,7 @@ class Term(NamedTuple):
     """A functor and its arguments.
 
     Attributes:
-        functor: what the stream is.
+        functor: kind of the stream.
         args: names; an argument that begins with ``?`` is a variable, without its type.
         types: for each argument the concept that restricts it, or an empty text; nothing at all
             if no argument has a type.
@@ -72,7 +72,7 @@ class Term(NamedTuple):
         return tuple(dict.fromkeys(arg for arg in self.args if arg[:1] == "?"))
 
     def substitute(self, bindings: Mapping[str, str]) -> Term:
-        """Put names in the places of variables; others stay, with their types."""
+        """Put names in the places of variables; unbound ones stay, with their types."""
         args = tuple(bindings.get(arg, arg) for arg in self.args)
         types = tuple("" if arg[:1] != "?" else type_ for arg, type_ in zip(args, self.types))
         return Term(self.functor, args, types if any(types) else ())
@@ -108,7 +108,7 @@ def parse_tag(text: str) -> Term:
     """Read a term.
 
     Raises:
-        InvalidTag: it is no term; the error says what was expected.
+        InvalidTag: it is not a term; the error names the expected form.
         InvalidType: it would be one but for the type of a variable.
     """
     if len(text) > MAX_LENGTH:
@@ -142,7 +142,7 @@ def _variable(text: str, arg: str) -> Tuple[str, str]:
 
 @lru_cache(maxsize=_REMEMBERED)
 def read_tags(texts: Tuple[str, ...]) -> Tuple[Term, ...]:
-    """Read the tags of a port; a text that is no term is ignored."""
+    """Read the tags of a port; texts that are not terms are ignored."""
     found = []
     for text in texts:
         try:
@@ -166,10 +166,10 @@ def unify(
     """Match a supplied tag, which is ground, with a demanded one.
 
     Args:
-        supplied: what there is.
-        demanded: what is asked for.
-        ontology: what is a kind of what.
-        bindings: what variables stand for already.
+        supplied: the tag of a stream.
+        demanded: the tag of a demand.
+        ontology: subsumption of names.
+        bindings: values of variables that are bound already.
 
     Returns:
         The bindings and those of the variables that the demanded tag binds first, each to the

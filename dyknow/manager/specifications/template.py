@@ -44,7 +44,7 @@ _Terms = Sequence[Tuple[str, ...]]
 
 
 class Concepts(Subsumption, Protocol):
-    """What specifications need of an ontology."""
+    """The part of an ontology that specifications need."""
 
     def individuals(self, concept: str) -> Tuple[str, ...]:
         """Return the labels of a class's individuals, sorted, or raise an `OntologyError`."""

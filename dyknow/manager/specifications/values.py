@@ -31,7 +31,7 @@ _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 class BadValue(ValueError):
-    """A text is no value of its type; the message says what was expected."""
+    """A text is not a value of its type; the message names the expected form."""
 
 
 def infer_type(text: str) -> str:
@@ -52,7 +52,7 @@ def parse_value(type_: str, text: str, limits: SpecificationLimits = DEFAULT_LIM
         limits: The caps on YAML.
 
     Returns:
-        What the parameter server is to hold.
+        The value for the parameter server.
 
     Raises:
         BadValue: The text is not of this type, or the parameter server cannot hold it.
@@ -75,7 +75,7 @@ def parse_value(type_: str, text: str, limits: SpecificationLimits = DEFAULT_LIM
 
 
 def value_of(parameter: Parameter) -> Value:
-    """Return what the parameter server is to hold; lists and mappings are the caller's own."""
+    """Return the value for the parameter server; lists and mappings are the caller's own."""
     return parse_value(parameter.type, parameter.text)
 
 

@@ -71,10 +71,10 @@ def _check_size(size: int, limits: SpecificationLimits) -> None:
 def explain(
     error: expat.ExpatError, open_elements: List[Tuple[str, int]], roots: str
 ) -> Unreadable:
-    """Say where expat stopped, and what was expected.
+    """Return an error with the place and the expected text.
 
     Args:
-        error: What expat raised.
+        error: The error of expat.
         open_elements: Names and lines of the open elements, outermost first.
         roots: The elements that the text may start with, in words.
     """
@@ -208,7 +208,7 @@ class XmlReader:
         self._parser.XmlDeclHandler = self._declaration
 
     def read(self, text: Union[str, bytes]) -> Iterator[None]:
-        """Read a text; yield after each part, so that the caller can take what it contained.
+        """Read a text; yield after each part, so that the caller can take its content.
 
         Args:
             text: the XML, as characters or as UTF-8.
