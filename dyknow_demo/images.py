@@ -9,7 +9,8 @@ into its array; a published message must not be changed any more.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Tuple
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, List, Tuple
 
 import numpy as np
 from sensor_msgs.msg import Image
@@ -22,9 +23,18 @@ if TYPE_CHECKING:
 else:
     Pixels = np.ndarray  # the numpy of Ubuntu 20.04 has no numpy.typing
 
+#: Where real camera frames may lie: beside the checkout.
+SHARED_FRAMES = Path(__file__).resolve().parents[2] / "shared" / "data" / "robocup_msl"
+_SUFFIXES = (".jpg", ".jpeg", ".png")
+
 #: Channels of the encodings with 8 bits a channel that the demonstration uses; a pixel of yuv422
 #: has Y and one of U and V.
 CHANNELS = {"bgr8": 3, "rgb8": 3, "mono8": 1, "8UC1": 1, "8UC3": 3, "yuv422": 2}
+
+
+def image_files(folder: Path) -> List[Path]:
+    """Image files of a folder, sorted."""
+    return sorted(each for each in folder.iterdir() if each.suffix.lower() in _SUFFIXES)
 
 
 def channels_of(encoding: str) -> int:

@@ -9,6 +9,7 @@ order, however the demonstration ends.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import socket
@@ -141,6 +142,12 @@ def check_real_time() -> None:
     master, name = Master(NAMESPACE), "/use_sim_time"
     if master.ask("hasParam", name) and master.ask("getParam", name):
         raise DyKnowError(f"{name} is set, but what the demonstration measures needs real time")
+
+
+def forget_parameters() -> None:
+    """Delete the parameters of what was started."""
+    with contextlib.suppress(LookupError, PeerTimeout):
+        Master(NAMESPACE).ask("deleteParam", NAMESPACE)
 
 
 def find_master(processes: Processes) -> str:

@@ -19,13 +19,7 @@ from dyknow_demo import images
 from dyknow_demo.field import render
 from dyknow_demo.rewiring.frame_names import FrameName
 
-_SUFFIXES = (".jpg", ".jpeg", ".png")
 _RENDERED = 60
-
-
-def image_files(folder: Path) -> List[Path]:
-    """Image files of a folder, sorted."""
-    return sorted(each for each in folder.iterdir() if each.suffix.lower() in _SUFFIXES)
 
 
 class Camera(dyknow.Nodelet):
@@ -63,7 +57,7 @@ class Camera(dyknow.Nodelet):
         if not given:
             return [images.image_of(pixels, "bgr8") for pixels in render(_RENDERED)]
         if isinstance(given, str):
-            files = image_files(Path(given)) if Path(given).is_dir() else []
+            files = images.image_files(Path(given)) if Path(given).is_dir() else []
         else:
             files = [Path(each) for each in given]
         decoded = [cv2.imread(str(file), cv2.IMREAD_COLOR) for file in files]

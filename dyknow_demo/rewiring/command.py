@@ -11,7 +11,6 @@ from typing import Any, List, Sequence, Tuple
 
 from dyknow.errors import DyKnowError, HostError, Refused
 from dyknow_demo.options import positive
-from dyknow_demo.shared_frames import SHARED_FRAMES
 
 
 def run(arguments: Sequence[str]) -> bool:
@@ -100,7 +99,7 @@ def _run(options: Any) -> bool:
 
 def _frames(options: Any) -> Tuple[List[List[Path]], str]:
     """Deal the image files out to two cameras, and say where they come from."""
-    from dyknow_demo.nodelets.camera import image_files
+    from dyknow_demo.images import SHARED_FRAMES, image_files
 
     folder = options.frames or (SHARED_FRAMES if SHARED_FRAMES.is_dir() else None)
     files = image_files(folder) if folder is not None and not options.rendered else []

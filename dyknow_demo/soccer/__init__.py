@@ -3,10 +3,7 @@
 
 """The soccer case study: where is the ball on the field?
 
-Bottom to top: geometry (``rigid``, ``pinhole``, ``nao``, ``ceiling``), the simulated truth
-(``field``, ``ball``, ``robot``, ``world``) and what cameras see of it (``yuv``, ``scenery``,
-``sphere``, ``camera``), the robot's own vision (``planes``, ``colour``, ``outline``, ``finder``,
-``sighting``), and ``nodelets`` around them. Beside it, the demonstration: ``command``, ``stage``,
-``story``, and what they show (``observing``, ``track``, ``narration``, ``picture``). Only
-``nodelets``, ``planes_message``, ``stage``, ``story`` and ``observing`` use ROS.
+``geometry``; the simulated truth, ``world``, what cameras see of it, ``rendering``; the robot's
+vision, ``planes``, ``finder``, ``learnt`` and ``sighting``; the ``nodelets`` around all that.
+``evaluate`` and ``learn`` measure it. The demonstration is ``story``, which prints ``telling``.
 """

@@ -10,20 +10,22 @@ cone's axis points at the sphere's centre, which lies one radius above the floor
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
+from collections import deque
 from dataclasses import dataclass
-from typing import Iterable, Optional
+from typing import Deque, Iterable, Optional, Sequence, Tuple
 
 import numpy as np
 
 from dyknow_demo.soccer.finder import Find
-from dyknow_demo.soccer.pinhole import Pinhole
-from dyknow_demo.soccer.rigid import Array
+from dyknow_demo.soccer.geometry import Array, Pinhole
 
 #: Error (rad) of the camera's direction as its owner knows it, from mounting and encoders.
 ANGLE_ERROR = math.radians(0.3)
-
 #: How far (pixels of the planes) the centre of an outline may be off: standard deviation.
 _CENTRE_ERROR = 0.25
+#: Values of a signal that are kept, and seconds beyond them for which values are extrapolated.
+_LENGTH, _REACH = 100, 0.1
 
 
 @dataclass(frozen=True)
@@ -34,15 +36,15 @@ class Geometry:
         camera: intrinsics in full resolution.
         owner_from_camera: pose of the optical frame in its owner's frame, whose floor is z = 0.
         ball_radius: m.
-        angle_error: standard deviation, rad, of the direction in which the camera looks.
         factor: of the planes in which outlines were found.
+        angle_error: standard deviation, rad, of the direction in which the camera looks.
     """
 
     camera: Pinhole
     owner_from_camera: Array
     ball_radius: float
-    angle_error: float
     factor: int
+    angle_error: float = ANGLE_ERROR
 
 
 @dataclass(frozen=True)
@@ -61,12 +63,9 @@ class Sighting:
 
 
 def best_sighting(finds: Iterable[Find], geometry: Geometry) -> Optional[Sighting]:
-    """Pick the best find, in the order given, that can be a ball on the floor."""
-    for find in finds:
-        sighting = sight(find, geometry)
-        if sighting is not None:
-            return sighting
-    return None
+    """Locate the best find, in the order given, that can be a ball on the floor."""
+    sightings = (sight(find, geometry) for find in finds)
+    return next((each for each in sightings if each is not None), None)
 
 
 def sight(find: Find, geometry: Geometry) -> Optional[Sighting]:
@@ -77,18 +76,20 @@ def sight(find: Find, geometry: Geometry) -> Optional[Sighting]:
     angle += 0.5 * pixel
     rotation, eye = geometry.owner_from_camera[:3, :3], geometry.owner_from_camera[:3, 3]
     ray = rotation @ axis
-    height = eye[2] - geometry.ball_radius
     if ray[2] > -1e-3:
         return None
-    distance = -height / ray[2]
+    distance = (geometry.ball_radius - eye[2]) / ray[2]
     expected = np.arcsin(min(1.0, geometry.ball_radius / distance))
     if abs(angle - expected) > max(0.4 * expected, 1.5 * pixel):
         return None
+    # A turn by w moves the ray by w x ray, and along the ray it goes on to the plane.
+    turned = np.cross(np.eye(3), ray)
+    moved = distance * (turned - np.outer(turned[:, 2] / ray[2], ray))
     error = float(np.hypot(geometry.angle_error, _CENTRE_ERROR * pixel))
-    return Sighting(eye + distance * ray, _covariance(ray, distance, error), find)
+    return Sighting(eye + distance * ray, error**2 * moved.T @ moved, find)
 
 
-def cone(rays: Array) -> tuple[Array, float]:
+def cone(rays: Array) -> Tuple[Array, float]:
     """Fit a circular cone to unit vectors (n, 3); return its axis and half its angle (rad).
 
     On a cone axis . ray = cos(angle), so (axis / cos(angle)) . ray = 1: linear least squares.
@@ -98,10 +99,38 @@ def cone(rays: Array) -> tuple[Array, float]:
     return normal / length, float(np.arccos(min(1.0, 1.0 / length)))
 
 
-def _covariance(ray: Array, distance: float, error: float) -> Array:
-    """Covariance of where a ray meets a level plane, given errors of its direction."""
-    # A turn by w moves the ray by w x ray, and along the ray it goes on to the plane.
-    turned = np.cross(np.eye(3), ray)
-    moved = distance * (turned - np.outer(turned[:, 2] / ray[2], ray))
-    covariance: Array = error**2 * moved.T @ moved
-    return covariance
+class History:
+    """The last values of a signal by time, interpolated in between.
+
+    An image is older or younger than the joint states that arrive with it. A head that turns at
+    1 rad/s is 1 degree further after 20 ms, so the angles have to be those at the image's time.
+    """
+
+    def __init__(self, angular: Sequence[bool]) -> None:
+        """Make an empty history; ``angular`` marks the components that are angles in rad."""
+        self._angular = np.array(angular)
+        self._times: Deque[float] = deque(maxlen=_LENGTH)
+        self._values: Deque[Array] = deque(maxlen=_LENGTH)
+
+    def add(self, time: float, values: Sequence[float]) -> None:
+        """Add values; a time (s) that is not after the last one starts a new history."""
+        if self._times and time <= self._times[-1]:
+            self._times.clear()
+            self._values.clear()
+        self._times.append(time)
+        self._values.append(np.array(values, np.float64))
+
+    def at(self, time: float) -> Optional[Tuple[float, ...]]:
+        """Interpolate linearly, or extrapolate a little; None further outside."""
+        times = self._times
+        if not times or not times[0] - _REACH <= time <= times[-1] + _REACH:
+            return None
+        if len(times) == 1:
+            return tuple(self._values[0].tolist())
+        after = min(max(bisect_left(times, time), 1), len(times) - 1)
+        before = after - 1
+        step = self._values[after] - self._values[before]
+        short_way = np.remainder(step + math.pi, 2 * math.pi) - math.pi
+        step = np.where(self._angular, short_way, step)
+        part = (time - times[before]) / (times[after] - times[before])
+        return tuple((self._values[before] + part * step).tolist())

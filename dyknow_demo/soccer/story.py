@@ -4,41 +4,51 @@
 """The story: a robot tracks a ball, leaves to recharge, and returns; the stream goes on.
 
 The story requests a stream, removes the robot's camera and adds it again. The manager makes,
-repairs and re-wires the stream by itself; the story reads what was done from the model.
+repairs and re-wires the stream by itself; the story reads what was done from the model. A ROS
+master or manager that runs is used; otherwise one is started, and ended with the story.
 """
 
 from __future__ import annotations
 
+import contextlib
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Callable, Dict, List, Optional
+from typing import Any, Callable, Dict, Iterator, List, Optional
 
+import rospkg
+import rospy
+from dyknow_msgs.msg import Model as ModelMessage
 from geometry_msgs.msg import PointStamped
 
 import dyknow
 from dyknow import names
-from dyknow.errors import DyKnowError, Refused
+from dyknow.errors import DyKnowError, HostError, PeerTimeout, Refused
 from dyknow.model.graph import Model
-from dyknow.model.streams import StreamRequest
+from dyknow.model.streams import StreamEvent, StreamRequest
 from dyknow.ros.client import ManagerClient
-from dyknow_demo.soccer.observing import TRACKING, Observation, feeding, tracking_of
-from dyknow_demo.soccer.picture import PictureContents, draw, to_dot
-from dyknow_demo.soccer.track import shortcomings
+from dyknow.ros.messages import model_from
+from dyknow_demo.processes import (
+    MANAGER,
+    START_TIMEOUT,
+    Processes,
+    check_real_time,
+    find_master,
+    forget_parameters,
+    start_manager,
+)
+from dyknow_demo.soccer.telling import Track, changes, draw, to_dot
+from dyknow_demo.soccer.world import World
 
 TAG = "FieldPosition(ball)"
 OWN_CAMERA, OTHER_CAMERA = "bottom_camera", "ceiling_camera"
+#: Labels of the robot's own tracking nodelets, which are kept and re-wired.
+TRACKING = ("image_subsampler", "ball_detector", "localization")
 
 _PERIOD = 1.0  # s between two reports
 _LOOK = 0.05  # s
 _PATIENCE = 15.0  # s for the manager's own work
-
-
-class NotAsTold(DyKnowError):
-    """Something that the story counts on did not happen in time."""
-
-    def __init__(self, what: str) -> None:
-        super().__init__(f"not within {_PATIENCE:g} s: {what}")
+_ORPHAN_TIMEOUT = 3.0  # s that nodelets may go on if the manager is killed
 
 
 @dataclass(frozen=True)
@@ -49,181 +59,249 @@ class Script:
         seconds: for each act.
         max_silence: seconds without a position that the claim allows.
         pictures: folder for the drawings.
-        tell: prints a line.
-        check: raises if a process that is needed has ended.
     """
 
     seconds: float
     max_silence: float
     pictures: Path
-    tell: Callable[[str], None]
-    check: Callable[[], None]
 
 
-def tell_story(client: ManagerClient, script: Script) -> bool:
+def play(manager: str, script: Script) -> bool:
     """Tell the story; True if the position was never lost and all went as told.
 
     Args:
-        client: client of a manager that has the transformations of the soccer field.
+        manager: a running one that knows the field; empty to start one.
         script: how to tell it.
 
     Raises:
-        DyKnowError: it could not go on.
+        DyKnowError: something failed.
     """
-    script.tell(f"asked for: {TAG}, and never without it for {script.max_silence:g} s")
-    request = StreamRequest(TAG, PointStamped._type)
-    script.tell(client.acquire_stream(request, dry_run=True).plan)
-    with Observation(client.manager, script.tell) as observation, dyknow.acquire(
-        TAG,
-        PointStamped,
-        max_silence=script.max_silence,
-        on_event=observation.note_event,
-        manager=client.manager,
-    ) as stream:
-        return _Story(client, script, observation, stream).run()
+    with Processes() as processes:
+        _tell(f"ROS master: {find_master(processes)}")
+        check_real_time()
+        with _manager(manager) as (client, check):
+            rospy.init_node("dyknow_demo", anonymous=True, disable_signals=True)
+            try:
+                _wait_for_library(client, check)
+                _tell(f"asked for: {TAG}, and never without it for {script.max_silence:g} s")
+                request = StreamRequest(TAG, PointStamped._type)
+                _tell(client.acquire_stream(request, dry_run=True).plan)
+                return _Story(client, script, check).run()
+            finally:
+                rospy.signal_shutdown("the demonstration is over")
 
 
-class _Story:
-    """The acts."""
-
-    def __init__(
-        self, client: ManagerClient, script: Script, observation: Observation, stream: Any
-    ) -> None:
-        self._client = client
-        self._script = script
-        self._tell = script.tell
-        self._observation = observation
-        self._stream = stream
-        self._topic: str = stream.topic
-        self._problems: List[str] = []
-        self._first: Optional[Model] = None
-        self._tracking: Dict[str, str] = {}
-        self._camera = ""
-
-    def run(self) -> bool:
-        self._observation.follow(self._stream)
-        self._observation.say(f"the position is on {self._topic}")
-        self._track_by(OWN_CAMERA, "before", "The robot tracks the ball with its own camera")
-        self._leave()
-        self._track_by(
-            OTHER_CAMERA,
-            "during",
-            "The robot's own tracking works on the ceiling camera's footage",
-        )
-        self._return()
-        self._track_by(OWN_CAMERA, "after", "The robot's camera is back")
-        return self._verdict()
-
-    def _track_by(self, camera: str, act: str, title: str) -> None:
-        """Follow the ball for a while; then check which nodelets do the work, and draw them."""
-        end = time.monotonic() + self._script.seconds
-        while time.monotonic() < end:
-            time.sleep(min(_PERIOD, max(0.0, end - time.monotonic())))
-            self._script.check()
-            self._observation.report()
-        model = self._client.get_model()
-        if self._first is None:
-            self._first = model
-            self._tracking = tracking_of(model)
-        if feeding(model) != camera:
-            self._problems.append(f"{feeding(model) or 'no camera'} is in use, not {camera}")
-        if tracking_of(model) != self._tracking:
-            self._problems.append(f"others do the tracking: {tracking_of(model)}")
-        needed = frozenset(self._stream.nodelets)
-        space = names.parent(self._client.manager)
-        dot = to_dot(PictureContents(title, model, needed, self._topic, space), self._first)
-        files = draw(dot, self._script.pictures, f"soccer_{act}")
-        self._tell("drawn: " + ", ".join(str(file) for file in files))
-
-    def _leave(self) -> None:
-        self._tell("")
-        self._tell("The battery runs low: the robot leaves to recharge, and its camera goes.")
-        model = self._client.get_model()
-        gone = next(each for each in model.transformations if each.label == OWN_CAMERA)
-        self._camera = gone.to_xml()
-        self._client.remove_transformation(OWN_CAMERA)
-        for nodelet in model.nodelets:
-            if nodelet.transformation == OWN_CAMERA:
-                self._destroy(nodelet.name)
-        self._wait_for_images_of(OTHER_CAMERA)
-
-    def _return(self) -> None:
-        self._tell("")
-        self._tell("The robot is back, and its camera can be used again.")
-        seen = self._observation
-        seen.reasons.clear()
-        self._client.add_transformation(self._camera)
-        self._wait(
-            lambda: any("cheaper" in reason for reason in seen.reasons),
-            "an event tells of the cheaper way",
-        )
-        seen.report()
-        self._tell("It is not taken by itself. The client asks for it: replan.")
-        answer = self._client.replan_stream(self._stream.claim_id)
-        seen.say(f"replanned: new {', '.join(answer.spawned)}, the rest re-wired")
-        self._wait_for_images_of(OWN_CAMERA)
-
-    def _verdict(self) -> bool:
-        whole = self._observation.track.whole(time.monotonic())
-        limit, problems = self._script.max_silence, self._problems
-        if self._stream.topic != self._topic:
-            problems.append(f"the topic has changed to {self._stream.topic}")
-        problems.extend(shortcomings(whole, limit))
-        self._tell("")
-        self._tell(
-            f"{whole.count} positions on {self._topic}, error {whole.median:.3f} m at the median; "
-            f"longest pause {whole.pause:.2f} s of {limit:g} s that are allowed."
-        )
-        for problem in dict.fromkeys(problems):
-            self._tell(f"Not as promised: {problem}.")
-        if not problems:
-            kept = ", ".join(sorted(self._tracking.values()))
-            self._tell(f"The same nodelets tracked the ball all the time: {kept}.")
-        return not problems
-
-    # Inside
-
-    def _destroy(self, name: str) -> None:
-        """Destroy a nodelet, unless the manager has already destroyed it."""
-        try:
-            self._client.destroy(name)
-        except Refused:
-            if self._client.get_model().nodelet(name) is not None:
-                raise
-
-    def _wait_for_images_of(self, camera: str) -> None:
-        self._wait(
-            lambda: feeding(self._observation.model) == camera, f"the images are of {camera}"
-        )
-
-    def _wait(self, condition: Callable[[], bool], what: str) -> None:
-        end = time.monotonic() + _PATIENCE
-        while not condition():
-            if time.monotonic() > end:
-                raise NotAsTold(what)
-            self._script.check()
-            time.sleep(_LOOK)
+@contextlib.contextmanager
+def _manager(name: str) -> Iterator[tuple[ManagerClient, Callable[[], None]]]:
+    """Use a manager, or start one; yields its client and a check that raises if it has ended."""
+    client = ManagerClient(name or MANAGER)
+    if name:
+        _tell(f"manager: {client.manager}")
+        yield client, lambda: None
+        return
+    if _labels(client):
+        raise DyKnowError(f"{MANAGER} runs at this master already: another demonstration?")
+    examples = Path(rospkg.RosPack().get_path("dyknow")) / "examples"
+    try:
+        with Processes() as processes:
+            pid = start_manager(
+                processes,
+                lambda: bool(_labels(client)),
+                ontologies=examples / "ontologies" / "soccer.ttl",
+                transformations=examples / "transformations" / "soccer.xml",
+                orphan_timeout=_ORPHAN_TIMEOUT,
+            )
+            _tell(f"manager: {MANAGER}, process {pid}")
+            yield client, processes.check
+    finally:
+        forget_parameters()
 
 
-def wait_for(client: ManagerClient, check: Callable[[], None], patience: float) -> None:
-    """Wait until a manager answers and has the transformations of the story.
-
-    Raises:
-        DyKnowError: it does not in time.
-    """
-    end = time.monotonic() + patience
-    while True:
+def _wait_for_library(client: ManagerClient, check: Callable[[], None]) -> None:
+    """Wait until a manager answers and has the transformations of the story."""
+    end = time.monotonic() + START_TIMEOUT
+    while missing := sorted({OWN_CAMERA, OTHER_CAMERA, *TRACKING} - (_labels(client) or set())):
         check()
-        try:
-            labels = {each.label for each in client.get_model(_PERIOD).transformations}
-        except DyKnowError:
-            labels = set()
-        missing = sorted({OWN_CAMERA, OTHER_CAMERA, *TRACKING} - labels)
-        if not missing:
-            return
         if time.monotonic() > end:
             raise DyKnowError(
                 f"{client.manager} does not know {', '.join(missing)}: it needs "
                 "examples/transformations/soccer.xml and examples/ontologies/soccer.ttl"
             )
         time.sleep(_LOOK)
+
+
+def _labels(client: ManagerClient) -> Optional[set[str]]:
+    """Labels of the transformations of a manager; None if it does not answer."""
+    try:
+        return {each.label for each in client.get_model(_PERIOD).transformations}
+    except (HostError, PeerTimeout):
+        return None
+
+
+def _tell(text: str) -> None:
+    print(text, flush=True)
+
+
+class _Story:
+    """The acts, and the stream as it is observed from outside: graph, events, positions."""
+
+    def __init__(self, client: ManagerClient, script: Script, check: Callable[[], None]) -> None:
+        self._client, self._script, self._check = client, script, check
+        self._space = names.parent(client.manager)
+        self._began = time.monotonic()
+        self._model: Optional[Model] = None
+        self._reasons: List[str] = []
+        self._problems: List[str] = []
+        self._first: Optional[Model] = None
+        self._tracking: Dict[str, str] = {}
+
+    def run(self) -> bool:
+        topic = names.join(self._client.manager, "model")
+        model = rospy.Subscriber(topic, ModelMessage, self._on_model)
+        with dyknow.acquire(
+            TAG,
+            PointStamped,
+            max_silence=self._script.max_silence,
+            on_event=self._on_event,
+            manager=self._client.manager,
+        ) as self._stream:
+            self._reported = time.monotonic()
+            self._track = Track(self._reported, World().ball_on_field)
+            self._topic: str = self._stream.topic
+            positions = rospy.Subscriber(self._topic, PointStamped, self._on_position)
+            try:
+                self._say(f"the position is on {self._topic}")
+                self._act(OWN_CAMERA, "before", "The robot tracks the ball with its own camera")
+                camera = self._leave()
+                title = "The robot's own tracking works on the ceiling camera's footage"
+                self._act(OTHER_CAMERA, "during", title)
+                self._return(camera)
+                self._act(OWN_CAMERA, "after", "The robot's camera is back")
+                return self._verdict()
+            finally:
+                model.unregister()
+                positions.unregister()
+
+    def _act(self, camera: str, act: str, title: str) -> None:
+        """Follow the ball for a while; then check which nodelets do the work, and draw them."""
+        end = time.monotonic() + self._script.seconds
+        while time.monotonic() < end:
+            time.sleep(min(_PERIOD, max(0.0, end - time.monotonic())))
+            self._check()
+            self._report()
+        model = self._client.get_model()
+        if self._first is None:
+            self._first, self._tracking = model, _tracking_of(model)
+        if _feeding(model) != camera:
+            self._problems.append(f"{_feeding(model) or 'no camera'} is in use, not {camera}")
+        if _tracking_of(model) != self._tracking:
+            self._problems.append(f"others do the tracking: {_tracking_of(model)}")
+        needed = frozenset(self._stream.nodelets)
+        dot = to_dot(title, model, self._first, needed, self._topic, self._space)
+        files = draw(dot, self._script.pictures.absolute(), f"soccer_{act}")
+        _tell("drawn: " + ", ".join(str(file) for file in files))
+
+    def _leave(self) -> str:
+        """Remove the robot's camera; returns its specification."""
+        _tell("\nThe battery runs low: the robot leaves to recharge, and its camera goes.")
+        model = self._client.get_model()
+        gone = next(each for each in model.transformations if each.label == OWN_CAMERA)
+        self._client.remove_transformation(OWN_CAMERA)
+        for nodelet in model.nodelets:
+            if nodelet.transformation == OWN_CAMERA:
+                try:
+                    self._client.destroy(nodelet.name)
+                except Refused:  # the manager may have destroyed it
+                    if self._client.get_model().nodelet(nodelet.name) is not None:
+                        raise
+        self._wait_for_images_of(OTHER_CAMERA)
+        return gone.to_xml()
+
+    def _return(self, camera: str) -> None:
+        _tell("\nThe robot is back, and its camera can be used again.")
+        self._reasons.clear()
+        self._client.add_transformation(camera)
+        self._wait(
+            lambda: any("cheaper" in reason for reason in self._reasons),
+            "an event tells of the cheaper way",
+        )
+        self._report()
+        _tell("It is not taken by itself. The client asks for it: replan.")
+        answer = self._client.replan_stream(self._stream.claim_id)
+        self._say(f"replanned: new {', '.join(answer.spawned)}, the rest re-wired")
+        self._wait_for_images_of(OWN_CAMERA)
+
+    def _verdict(self) -> bool:
+        whole, limit = self._track.stretch(time.monotonic()), self._script.max_silence
+        if self._stream.topic != self._topic:
+            self._problems.append(f"the topic has changed to {self._stream.topic}")
+        problems = dict.fromkeys([*self._problems, *whole.shortcomings(limit)])
+        _tell(
+            f"\n{whole.count} positions on {self._topic}, error {whole.median:.3f} m at the "
+            f"median; longest pause {whole.pause:.2f} s of {limit:g} s that are allowed."
+        )
+        for problem in problems:
+            _tell(f"Not as promised: {problem}.")
+        if not problems:
+            kept = ", ".join(sorted(self._tracking.values()))
+            _tell(f"The same nodelets tracked the ball all the time: {kept}.")
+        return not problems
+
+    # Inside
+
+    def _say(self, text: str) -> None:
+        _tell(f"{time.monotonic() - self._began:6.2f} s  {text}")
+
+    def _report(self) -> None:
+        """Print how well the tracking went since the last report."""
+        now = time.monotonic()
+        latest = self._track.stretch(now, self._reported)
+        self._reported = now
+        self._say(
+            f"{self._stream.state.name:10} {latest.rate:5.1f} Hz  "
+            f"error {latest.median:.3f} m (at most {latest.worst:.3f})  "
+            f"pause {latest.pause:.2f} s  {_feeding(self._model)}"
+        )
+
+    def _on_event(self, event: StreamEvent) -> None:
+        self._reasons.append(event.reason)
+        self._say(f"{event.after.state.name}: {event.reason}")
+
+    def _on_model(self, message: Any) -> None:
+        before, self._model = self._model, model_from(message)
+        for line in changes(before, self._model, self._space) if before is not None else ():
+            self._say(line)
+
+    def _on_position(self, position: Any) -> None:
+        stamp, point = position.header.stamp.to_sec(), position.point
+        self._track.note(time.monotonic(), stamp, point.x, point.y)
+
+    def _wait_for_images_of(self, camera: str) -> None:
+        self._wait(lambda: _feeding(self._model) == camera, f"the images are of {camera}")
+
+    def _wait(self, condition: Callable[[], bool], what: str) -> None:
+        end = time.monotonic() + _PATIENCE
+        while not condition():
+            if time.monotonic() > end:
+                raise DyKnowError(f"not within {_PATIENCE:g} s: {what}")
+            self._check()
+            time.sleep(_LOOK)
+
+
+def _feeding(model: Optional[Model]) -> str:
+    """Label of the camera that feeds the robot's tracking; empty for none."""
+    ports = [
+        (each.transformation, port)
+        for each in (model.nodelets if model is not None else ())
+        for port in each.ports
+        if port.topic
+    ]
+    topics = {port.topic for label, port in ports if (label, port.name) == (TRACKING[0], "yuv")}
+    feeders = (label for label, port in ports if port.direction == "out" and port.topic in topics)
+    return next(feeders, "")
+
+
+def _tracking_of(model: Model) -> Dict[str, str]:
+    """Names of the nodelets of the robot's tracking, by label."""
+    nodelets = model.nodelets
+    return {each.transformation: each.name for each in nodelets if each.transformation in TRACKING}

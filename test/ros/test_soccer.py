@@ -18,9 +18,8 @@ from geometry_msgs.msg import PointStamped, PoseWithCovarianceStamped
 from graph import TIMEOUT, LaunchedManagerCase, service
 from sensor_msgs.msg import CameraInfo, Image, JointState
 
-from dyknow_demo.soccer.field import BALL_RADIUS
-from dyknow_demo.soccer.planes_message import planes_of
-from dyknow_demo.soccer.world import World
+from dyknow_demo.soccer.planes import planes_of
+from dyknow_demo.soccer.world import BALL_RADIUS, World
 
 SEED = 4
 CEILING_MOUNT = {"height": 6.5, "pitch": 1.5707963267948966}

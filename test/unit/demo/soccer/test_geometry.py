@@ -12,21 +12,24 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dyknow_demo.soccer import ceiling, nao
-from dyknow_demo.soccer.mounts import Fixed, NaoBottom, mount_of
-from dyknow_demo.soccer.nao import BOTTOM_CAMERA, Posture, robot_from_bottom_camera
-from dyknow_demo.soccer.pinhole import Pinhole
-from dyknow_demo.soccer.rigid import (
+from dyknow_demo.soccer.geometry import (
+    BOTTOM_CAMERA,
+    BOTTOM_CAMERA_PITCH,
+    JOINTS,
+    Pinhole,
     apply,
+    field_from_owner,
+    floor_from_camera,
     inverse,
-    quaternion_of_yaw,
+    mount_of,
+    robot_from_bottom_camera,
     shift,
     turn,
-    yaw_of_quaternion,
 )
 
 ANGLES = st.floats(-3.0, 3.0)
-UPRIGHT = Posture(0.0, 0.0, 0.0, 0.0, 0.0)
+UPRIGHT = (0.0, 0.0, 0.0, 0.0, 0.0)
+TIBIA, THIGH = 0.1029, 0.1
 
 
 @given(ANGLES, ANGLES, ANGLES)
@@ -42,9 +45,9 @@ def test_turns_are_right_handed():
     assert apply(turn(math.pi / 2, 0.0, 0.0), np.array([0, 1.0, 0])) == pytest.approx([0, 0, 1])
 
 
-@given(ANGLES)
-def test_yaw_survives_the_quaternion(yaw):
-    assert yaw_of_quaternion(*quaternion_of_yaw(yaw)) == pytest.approx(yaw)
+def test_from_the_owners_frame_to_the_fields():
+    pose = field_from_owner((1.0, 2.0, math.pi / 2))
+    assert apply(pose, np.array([0.5, 0.25, 0.03])) == pytest.approx([0.75, 2.5, 0.03])
 
 
 @given(st.floats(0.0, 639.0), st.floats(0.0, 479.0))
@@ -69,7 +72,7 @@ def test_intrinsics_survive_camera_info():
 
 def test_the_bottom_camera_of_a_nao_that_stands_straight():
     camera = robot_from_bottom_camera(UPRIGHT)
-    legs = nao.FOOT_HEIGHT + nao.TIBIA_LENGTH + nao.THIGH_LENGTH + nao.HIP_OFFSET_Z
+    legs = 0.04519 + TIBIA + THIGH + 0.085
     expected = [0.05071, 0.0, legs + 0.1265 + 0.01774]
     assert camera[:3, 3] == pytest.approx(expected)
     ahead = camera[:3, 2]  # the optical axis
@@ -78,28 +81,33 @@ def test_the_bottom_camera_of_a_nao_that_stands_straight():
 
 
 def test_joints_turn_the_camera_as_their_names_say():
-    left = robot_from_bottom_camera(Posture(0.5, 0.0, 0.0, 0.0, 0.0))
+    left = robot_from_bottom_camera((0.5, 0.0, 0.0, 0.0, 0.0))
     assert left[1, 2] > 0  # a positive HeadYaw looks left
-    down = robot_from_bottom_camera(Posture(0.0, 0.3, 0.0, 0.0, 0.0))
-    assert math.asin(-down[2, 2]) == pytest.approx(nao.BOTTOM_CAMERA_PITCH + 0.3)
-    crouched = robot_from_bottom_camera(Posture(0.0, 0.0, -0.35, 0.7, -0.35))
+    down = robot_from_bottom_camera((0.0, 0.3, 0.0, 0.0, 0.0))
+    assert math.asin(-down[2, 2]) == pytest.approx(BOTTOM_CAMERA_PITCH + 0.3)
+    crouched = robot_from_bottom_camera((0.0, 0.0, -0.35, 0.7, -0.35))
     upright = robot_from_bottom_camera(UPRIGHT)
     assert crouched[:3, :3] == pytest.approx(upright[:3, :3])  # hip, knee and ankle cancel out
-    lowered = (1 - math.cos(0.35)) * (nao.TIBIA_LENGTH + nao.THIGH_LENGTH)
+    lowered = (1 - math.cos(0.35)) * (TIBIA + THIGH)
     assert upright[2, 3] - crouched[2, 3] == pytest.approx(lowered)
 
 
 def test_a_ceiling_camera_looks_straight_down_and_its_picture_begins_ahead():
-    pose = ceiling.floor_from_camera(6.5, math.pi / 2)
+    pose = floor_from_camera(6.5, math.pi / 2)
     assert pose[:3, 3] == pytest.approx([0.0, 0.0, 6.5])
     assert pose[:3, 2] == pytest.approx([0.0, 0.0, -1.0])
     assert pose[:3, 1] == pytest.approx([-1.0, 0.0, 0.0])  # the picture's down is behind
 
 
 def test_mounts_from_parameters():
-    assert mount_of("nao_bottom") == NaoBottom()
-    assert mount_of({"height": 3, "pitch": 1.5}) == Fixed(3.0, 1.5)
-    assert mount_of({"height": 3, "pitch": 1.5, "roll": 0.1}) == Fixed(3.0, 1.5, 0.1)
+    nao = mount_of("nao_bottom")
+    assert nao.joints == JOINTS
+    assert np.array_equal(nao.owner_from_camera(UPRIGHT), robot_from_bottom_camera(UPRIGHT))
+    fixed = mount_of({"height": 3, "pitch": 1.5})
+    assert fixed.joints == ()
+    assert np.array_equal(fixed.owner_from_camera(()), floor_from_camera(3.0, 1.5))
+    rolled = mount_of({"height": 3, "pitch": 1.5, "roll": 0.1}).owner_from_camera(())
+    assert np.array_equal(rolled, floor_from_camera(3.0, 1.5, 0.1))
 
 
 @pytest.mark.parametrize(

@@ -10,9 +10,7 @@ import math
 import numpy as np
 
 from dyknow.model.graph import Model, NodeletStatus, PortState, State
-from dyknow_demo.soccer.narration import changes
-from dyknow_demo.soccer.picture import PictureContents, draw, to_dot
-from dyknow_demo.soccer.track import Stretch, Track, shortcomings
+from dyknow_demo.soccer.telling import Stretch, Track, changes, draw, to_dot
 
 
 def nodelet(name, state=State.RUNNING, **ports):
@@ -39,28 +37,28 @@ def test_rate_error_and_pause_of_a_stretch():
     for step in range(11):
         arrival = 10.5 + 0.1 * step
         track.note(arrival, arrival - 0.02, arrival, 0.02 * (step == 10))
-    found = track.stretch(10.5, 11.5)
+    found = track.stretch(11.5, 10.5)
     assert (found.count, round(found.rate), round(found.pause, 6)) == (11, 11, 0.5)
     assert math.isclose(found.median, 0.02, abs_tol=1e-9)
     assert math.isclose(found.worst, math.hypot(0.02, 0.02), abs_tol=1e-9)
-    whole = track.whole(12.5)
+    whole = track.stretch(12.5)
     assert (whole.count, round(whole.pause, 6)) == (11, 1.0)
 
 
 def test_without_positions_all_of_it_is_a_pause():
-    found = Track(10.0, lambda stamp: np.zeros(3)).whole(13.0)
+    found = Track(10.0, lambda stamp: np.zeros(3)).stretch(13.0)
     assert (found.count, found.rate, found.pause) == (0, 0.0, 3.0)
     assert math.isnan(found.median) and math.isnan(found.worst)
 
 
 def test_a_claim_is_kept_if_positions_are_right_and_never_too_far_apart():
-    assert shortcomings(Stretch(100, 20.0, 0.04, 0.1, 0.5), 0.5) == []
-    late = shortcomings(Stretch(100, 20.0, 0.04, 0.1, 2.25), 2.0)
+    assert Stretch(100, 20.0, 0.04, 0.1, 0.5).shortcomings(0.5) == []
+    late = Stretch(100, 20.0, 0.04, 0.1, 2.25).shortcomings(2.0)
     assert late == ["the position was lost for 2.25 s, not 2 s"]
-    wrong = shortcomings(Stretch(100, 20.0, 0.5, 0.9, 0.5), 2.0)
+    wrong = Stretch(100, 20.0, 0.5, 0.9, 0.5).shortcomings(2.0)
     assert wrong == ["the positions are wrong by 0.50 m"]
-    none = Track(0.0, lambda stamp: np.zeros(3)).whole(3.0)
-    assert len(shortcomings(none, 2.0)) == 2
+    none = Track(0.0, lambda stamp: np.zeros(3)).stretch(3.0)
+    assert len(none.shortcomings(2.0)) == 2
 
 
 def test_what_came_went_and_was_re_wired_is_told():
@@ -79,10 +77,8 @@ def test_what_came_went_and_was_re_wired_is_told():
 
 
 def test_a_picture_shows_who_was_kept_came_and_went(tmp_path):
-    moment = PictureContents(
-        "A title", AFTER, frozenset(["/ns/tracker", "/ns/ceiling"]), "/goal", "/ns"
-    )
-    dot = to_dot(moment, BEFORE)
+    needed = {"/ns/tracker", "/ns/ceiling"}
+    dot = to_dot("A title", AFTER, BEFORE, needed, "/goal", "/ns")
     assert '"n/ns/tracker" [label="tracker", style=filled, fillcolor="#cfe2f3"]' in dot
     assert '"n/ns/ceiling" [label="ceiling", style=filled, fillcolor="#c6e7c8"]' in dot
     assert '"n/ns/eye" [label="eye", style=dashed' in dot
@@ -95,5 +91,5 @@ def test_a_picture_shows_who_was_kept_came_and_went(tmp_path):
 
 
 def test_a_nodelet_that_the_stream_needs_no_more_is_grey():
-    dot = to_dot(PictureContents("", BEFORE, frozenset(["/ns/tracker"]), "/goal"), BEFORE)
+    dot = to_dot("", BEFORE, BEFORE, {"/ns/tracker"}, "/goal")
     assert '[label="ns\\n/eye", style=filled, fillcolor="#eeeeee"]' in dot

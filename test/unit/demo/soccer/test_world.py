@@ -11,17 +11,26 @@ import cv2
 import numpy as np
 import pytest
 
-from dyknow_demo.soccer import field, nao
-from dyknow_demo.soccer.ball import INTERVAL, KICKS, ROLLING, Ball
-from dyknow_demo.soccer.camera import FieldCamera
-from dyknow_demo.soccer.ceiling import CEILING_CAMERA
-from dyknow_demo.soccer.field import BALL_RADIUS
-from dyknow_demo.soccer.nao import BOTTOM_CAMERA
-from dyknow_demo.soccer.pinhole import Pinhole
-from dyknow_demo.soccer.rigid import apply, inverse
-from dyknow_demo.soccer.sphere import draw_ball
-from dyknow_demo.soccer.world import World
-from dyknow_demo.soccer.yuv import pack, yuv_from_bgr
+from dyknow_demo.soccer.geometry import (
+    BOTTOM_CAMERA,
+    CEILING_CAMERA,
+    ENCODER_STEP,
+    HEAD_PITCH_LIMITS,
+    HEAD_YAW_LIMITS,
+    Pinhole,
+    apply,
+    inverse,
+)
+from dyknow_demo.soccer.rendering import FieldCamera, draw_ball, pack, yuv_from_bgr
+from dyknow_demo.soccer.world import (
+    BALL_RADIUS,
+    FIELD_LENGTH,
+    FIELD_WIDTH,
+    INTERVAL,
+    KICKS,
+    ROLLING,
+    World,
+)
 
 ROUND = KICKS * INTERVAL
 FASTEST_WALK = 0.25  # m/s
@@ -44,21 +53,22 @@ def test_seed_and_time_tell_everything():
 
 
 def test_the_ball_rolls_slows_down_and_rests():
-    ball = Ball(0)
-    start, soon, late, rest, end = ball.positions(
+    ball = World(0).ball_on_field
+    start, soon, late, rest, end = ball(
         np.array([0.0, 0.1, ROLLING - 0.1, ROLLING, INTERVAL - 1e-9])
     )
     assert np.linalg.norm(soon - start) > 5 * np.linalg.norm(rest - late)
     assert rest == pytest.approx(end)
-    assert ball.positions(np.array(INTERVAL)) == pytest.approx(rest)
+    assert ball(INTERVAL) == pytest.approx(rest)
 
 
 def test_the_ball_stays_on_the_field_and_comes_round():
-    ball = Ball(1)
+    ball = World(1).ball_on_field
     times = np.arange(0.0, ROUND, 0.1)
-    way = ball.positions(times)
-    assert (np.abs(way) < (field.LENGTH / 2, field.WIDTH / 2)).all()
-    assert ball.positions(times + 1e6 * ROUND) == pytest.approx(way, abs=1e-3)
+    way = ball(times)
+    assert (np.abs(way[:, :2]) < (FIELD_LENGTH / 2, FIELD_WIDTH / 2)).all()
+    assert (way[:, 2] == BALL_RADIUS).all()
+    assert ball(times + 1e6 * ROUND) == pytest.approx(way, abs=1e-3)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -69,9 +79,9 @@ def test_the_robot_walks_as_a_nao_can_and_keeps_the_ball_in_view(seed):
     speeds = np.linalg.norm(np.diff(places[:, :2], axis=0), axis=1) / 0.25
     assert speeds.max() < FASTEST_WALK
     for time in times:
-        posture = world.robot(time).posture
-        assert nao.HEAD_YAW_LIMITS[0] <= posture.head_yaw <= nao.HEAD_YAW_LIMITS[1]
-        assert nao.HEAD_PITCH_LIMITS[0] <= posture.head_pitch <= nao.HEAD_PITCH_LIMITS[1]
+        head_yaw, head_pitch, *_ = world.robot(time).angles
+        assert HEAD_YAW_LIMITS[0] <= head_yaw <= HEAD_YAW_LIMITS[1]
+        assert HEAD_PITCH_LIMITS[0] <= head_pitch <= HEAD_PITCH_LIMITS[1]
         centre = apply(inverse(world.field_from_bottom_camera(time)), world.ball_on_field(time))
         column, row = BOTTOM_CAMERA.project(centre)
         assert centre[2] > 0
@@ -79,24 +89,14 @@ def test_the_robot_walks_as_a_nao_can_and_keeps_the_ball_in_view(seed):
         assert 0 < row < 480
 
 
-def test_the_ball_in_the_robots_frame_is_the_one_on_the_field():
-    world = World(2)
-    x, y, z = world.ball_from_robot(30.0)
-    assert z == pytest.approx(BALL_RADIUS)
-    robot = world.robot(30.0)
-    distance = np.hypot(*(world.ball_on_field(30.0)[:2] - robot.place[:2]))
-    assert math.hypot(x, y) == pytest.approx(distance)
-
-
 def test_beliefs_are_a_little_wrong():
     world = World(0)
     off = np.array([np.subtract(world.believed_place(t), world.robot(t).place) for t in range(96)])
     assert 0.01 < np.abs(off[:, 0]).mean() < 0.05  # m
     assert 0.002 < np.abs(off[:, 2]).mean() < 0.02  # rad
-    step = 2 * math.pi / 4096
-    read = np.array(world.encoders(11.0).angles)
-    assert np.abs(read - world.robot(11.0).posture.angles).max() <= step / 2 + 1e-12
-    assert read / step == pytest.approx(np.round(read / step))
+    read = np.array(world.encoders(11.0))
+    assert np.abs(read - world.robot(11.0).angles).max() <= ENCODER_STEP / 2 + 1e-12
+    assert read / ENCODER_STEP == pytest.approx(np.round(read / ENCODER_STEP))
 
 
 def test_a_ball_is_drawn_where_the_pinhole_camera_says():

@@ -1,0 +1,180 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""What the story prints and draws: changes of the graph, and how well the ball is tracked."""
+
+from __future__ import annotations
+
+import statistics
+from dataclasses import dataclass
+from pathlib import Path
+from typing import AbstractSet, Callable, Dict, Iterator, List, Tuple
+
+from dyknow import names
+from dyknow.graphviz import quote, render
+from dyknow.model.graph import Model, NodeletStatus, State
+from dyknow.wiring.topics import topics_of
+from dyknow_demo.soccer.geometry import Array
+
+#: Metres: several times the measured error; a stream of wrong positions must not pass.
+LARGE_ERROR = 0.3
+
+_LAYOUT_TIMEOUT = 20.0  # s
+_KEPT, _NEW, _IDLE = "#cfe2f3", "#c6e7c8", "#eeeeee"
+_HEAD = """digraph story {
+  rankdir=TB; nodesep=0.2; ranksep=0.25; labelloc=t; fontname="sans-serif"; fontsize=15;
+  node [fontname="sans-serif", fontsize=12, margin="0.08,0.04", height=0.3];
+  edge [fontname="sans-serif", fontsize=10];"""
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """The positions that arrived in a stretch of time.
+
+    Attributes:
+        count: number of positions.
+        rate: positions per second.
+        median: median error, m; nan without positions.
+        worst: greatest error, m; nan without positions.
+        pause: longest time (s) without a position, the time at either end included.
+    """
+
+    count: int
+    rate: float
+    median: float
+    worst: float
+    pause: float
+
+    def shortcomings(self, max_silence: float) -> List[str]:
+        """List how the promise of a claim with that ``max_silence`` (s) is broken."""
+        found = []
+        if self.pause > max_silence:
+            found.append(f"the position was lost for {self.pause:.2f} s, not {max_silence:g} s")
+        if not self.median < LARGE_ERROR:
+            found.append(f"the positions are wrong by {self.median:.2f} m")
+        return found
+
+
+class Track:
+    """Arrivals and errors, in order of arrival; arrival times are of one steady clock."""
+
+    def __init__(self, begin: float, truth: Callable[[float], Array]) -> None:
+        """Make an empty track.
+
+        Args:
+            begin: time from which on positions are expected, s.
+            truth: centre of the ball (3,), m, by time of the stamps, s.
+        """
+        self._begin = begin
+        self._truth = truth
+        self._found: List[Tuple[float, float]] = []
+
+    def note(self, arrival: float, stamp: float, x: float, y: float) -> None:
+        """Add a position (m) on the field."""
+        truth = self._truth(stamp)
+        self._found.append((arrival, float(((x - truth[0]) ** 2 + (y - truth[1]) ** 2) ** 0.5)))
+
+    def stretch(self, end: float, begin: float | None = None) -> Stretch:
+        """Summarise the arrivals between two times, by default from the first one on."""
+        begin = self._begin if begin is None else begin
+        found = list(self._found)
+        errors = [error for arrival, error in found if begin <= arrival <= end]
+        times = [self._begin, *(arrival for arrival, _ in found if arrival <= end), end]
+        return Stretch(
+            len(errors),
+            len(errors) / (end - begin) if end > begin else 0.0,
+            statistics.median(errors) if errors else float("nan"),
+            max(errors, default=float("nan")),
+            max(later - earlier for earlier, later in zip(times, times[1:]) if later >= begin),
+        )
+
+
+def changes(before: Model, after: Model, space: str = "/") -> List[str]:
+    """List nodelets that came, went or were re-wired, a line each, without a namespace.
+
+    Out-ports that publish on the topic of their own name, as most do, are left out.
+    """
+    old, new = _running(before), _running(after)
+    lines = [f"+ {_short(name, space)}" for name in sorted(new) if name not in old]
+    for name in sorted(new):
+        lines.extend(_wirings(old.get(name), new[name], space))
+    return lines + [f"- {_short(name, space)}" for name in sorted(old) if name not in new]
+
+
+def _short(name: str, space: str) -> str:
+    prefix = names.join(space, "")
+    return name[len(prefix) :] if name.startswith(prefix) else name
+
+
+def _running(model: Model) -> Dict[str, NodeletStatus]:
+    return {each.name: each for each in model.nodelets if each.state is State.RUNNING}
+
+
+def _wirings(old: NodeletStatus | None, new: NodeletStatus, space: str) -> Iterator[str]:
+    for port in new.ports:
+        before = old.port(port.name) if old is not None else None
+        was = before.topic if before is not None else ""
+        is_usual = port.direction == "out" and port.topic == names.join(new.name, port.name)
+        if was == port.topic or is_usual:
+            continue
+        arrow = "<-" if port.direction == "in" else "->"
+        topic = _short(port.topic, space) or "nothing"
+        what = f"  {_short(new.name, space)}.{port.name} {arrow} {topic}"
+        yield f"{what} (was {_short(was, space)})" if was else what
+
+
+def to_dot(
+    title: str, model: Model, first: Model, needed: AbstractSet[str], goal: str, space: str = "/"
+) -> str:
+    """Write a picture of the graph in graphviz's DOT language.
+
+    Ovals are nodelets and rectangles are topics; the topic of the client is drawn bold. Whatever
+    was in the first picture is blue, new things are green, and what the stream no longer needs is
+    grey. Anything that has gone since the first picture is dashed.
+
+    Args:
+        title: heading of the picture.
+        model: the graph.
+        first: the graph of the first picture.
+        needed: names of the nodelets of the stream.
+        goal: topic on which the client listens.
+        space: namespace left out of names.
+    """
+
+    def label(name: str) -> str:
+        head, slash, tail = _short(name, space).rpartition("/")
+        return quote(*([head, slash + tail] if head else [slash + tail]))
+
+    there, known = _running(model), _running(first)
+    lines = [_HEAD, f"  label={quote(title)};"]
+    for name in sorted({*there, *known}):
+        fill = _IDLE if name not in needed else _KEPT if name in known else _NEW
+        style = f'style=filled, fillcolor="{fill}"'
+        if name not in there:
+            style = "style=dashed, color=gray50, fontcolor=gray50"
+        lines.append(f"  {quote('n' + name)} [label={label(name)}, {style}];")
+    lines.append(f"  client [shape=plaintext]; {quote('t' + goal)} -> client;")
+    for topic in topics_of(tuple(there.values())):
+        node = quote("t" + topic.name)
+        if topic.targets or topic.name == goal:
+            bold = ", style=bold" if topic.name == goal else ""
+            lines.append(f"  {node} [label={label(topic.name)}, shape=box{bold}];")
+            lines += [f"  {quote('n' + each.nodelet)} -> {node};" for each in topic.sources]
+            for each in topic.targets:
+                lines.append(
+                    f"  {node} -> {quote('n' + each.nodelet)} [label={quote(each.port)}];"
+                )
+    return "\n".join([*lines, "}"]) + "\n"
+
+
+def draw(dot: str, folder: Path, name: str) -> List[Path]:
+    """Draw a picture as PNG and as SVG, into files of that name.
+
+    Raises:
+        CannotDraw: drawing failed; the text says why.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    files = [folder / f"{name}.{form}" for form in ("png", "svg")]
+    for file in files:
+        file.write_bytes(render(dot, file.suffix[1:], _LAYOUT_TIMEOUT))
+    return files
