@@ -13,13 +13,15 @@ import graph
 import rospy
 from dyknow_msgs.msg import PortConfig
 from dyknow_msgs.srv import SetConfig
+from processes import DYKNOW, STOCK_NODELET
+from roslib.packages import find_node
 from sensor_msgs.msg import CameraInfo, Image
 from std_srvs.srv import Trigger
 
-OURS = ("rosrun", "dyknow", "cpp_nodelet_manager")
-STOCK = ("rosrun", "nodelet", "nodelet", "manager")
+OURS = (*find_node("dyknow", "cpp_nodelet_manager"),)
+STOCK = (*STOCK_NODELET, "manager")
 #: Runs a node with the library.
-RUN = ("rosrun", "dyknow", "dyknow", "run")
+RUN = (*DYKNOW, "run")
 PRELOADED = (*RUN, "nodelet", "nodelet", "manager")
 #: What a sink reports when everything has come once, in order and by reference.
 FLAWLESS = {"lost": 0, "doubled": 0, "reordered": 0, "copied": 0}

@@ -8,6 +8,7 @@ Importing it makes the packages of test/packages known to this process and those
 
 from __future__ import annotations
 
+import collections
 import contextlib
 import itertools
 import json
@@ -15,6 +16,7 @@ import os
 import queue
 import signal
 import sys
+import unittest
 import xmlrpc.client
 from pathlib import Path
 from typing import Any, Iterator, Mapping, Sequence
@@ -25,13 +27,13 @@ sys.path.insert(0, str(PACKAGES / "dyknow_test" / "src"))
 
 import rosgraph  # noqa: E402
 import rospy  # noqa: E402
+from bond.msg import Status  # noqa: E402
 from dyknow_msgs.msg import PortConfig  # noqa: E402
 from dyknow_msgs.srv import GetConfig, GetStatistics, SetConfig  # noqa: E402
 from dyknow_test.puppet import Call  # noqa: E402
 from nodelet.srv import NodeletList, NodeletLoad, NodeletUnload  # noqa: E402
-from processes import NODELET, Running, eventually  # noqa: E402
+from processes import NODELET, Running, TellingCase, eventually  # noqa: E402
 from std_msgs.msg import String  # noqa: E402
-from telling import TellingCase  # noqa: E402
 
 PEER = [sys.executable, str(Path(__file__).resolve().parent / "peer.py")]
 
@@ -56,6 +58,9 @@ class ManagerServices:
 
     def __init__(self, name: str) -> None:
         self.name = name
+
+    def forget_output(self) -> None:
+        """Begin its output anew, if it has one."""
 
     def wait_until_up(self) -> None:
         eventually(self._answers, 20.0, f"{self.name} is up")
@@ -146,9 +151,11 @@ class Manager(Ended, ManagerServices):
 
 
 class ManagerCase(TellingCase):
-    """Tests in one nodelet manager, in which each leaves nothing."""
+    """Tests in one nodelet manager, that of the module, in which each leaves nothing."""
 
     manager: ManagerServices
+    manager_name = "/manager"
+    _of_module: Manager | None = None
 
     @classmethod
     def setUpClass(cls) -> None:
@@ -156,12 +163,14 @@ class ManagerCase(TellingCase):
 
     @classmethod
     def start_manager(cls) -> ManagerServices:
-        manager = Manager("/manager")
-        cls.addClassCleanup(manager.__exit__)
-        return manager
+        if ManagerCase._of_module is None:
+            ManagerCase._of_module = Manager(cls.manager_name)
+            unittest.addModuleCleanup(ManagerCase._of_module.__exit__)
+        return ManagerCase._of_module
 
     def tearDown(self) -> None:
         self.manager.unload_all()
+        self.manager.forget_output()
 
 
 class LaunchedManagerCase(ManagerCase):
@@ -214,6 +223,23 @@ def hears(topic: str, text: str, is_whole: bool = False) -> None:
             f"'{text}' comes on {topic}",
             lambda: heard,
         )
+
+
+def let_the_bond_form(topic: str) -> None:
+    """Wait until both ends of a topic's only bond have sent two messages.
+
+    Then each has heard the other, and learns of its end at once. One that was not connected yet
+    would not hear the other part, and wait for the connect timeout.
+    """
+    heard: collections.Counter[str] = collections.Counter()
+    watch = rospy.Subscriber(topic, Status, lambda status: heard.update([status.instance_id]))
+    eventually(
+        lambda: len(heard) == 2 and min(heard.values()) >= 2,
+        8.0,
+        f"both ends are heard on {topic}",
+        lambda: heard,
+    )
+    watch.unregister()
 
 
 def service(name: str, service_class: Any) -> Any:

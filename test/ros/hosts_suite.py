@@ -137,7 +137,7 @@ class Split(HostsCase):
         """When the two meet, one goes on with its nodelets and the claims; the other ends."""
         far = self.host()
         elder = self.nodelet_manager(far, "twin")
-        manager = self.tracking(nodelet_managers=["/twin"], num_nodelet_managers=0)
+        manager = self.tracking(own=True, nodelet_managers=["/twin"], num_nodelet_managers=0)
         eventually(lambda: self.placed(manager, "/twin"), NOTICED, "/twin is used")
         events = self.events()
         claim = manager.client.acquire_stream(StreamRequest(GOAL))
@@ -182,7 +182,7 @@ class ClaimOverHosts(HostsCase):
     def with_claim(self, max_silence: float) -> None:
         self.far = self.host()
         self.far_process = self.nodelet_manager(self.far, "far")
-        self.manager = self.tracking(nodelet_managers=["/far"])
+        self.manager = self.tracking(own=True, nodelet_managers=["/far"])
         self.manager.client.add_transformation(LIBRARY)
         self.hosting(self.manager, "far")
         self.manager.client.spawn("camera", "/far_camera", manager="/far")

@@ -12,10 +12,12 @@ import contextlib
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import tempfile
 import time
+import unittest
 from pathlib import Path
 from typing import Any, Iterator
 
@@ -24,16 +26,18 @@ os.environ["ROS_PACKAGE_PATH"] = os.pathsep.join([os.environ["ROS_PACKAGE_PATH"]
 
 import rosgraph  # noqa: E402
 import rospy  # noqa: E402
-from processes import eventually, forget_ended, nodes  # noqa: E402
+from processes import TellingCase, eventually, forget_ended, nodes  # noqa: E402
 from roslib.packages import find_node  # noqa: E402
 from std_msgs.msg import Header  # noqa: E402
-from telling import TellingCase  # noqa: E402
 
+from dyknow.errors import DyKnowError, Refused  # noqa: E402
+from dyknow.model.streams import StreamStatus  # noqa: E402
 from dyknow.ros.client import ManagerClient  # noqa: E402
 from dyknow.ros.os_process import ProcessId  # noqa: E402
 
 MANAGER = "/dyknow_manager"
 CHILD = "/dyknow_nodelet_manager"
+CPP_CHILD = "/dyknow_cpp_nodelet_manager"
 
 
 def specification(label: str, source: str, ports: str, **params: Any) -> str:
@@ -80,10 +84,12 @@ class ManagerProcess:
         self.state = state
         self.node = node
         self.command = [find_node("dyknow", "manager")[0], f"__name:={node.lstrip('/')}"]
+        self.given = parameters
         self.parameters = {"state_dir": state, "orphan_timeout": 60.0, **parameters}
         self.client = ManagerClient(node, rospy.get_name())
         self.log = os.path.join(state, "output.log")
         self.process: Any = None
+        self._log_begin = 0
 
     def start(self, wait: bool = True) -> None:
         for name, value in self.parameters.items():
@@ -108,7 +114,9 @@ class ManagerProcess:
 
     @property
     def output(self) -> str:
+        """What it has written in this test."""
         with open(self.log) as log:
+            log.seek(self._log_begin)
             return log.read()
 
     def children(self) -> dict[str, ProcessId]:
@@ -150,14 +158,41 @@ class ManagerProcess:
             eventually(lambda: _stat(self.process.pid)[0] == "T", 5.0, "it stands still")
             started = _children_of(self.process.pid)  # it may not have them on its list yet
             self.kill()
-        for process in [*started, *self.children().values()]:
+        children = self.children()
+        for process in [*started, *children.values()]:
             process.signal(signal.SIGKILL)
             process.wait(5.0)
-        names = (self.node, CHILD, CHILD + "_2")
+        names = (self.node, *children)
         for name in names:
             if rospy.has_param(name):
                 rospy.delete_param(name)
         forget_ended(*names, *nodes())
+
+    def clear(self) -> None:
+        """Remove all that a test has made, so that the next one finds it as new."""
+        client = self.client
+        for claim in self.claims():
+            client.release_stream(claim.claim_id)
+        for each in client.get_model().transformations:
+            client.remove_transformation(each.label)
+
+        def is_empty() -> bool:
+            left = client.get_model().nodelets
+            for nodelet in left:
+                with contextlib.suppress(Refused):  # it is collected just now
+                    if nodelet.is_protected:
+                        client.set_protection(nodelet.name, False)
+                    client.destroy(nodelet.name)
+            return not left
+
+        eventually(is_empty, 1.0, "no nodelet is left")
+        eventually(lambda: set(self.children()) <= {CHILD, CPP_CHILD}, 1.0, "no process is left")
+        assert self.child().alive
+        self._log_begin = os.path.getsize(self.log)
+
+    def claims(self) -> list[StreamStatus]:
+        """The claims that have not ended."""
+        return [each for each in self.client.list_streams() if not each.state.ended]
 
     def nodelet(self, name: str) -> Any:
         return self.client.get_model().nodelet(name)
@@ -168,20 +203,64 @@ class ManagerProcess:
 
 
 class ManagerCase(TellingCase):
-    """Each test has a manager that it starts itself."""
+    """Each test has a manager without nodelets, claims and transformations."""
+
+    #: The manager that earlier tests used, while no test uses it.
+    idle: ManagerProcess | None = None
 
     def make(self, node: str = MANAGER, **parameters: Any) -> ManagerProcess:
+        """A manager of this test alone, to be started by it."""
+        self.end_idle()
         folder = tempfile.TemporaryDirectory()
         self.addCleanup(folder.cleanup)
         manager = ManagerProcess(folder.name, node, **parameters)
         self.addCleanup(manager.destroy)
         return manager
 
-    def started(self, **parameters: Any) -> ManagerProcess:
-        manager = self.make(**parameters)
-        manager.start()
+    def running(self, own: bool = False, **parameters: Any) -> ManagerProcess:
+        """A manager that runs: that of the last test, if its parameters are the same.
+
+        Args:
+            own: it is not to be used by other tests.
+            parameters: of the manager.
+        """
+        if own:
+            manager = self.make(**parameters)
+            manager.start()
+            return manager
+        manager = self.idle
+        if manager is None or manager.given != parameters:
+            self.end_idle()
+            manager = ManagerProcess(tempfile.mkdtemp(), **parameters)
+            unittest.addModuleCleanup(shutil.rmtree, manager.state)
+            unittest.addModuleCleanup(manager.destroy)
+            manager.start()
+        ManagerCase.idle = None
+        self.addCleanup(self._keep, manager, dict(manager.parameters))
+        return manager
+
+    def started(self, own: bool = False, **parameters: Any) -> ManagerProcess:
+        """A manager that runs and has the library of the tests."""
+        manager = self.running(own, **parameters)
         manager.client.add_transformation(LIBRARY)
         return manager
+
+    @staticmethod
+    def _keep(manager: ManagerProcess, parameters: dict[str, Any]) -> None:
+        """Keep a manager for the next test, if it still is as it was."""
+        try:
+            assert manager.parameters == parameters and manager.process.poll() is None
+            manager.clear()
+        except (AssertionError, DyKnowError):
+            manager.destroy()
+        else:
+            ManagerCase.idle = manager
+
+    @classmethod
+    def end_idle(cls) -> None:
+        manager, ManagerCase.idle = cls.idle, None
+        if manager is not None:
+            manager.destroy()
 
 
 class Receiver:

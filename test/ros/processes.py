@@ -13,16 +13,20 @@ import subprocess
 import sys
 import tempfile
 import time
-from typing import Callable, Sequence
+import traceback
+import unittest
+from typing import Any, Callable, Iterator, Sequence
 
 import rosgraph
+from roslib.packages import find_node
 
 from dyknow.errors import PeerTimeout
 from dyknow.ros.master import Master
 
+DYKNOW = [sys.executable, "-m", "dyknow.cli"]
 NODELET = [sys.executable, "-m", "dyknow.cli.nodelet"]
-STOCK_NODELET = ["rosrun", "nodelet", "nodelet"]
-
+#: The program itself: `rosrun` takes several times as long to find it as it takes to start.
+STOCK_NODELET = find_node("nodelet", "nodelet")
 
 #: Factor by which waits may be longer on a busy machine than on a quiet one. A wait ends with its
 #: condition, so a large factor costs time only where a test fails.
@@ -65,6 +69,7 @@ class Running:
         self.command = command
         # Not a pipe: whoever reads one may be behind what the process has written.
         self._written = tempfile.TemporaryFile()  # noqa: SIM115 - it is read after the end too
+        self._begin = 0
         self._process = subprocess.Popen(
             command,
             stdin=subprocess.DEVNULL,
@@ -86,9 +91,12 @@ class Running:
 
     @property
     def output(self) -> str:
-        """What it has written by now."""
-        size = os.fstat(self._written.fileno()).st_size
-        return os.pread(self._written.fileno(), size, 0).decode(errors="replace")
+        """What it has written by now, or since `forget_output`."""
+        size = os.fstat(self._written.fileno()).st_size - self._begin
+        return os.pread(self._written.fileno(), size, self._begin).decode(errors="replace")
+
+    def forget_output(self) -> None:
+        self._begin = os.fstat(self._written.fileno()).st_size
 
     @property
     def has_ended(self) -> bool:
@@ -151,3 +159,16 @@ def finished(command: Sequence[str], timeout: float = 20.0) -> tuple[int, str]:
     with Running(*command) as process:
         code = process.exit_code(timeout)
     return code, process.output
+
+
+class TellingCase(unittest.TestCase):
+    """Prints the traceback of a sub-test that fails: rosunit counts it, but loses its text."""
+
+    @contextlib.contextmanager
+    def subTest(self, *args: Any, **kwds: Any) -> Iterator[None]:  # noqa: N802
+        with super().subTest(*args, **kwds):
+            try:
+                yield
+            except Exception:
+                print(f"{self.id()} {args or ''} {kwds or ''}\n{traceback.format_exc()}")
+                raise

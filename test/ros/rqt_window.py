@@ -19,11 +19,10 @@ os.environ["QT_QPA_PLATFORM"] = "offscreen"
 import rospy
 import rostest
 from manager_suite import LIBRARY, ManagerCase, Receiver, eventually
-from processes import HELD_UP, Running, free_port
+from processes import HELD_UP, Running, TellingCase, free_port
 from python_qt_binding.QtTest import QTest
 from python_qt_binding.QtWidgets import QApplication
 from roslib.packages import find_node
-from telling import TellingCase
 
 from dyknow.model.graph import PortRef, SpawnRequest
 from dyknow.ros.client import ManagerClient

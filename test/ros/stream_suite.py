@@ -106,8 +106,7 @@ class StreamCase(ManagerCase):
     """Each test has a manager with a library of tagged transformations, and no other node."""
 
     def tracking(self, **parameters: Any) -> ManagerProcess:
-        manager = self.make(**parameters)
-        manager.start()
+        manager = self.running(**parameters)
         manager.client.add_transformation(LIBRARY)
         return manager
 
@@ -173,7 +172,7 @@ def _violations(manager: ManagerProcess) -> list[str]:
 
     found = []
     model = manager.client.get_model()
-    claims = [each for each in manager.client.list_streams() if not each.state.ended]
+    claims = manager.claims()
     needed = {name for claim in claims for name in claim.nodelets}
     listed = set()
     for child in manager.children():

@@ -33,7 +33,7 @@ class LabTest(StreamCase):
         manager.start()
         with Running(sys.executable, str(LAB / "follow_ball.py")) as client:
             client.wait_for("seen by robot_camera")
-            (claim,) = manager.client.list_streams()
+            (claim,) = manager.claims()
             seen = Seen(claim.topic)
             self.addCleanup(seen.close)
             seen.by("robot_camera")

@@ -15,7 +15,7 @@ import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from telling import TellingCase
+from processes import TellingCase
 
 from dyknow_benchmark.kinds import KINDS
 

@@ -17,11 +17,11 @@ import unittest
 from pathlib import Path
 from unittest import mock
 
+import graph
 import rosgraph
 import rospy
 import rostest
 from bond.msg import Constants, Status
-from bond_watch import let_the_bond_form
 from nodelet.srv import NodeletLoad, NodeletLoadResponse, NodeletUnload, NodeletUnloadResponse
 from processes import BUSY, STOCK_NODELET, Running, eventually
 
@@ -283,12 +283,12 @@ class StockClientTest(unittest.TestCase):
         self.assertTrue(self.events.empty())
 
     def test_the_client_is_killed(self):
-        let_the_bond_form("~bond")
+        graph.let_the_bond_form("~bond")
         self.client.stop(signal.SIGKILL)
         self.assertEqual(self.event("broken", 4.5), self.bond_id)
 
     def test_the_nodelet_is_unloaded_by_others(self):
-        let_the_bond_form("~bond")
+        graph.let_the_bond_form("~bond")
         self.bonds.remove(self.bond_id)
         self.client.wait_for("Bond broken, exiting", 2.5)
         self.assertEqual(self.client.exit_code(20.0), 0)

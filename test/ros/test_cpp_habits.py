@@ -20,11 +20,11 @@ from cpp_suite import RUN
 from dyknow_msgs.msg import NodeletChanges, PortConfig
 from dyknow_msgs.srv import GetConfig, GetCounts, SetConfig
 from graph import Talker, hearing, hears
-from processes import BUSY, eventually
+from processes import BUSY, TellingCase, eventually
 from rosgraph_msgs.msg import Log, TopicStatistics
+from roslib.packages import find_node
 from rospy.impl.statistics import SubscriberStatisticsLogger
 from std_srvs.srv import Trigger
-from telling import TellingCase
 
 from dyknow.ros.master import Master
 from dyknow.ros.nodelets.announcements import NODES_TOPIC
@@ -181,9 +181,9 @@ class ViewTest(HabitsCase):
 
     def both(self) -> Iterator[None]:
         """Runs the node without live ports, then with them."""
-        for run in (("rosrun",), RUN):
-            node = self.run_node(*run, *PROGRAM, "0", "-1", "__name:=habits")
-            if run == RUN:
+        for command in (find_node(*PROGRAM), [*RUN, *PROGRAM]):
+            node = self.run_node(*command, "0", "-1", "__name:=habits")
+            if command[-1] == PROGRAM[-1]:
                 eventually(
                     lambda: NODES_TOPIC in graph.registrations("/habits")["publishers"],
                     20.0,

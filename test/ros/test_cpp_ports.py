@@ -10,7 +10,6 @@ import contextlib
 import itertools
 import os
 import signal
-import socket
 import statistics
 import threading
 import time
@@ -27,10 +26,9 @@ from dynamic_reconfigure.srv import Reconfigure
 from geometry_msgs.msg import Vector3
 from graph import set_config, set_config_pairs, topics_of_ports
 from nodelet.srv import NodeletLoad
-from processes import BUSY, Running, eventually
+from processes import BUSY, Running, TellingCase, eventually, free_port
 from sensor_msgs.msg import Image
 from std_msgs.msg import Float64, Header, String
-from telling import TellingCase
 
 from dyknow import errors
 from dyknow.errors import HostError
@@ -503,13 +501,6 @@ class HungMasterTest(TellingCase):
         finally:
             core.stop(signal.SIGCONT)
         self.assertTrue(set_config.call(5.0 * BUSY, [PortConfig("out", "/b")]).success)
-
-
-def free_port() -> int:
-    """A port that nobody listens on now."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 class UnloadTest(CppCase):

@@ -18,8 +18,7 @@ from cpp_suite import CppManager, start
 from dyknow_msgs.srv import SetConfigResponse
 from graph import set_config
 from nodelet.srv import NodeletUnload
-from processes import BUSY
-from telling import TellingCase
+from processes import BUSY, TellingCase
 
 SECONDS = float(os.environ.get("DYKNOW_TEST_SECONDS", 4.0))
 #: Workspaces in build/ whose nodelet managers are tried.

@@ -24,7 +24,7 @@ from typing import Iterator, Mapping, Optional, Sequence
 
 import rospy
 import rostest
-from telling import TellingCase
+from processes import TellingCase
 
 from dyknow.cli.rewirable import find_library
 

@@ -10,7 +10,6 @@ import contextlib
 import os
 import re
 import signal
-import sys
 import tempfile
 import time
 from typing import Any, Callable, Iterator
@@ -21,12 +20,12 @@ import rostest
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, TransformStamped
 from graph import ManagerCase, set_config, topics_of_ports
-from processes import HELD_UP, eventually
+from processes import DYKNOW, HELD_UP, eventually
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Header, Int32, String
 from tf2_msgs.msg import TFMessage
 
-RUN = [sys.executable, "-m", "dyknow.cli", "run"]
+RUN = [*DYKNOW, "run"]
 #: Seconds that an unload may take; a process alone may take longer.
 #: A robot with one joint.
 ROBOT = """<robot name="r"><link name="base"/><link name="arm"/>

@@ -16,6 +16,7 @@ import rospy
 import rostest
 from manager_suite import CHILD, MANAGER, ManagerCase, eventually, specification
 from processes import Running
+from roslib.packages import find_node
 from std_msgs.msg import String
 from test_dyknow_command import Done
 
@@ -68,7 +69,7 @@ class DoctorTest(ManagerCase):
         self.assertNotIn("\nok ", done.out)
 
     def test_a_node_that_was_killed(self):
-        with Running("rosrun", "topic_tools", "relay", "/a", "/b", "__name:=gone") as relay:
+        with Running(*find_node("topic_tools", "relay"), "/a", "/b", "__name:=gone") as relay:
             eventually(lambda: Master("/test").node("/gone"), 20.0, "the node is up")
             relay.stop(signal.SIGKILL)
             self.found("nodes", "/gone", "no process answers", "rosnode cleanup")
@@ -85,9 +86,10 @@ class DoctorTest(ManagerCase):
             child.signal(signal.SIGCONT)
 
     def test_a_callback_that_does_not_return(self):
+        self.end_idle()
         rospy.set_param(f"{CHILD}/stuck_after", 0.5)
         self.addCleanup(rospy.set_param, "/let_go", False)
-        manager = self.started()
+        manager = self.started(own=True)
         manager.client.add_transformation(specification("moody", MOODY, ">in out>"))
         manager.client.spawn("counter", "c", {"out": "/s"})
         manager.client.spawn("moody", "/moody", {"in": "/s"})
@@ -106,7 +108,7 @@ class DoctorTest(ManagerCase):
         eventually(lambda: not self.findings("remains of nodelets"), 10.0, "it has ended")
 
     def test_a_process_that_the_master_does_not_know(self):
-        manager = self.started()
+        manager = self.started(own=True)
         manager.client.spawn("counter", "c")
         master = Master("/test")
         master.purge(CHILD, master.node(CHILD))
@@ -114,6 +116,7 @@ class DoctorTest(ManagerCase):
         self.found("processes of an earlier master", CHILD, f"process {pid} runs", f"kill {pid}")
 
     def test_a_manager_that_does_not_run(self):
+        self.end_idle()
         self.found("DyKnow manager", MANAGER, "is not running", "rosrun dyknow manager")
         self.assertEqual(Done("doctor", ROS_MASTER_URI="http://localhost:1").code, 3)
 
@@ -136,7 +139,8 @@ class DoctorTest(ManagerCase):
         manager = self.started()
         process = psutil.Process(manager.process.pid)
         self.assertEqual(self.findings("descriptors"), [])
-        _, hard = process.rlimit(psutil.RLIMIT_NOFILE)
+        soft, hard = process.rlimit(psutil.RLIMIT_NOFILE)
+        self.addCleanup(process.rlimit, psutil.RLIMIT_NOFILE, (soft, hard))
         process.rlimit(psutil.RLIMIT_NOFILE, (process.num_fds() + 8, hard))
         self.found("descriptors", MANAGER, "file descriptors", f"ulimit -n {hard}")
 

@@ -16,6 +16,7 @@ import rospy
 from hosts import Host
 from hosts_suite import CALL_TIMEOUT, NOTICED, ClaimOverHosts, HostsCase, Split
 from manager_suite import LIBRARY, ManagerProcess, eventually
+from processes import DYKNOW
 from stream_suite import GOAL
 from stream_suite import LIBRARY as STREAMS
 
@@ -32,7 +33,7 @@ class AbsentHostsTest(HostsCase):
         far = [self.host(), self.host()]
         for number, host in enumerate(far):
             self.nodelet_manager(host, f"far{number}")
-        manager = self.started(nodelet_managers=["/far0", "/far1"])
+        manager = self.started(own=True, nodelet_managers=["/far0", "/far1"])
         for name in ("far0", "far1"):
             self.hosting(manager, name)
         manager.client.spawn("counter", "/kept", {"out": "/kept/out"}, manager="/far0")
@@ -82,7 +83,7 @@ class AbsentHostsTest(HostsCase):
     def test_what_cannot_be_destroyed_now_is_refused_and_destroyed_when_its_host_is_back(self):
         far = self.host()
         self.nodelet_manager(far, "far")
-        manager = self.started(nodelet_managers=["/far"])
+        manager = self.started(own=True, nodelet_managers=["/far"])
         self.hosting(manager, "far")
         for name in ("/one", "/two", "/three"):
             manager.client.spawn("counter", name, manager="/far")
@@ -164,7 +165,7 @@ class LeaseTest(HostsCase):
         manager.start()
         manager.client.add_transformation(STREAMS)
         with laptop.run(*CLIENT, "Filtered(ball)", "4") as program, laptop.run(
-            "rosrun", "dyknow", "dyknow", "acquire", "Position(ball)"
+            *DYKNOW, "acquire", "Position(ball)"
         ) as shell:
             program.wait_for("flows")
             shell.wait_for("held until")

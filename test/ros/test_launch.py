@@ -10,7 +10,6 @@ import json
 import os
 import re
 import signal
-import socket
 import subprocess
 import tempfile
 from pathlib import Path
@@ -21,15 +20,14 @@ import rosgraph
 import rospy
 import rostest
 from graph import registrations, set_config, topics_of_ports
-from processes import BUSY, eventually
+from processes import BUSY, DYKNOW, TellingCase, eventually, free_port
 from rospy.exceptions import ROSException
 from std_msgs.msg import String
-from telling import TellingCase
 
 from dyknow.ros.master import Master
 
 FILES = Path(__file__).resolve().parent.parent / "launch"
-DYKNOW = ("rosrun", "dyknow", "dyknow", "launch")
+LAUNCH = (*DYKNOW, "launch")
 PLAIN = ("roslaunch",)
 #: What a node offers besides when it is re-wirable.
 OURS = re.compile(
@@ -41,11 +39,9 @@ class Launched(graph.Ended):
     """A launch with a master of its own, or with that of the tests."""
 
     def __init__(self, launcher: Sequence[str], file: str, *arguments: str, own: bool) -> None:
-        with socket.socket() as free:
-            free.bind(("localhost", 0))
-            port = free.getsockname()[1]
+        port = free_port()
         self.uri = f"http://localhost:{port}" if own else rosgraph.get_master_uri()
-        more = ("-p", str(port)) if own else ()
+        more = ("-p", port) if own else ()
         super().__init__(
             *("env", f"ROS_MASTER_URI={self.uri}"),
             *(*launcher, "--skip-log-check", *more, str(FILES / file), *arguments),
@@ -84,7 +80,7 @@ class Launched(graph.Ended):
 def rewirable_nodes(*words: str) -> set[str]:
     """Names of the nodes that a dry run says will be re-wirable."""
     done = subprocess.run(
-        [*DYKNOW, *words, "--dry-run", "--json"], stdout=subprocess.PIPE, check=True, text=True
+        [*LAUNCH, *words, "--dry-run", "--json"], stdout=subprocess.PIPE, check=True, text=True
     )
     return {each["node"] for each in json.loads(done.stdout)["nodes"] if not each["why"]}
 
@@ -112,7 +108,7 @@ class RobotTest(TellingCase):
         picture.write_bytes(b"P6\n8 8\n255\n" + bytes(192))
         cls.words = (f"picture:={picture}", "bag:=")
         bags = [f"bag:={Path(folder.name) / name}.bag" for name in ("ours", "plain")]
-        cls.ours = Launched(DYKNOW, "robot.launch", cls.words[0], bags[0], own=False)
+        cls.ours = Launched(LAUNCH, "robot.launch", cls.words[0], bags[0], own=False)
         cls.addClassCleanup(cls.ours.__exit__)
         cls.plain = Launched(PLAIN, "robot.launch", cls.words[0], bags[1], own=True)
         cls.addClassCleanup(cls.plain.__exit__)
@@ -191,7 +187,7 @@ class EndTest(TellingCase):
 
     def codes(self, act: Callable[[Launched], None], *arguments: str) -> list[int]:
         """Exit codes of both, which are acted upon, and have ended all that they started."""
-        both = (DYKNOW, PLAIN)
+        both = (LAUNCH, PLAIN)
         launches = [Launched(each, "ends.launch", *arguments, own=True) for each in both]
         codes = []
         for launch in launches:

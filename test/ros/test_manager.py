@@ -9,7 +9,6 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from pathlib import Path
@@ -50,32 +49,13 @@ TEMPLATE = """
 
 
 class ServicesTest(ManagerCase):
-    """One manager for all of these tests."""
-
-    manager: ManagerProcess
-
-    @classmethod
-    def setUpClass(cls):
-        cls.folder = tempfile.TemporaryDirectory()
-        cls.manager = ManagerProcess(cls.folder.name)
-        cls.manager.start()
-        cls.client = cls.manager.client
-        cls.client.add_transformation(LIBRARY)
-        cls.manager.child()
-        cls.models = []
-        cls.topic = rospy.Subscriber(f"{MANAGER}/model", Model, cls.models.append)
-
-    @classmethod
-    def tearDownClass(cls):
-        cls.topic.unregister()
-        cls.manager.destroy()
-        cls.folder.cleanup()
-
-    def tearDown(self):
-        for nodelet in self.client.get_model().nodelets:
-            if nodelet.is_protected:
-                self.client.set_protection(nodelet.name, False)
-            self.client.destroy(nodelet.name)
+    def setUp(self):
+        self.manager = self.started()
+        self.client = self.manager.client
+        self.models = []
+        topic = rospy.Subscriber(f"{MANAGER}/model", Model, self.models.append)
+        self.addCleanup(topic.unregister)
+        eventually(lambda: self.models, 5.0, "the model is told")
 
     def refused(self, *args, **kwds):
         with self.assertRaises(Refused) as caught:
@@ -322,14 +302,15 @@ class GuardsTest(ManagerCase):
 
 
 class StartTest(ManagerCase):
-    def test_transformations_of_one_manager_are_not_those_of_the_next(self):
-        folder = tempfile.TemporaryDirectory()
-        self.addCleanup(folder.cleanup)
-        file = Path(folder.name, "library.xml")
-        file.write_text(LIBRARY)
-        manager = self.make(transformations=[str(file)])
+    def test_transformations_of_files_are_not_those_of_the_next_manager(self):
+        manager = self.make()
+        good, bad = f"{manager.state}/good.xml", f"{manager.state}/bad.xml"
+        Path(good).write_text(LIBRARY)
+        Path(bad).write_text("<transformations>")
+        manager.parameters["transformations"] = [good, bad]
         manager.start()
-        self.assertIn("relay", [t.label for t in manager.client.get_model().transformations])
+        self.assertIn("counter", [t.label for t in manager.client.get_model().transformations])
+        self.assertIn(bad, manager.output)
         manager.kill()  # it is always started with its parameters
         self.assertTrue(rospy.has_param(f"{MANAGER}/transformations"))
         manager.start()
@@ -339,9 +320,10 @@ class StartTest(ManagerCase):
         self.assertEqual(other.client.get_model().transformations, ())
 
     def test_an_end_on_purpose_leaves_nothing_but_transformations(self):
+        self.end_idle()
         before = registrations("/"), parameters("/")
+        manager = self.started(own=True)
         for number in (signal.SIGINT, signal.SIGTERM, None):
-            manager = self.started()
             manager.client.spawn("counter", "/counter", {"out": "/numbers"}, is_protected=True)
             manager.client.spawn("relay", "/alone", {"in": "/numbers"}, isolated=True)
             children = manager.children()
@@ -358,7 +340,6 @@ class StartTest(ManagerCase):
             model = manager.client.get_model()
             self.assertEqual(model.nodelets, ())
             self.assertIn("counter", [each.label for each in model.transformations])
-            manager.stop()
 
     def test_several_nodelet_managers_and_those_of_others(self):
         other = subprocess.Popen(
@@ -431,17 +412,6 @@ class StartTest(ManagerCase):
         manager.start(wait=False)
         self.assertNotEqual(manager.process.wait(20.0), 0)
         self.assertIn("the individuals <u:a> and <u:b> share the label 'arm'", manager.output)
-
-    def test_transformations_of_files(self):
-        manager = self.make()
-        good, bad = f"{manager.state}/good.xml", f"{manager.state}/bad.xml"
-        Path(good).write_text(LIBRARY)
-        Path(bad).write_text("<transformations>")
-        manager.parameters["transformations"] = [good, bad]
-        manager.start()
-        labels = [each.label for each in manager.client.get_model().transformations]
-        self.assertIn("counter", labels)
-        self.assertIn(bad, manager.output)
 
     def test_a_second_manager_of_that_name_does_not_end_the_first(self):
         manager = self.started()

@@ -227,7 +227,7 @@ class StockTest(ManagerCase):
         roscpp = next(line.split()[2] for line in linked.stdout.splitlines() if "roscpp." in line)
         os.environ["LD_PRELOAD"] = roscpp  # its functions are found first then
         try:
-            manager = self.started()
+            manager = self.started(own=True)
         finally:
             del os.environ["LD_PRELOAD"]
         client = manager.client

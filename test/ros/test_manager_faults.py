@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 import random
 import signal
-import socket
 import tempfile
 import threading
 import time
@@ -29,7 +28,7 @@ from manager_suite import (
     parameters,
     registrations,
 )
-from processes import BUSY, HELD_UP, Running
+from processes import BUSY, HELD_UP, Running, free_port
 from std_msgs.msg import Header
 
 from dyknow.errors import DyKnowError, Refused
@@ -240,13 +239,11 @@ class ManagerFaultsTest(ManagerCase):
         """Kill a manager and its master while its nodelet manager is started, or later."""
         folder = tempfile.TemporaryDirectory()
         self.addCleanup(folder.cleanup)
-        with socket.socket() as free:
-            free.bind(("", 0))
-            port = free.getsockname()[1]
+        port = free_port()
         uri = f"http://localhost:{port}"
         master = rosgraph.Master(rospy.get_name(), uri)
         environment = mock.patch.dict(os.environ, {"ROS_MASTER_URI": uri})
-        with environment, Running("rosmaster", "--core", "-p", str(port)) as core:
+        with environment, Running("rosmaster", "--core", "-p", port) as core:
             eventually(master.is_online, 10.0, "a master")
             manager = ManagerProcess(folder.name)
             settings = (f"_state_dir:={folder.name}", "_orphan_timeout:=1.0")

@@ -12,9 +12,9 @@ import threading
 import time
 import unittest
 
+import graph
 import rospy
 import rostest
-from bond_watch import let_the_bond_form
 from nodelet.srv import (
     NodeletList,
     NodeletLoad,
@@ -92,7 +92,7 @@ class WithManager:
 
     def test_the_manager_misses_a_killed_client(self):
         process = self.load(MANAGER)
-        let_the_bond_form(BOND)
+        graph.let_the_bond_form(BOND)
         process.stop(signal.SIGKILL)
         eventually(lambda: nodelets() == [], 5.5, "the nodelet is unloaded")
 
@@ -107,7 +107,7 @@ class WithManager:
     def test_the_client_ends_with_the_manager(self):
         for number in (signal.SIGKILL, signal.SIGINT):
             process = self.load(MANAGER)
-            let_the_bond_form(BOND)
+            graph.let_the_bond_form(BOND)
             self.manager.stop(number)
             self.assert_ends(process, within=6.0)
             self.assertIn("Bond broken, exiting\n", process.output)
@@ -116,7 +116,7 @@ class WithManager:
 
     def test_the_client_ends_when_others_unload(self):
         process = self.load(MANAGER)
-        let_the_bond_form(BOND)
+        graph.let_the_bond_form(BOND)
         code, output = finished([*NODELET, "unload", "/command_test/nodelet", MANAGER])
         self.assertEqual(code, 0, output)
         self.assert_ends(process, within=2.0)
@@ -125,7 +125,7 @@ class WithManager:
 
     def test_a_stopped_manager_does_not_hold_up_the_client(self):
         process = self.load(MANAGER)
-        let_the_bond_form(BOND)
+        graph.let_the_bond_form(BOND)
         self.manager.stop(signal.SIGSTOP)
         process.stop()
         self.assert_ends(process, within=3.5)
@@ -135,7 +135,7 @@ class WithManager:
 
     def test_a_dead_manager_does_not_hold_up_the_client(self):
         process = self.load(MANAGER)
-        let_the_bond_form(BOND)  # so that the client has its answer
+        graph.let_the_bond_form(BOND)  # so that the client has its answer
         self.manager.stop(signal.SIGKILL)
         self.manager.exit_code(20.0)
         process.stop()

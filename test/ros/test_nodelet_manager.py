@@ -6,7 +6,6 @@
 
 from __future__ import annotations
 
-import collections
 import contextlib
 import signal
 import socket
@@ -19,13 +18,20 @@ import graph  # first: it makes the test package known
 import rosgraph
 import rospy
 import rostest
-from bond.msg import Status
 from dyknow_msgs.msg import NodeletChanges
-from graph import Ended, Manager, call, registrations, set_config
+from graph import Ended, Manager, ManagerCase, call, let_the_bond_form, registrations, set_config
 from nodelet.srv import NodeletList, NodeletLoad, NodeletUnload
-from processes import BUSY, HELD_UP, NODELET, STOCK_NODELET, eventually, finished, nodes
+from processes import (
+    BUSY,
+    HELD_UP,
+    NODELET,
+    STOCK_NODELET,
+    TellingCase,
+    eventually,
+    finished,
+    nodes,
+)
 from std_msgs.msg import Header
-from telling import TellingCase
 
 from dyknow.errors import HostError, PeerTimeout
 from dyknow.ros.master import Master
@@ -60,19 +66,28 @@ class Started(TellingCase):
         self.addCleanup(process.__exit__)
         return process
 
-    def start_manager(self, *arguments, **options):
+    def run_manager(self, *arguments, **options):
         manager = Manager(*arguments, **options)
         self.addCleanup(manager.__exit__)
         return manager
 
 
 class StartTest(Started):
-    def test_services_are_up_soon(self):
+    def test_the_number_of_its_threads_and_its_time_to_start(self):
+        def workers(manager):
+            return len([*graph.Path(f"/proc/{manager.pid}/task").iterdir()])
+
+        rospy.set_param("/eleven/num_worker_threads", 11)
+        rospy.set_param("/five/num_worker_threads", 5)
+        eleven = self.run_manager("/eleven")
         # Everything is in the page cache for the second one, as on a machine that runs.
-        self.start_manager("/warm").stop()
         begin = time.monotonic()
-        self.start_manager("/quick")
+        five = self.run_manager("/five")
         self.assertLess(time.monotonic() - begin, 2 * BUSY)
+        eventually(
+            lambda: workers(eleven) - workers(five) == 6, 5.0, "six threads more in the one"
+        )
+        self.assertIn("Initializing nodelet with 11 worker threads.", eleven.output)
 
     def test_every_command_that_starts_a_manager(self):
         for command in (
@@ -85,25 +100,10 @@ class StartTest(Started):
             self.assertEqual(process.exit_code(20.0), 0, process.output)
             self.assertNotIn("/started", nodes())
 
-    def test_num_worker_threads(self):
-        def workers(manager):
-            names = []
-            for task in graph.Path(f"/proc/{manager.pid}/task").iterdir():
-                names.append((task / "comm").read_text())
-            return len(names)
-
-        rospy.set_param("/eleven/num_worker_threads", 11)
-        rospy.set_param("/five/num_worker_threads", 5)
-        eleven, five = self.start_manager("/eleven"), self.start_manager("/five")
-        eventually(
-            lambda: workers(eleven) - workers(five) == 6, 5.0, "six threads more in the one"
-        )
-        self.assertIn("Initializing nodelet with 11 worker threads.", eleven.output)
-
     def test_a_parameter_without_sense(self):
         for value in (-1, "many", 1.5, True):
             rospy.set_param("/confused/num_worker_threads", value)
-            process = self.start_manager("/confused", wait=False)
+            process = self.run_manager("/confused", wait=False)
             self.assertEqual(process.exit_code(20.0), 255, process.output)
             self.assertIn("num_worker_threads", process.output)
             self.assertIn("expected an integer", process.output)
@@ -117,8 +117,8 @@ class StartTest(Started):
         self.assertFalse(rospy.has_param("/manager/stuck_after"), process.output)
 
     def test_sigint_at_any_moment_of_the_start(self):
-        for tenth in range(1, 8):
-            process = self.start_manager("/hasty", wait=False)
+        for tenth in range(1, 8, 2):
+            process = self.run_manager("/hasty", wait=False)
             process._process.poll()
             try:
                 process.exit_code(tenth / 10)
@@ -131,28 +131,23 @@ class StartTest(Started):
             self.assertNotIn("/hasty", nodes())
 
     def test_signals_end_the_wait_for_a_master(self):
-        for number in (signal.SIGINT, signal.SIGTERM):
-            for command in (["manager"], ["standalone", "dyknow/Source"]):
-                nowhere = ["env", "ROS_MASTER_URI=http://127.0.0.1:1"]
-                process = self.start(*nowhere, *NODELET, *command)
-                process.wait_for("master may not be running yet")
-                process.stop(number)
-                self.assertEqual(process.exit_code(10.0), 130, process.output)
-                self.assertNotIn("Traceback", process.output)
+        for number, command in (
+            (signal.SIGINT, ["manager"]),
+            (signal.SIGTERM, ["standalone", "dyknow/Source"]),
+        ):
+            nowhere = ["env", "ROS_MASTER_URI=http://127.0.0.1:1"]
+            process = self.start(*nowhere, *NODELET, *command)
+            process.wait_for("master may not be running yet")
+            process.stop(number)
+            self.assertEqual(process.exit_code(10.0), 130, process.output)
+            self.assertNotIn("Traceback", process.output)
 
 
-class ServiceTest(Started):
-    @classmethod
-    def setUpClass(cls):
-        cls.manager = Manager("/robot/manager")
+class RobotCase(Started, ManagerCase):
+    manager_name = "/robot/manager"
 
-    @classmethod
-    def tearDownClass(cls):
-        cls.manager.__exit__()
 
-    def tearDown(self):
-        self.manager.unload_all()
-
+class ServiceTest(RobotCase):
     def test_load_list_unload(self):
         before = registrations("/robot/manager")
         self.assertEqual(self.manager.list(), [])
@@ -286,7 +281,7 @@ class ServiceTest(Started):
 
 class ProcessRemappingTest(Started):
     def test_the_requests_remappings_come_first_then_the_processes(self):
-        manager = self.start_manager("/manager", "topic:=/by_process", "other:=/by_process_too")
+        manager = self.run_manager("/manager", "topic:=/by_process", "other:=/by_process_too")
         manager.load("Introspector", "/n", {"topic": "/by_request"})
         self.assertEqual(call("/n", "resolve", "topic"), "/by_request")
         self.assertEqual(call("/n", "resolve", "other"), "/by_process_too")
@@ -294,31 +289,16 @@ class ProcessRemappingTest(Started):
         self.assertEqual(call("/n", "publish_plain", "other"), "/by_process_too")
         self.assertEqual(graph.nodes_on("/by_process_too")[0], {"/manager"})
 
-    def test_a_topic_that_the_process_remaps_is_out_of_a_ports_reach(self):
-        manager = self.start_manager("/manager", "topic:=/by_process")
-        manager.load("Listener", "/n")
-        answer = graph.set_config("/n", **{"in": "/topic"})
+        # A topic that the process remaps is out of a port's reach.
+        manager.load("Listener", "/listener")
+        answer = graph.set_config("/listener", **{"in": "/topic"})
         self.assertFalse(answer.success)
         self.assertIn("/by_process", answer.message)
-        self.assertEqual(graph.topics_of_ports("/n"), {"in": ""})
-
-    def test_two_managers(self):
-        one, two = self.start_manager("/one"), self.start_manager("/two")
-        one.load("Talker", "/talker", {"/out": "/topic"})
-        two.load("Listener", "/listener", {"/in": "/topic"})
-        self.assertEqual((one.list(), two.list()), (["/talker"], ["/listener"]))
-        eventually(lambda: call("/talker", "connections") == 1, 5.0, "they are connected")
-        call("/talker", "publish", 0, 5)
-        eventually(lambda: call("/listener", "received") == [0, 1, 2, 3, 4], 5.0, "all arrive")
-        two.unload("/listener")
-        eventually(lambda: call("/talker", "connections") == 0, 5.0, "it is told")
+        self.assertEqual(graph.topics_of_ports("/listener"), {"in": ""})
 
 
-class ClientTest(Started):
+class ClientTest(RobotCase):
     """`nodelet load`, the stock one and DyKnow's, against DyKnow's manager."""
-
-    def setUp(self):
-        self.manager = self.start_manager("/robot/manager")
 
     def load(self, client, *arguments):
         process = self.start(
@@ -359,9 +339,12 @@ class ClientTest(Started):
                 eventually(lambda: "/robot/relay" not in nodes(), 2.0, "the client is gone")
 
     def test_a_manager_that_ended_before_is_no_trouble_at_the_end(self):
-        process = self.load("own", "--no-bond")
-        self.manager.stop()
-        self.manager.exit_code(10.0)
+        manager = self.run_manager("/ended")
+        relay = ("load", "dyknow_test/Relay", "/ended", "--no-bond", "__name:=relay")
+        process = self.start(*NODELET, *relay)
+        eventually(lambda: manager.list() == ["/relay"], 15.0, "the nodelet is loaded")
+        manager.stop()
+        manager.exit_code(10.0)
         process.stop(signal.SIGINT)
         self.assertEqual(process.exit_code(20.0), 0, process.output)
         for word in ("Couldn't find", "WARN", "ERROR", "FATAL", "Traceback"):
@@ -371,19 +354,10 @@ class ClientTest(Started):
         for client in CLIENTS:
             with self.subTest(client):
                 process = self.load(client)
-                self.let_the_bond_form()
+                let_the_bond_form(f"{self.manager.name}/bond")
                 process.stop(signal.SIGKILL)
                 eventually(lambda: self.manager.list() == [], 6.0, "the manager misses it")
                 self.assertIn("bond", self.manager.output)
-
-    def let_the_bond_form(self):
-        """Wait until both ends have sent two messages: then each has heard the other."""
-        heard = collections.Counter()
-        watch = rospy.Subscriber(
-            f"{self.manager.name}/bond", Status, lambda status: heard.update([status.instance_id])
-        )
-        eventually(lambda: len(heard) == 2 and min(heard.values()) >= 2, 8.0, "both are heard")
-        watch.unregister()
 
     def test_a_service_unload_ends_the_client(self):
         for client in CLIENTS:
@@ -413,10 +387,21 @@ class ClientTest(Started):
                 self.assertIn("dyknow_test/Nothing", output)
                 self.assertIn("dyknow_test/Relay", self.manager.output)  # what there is
 
+    def test_two_managers(self):
+        other = self.run_manager("/other")
+        self.manager.load("Talker", "/talker", {"/out": "/topic"})
+        other.load("Listener", "/listener", {"/in": "/topic"})
+        self.assertEqual((self.manager.list(), other.list()), (["/talker"], ["/listener"]))
+        eventually(lambda: call("/talker", "connections") == 1, 5.0, "they are connected")
+        call("/talker", "publish", 0, 5)
+        eventually(lambda: call("/listener", "received") == [0, 1, 2, 3, 4], 5.0, "all arrive")
+        other.unload("/listener")
+        eventually(lambda: call("/talker", "connections") == 0, 5.0, "it is told")
+
 
 class EndTest(Started):
     def test_an_end_of_manager_and_clients_at_once_is_silent(self):
-        manager = self.start_manager("/ending")
+        manager = self.run_manager("/ending")
         clients = [
             self.start(*STOCK_NODELET, "load", "dyknow_test/Relay", "ending", f"__name:=relay{n}")
             for n in range(3)
@@ -430,7 +415,7 @@ class EndTest(Started):
             self.assertNotIn(REFUSED, process.output)
 
     def test_who_connects_to_what_has_ended_already_is_not_told_of_at_the_end(self):
-        manager = self.start_manager("/ending")
+        manager = self.run_manager("/ending")
         client = self.start(*STOCK_NODELET, "load", "dyknow_test/Relay", "ending", "__name:=relay")
         eventually(lambda: manager.list() == ["/relay"], 10.0, "it is loaded")
         connect = connector("/ending", "/rosout")
@@ -488,7 +473,7 @@ class StandaloneTest(Started):
 LAUNCH = """
 <launch>
   <arg name="rate" default="5"/>
-  <group ns="robot">
+  <group ns="rover">
     <remap from="image" to="camera/image"/>
     <node pkg="nodelet" type="nodelet" name="manager" args="manager" output="screen">
       <param name="num_worker_threads" value="3"/>
@@ -517,19 +502,20 @@ class LaunchTest(Started):
             file.flush()
             launch = self.start("roslaunch", file.name, "rate:=7")
             for nodelet in ("relay", "alone", "introspector"):
-                rospy.wait_for_service(f"/robot/{nodelet}/call", 20.0)
-            self.assertEqual(
-                graph.topics_of_ports("/robot/relay"), {"in": "/robot/source", "out": "/result"}
+                rospy.wait_for_service(f"/rover/{nodelet}/call", 20.0)
+            topics = {"in": "/rover/source", "out": "/result"}
+            eventually(
+                lambda: graph.topics_of_ports("/rover/relay") == topics, 5.0, "it is connected"
             )
-            self.assertEqual(rospy.get_param("/robot/relay/rate"), 7)
-            self.assertEqual(rospy.get_param("/robot/relay/gains"), [1, 2])
-            self.assertEqual(call("/robot/alone", "describe")["argv"], ["third"])
-            self.assertEqual(call("/robot/introspector", "describe")["argv"], [])
+            self.assertEqual(rospy.get_param("/rover/relay/rate"), 7)
+            self.assertEqual(rospy.get_param("/rover/relay/gains"), [1, 2])
+            self.assertEqual(call("/rover/alone", "describe")["argv"], ["third"])
+            self.assertEqual(call("/rover/introspector", "describe")["argv"], [])
             self.assertEqual(
-                call("/robot/introspector", "resolve", "image"), "/robot/camera/image"
+                call("/rover/introspector", "resolve", "image"), "/rover/camera/image"
             )
             heard = rospy.Subscriber("/result", Header, self.note)
-            speaker = rospy.Publisher("/robot/source", Header, queue_size=1)
+            speaker = rospy.Publisher("/rover/source", Header, queue_size=1)
             self.heard = []
             eventually(
                 lambda: graph.is_fed("/result") and speaker.get_num_connections(),
@@ -542,7 +528,7 @@ class LaunchTest(Started):
             speaker.unregister()
             launch.stop()
             self.assertEqual(launch.exit_code(15.0), 0, launch.output)
-        self.assertFalse({node for node in nodes() if node.startswith("/robot")})
+        self.assertFalse({node for node in nodes() if node.startswith("/rover")})
 
     def note(self, message):
         self.heard.append(message.seq)

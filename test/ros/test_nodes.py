@@ -15,7 +15,7 @@ import rostest
 from cpp_suite import RUN
 from graph import Talker, hears
 from manager_suite import CHILD, ManagerCase, parameters, registrations
-from processes import BUSY, eventually, finished
+from processes import BUSY, DYKNOW, eventually, finished
 
 from dyknow.errors import Refused
 from dyknow.manager.specifications.specification import parse
@@ -59,7 +59,7 @@ LIBRARY = """
 
 
 RATE = Parameter("rate", "int", "30")
-PROBE = ("rosrun", "dyknow", "dyknow", "probe")
+PROBE = (*DYKNOW, "probe")
 
 
 class NodesTest(ManagerCase):

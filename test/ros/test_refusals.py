@@ -270,12 +270,6 @@ class SetConfigTest(Refusals):
 class CallbackTest(ManagerCase):
     """What goes wrong in a callback stays there."""
 
-    @classmethod
-    def setUpClass(cls):
-        rospy.set_param("/manager/stuck_after", 1.0)
-        rospy.set_param("/manager/num_worker_threads", 4)
-        super().setUpClass()
-
     def setUp(self):
         self.speaker = rospy.Publisher("/orders", Header, queue_size=100)
         self.load_fragile("/n", "/neighbour", "/other")
@@ -477,4 +471,6 @@ def within(seconds, function):
 
 if __name__ == "__main__":
     rospy.init_node("refusals_test")
+    rospy.set_param("/manager/stuck_after", 1.0)
+    rospy.set_param("/manager/num_worker_threads", 4)
     rostest.rosrun("dyknow", "refusals", "__main__")

@@ -10,7 +10,6 @@ import contextlib
 import os
 import re
 import signal
-import sys
 import tempfile
 import time
 from typing import Any, Iterator, List
@@ -22,10 +21,11 @@ import rostest
 from dyknow_msgs.msg import Port
 from dyknow_msgs.srv import GetCounts
 from graph import ManagerCase, get_config, hearing, hears, set_config, topics_of_ports
-from processes import HELD_UP, NODELET, eventually
+from processes import DYKNOW, HELD_UP, NODELET, eventually
+from roslib.packages import find_node
 from sensor_msgs.msg import JointState
 
-RUN = [sys.executable, "-m", "dyknow.cli", "run"]
+RUN = [*DYKNOW, "run"]
 SCRIPT = "dyknow/Script"
 #: Where packages of the tests' own are, beside those of test/packages.
 FURTHER_PACKAGES = tempfile.TemporaryDirectory()
@@ -328,8 +328,8 @@ class CommandTest(graph.TellingCase):
     def test_a_program_sees_itself_as_without_dyknow(self):
         words = ("dyknow_test", "mirror.py", "here:=there", "_word:=5", "__ns:=/mirrors")
         seen = []
-        for run in (["rosrun"], RUN):
-            node = self.start(*run, *words)
+        for command in (find_node(*words[:2]), [*RUN, *words[:2]]):
+            node = self.start(*command, *words[2:])
             self.assertEqual(node.exit_code(60.0), 0, node.output)
             lines = node.output.splitlines()
             seen.append([line for line in lines if line and "[INFO]" not in line])
@@ -339,8 +339,9 @@ class CommandTest(graph.TellingCase):
     def test_what_a_script_sets_takes_effect_on_its_process(self):
         for what in ("settings", "waits", "catches", "handles", "no_node"):
             with self.subTest(what):
-                words = ("dyknow_test", "own_process.py", what)
-                plain, live = self.start("rosrun", *words), self.start(*RUN, *words)
+                words = ("dyknow_test", "own_process.py")
+                plain = self.start(*find_node(*words), what)
+                live = self.start(*RUN, *words, what)
                 codes = [each.exit_code(60.0) for each in (plain, live)]
                 self.assertEqual(codes[1], codes[0], live.output)
                 self.assertEqual(without_traces(live.output), without_traces(plain.output))

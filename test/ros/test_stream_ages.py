@@ -107,7 +107,7 @@ class AgeTest(StreamCase):
             self.assertFalse(answer.success)
             self.assertEqual(answer.result, answer.TYPE_MISMATCH)
             self.assertIn("carries std_msgs/Header, but a type that begins with", answer.message)
-        self.assertEqual(manager.client.list_streams(), ())
+        self.assertEqual(manager.claims(), [])
         self.settled(manager)
 
     def test_a_nodelet_manager_tells_the_age_of_one_message_for_each_question(self):

@@ -27,9 +27,9 @@ HANGING = transformation("hanging", "HangsInInit", "Hanging(ball)", "Raw(?camera
 class PartsTest(StreamCase):
     """Something happens to a part of a stream; its client keeps listening to the same topic."""
 
-    def begin(self, **request):
+    def begin(self, own=False, **request):
         """Acquire a stream that flows; returns the manager, the stream, flow and events."""
-        manager = self.tracking()
+        manager = self.tracking(own=own)
         manager.client.add_transformation(SPARE_FILTER)
         events = self.events()
         stream = dyknow.acquire(GOAL, Header, **request)
@@ -76,7 +76,8 @@ class PartsTest(StreamCase):
         self.falls_silent("silent")
 
     def falls_silent(self, order):
-        manager, stream, flow, events = self.begin(max_silence=0.5)
+        # A manager remembers for a while which transformations were silent.
+        manager, stream, flow, events = self.begin(own=True, max_silence=0.5)
         victim = self.nodelet_of(manager, "filter")
         self.addCleanup(lambda: print([each.reason for each in events.all]))
         self.tell(victim, order)

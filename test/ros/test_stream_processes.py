@@ -27,7 +27,7 @@ class ProcessesTest(StreamCase):
         manager = self.tracking()
         with Running(*CLIENT, GOAL) as client:
             client.wait_for("ACTIVE")
-            (claim,) = manager.client.list_streams()
+            (claim,) = manager.claims()
             self.settled(manager)
             client.stop(signal.SIGKILL)
         took = self.become(manager, claim.claim_id, ClaimState.EXPIRED)
@@ -39,7 +39,7 @@ class ProcessesTest(StreamCase):
         manager = self.tracking()
         with Running(*CLIENT, GOAL) as client:
             client.wait_for("ACTIVE")
-            (claim,) = manager.client.list_streams()
+            (claim,) = manager.claims()
             client.stop()
             self.assertEqual(client.exit_code(20.0), 0)
         self.assertIs(self.claim(manager, claim.claim_id).state, ClaimState.RELEASED)
@@ -48,7 +48,7 @@ class ProcessesTest(StreamCase):
         manager = self.tracking()
         with Running(*CLIENT, GOAL) as client:
             client.wait_for("ACTIVE")
-            (before,) = manager.client.list_streams()
+            (before,) = manager.claims()
             leased = manager.client.acquire_stream(StreamRequest("Filtered(ball)", lease=600.0))
             flow = self.flow(before.topic)
             flow.wait()
@@ -82,7 +82,7 @@ class ProcessesTest(StreamCase):
         manager = self.tracking()
         with Running(*CLIENT, GOAL) as client:
             client.wait_for("ACTIVE")
-            (claim,) = manager.client.list_streams()
+            (claim,) = manager.claims()
             manager.kill()
             client.stop(signal.SIGKILL)
             manager.start()
@@ -96,7 +96,7 @@ class ProcessesTest(StreamCase):
             manager.stop()
             client.wait_for("the manager was stopped", 2.0)
             manager.start()
-            self.assertEqual(manager.client.list_streams(), ())
+            self.assertEqual(manager.claims(), [])
             self.assertEqual(manager.client.get_model().nodelets, ())
 
 

@@ -7,20 +7,18 @@
 from __future__ import annotations
 
 import signal
-import sys
 import time
 
 import rospy
 import rostest
 from manager_suite import eventually
-from processes import Running, finished
+from processes import DYKNOW, Running, finished
 from std_msgs.msg import Header
 from stream_suite import CAMERA, GOAL, SENSOR, StreamCase, transformation
 
 import dyknow
 from dyknow.model.streams import NO_MESSAGE, ClaimState, StreamRequest
 
-DYKNOW = [sys.executable, "-m", "dyknow.cli"]
 #: As good as the camera of the suite's library.
 TWIN = CAMERA.replace("<label>camera", "<label>twin")
 MAP = transformation("map", "Counter", "Map(here)")

@@ -8,21 +8,18 @@ from __future__ import annotations
 
 import json
 import signal
-import sys
 import time
 
 import rospy
 import rostest
 from manager_suite import eventually
-from processes import Running, finished
+from processes import DYKNOW, Running, finished
 from std_msgs.msg import Header
 from stream_suite import FILTER, GOAL, SENSOR, SPARE_FILTER, StreamCase
 
 import dyknow
 from dyknow.errors import Refused, Result, StreamRefused
 from dyknow.model.streams import NO_MESSAGE, ClaimState, StreamRequest
-
-DYKNOW = [sys.executable, "-m", "dyknow.cli"]
 
 
 class AcquireTest(StreamCase):
@@ -77,7 +74,7 @@ class AcquireTest(StreamCase):
         self.assertEqual(answer.cost, 3.0)
         self.assertIn("filter", answer.plan)
         self.assertEqual(manager.client.get_model().nodelets, ())
-        self.assertEqual([c for c in manager.client.list_streams() if not c.state.ended], [])
+        self.assertEqual(manager.claims(), [])
 
     def test_what_is_excluded_is_not_used(self):
         manager = self.tracking()
@@ -100,7 +97,7 @@ class AcquireTest(StreamCase):
         )
         manager.client.spawn("client", "/client", {"out": "/seen"})
         self.flow("/seen").wait()
-        claims = manager.client.list_streams()
+        claims = manager.claims()
         self.assertEqual([each.tag for each in claims], ["Filtered(ball)"])
         manager.client.destroy("/client")
         eventually(lambda: not manager.client.get_model().nodelets, 8.0, "all is collected")
@@ -196,7 +193,7 @@ class CommandTest(StreamCase):
             manager.client.find_bindings("Raw(")
         with Running(*DYKNOW, "acquire", GOAL) as shell:
             shell.wait_for("held until Ctrl-C")
-            (claim,) = manager.client.list_streams()
+            (claim,) = manager.claims()
             self.assertIn(claim.topic, shell.output)
             manager.client.destroy("/filter_1")
             shell.wait_for("active: mended")
@@ -210,13 +207,13 @@ class CommandTest(StreamCase):
             shell.stop()
             self.assertEqual(shell.exit_code(10.0), 0)
             self.assertIn(f"released {claim.claim_id}", shell.output)
-        self.assertEqual([c for c in manager.client.list_streams() if not c.state.ended], [])
+        self.assertEqual(manager.claims(), [])
 
     def test_a_shell_that_is_killed_holds_nothing(self):
         manager = self.tracking()
         with Running(*DYKNOW, "acquire", GOAL, "--json") as shell:
             shell.wait_for('"state": "active"')
-            (claim,) = manager.client.list_streams()
+            (claim,) = manager.claims()
             shell.stop(signal.SIGKILL)
         self.become(manager, claim.claim_id, ClaimState.EXPIRED, 15.0)
 

@@ -13,9 +13,8 @@ import graph  # first: it makes the test package known
 import rospy
 import rostest
 from graph import PEER, Ended, Manager, call
-from processes import eventually, finished
+from processes import TellingCase, eventually, finished
 from std_msgs.msg import Header
-from telling import TellingCase
 
 NOTHING = {"publishers": [], "subscribers": [], "services": []}
 

@@ -35,6 +35,10 @@ class Ordinary(Puppet):
             topic, Header, queue_size=10, latch=latch
         )
 
+    def make_and_remove_publishers(self, count, kind, topic):
+        for _ in range(count):
+            self.makers[kind].Publisher(topic, Header, queue_size=10).unregister()
+
     def make_subscriber(self, label, kind, topic):
         self.notes[label] = []
         callback = functools.partial(self.note, label)
