@@ -40,7 +40,7 @@ TURNS: Tuple[str, ...] = (
     "bonds of claims",
     "reconfiguration",
     "listening to nodelet managers",
-    "words of a bond",
+    "messages of bonds",
     "output of a child",
     "service client",
     "backup of the state file",

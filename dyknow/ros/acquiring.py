@@ -47,56 +47,56 @@ class AcquiredStream:
         self,
         client: ManagerClient,
         session: StreamSession,
-        view: StreamStatus,
+        status: StreamStatus,
         lease: float,
         on_event: Optional[OnEvent],
     ) -> None:
         """Follow a claim; made by ``acquire``."""
-        self.claim_id = view.claim_id
-        self.tag = view.tag
+        self.claim_id = status.claim_id
+        self.tag = status.tag
         self.lease = lease
         self.spawned: Tuple[str, ...] = ()
         self.reused: Tuple[str, ...] = ()
         self._client = client
         self._session = session
-        self._telling: EventQueue[StreamEvent] = EventQueue(on_event or (lambda event: None))
+        self._notifications: EventQueue[StreamEvent] = EventQueue(on_event or (lambda event: None))
         self._changed = state_condition("acquired stream")
-        self._view = view
+        self._status = status
         self._released = False
         self._events = 0
 
     @property
     def topic(self) -> str:
         """The topic to subscribe to; it stays the same. Empty while the stream cannot be made."""
-        return self._view.topic
+        return self._status.topic
 
     @property
     def datatype(self) -> str:
         """ROS type of the stream; empty while that is not known."""
-        return self._view.datatype
+        return self._status.datatype
 
     @property
     def state(self) -> ClaimState:
         """The claim's state, as last reported by the manager."""
-        return self._view.state
+        return self._status.state
 
     @property
     def detail(self) -> str:
         """Why it does not flow, or that no message has come yet; empty if it flows."""
-        return self._view.detail
+        return self._status.detail
 
     @property
     def nodelets(self) -> Tuple[str, ...]:
         """Names of the nodelets that it needs, as last reported by the manager."""
-        return self._view.nodelets
+        return self._status.nodelets
 
     @property
     def bindings(self) -> Dict[str, str]:
-        """What the variables of the tag stand for, such as ``{"?camera": "left"}``.
+        """Names for the variables of the tag, such as ``{"?camera": "left"}``.
 
-        A repair may change that; the event says so.
+        A repair may change them, which is an event.
         """
-        return dict(each.split("=", 1) for each in self._view.bindings)
+        return dict(each.split("=", 1) for each in self._status.bindings)
 
     def wait_until_active(self, timeout: Optional[float] = None) -> bool:
         """Wait for the stream.
@@ -151,43 +151,43 @@ class AcquiredStream:
         """Number of changes seen; an answer requested before the last change is out of date."""
         return self._events
 
-    def note(self, event: StreamEvent) -> None:
+    def apply(self, event: StreamEvent) -> None:
         """Apply a change, unless the claim has ended."""
         with self._changed:
-            if not self._view.state.ended:
+            if not self._status.state.ended:
                 self._events += 1
                 self._put(event)
-        self._telling.deliver()
+        self._notifications.deliver()
 
-    def note_view(self, view: StreamStatus, events: int) -> None:
+    def update(self, status: StreamStatus, events: int) -> None:
         """Apply the claim's status as of ``events`` changes; reported if a change was missed."""
         with self._changed:
             if events == self._events:
-                self._take(view, view.detail or "an earlier event was missed")
-        self._telling.deliver()
+                self._take(status, status.detail or "an earlier event was missed")
+        self._notifications.deliver()
 
-    def note_end(self, why: str) -> None:
+    def end(self, why: str) -> None:
         """Mark the claim as ended: the manager no longer knows it."""
         self._change(why, state=ClaimState.EXPIRED, detail=why)
 
     def _change(self, reason: str, **changes: Any) -> None:
         with self._changed:
-            self._take(replace(self._view, **changes), reason)
-        self._telling.deliver()
+            self._take(replace(self._status, **changes), reason)
+        self._notifications.deliver()
 
-    def _take(self, view: StreamStatus, reason: str) -> None:
-        before = self._view
+    def _take(self, status: StreamStatus, reason: str) -> None:
+        before = self._status
         if before.state.ended:
             return
-        if _shown(view) != _shown(before):
-            self._put(StreamEvent(rospy.get_time(), before, view, reason))
+        if _shown(status) != _shown(before):
+            self._put(StreamEvent(rospy.get_time(), before, status, reason))
         else:
-            self._view = view
+            self._status = status
 
     def _put(self, event: StreamEvent) -> None:
-        self._view = event.after
+        self._status = event.after
         self._changed.notify_all()
-        self._telling.add(event)
+        self._notifications.add(event)
 
 
 def acquire(
@@ -208,7 +208,7 @@ def acquire(
     manager: str = "",
     timeout: float = CHANGE_TIMEOUT,
 ) -> AcquiredStream:
-    """Have a stream made and maintained.
+    """Request a stream, which the manager makes and maintains.
 
     Args:
         tag: a term such as ``FieldPosition(ball)`` or ``BallObject(?robot)``.
@@ -259,8 +259,8 @@ def acquire(
             avoid=_names(avoid),
             budget=budget,
         )
-        view, answer = _ask(client, request, pending, timeout)
-        stream = AcquiredStream(client, session, view, lease, on_event)
+        status, answer = _ask(client, request, pending, timeout)
+        stream = AcquiredStream(client, session, status, lease, on_event)
         if answer is not None:
             stream.spawned, stream.reused = answer.spawned, answer.reused
         session.add(stream)
@@ -270,9 +270,9 @@ def acquire(
     return stream
 
 
-def _shown(view: StreamStatus) -> Tuple[object, ...]:
-    """What an event is told for."""
-    return view.state, view.topic, view.detail, view.bindings
+def _shown(status: StreamStatus) -> Tuple[object, ...]:
+    """Return the fields whose change triggers an event."""
+    return status.state, status.topic, status.detail, status.bindings
 
 
 def _names(given: Union[str, Iterable[str]]) -> Tuple[str, ...]:
@@ -283,20 +283,20 @@ def _ask(
     client: ManagerClient, request: StreamRequest, pending: bool, timeout: float
 ) -> Tuple[StreamStatus, Optional[Acquisition]]:
     """Request a stream; return its status, and the answer unless it is still pending."""
-    view = StreamStatus(
+    status = StreamStatus(
         "", request.client_id, request.tag, "", "", ClaimState.PENDING, "", (), 0.0
     )
     try:
         answer = client.acquire_stream(request, timeout=timeout)
     except StreamRefused as error:
         if error.claim_id and pending:
-            return replace(view, claim_id=error.claim_id, detail=str(error)), None
+            return replace(status, claim_id=error.claim_id, detail=str(error)), None
         if error.claim_id:
-            _give_up(client, error.claim_id)
+            _release(client, error.claim_id)
             raise error.given_up() from error
         raise
     active = replace(
-        view,
+        status,
         claim_id=answer.claim_id,
         topic=answer.topic,
         datatype=answer.datatype,
@@ -309,7 +309,7 @@ def _ask(
     return active, answer
 
 
-def _give_up(client: ManagerClient, claim_id: str) -> None:
+def _release(client: ManagerClient, claim_id: str) -> None:
     try:
         client.release_stream(claim_id)
     except DyKnowError as error:  # it ends with its lease

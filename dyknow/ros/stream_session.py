@@ -1,21 +1,22 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What the streams of one process share: a bond, a subscription and a thread for the leases.
+"""The session of a process with one manager: a bond, a subscription and renewals of leases.
 
-There is one session for each manager that streams were acquired from: it is opened with the first
-stream and closed with the last. Who owns what: the session owns the bond's heart, the subscriber
-of ``~stream_events`` and the thread that renews leases; streams only hold what the session tells
-them.
+A session is opened with the first stream that is acquired from the manager, and closed with the
+last. It owns the bond, the subscriber of ``~stream_events`` and the thread that renews leases.
 """
 
 from __future__ import annotations
 
+import threading
 import time
+import uuid
 from functools import partial
-from typing import Any, Dict, List, Optional, Protocol
+from typing import Any, Callable, Dict, List, Optional, Protocol
 
 import rospy
+from bond.msg import Constants, Status
 from dyknow_msgs.msg import StreamEvent as StreamEventMessage
 
 from dyknow import names
@@ -23,7 +24,9 @@ from dyknow.errors import HostError, PeerTimeout, Refused
 from dyknow.locks import state_lock, turn_lock
 from dyknow.model.streams import StreamEvent, StreamStatus
 from dyknow.periodic import PeriodicWorker, attempt
-from dyknow.ros.bonding.client_bond import ClientBond
+from dyknow.ros.bonding.bond_table import Announcement
+from dyknow.ros.bonding.bonds import status_message
+from dyknow.ros.bonding.claim_bonds import TOPIC
 from dyknow.ros.client import ManagerClient
 from dyknow.ros.messages import event_from
 
@@ -34,10 +37,60 @@ _RETRY = 1.0
 #: Seconds to wait for the events' connection, so that the first events are not missed.
 _CONNECT_PATIENCE = 0.5
 _POLL = 0.01
+_QUEUE_SIZE = 10
+#: Seconds to wait, at the end, for a heartbeat that is being sent.
+_CLOSE_PATIENCE = 1.0
 
 
-class Follower(Protocol):
-    """A stream, as seen by its session."""
+class ClientBond(rospy.SubscribeListener):
+    """The client's end of the bond that its claims depend on.
+
+    It only publishes heartbeats: to each new subscriber at once, and to all of them once a second.
+    A client learns from its leases that the manager is gone, and goes on meanwhile, so a manager
+    that was killed finds its clients alive when it is back.
+
+    Attributes:
+        bond_id: id of the bond.
+    """
+
+    def __init__(self, manager: str) -> None:
+        """Start the heartbeats for a manager of this global name."""
+        self.bond_id = str(uuid.uuid4())
+        self._instance_id = str(uuid.uuid4())
+        self._closed = threading.Event()
+        self._publisher: Any = rospy.Publisher(
+            names.join(manager, TOPIC), Status, subscriber_listener=self, queue_size=_QUEUE_SIZE
+        )
+        period = float(Constants.DEFAULT_HEARTBEAT_PERIOD)
+        self._worker = PeriodicWorker("heartbeats of streams", self._publish, period)
+        self._worker.start()
+
+    def close(self) -> None:
+        """End the bond."""
+        self._closed.set()
+        self._worker.close(_CLOSE_PATIENCE)
+        self._publish(active=False)
+        self._publisher.unregister()
+
+    def peer_subscribe(
+        self, topic_name: str, topic_publish: Any, peer_publish: Callable[[Status], None]
+    ) -> None:
+        """Send a heartbeat to a new subscriber, whose time limit is shorter once it has one."""
+        if not self._closed.is_set():
+            peer_publish(self._status(active=True))
+
+    def _publish(self, active: bool = True) -> None:
+        try:
+            self._publisher.publish(self._status(active))
+        except rospy.ROSException:
+            return  # the node has shut down, and the manager misses the heartbeats
+
+    def _status(self, active: bool) -> Status:
+        return status_message(Announcement(self.bond_id, self._instance_id, active))
+
+
+class KeptStream(Protocol):
+    """A stream that a session keeps alive."""
 
     claim_id: str
     lease: float
@@ -46,13 +99,13 @@ class Follower(Protocol):
     def events(self) -> int:
         """Number of changes seen."""
 
-    def note(self, event: StreamEvent) -> None:
+    def apply(self, event: StreamEvent) -> None:
         """Apply a change."""
 
-    def note_view(self, view: StreamStatus, events: int) -> None:
-        """Apply the claim's status as of so many changes."""
+    def update(self, status: StreamStatus, events: int) -> None:
+        """Apply the status of the claim as of so many changes."""
 
-    def note_end(self, why: str) -> None:
+    def end(self, why: str) -> None:
         """Mark the claim as ended: the manager no longer knows it."""
 
 
@@ -83,19 +136,19 @@ class StreamSession:
         self._users = 0
         self._turn = turn_lock("opening of a stream session")
         self._state_lock = state_lock("streams of a session")
-        self._streams: Dict[str, Follower] = {}
+        self._streams: Dict[str, KeptStream] = {}
         self._due: Dict[str, float] = {}
-        self._heart: Optional[ClientBond] = None
+        self._bond: Optional[ClientBond] = None
         self._subscriber: Any = None
         self._worker = PeriodicWorker("renewing leases", self._keep, self._until_due)
 
     @property
     def bond_id(self) -> str:
         """Id of the bond on which this process's claims depend."""
-        assert self._heart is not None
-        return self._heart.bond_id
+        assert self._bond is not None
+        return self._bond.bond_id
 
-    def add(self, stream: Follower) -> None:
+    def add(self, stream: KeptStream) -> None:
         """Keep a stream's claim alive, and pass on its changes."""
         with self._state_lock:
             self._streams[stream.claim_id] = stream
@@ -119,16 +172,16 @@ class StreamSession:
         with self._turn:
             if self._subscriber is not None:
                 self._subscriber.unregister()
-            if self._heart is not None:
-                self._heart.close()
+            if self._bond is not None:
+                self._bond.close()
 
     # Inside
 
     def _start(self) -> None:
         """Subscribe to the events and start the bond and the renewals, unless that is done."""
         with self._turn:
-            if self._heart is None:
-                self._heart = ClientBond(self._client.manager)
+            if self._bond is None:
+                self._bond = ClientBond(self._client.manager)
             if self._subscriber is None:
                 self._subscriber = rospy.Subscriber(
                     names.join(self._client.manager, "stream_events"),
@@ -144,14 +197,14 @@ class StreamSession:
             time.sleep(_POLL)
 
     @staticmethod
-    def _next_due(stream: Follower) -> float:
+    def _next_due(stream: KeptStream) -> float:
         return time.monotonic() + stream.lease * _RENEWED_AFTER
 
     def _on_event(self, message: Any) -> None:
         with self._state_lock:
             stream = self._streams.get(message.after.claim_id)
         if stream is not None:
-            stream.note(event_from(message))
+            stream.apply(event_from(message))
 
     def _keep(self) -> None:
         """Renew the leases when they are due."""
@@ -169,7 +222,7 @@ class StreamSession:
             soonest = min(self._due.values(), default=None)
         return None if soonest is None else max(0.0, soonest - time.monotonic())
 
-    def _renew(self, stream: Follower) -> None:
+    def _renew(self, stream: KeptStream) -> None:
         self._put_off(stream, time.monotonic() + _RETRY)  # for any failure
         next_due = self._next_due(stream)
         try:
@@ -177,14 +230,14 @@ class StreamSession:
         except Refused as error:
             self._refresh([stream.claim_id])  # the manager may still know why it ended
             self.remove(stream.claim_id)
-            stream.note_end(str(error))
+            stream.end(str(error))
             return
         except (HostError, PeerTimeout) as error:
             rospy.logwarn_throttle(10, f"the lease of stream {stream.claim_id}: {error}")
         else:
             self._put_off(stream, next_due)
 
-    def _put_off(self, stream: Follower, due: float) -> None:
+    def _put_off(self, stream: KeptStream, due: float) -> None:
         with self._state_lock:
             if stream.claim_id in self._due:
                 self._due[stream.claim_id] = due
@@ -199,6 +252,6 @@ class StreamSession:
             return  # the next renewal will show
         for claim_id in claim_ids:
             with self._state_lock:
-                stream: Optional[Follower] = self._streams.get(claim_id)
+                stream = self._streams.get(claim_id)
             if stream is not None and claim_id in claims:
-                stream.note_view(claims[claim_id], events.get(claim_id, -1))
+                stream.update(claims[claim_id], events.get(claim_id, -1))

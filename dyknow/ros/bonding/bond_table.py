@@ -1,21 +1,44 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""All bonds of one topic, as plain Python: what has to be said, and when something is due next.
+"""The bond protocol as plain Python: no thread, no clock, no ROS.
 
-The table owns the ends of the bonds (`BondEnd`) and one heartbeat for all of them, so that forty
-bonds wake their thread as often as one does. It is not thread-safe and calls nothing: every event
-returns `Effects`, which the owner carries out after it has let go of its lock.
+A bond ties two processes together so that each learns when the other ends. Both publish on one
+topic about once a second that they are alive, and each limits the silence of the other. `BondEnd`
+is our end of one bond; the other end is its sister:
+
+    WAITING --alive--> ALIVE --dead, or silence--> DEAD
+       |                 |
+       |  part           +--part--> PARTING --dead, or too long--> DEAD
+       +---------------------------^
+       +--dead, or too long--> DEAD
+
+The rules are those of bond_core's state machine (bondcpp, bondpy), with five differences that its
+sisters cannot distinguish from ordinary traffic:
+
+* Silence counts from the sister's first heartbeat, not from her second; a sister that died in
+  between would be waited for without end.
+* An end that gives its sister up publishes "dead" once, so that a sister that was only suspended
+  learns it at once.
+* An end that parts before its sister was heard repeats "dead" for a while too: she may just be
+  connecting, and would wait for the whole connect timeout.
+* After the sister's death is acknowledged, the end lingers and acknowledges again while she
+  repeats herself; the first answer may have been sent before she was connected.
+* An id can be used again at once: answers of former sisters to the end of the earlier bond do not
+  count. One that still publishes "alive" after the disconnect timeout ignores that end, and is the
+  sister of the new bond.
+
+As in bond_core, the timeouts that a sister announces are for debugging; each end follows its own.
 """
 
 from __future__ import annotations
 
+import enum
 import uuid
 from dataclasses import dataclass, field
-from typing import Callable, Iterable
+from typing import Callable
 
 from dyknow.errors import DyKnowError
-from dyknow.ros.bonding.bond_states import BondEnd, BondState, BondTimings, Outcome
 
 OnBroken = Callable[[], None]
 
@@ -29,8 +52,27 @@ class DuplicateBond(DyKnowError):
 
 
 @dataclass(frozen=True)
-class Word:
-    """Something to publish: this end of this bond is alive or dead."""
+class BondTimings:
+    """Limits and periods of an end, in seconds.
+
+    Attributes:
+        connect_timeout: From the start to the sister's first heartbeat.
+        heartbeat_timeout: The longest silence of a sister that was heard.
+        disconnect_timeout: From the end's parting to the sister's acknowledgement.
+        heartbeat_period: Between two "alive".
+        dead_publish_period: Between two "dead" while the sister has not acknowledged.
+    """
+
+    connect_timeout: float
+    heartbeat_timeout: float
+    disconnect_timeout: float
+    heartbeat_period: float
+    dead_publish_period: float
+
+
+@dataclass(frozen=True)
+class Announcement:
+    """A message to publish: this end of this bond is alive or dead."""
 
     bond_id: str
     instance_id: str
@@ -39,28 +81,148 @@ class Word:
 
 @dataclass
 class Effects:
-    """What has to be done after an event.
+    """Actions that an event asks of the table's owner.
 
     Attributes:
-        words: To publish, in this order.
+        announcements: To publish, in this order.
         broken: The callbacks of the bonds that broke by themselves, in the order of their
             breaking.
-        silent: Ends whose sister was silent for too long, for `BondTable.judge_silence`.
-        intruded: The ids of bonds on which a third party spoke.
+        intruded: The ids of bonds on which a third party published.
     """
 
-    words: list[Word] = field(default_factory=list)
+    announcements: list[Announcement] = field(default_factory=list)
     broken: list[OnBroken] = field(default_factory=list)
-    silent: list[BondEnd] = field(default_factory=list)
     intruded: list[str] = field(default_factory=list)
 
     def __bool__(self) -> bool:
         """Whether there is anything to do."""
-        return bool(self.words or self.broken or self.silent or self.intruded)
+        return bool(self.announcements or self.broken or self.intruded)
+
+
+class BondState(enum.Enum):
+    """State of an end; see the module's diagram."""
+
+    WAITING = "waiting for the sister"
+    ALIVE = "alive"
+    PARTING = "waiting for the sister to acknowledge our death"
+    DEAD = "dead"
+
+
+class BondEnd:
+    """Our end of one bond.
+
+    Each method takes the time (seconds, monotonic), and adds to the effects.
+
+    Attributes:
+        state: See the module's diagram.
+        deadline: When `tick` has to be called next; None: not before another event.
+    """
+
+    def __init__(
+        self,
+        bond_id: str,
+        on_broken: OnBroken,
+        timings: BondTimings,
+        now: float,
+        former: BondEnd | None,
+    ) -> None:
+        """Wait for the sister; ``former`` is our end of an earlier bond with the same id."""
+        self.bond_id = bond_id
+        self.state = BondState.WAITING
+        self.deadline: float | None = now + timings.connect_timeout
+        self._on_broken = on_broken
+        self._timings = timings
+        self._instance_id = str(uuid.uuid4())
+        self._sister: str | None = None
+        self._own_instances = {self._instance_id}
+        self._former_sisters: set[str | None] = set()
+        if former is not None:
+            self._own_instances |= former._own_instances
+            self._former_sisters |= former._former_sisters | {former._sister}
+        self._former_settled_at = now + timings.disconnect_timeout
+        self._parted_at = now
+
+    @property
+    def is_living(self) -> bool:
+        """Whether this end publishes heartbeats."""
+        return self.state in (BondState.WAITING, BondState.ALIVE)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether no event can change this end any more."""
+        return self.state is BondState.DEAD and self.deadline is None
+
+    def announce(self, active: bool, effects: Effects) -> None:
+        """Publish "alive" or "dead"."""
+        effects.announcements.append(Announcement(self.bond_id, self._instance_id, active))
+
+    def receive(self, instance_id: str, active: bool, now: float, effects: Effects) -> None:
+        """Handle a status message with this bond's id."""
+        if instance_id in self._own_instances:
+            return
+        is_former = instance_id in self._former_sisters
+        is_of_former_bond = is_former and (not active or now < self._former_settled_at)
+        if self._sister is None and not is_of_former_bond:
+            self._sister = instance_id
+        if instance_id == self._sister:
+            (self._sister_alive if active else self._sister_dead)(now, effects)
+        elif not is_former:
+            effects.intruded.append(self.bond_id)
+
+    def tick(self, now: float, silence_counts: bool | None, effects: Effects) -> None:
+        """Do what is due at the deadline; see `BondTable.tick`."""
+        if self.deadline is None or now < self.deadline:
+            return
+        parting_ends = self._parted_at + self._timings.disconnect_timeout
+        if self.state is BondState.WAITING or (self.state is BondState.ALIVE and silence_counts):
+            self._die()
+            self.announce(False, effects)
+            effects.broken.append(self._on_broken)
+        elif self.state is BondState.ALIVE:
+            if silence_counts is not None:
+                self.deadline = now + self._timings.heartbeat_timeout
+        elif self.state is BondState.PARTING and now < parting_ends:
+            self.deadline = now + self._timings.dead_publish_period
+            self.announce(False, effects)
+        else:
+            self._die()
+
+    def part(self, now: float, effects: Effects) -> None:
+        """Break the bond on purpose: the sister is notified, the owner is not."""
+        if self.is_living:
+            self.state = BondState.PARTING
+            self._parted_at = now
+            self.deadline = now + self._timings.dead_publish_period
+            self.announce(False, effects)
+
+    def _sister_alive(self, now: float, effects: Effects) -> None:
+        if self.is_living:
+            if self.state is BondState.WAITING:
+                self.announce(True, effects)
+            self.state = BondState.ALIVE
+            self.deadline = now + self._timings.heartbeat_timeout
+
+    def _sister_dead(self, now: float, effects: Effects) -> None:
+        if self.state is BondState.PARTING:
+            self._die()
+        elif self.is_living:
+            self.state = BondState.DEAD
+            self.deadline = now + self._timings.disconnect_timeout
+            effects.broken.append(self._on_broken)
+        if self.deadline is not None:
+            self.announce(False, effects)
+
+    def _die(self) -> None:
+        self.state = BondState.DEAD
+        self.deadline = None
 
 
 class BondTable:
-    """The bonds of one topic by their id.
+    """The bonds of one topic by their id, with one heartbeat for all of them.
+
+    So forty bonds wake their thread as often as one does. A table is not thread-safe and calls
+    nothing: every event returns `Effects`, which the owner carries out after it has released its
+    lock.
 
     An end that parted, or whose sister died, stays until nothing more is expected of it; its id
     can be used again at once nevertheless.
@@ -69,20 +231,28 @@ class BondTable:
     def __init__(self, timings: BondTimings) -> None:
         """Make an empty table of bonds that follow the same timings."""
         self._timings = timings
-        self._ends: dict[str, tuple[BondEnd, OnBroken]] = {}
+        self._ends: dict[str, BondEnd] = {}
         self._next_heartbeat = 0.0
 
     def __len__(self) -> int:
-        """The number of bonds, those that come to their end included."""
+        """The number of bonds, including those that are ending."""
         return len(self._ends)
 
     def is_parting(self) -> bool:
         """Whether a sister has not acknowledged yet that we broke a bond on purpose."""
-        return any(end.state is BondState.PARTING for end, _ in self._ends.values())
+        return any(end.state is BondState.PARTING for end in self._ends.values())
+
+    def silent(self, now: float) -> list[str]:
+        """Ids of the bonds whose sister has been silent for too long."""
+        return [
+            end.bond_id
+            for end in self._ends.values()
+            if end.state is BondState.ALIVE and end.deadline is not None and end.deadline <= now
+        ]
 
     def next_due(self) -> float | None:
         """When `tick` has to be called next, None: not before another event."""
-        due = [end.deadline for end, _ in self._ends.values() if end.deadline is not None]
+        due = [end.deadline for end in self._ends.values() if end.deadline is not None]
         if self._has_living():
             due.append(self._next_heartbeat)
         return min(due, default=None)
@@ -93,70 +263,60 @@ class BondTable:
         Raises:
             DuplicateBond: There is a living one with this id.
         """
-        former = None
-        if bond_id in self._ends:
-            former, _ = self._ends[bond_id]
-            if former.wants_heartbeats:
-                raise DuplicateBond(bond_id)
+        former = self._ends.get(bond_id)
+        if former is not None and former.is_living:
+            raise DuplicateBond(bond_id)
         if not self._has_living():
             self._next_heartbeat = now + self._timings.heartbeat_period
-        end = BondEnd(bond_id, str(uuid.uuid4()), self._timings, now, former)
-        self._ends[bond_id] = (end, on_broken)
-        return Effects(words=[Word(bond_id, end.instance_id, True)])
+        effects = Effects()
+        end = self._ends[bond_id] = BondEnd(bond_id, on_broken, self._timings, now, former)
+        end.announce(True, effects)
+        return effects
 
     def remove(self, bond_id: str, now: float) -> Effects:
         """Break a bond on purpose; nothing if it does not exist or has broken already."""
-        if bond_id not in self._ends:
-            return Effects()
-        end, _ = self._ends[bond_id]
-        return self._effects([(end, end.part(now))])
+        effects = Effects()
+        if bond_id in self._ends:
+            self._ends[bond_id].part(now, effects)
+        return effects
 
     def remove_all(self, now: float) -> Effects:
         """Break all bonds on purpose."""
-        return self._effects([(end, end.part(now)) for end, _ in self._ends.values()])
+        effects = Effects()
+        for end in self._ends.values():
+            end.part(now, effects)
+        return effects
 
-    def hear(self, bond_id: str, instance_id: str, active: bool, now: float) -> Effects:
-        """Take in a message of the topic; most are for others."""
-        if bond_id not in self._ends:
-            return Effects()
-        end, _ = self._ends[bond_id]
-        return self._effects([(end, end.hear(instance_id, active, now))])
+    def receive(self, bond_id: str, instance_id: str, active: bool, now: float) -> Effects:
+        """Handle a message of the topic; most of them are about unknown bonds."""
+        effects = Effects()
+        if bond_id in self._ends:
+            self._ends[bond_id].receive(instance_id, active, now, effects)
+            self._forget_ended()
+        return effects
 
-    def tick(self, now: float) -> Effects:
-        """Do what is due."""
-        effects = self._effects([(end, end.tick(now)) for end, _ in list(self._ends.values())])
+    def tick(self, now: float, silence_counts: bool | None = None) -> Effects:
+        """Do what is due.
+
+        Args:
+            now: The time.
+            silence_counts: Whether silence breaks bonds; if not, each silent sister is waited for
+                once more. None leaves silent bonds alone, for a later call to decide.
+        """
+        effects = Effects()
+        for end in self._ends.values():
+            end.tick(now, silence_counts, effects)
         if now >= self._next_heartbeat and self._has_living():
             self._next_heartbeat = now + self._timings.heartbeat_period
-            effects.words += [
-                Word(end.bond_id, end.instance_id, True)
-                for end, _ in self._ends.values()
-                if end.wants_heartbeats
-            ]
+            for end in self._ends.values():
+                if end.is_living:
+                    end.announce(True, effects)
+        self._forget_ended()
         return effects
-
-    def judge_silence(self, ends: Iterable[BondEnd], counts: bool, now: float) -> Effects:
-        """Settle what `tick` reported as silent; see `BondEnd.judge_silence`."""
-        return self._effects([(end, end.judge_silence(counts, now)) for end in ends])
 
     def _has_living(self) -> bool:
-        return any(end.wants_heartbeats for end, _ in self._ends.values())
+        return any(end.is_living for end in self._ends.values())
 
-    def _effects(self, outcomes: Iterable[tuple[BondEnd, Outcome]]) -> Effects:
-        effects = Effects()
-        for end, outcome in outcomes:
-            if outcome.say is not None:
-                effects.words.append(Word(end.bond_id, end.instance_id, outcome.say))
-            if outcome.broken:
-                effects.broken.append(self._ends[end.bond_id][1])
-            if outcome.silent:
-                effects.silent.append(end)
-            if outcome.intruder:
-                effects.intruded.append(end.bond_id)
-            if end.forgettable:
-                self._forget(end)
-        return effects
-
-    def _forget(self, end: BondEnd) -> None:
-        current = self._ends.get(end.bond_id)
-        if current is not None and current[0] is end:
+    def _forget_ended(self) -> None:
+        for end in [each for each in self._ends.values() if each.is_over]:
             del self._ends[end.bond_id]

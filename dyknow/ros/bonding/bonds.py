@@ -9,18 +9,16 @@ timer threads: forty bonds cost a hundred threads, which compete for the interpr
 speaks the same protocol, with stock sisters at the other end, through one publisher, one
 subscriber and one thread, and has none of the three while there is no bond.
 
-The rules are in `bond_states` and `bond_table`, which know neither rospy nor threads; here are the
-locks, the thread and the topic. Who owns what: the condition guards the table. The thread owns the
-publisher and the subscriber, which come and go with it; so it is no `PeriodicWorker`, whose thread
-would stay. A turn is held while something is published, since a rospy publisher must not be
-unregistered meanwhile.
+The rules are in `bond_table`, which knows neither rospy nor threads. Who owns what: the condition
+guards the table. The thread owns the publisher and the subscriber, which come and go with it; so
+it is no `PeriodicWorker`, whose thread would stay. A turn is held while something is published,
+since a rospy publisher must not be unregistered meanwhile.
 """
 
 from __future__ import annotations
 
 import threading
 import time
-import traceback
 from functools import partial
 from typing import Any, Callable, Sequence
 
@@ -30,8 +28,7 @@ from bond.msg import Constants, Status
 from dyknow.errors import DyKnowError, PeerTimeout
 from dyknow.locks import state_condition, turn_lock
 from dyknow.periodic import RETRY, attempt, in_background
-from dyknow.ros.bonding.bond_states import BondTimings
-from dyknow.ros.bonding.bond_table import BondTable, Effects, OnBroken, Word
+from dyknow.ros.bonding.bond_table import Announcement, BondTable, BondTimings, Effects, OnBroken
 from dyknow.ros.remote_calls import call_within
 
 STOCK_TIMINGS = BondTimings(
@@ -43,7 +40,7 @@ STOCK_TIMINGS = BondTimings(
 )
 """What bondcpp and bondpy use."""
 
-# Heartbeats of many bonds at once; they are small, and a sister that reads none is given up.
+#: Heartbeats of many bonds at once; they are small, and a sister that reads none is given up.
 _QUEUE_SIZE = 1000
 
 _PARAMETER_TIMEOUT = 1.0
@@ -70,16 +67,15 @@ class Bonds:
         executor: Callable[[Callable[[], None]], object] = partial(in_background, "broken bonds"),
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Begin without bonds; the topic is registered with the first.
+        """Make an end without bonds; the topic is registered with the first.
 
         Args:
-            topic: Where both ends speak, `MANAGER/bond` for nodelets.
-            timings: How long to wait and how often to speak.
+            topic: Where both ends publish, `MANAGER/bond` for nodelets.
+            timings: Limits and periods of all bonds.
             executor: Runs the callbacks of broken bonds. By default they have a short-lived
-                thread, since an unload that takes its time must not hold up the heartbeats of the
-                other bonds.
-            clock: Time (s) by which sisters are silent. One for which this process has run leaves
-                them their time after a pause.
+                thread, since a slow unload must not delay the heartbeats of the other bonds.
+            clock: Seconds by which silence is measured. A clock of the time for which this
+                process has run gives sisters time to answer after a pause.
         """
         self._clock = clock
         self._topic = topic
@@ -89,7 +85,7 @@ class Bonds:
         self._table = BondTable(timings)
         self._thread: threading.Thread | None = None
         self._publisher: Any = None
-        self._publishing_turn = turn_lock("words of a bond")
+        self._publishing_turn = turn_lock("messages of bonds")
         self._closed_until: float | None = None
 
     def add(self, bond_id: str, on_broken: OnBroken) -> None:
@@ -113,7 +109,7 @@ class Bonds:
         self._perform(effects)
 
     def remove(self, bond_id: str) -> None:
-        """Break a bond on purpose: the sister is told, `on_broken` is not called.
+        """Break a bond on purpose: the sister is notified, `on_broken` is not called.
 
         Nothing happens if there is no such bond: it may just have broken by itself.
         """
@@ -162,8 +158,11 @@ class Bonds:
     def _serve_once(self) -> bool:
         """Do what is due, or sleep until something is; False when the last bond is gone."""
         with self._changed:
+            silent = self._table.silent(self._clock())
+        silence_counts = not self._is_heartbeat_timeout_disabled(silent) if silent else None
+        with self._changed:
             now = self._clock()
-            effects = self._table.tick(now)
+            effects = self._table.tick(now, silence_counts)
             if not effects:
                 due = self._next_due(now)
                 if due is None:
@@ -184,14 +183,16 @@ class Bonds:
 
     def _on_status(self, status: Any) -> None:
         with self._changed:
-            effects = self._table.hear(status.id, status.instance_id, status.active, self._clock())
+            effects = self._table.receive(
+                status.id, status.instance_id, status.active, self._clock()
+            )
             if effects:
                 self._changed.notify()
         self._perform(effects)
 
     def _perform(self, effects: Effects) -> None:
         """Carry out what the table asks for; never called with the lock."""
-        self._publish(effects.words)
+        self._publish(effects.announcements)
         for bond_id in effects.intruded:
             rospy.logerr_throttle(
                 10,
@@ -199,55 +200,50 @@ class Bonds:
                 f"(topic: {self._topic}, id: {bond_id}).",
             )
         if effects.broken:
-            self._executor(lambda: _call_each(effects.broken))
-        if effects.silent:
-            counts = not self._is_heartbeat_timeout_disabled()
-            if not counts:
-                ids = ", ".join(end.bond_id for end in effects.silent)
-                rospy.logwarn(
-                    "Heartbeat timeout is disabled.  Not breaking bond "
-                    f"(topic: {self._topic}, id: {ids})"
-                )
-            with self._changed:
-                verdict = self._table.judge_silence(effects.silent, counts, self._clock())
-            self._perform(verdict)
+            self._executor(partial(_call_each, effects.broken))
 
-    def _publish(self, words: Sequence[Word]) -> None:
+    def _publish(self, announcements: Sequence[Announcement]) -> None:
         with self._publishing_turn:
             publisher = self._publisher
             if publisher is None:
                 return  # the thread is about to make it; whatever matters is repeated
-            for word in words:
-                status = Status(
-                    id=word.bond_id,
-                    instance_id=word.instance_id,
-                    active=word.active,
-                    heartbeat_timeout=self._timings.heartbeat_timeout,
-                    heartbeat_period=self._timings.heartbeat_period,
-                )
-                status.header.stamp = rospy.Time.now()
+            for each in announcements:
                 try:
-                    publisher.publish(status)
+                    publisher.publish(status_message(each, self._timings))
                 except rospy.ROSException:
-                    return  # the node shuts down; our silence says the rest
+                    return  # the node shuts down; our silence has the same meaning
 
-    def _is_heartbeat_timeout_disabled(self) -> bool:
+    def _is_heartbeat_timeout_disabled(self, silent: Sequence[str]) -> bool:
         """Whether silence breaks no bonds, as a parameter for debugging says."""
         name = Constants.DISABLE_HEARTBEAT_TIMEOUT_PARAM
         try:
-            return bool(
-                call_within(_PARAMETER_TIMEOUT, name, lambda: rospy.get_param(name, False))
-            )
+            found = call_within(_PARAMETER_TIMEOUT, name, lambda: rospy.get_param(name, False))
         except (OSError, PeerTimeout, rospy.ROSException) as error:
             rospy.logwarn(
                 f"Cannot read the parameter {name}, so heartbeat timeouts count: {error}"
             )
             return False
+        if found:
+            rospy.logwarn(
+                "Heartbeat timeout is disabled.  Not breaking bond "
+                f"(topic: {self._topic}, id: {', '.join(silent)})"
+            )
+        return bool(found)
 
 
-def _call_each(callbacks: list[OnBroken]) -> None:
+def status_message(announcement: Announcement, timings: BondTimings = STOCK_TIMINGS) -> Status:
+    """Make the message that both ends of a bond exchange."""
+    status = Status(
+        id=announcement.bond_id,
+        instance_id=announcement.instance_id,
+        active=announcement.active,
+        heartbeat_timeout=timings.heartbeat_timeout,
+        heartbeat_period=timings.heartbeat_period,
+    )
+    status.header.stamp = rospy.Time.now()
+    return status
+
+
+def _call_each(callbacks: Sequence[OnBroken]) -> None:
     for callback in callbacks:
-        try:
-            callback()
-        except Exception:
-            rospy.logerr(f"The callback of a broken bond failed:\n{traceback.format_exc()}")
+        attempt("the callback of a broken bond", callback)

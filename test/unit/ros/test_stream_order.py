@@ -36,10 +36,10 @@ def event(view: StreamStatus) -> StreamEvent:
 
 def test_a_snapshot_from_before_an_event_does_not_win(stream: AcquiredStream) -> None:
     asked_at = stream.events
-    stream.note(event(DEGRADED))
-    stream.note_view(ACTIVE, asked_at)
+    stream.apply(event(DEGRADED))
+    stream.update(ACTIVE, asked_at)
     assert stream.state is ClaimState.DEGRADED
-    stream.note_view(ACTIVE, stream.events)
+    stream.update(ACTIVE, stream.events)
     assert stream.state is ClaimState.ACTIVE
 
 
@@ -47,9 +47,9 @@ def test_a_late_event_does_not_revive_what_was_released(
     stream: AcquiredStream, told: List[StreamEvent]
 ) -> None:
     stream.release()
-    stream.note(event(DEGRADED))
-    stream.note_view(DEGRADED, stream.events)
-    stream.note_end("unknown")
+    stream.apply(event(DEGRADED))
+    stream.update(DEGRADED, stream.events)
+    stream.end("unknown")
     assert stream.state is ClaimState.RELEASED
     assert [each.after.state for each in told] == [ClaimState.RELEASED]
 
@@ -61,6 +61,6 @@ def test_a_callback_that_releases_is_told_so_afterwards(
         told.append(news)
         stream.release()
 
-    stream._telling.listener = release
-    stream.note(event(DEGRADED))
+    stream._notifications.listener = release
+    stream.apply(event(DEGRADED))
     assert [each.after.state for each in told] == [ClaimState.DEGRADED, ClaimState.RELEASED]

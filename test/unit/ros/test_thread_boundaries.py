@@ -16,7 +16,7 @@ import rospy
 from dyknow import periodic
 from dyknow.model.graph import Model
 from dyknow.ros import stream_session
-from dyknow.ros.bonding import bonds, client_bond
+from dyknow.ros.bonding import bonds
 from dyknow.ros.manager.loops import ModelPublisher
 from dyknow.ros.nodelets.announcements import Announcer
 
@@ -109,10 +109,10 @@ def test_a_change_is_announced_although_it_failed_at_first(closing: List[Any]) -
     assert "/a" in str(publish.done[0][0])
 
 
-def test_the_heart_beats_on(monkeypatch: pytest.MonkeyPatch, closing: List[Any]) -> None:
-    monkeypatch.setattr(client_bond.Constants, "DEFAULT_HEARTBEAT_PERIOD", 0.01)
-    heart = client_bond.ClientBond("/manager")
-    closing.append(heart)
+def test_heartbeats_of_a_client_go_on(monkeypatch: pytest.MonkeyPatch, closing: List[Any]) -> None:
+    monkeypatch.setattr(stream_session.Constants, "DEFAULT_HEARTBEAT_PERIOD", 0.01)
+    bond = stream_session.ClientBond("/manager")
+    closing.append(bond)
     assert FakeTopic.made[0].publish.is_done(2)
 
 
