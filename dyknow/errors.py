@@ -57,6 +57,7 @@ was expected. ``dyknow.ros`` alone turns exceptions into answers of services.
     │   └── IndividualsError         labels do not tell the individuals of a class apart
     ├── CannotLaunch                 a launch file is not there, or cannot be read or started
     ├── HostError                    a nodelet manager refused, or could not be reached
+    │   ├── FixedTopics              its nodelets have no live ports
     │   ├── CannotRun                a program is not there, or cannot be started
     │   └── HostTimeout              it, or a nodelet of it, did not answer in time
     ├── ManagerUnreachable           there is no master, no DyKnow manager, or it hangs
@@ -181,6 +182,19 @@ class HostError(DyKnowError):
 
 class CannotRun(HostError):
     """A program cannot be started."""
+
+
+class FixedTopics(HostError):
+    """The ports of a nodelet stay on their topics: its nodelet manager has no live ports."""
+
+    def __init__(self, nodelet: str, manager: str) -> None:
+        super().__init__(
+            f"the topics of '{nodelet}' are fixed, since its nodelet manager '{manager}' has no "
+            "live ports; load it into one started with 'rosrun dyknow cpp_nodelet_manager', or "
+            "start that one with the launch-prefix 'rosrun dyknow rewirable'"
+        )
+        self.nodelet = nodelet
+        self.manager = manager
 
 
 class HostTimeout(HostError):

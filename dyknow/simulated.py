@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
-from typing import Callable, Dict, Iterable, List, Mapping, Optional, Set, Tuple, TypeVar
+from typing import Callable, Dict, Iterable, List, Mapping, Optional, Sequence, Set, Tuple, TypeVar
 
 from dyknow import names
 from dyknow.errors import DyKnowError, HostError, NodeletUnreachable, Refused
@@ -152,6 +152,10 @@ class SimulatedManagerClient(BaseManagerClient):
 
     def set_protection(self, name: str, is_protected: bool) -> None:
         self._do("set_protection", name, lambda: self.core.set_protection(name, is_protected))
+
+    def connect(self, moves: Sequence[Tuple[str, Mapping[str, str]]]) -> None:
+        subject = ", ".join(name for name, _ in moves)
+        self._do("connect", subject, lambda: self.core.connect(moves))
 
     def get_model(self) -> Model:
         return self._do("get_model", "", lambda: self._show(self.core.get_model()))

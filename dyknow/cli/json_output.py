@@ -39,7 +39,7 @@ def nodelet_json(nodelet: NodeletStatus) -> Json:
         "manager": nodelet.manager,
         "protected": nodelet.is_protected,
         "isolated": nodelet.isolated,
-        "rewired_by_reload": nodelet.rewired_by_reload,
+        "fixed": nodelet.is_fixed,
         "kind": nodelet.kind.value,
         "host": nodelet.host,
         "state": state_of(nodelet),

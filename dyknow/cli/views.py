@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Mapping
+from typing import TYPE_CHECKING
 
 from dyknow.similar import did_you_mean
 
@@ -23,15 +23,3 @@ def unknown_nodelet(name: str, model: Model) -> str:
     known = [nodelet.name for nodelet in model.nodelets]
     hint = did_you_mean(name, known) or "; see 'dyknow list'"
     return f"no nodelet named '{name}' runs{hint}"
-
-
-def shows(model: Model, wanted: Mapping[str, Mapping[str, str]]) -> bool:
-    """Whether the model shows these connections: topics by port, by nodelet."""
-    for name, topics in wanted.items():
-        nodelet = model.nodelet(name)
-        if nodelet is None:
-            return False
-        present = nodelet.connections
-        if any(present.get(port, "") != topic for port, topic in topics.items()):
-            return False
-    return True

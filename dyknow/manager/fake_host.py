@@ -396,7 +396,10 @@ class FakeHost(Host):
         fitting = [
             state
             for state in self.managers()
-            if state.kind is kind and state.isolated_for == isolated_for and state.responsive
+            if state.own
+            and state.kind is kind
+            and state.isolated_for == isolated_for
+            and state.responsive
         ]
         for state in fitting:
             if state.alive:

@@ -43,8 +43,7 @@ class ManagerState:
         responsive: whether it answered when it was asked last.
         away: whether its host does not answer, so that it is not known whether it is there.
         unseen: whether it was not looked for yet; until then holds what was known of it before.
-        rewirable: whether what it hosts has ports that can be connected elsewhere; else it is
-            loaded again for that, as in a stock C++ nodelet manager.
+        rewirable: whether its nodelets have live ports; those of a stock C++ one do not.
         host: machine that its process is on, as ROS names it; empty if that is not known.
         cure: what a user can do if it does not answer, for people.
     """

@@ -14,6 +14,7 @@ from dyknow import names
 from dyknow.datatypes import types_fit
 from dyknow.errors import (
     DyKnowError,
+    FixedTopics,
     HostError,
     HostTimeout,
     InvalidConfiguration,
@@ -39,7 +40,7 @@ from dyknow.manager.record import (
 from dyknow.manager.specifications.given import completed, names_of, set_on_load
 from dyknow.manager.specifications.tags import Subsumption
 from dyknow.manager.suspects import Suspects
-from dyknow.model.graph import PortState, SpawnRequest, State
+from dyknow.model.graph import NodeletKind, PortState, SpawnRequest, State
 from dyknow.model.transformation import NODE, Port, Program, Transformation
 from dyknow.periodic import Clock
 
@@ -55,7 +56,7 @@ _log = logging.getLogger("rosout.dyknow")
 
 
 class Lifecycle:
-    """Makes, restores, reloads and destroys the nodelets of the graph."""
+    """Makes, restores and destroys the nodelets of the graph."""
 
     def __init__(
         self,
@@ -257,37 +258,6 @@ class Lifecycle:
         self._dispose(record)
         self._graph.remove(record.name)
 
-    def reload(self, name: str, config: Mapping[str, str]) -> None:
-        """Connect ports of a C++ nodelet in a stock nodelet manager: load it again, remapped.
-
-        Raises:
-            DyKnowError: it did not work; the nodelet is wired as before.
-        """
-        self._graph.get(name)
-        with self._graph.changing(name, patience=PATIENCE) as record:
-            if record is None or record.transformation is None or not record.rewired_by_reload:
-                raise HostError(f"nodelet '{name}' is not re-wired by a reload")
-            changes = self._resolved(record.transformation, name, config)
-            changed = replace(record, topics={**record.topics, **changes})
-            if changed.topics == record.topics:
-                return
-            # Connections that must not be made at present do not come back with it.
-            changed = replace(changed, topics={**self.fitting(changed), **changes})
-            # If the manager is killed here, its next life brings the nodelet back.
-            self._graph.put(replace(record, state=State.STARTING))
-            try:
-                self._host.unload(record.manager, name)
-            except HostError:
-                self._graph.put(record)
-                raise
-            try:
-                running = self._bring_up(changed)
-            except DyKnowError as error:
-                self._drop(changed)
-                self._load_as_before(record)
-                raise SpawnFailed(name, error) from error
-            self._graph.put(running)
-
     # Inside
 
     def _place_again(self, record: Record) -> str:
@@ -325,12 +295,6 @@ class Lifecycle:
             return True
         return record.name not in self._host.list(record.manager)
 
-    def _load_as_before(self, record: Record) -> None:
-        try:
-            self._graph.put(self._bring_up(replace(record, topics=self.fitting(record))))
-        except DyKnowError as error:  # a look will try again
-            self._graph.put(replace(record, state=State.FAILED, detail=str(error)))
-
     def _resolved(
         self, transformation: Transformation, name: str, config: Mapping[str, str]
     ) -> Dict[str, str]:
@@ -361,6 +325,10 @@ class Lifecycle:
             {} if record.kind.is_written_for_dyknow else _remappings(record, transformation),
             record.kind,
         )
+        if record.claimed and record.kind is NodeletKind.CPP:
+            state = self._state(record.manager)
+            if state is not None and not state.rewirable:
+                raise FixedTopics(record.name, record.manager)  # a claim may move all its ports
         deadline = self._clock.now() + self._timeout
         self._host.load(record.manager, request, self._timeout)
         state = self._state(record.manager)
@@ -370,10 +338,10 @@ class Lifecycle:
             detail=record.suspicion,
             incarnation=state.incarnation if state is not None else "",
             host=state.host if state is not None else "",
-            rewired_by_reload=state is not None and not state.rewirable,
+            is_fixed=state is not None and not state.rewirable,
             heard=NOTHING_HEARD,
         )
-        if record.rewired_by_reload:
+        if record.is_fixed:
             return replace(record, ports=declared_ports(record))
         ports = self._checked_ports(record, deadline)
         wiring = missing_connections(record, ports)

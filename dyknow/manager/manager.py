@@ -10,22 +10,35 @@ nodelets through the injected host only.
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass, replace
-from typing import Callable, Iterable, List, Mapping, Optional, Set
+from typing import (
+    Callable,
+    Dict,
+    Iterable,
+    Iterator,
+    List,
+    Mapping,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Set,
+    Tuple,
+)
 
 from dyknow import names
-from dyknow.errors import HostError
+from dyknow.errors import Busy, DyKnowError, FixedTopics, HostError, HostTimeout
 from dyknow.guards import NO_GUARDS, Guards
 from dyknow.manager.graph import Graph
 from dyknow.manager.host import Host
 from dyknow.manager.library import Library
 from dyknow.manager.lifecycle import PATIENCE, Lifecycle
 from dyknow.manager.observer import Observer, at_once
-from dyknow.manager.record import Record
+from dyknow.manager.record import Record, topics_of, with_ports
 from dyknow.manager.specifications.specification import Specifications
 from dyknow.manager.store import Store
 from dyknow.manager.suspects import Suspects
-from dyknow.model.graph import Model, SpawnRequest
+from dyknow.model.graph import Model, SpawnRequest, State
 from dyknow.model.transformation import NODE, Program, Transformation
 from dyknow.periodic import STEADY, Clock
 
@@ -45,6 +58,14 @@ class ManagerOptions:
 
 DEFAULT_OPTIONS = ManagerOptions()
 """Names begin at the root; a nodelet has 10 s to come up."""
+
+
+class _Move(NamedTuple):
+    """Topics of a nodelet's ports before and after they are moved."""
+
+    name: str
+    before: Dict[str, str]
+    after: Dict[str, str]
 
 
 class Manager:
@@ -212,14 +233,64 @@ class Manager:
                 raise HostError(f"nodelet '{name}' was not spawned by this manager")
             self.graph.put(replace(record, is_protected=is_protected))
 
-    def reconfigure(self, name: str, config: Mapping[str, str]) -> None:
-        """Connect ports of a C++ nodelet in a stock nodelet manager, which loads it again.
+    def connect(self, moves: Sequence[Tuple[str, Mapping[str, str]]]) -> None:
+        """Connect ports of nodelets in this order; the model shows it when this returns.
+
+        Args:
+            moves: names of nodelets, each with topics by port; an empty topic disconnects.
 
         Raises:
-            DyKnowError: it did not work; the nodelet is wired as before.
+            DyKnowError: one could not be connected, and those before it were moved back; the text
+                says so if one could not be.
         """
+        checked = [self._checked(name, config) for name, config in moves]
+        done: List[_Move] = []
+        try:
+            for move in checked:
+                done.append(move)
+                self.host.connect(move.name, move.after)
+        except DyKnowError as error:
+            if not isinstance(error, HostTimeout):
+                done.pop()  # what was refused was not done; what was not answered may have been
+            troubles = [trouble for move in reversed(done) for trouble in self._move_back(move)]
+            if troubles:
+                raise DyKnowError("; ".join([str(error), *troubles])) from error
+            raise
+        finally:
+            for move in checked:
+                self._ask_for_ports(move.name)
+
+    def _checked(self, name: str, config: Mapping[str, str]) -> _Move:
+        name = self.resolve(name)
         self.guards.check_writable(f"connecting '{name}'")
-        self.lifecycle.reload(name, config)
+        record = self.graph.get(name)
+        if record.is_fixed:
+            raise FixedTopics(name, record.manager)
+        space = names.parent(name)
+        after = {
+            p: names.resolve(t, space, name, "topic name") if t else "" for p, t in config.items()
+        }
+        before = {port.name: port.topic for port in self.host.ports(name)}
+        return _Move(name, {port: before.get(port, "") for port in after}, after)
+
+    def _move_back(self, move: _Move) -> Iterator[str]:
+        """Move ports back that are still where they were moved; yield what went wrong."""
+        try:
+            now = {port.name: port.topic for port in self.host.ports(move.name)}
+            back = {p: topic for p, topic in move.before.items() if now.get(p) == move.after[p]}
+            if back:
+                self.host.connect(move.name, back)
+        except DyKnowError as trouble:
+            yield f"connecting '{move.name}' could not be taken back: {trouble}"
+
+    def _ask_for_ports(self, name: str) -> None:
+        """Show the present ports of a nodelet at once; if that fails, the next look does."""
+        with contextlib.suppress(HostError, Busy), self.graph.changing(
+            name, patience=PATIENCE
+        ) as record:
+            if record is not None and record.state is State.RUNNING:
+                record = with_ports(record, self.host.ports(name))
+                self.graph.put(replace(record, topics=topics_of(record)))
 
     # The model
 

@@ -279,7 +279,7 @@ class Observer:
             heard=record.heard if record.incarnation == incarnation else NOTHING_HEARD,
             host=state.host if state is not None else record.host,
         )
-        if (closely or came_back) and not record.rewired_by_reload:
+        if (closely or came_back) and not record.is_fixed:
             try:
                 record = with_ports(record, self._ports(record))
             except HostError as error:
@@ -317,7 +317,7 @@ class Observer:
         """Finish bringing a nodelet back, which an earlier life of the manager had begun."""
         wanted = replace(record, topics=self._lifecycle.fitting(record))
         try:
-            if record.rewired_by_reload:  # its present wiring cannot be known
+            if record.is_fixed:  # its present wiring cannot be known
                 self._host.unload(record.manager, record.name)
                 return False
             wiring = missing_connections(wanted, self._host.ports(record.name))
@@ -376,16 +376,17 @@ class Observer:
             return
 
     def _foreign(self, name: str, state: ManagerState) -> Record:
-        try:
-            ports = self._host.ports(name)
-        except HostError:
-            ports = ()  # in a stock C++ nodelet manager it has no proxy
+        ports: Tuple[PortState, ...] = ()
+        if state.rewirable:
+            with contextlib.suppress(HostError):
+                ports = self._host.ports(name)
         record = Record(
             name,
             None,
             state.name,
             state=State.RUNNING,
             incarnation=state.incarnation,
+            is_fixed=not state.rewirable,
             kind=state.kind,
             host=state.host,
         )

@@ -26,7 +26,8 @@ def choose(
 
     It is the one that was asked for; else a new process for an isolated nodelet; else the one that
     runs most neighbours of the nodelet, since messages go by reference there; else the one that
-    runs fewest nodelets.
+    runs fewest nodelets. One without live ports is used only if it was asked for, or if the host
+    can start no other.
 
     Raises:
         HostError: the manager asked for is unknown, down, of the other kind or there for another
@@ -65,7 +66,11 @@ def choose(
     shared = [
         name
         for name, state in sorted(states.items())
-        if state.alive and state.responsive and state.kind is kind.host and not state.isolated_for
+        if state.alive
+        and state.responsive
+        and state.rewirable
+        and state.kind is kind.host
+        and not state.isolated_for
     ]
     best = _nearest(list(records), shared, set(topics))
     return best if best is not None else host.ensure(kind.host)

@@ -44,8 +44,7 @@ class Record:
         manager: nodelet manager that hosts it; a node hosts itself.
         is_protected: whether it may not be destroyed.
         isolated: whether it has a process of its own.
-        rewired_by_reload: whether it is a C++ nodelet in a stock nodelet manager, which is loaded
-            again to connect it elsewhere.
+        is_fixed: whether its ports stay on their topics: a C++ nodelet without live ports.
         topics: where its ports should be connected.
         state: whether it runs.
         detail: why it does not, in words.
@@ -67,7 +66,7 @@ class Record:
     manager: str
     is_protected: bool = False
     isolated: bool = False
-    rewired_by_reload: bool = False
+    is_fixed: bool = False
     topics: Mapping[str, str] = field(default_factory=dict)
     state: State = State.STARTING
     detail: str = ""
@@ -117,7 +116,7 @@ class Record:
             "" if self.kind.is_node else self.manager,
             self.is_protected,
             self.isolated,
-            self.rewired_by_reload,
+            self.is_fixed,
             self.state,
             self.detail,
             self.ports,

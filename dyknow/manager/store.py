@@ -240,7 +240,7 @@ def _body(record: Record) -> str:
             "manager": record.manager,
             "is_protected": record.is_protected,
             "isolated": record.isolated,
-            "rewired_by_reload": record.rewired_by_reload,
+            "is_fixed": record.is_fixed,
             "topics": dict(record.topics),
             "state": int(record.state),
             "detail": record.detail,
@@ -260,8 +260,10 @@ def _record(name: str, text: str) -> Record:
     body = json.loads(text)
     made_from = body.pop("transformation")
     state = State(body.pop("state"))
-    plain = NodeletKind.CPP if body["rewired_by_reload"] else NodeletKind.PYTHON
-    kind = NodeletKind(body.pop("kind", plain))  # which earlier versions did not write
+    if "is_fixed" not in body:  # its name in earlier versions, which did not write the kind
+        body["is_fixed"] = body.pop("rewired_by_reload")
+    plain = NodeletKind.CPP if body["is_fixed"] else NodeletKind.PYTHON
+    kind = NodeletKind(body.pop("kind", plain))
     transformation = unpack(made_from) if made_from else None
     given = tuple(Parameter(*each) for each in body.pop("parameters", ()))
     connections, ways = body.pop("heard", ((), ()))

@@ -76,6 +76,14 @@ class BaseManagerClient(ABC):
         """Protect a nodelet from being destroyed, or release it."""
 
     @abstractmethod
+    def connect(self, moves: Sequence[Tuple[str, Mapping[str, str]]]) -> None:
+        """Connect ports of nodelets in this order, all or none; the model shows it at once.
+
+        Args:
+            moves: names of nodelets, each with topics by port; an empty topic disconnects.
+        """
+
+    @abstractmethod
     def get_model(self) -> Model:
         """Return the nodelets and the transformations."""
 

@@ -107,8 +107,8 @@ class NodeletStatus:
         manager: nodelet manager that hosts it; empty for a node in a process of its own.
         is_protected: whether ``destroy`` refuses it.
         isolated: whether it has a process of its own.
-        rewired_by_reload: a C++ nodelet in a stock nodelet manager, which is loaded again to
-            connect it elsewhere.
+        is_fixed: whether its topics are fixed since its start: a C++ nodelet in a nodelet manager
+            without live ports.
         state: whether it runs.
         detail: why it does not, in words.
         ports: in the order in which the nodelet made them.
@@ -122,7 +122,7 @@ class NodeletStatus:
     manager: str
     is_protected: bool
     isolated: bool
-    rewired_by_reload: bool
+    is_fixed: bool
     state: State
     detail: str
     ports: Tuple[PortState, ...]

@@ -11,10 +11,10 @@ from __future__ import annotations
 
 import logging
 import os
-from typing import Any, Dict, List, Mapping, Tuple
+from typing import Any, Dict, List, Mapping, Sequence, Tuple
 
 import rosgraph.names
-from dyknow_msgs import srv
+from dyknow_msgs import msg, srv
 from genpy import Duration
 
 from dyknow import names
@@ -132,6 +132,10 @@ class ManagerClient(ProxyClient, BaseManagerClient):
 
     def set_protection(self, name: str, is_protected: bool) -> None:
         self._change("set_protection", srv.SetProtection, name=name, is_protected=is_protected)
+
+    def connect(self, moves: Sequence[Tuple[str, Mapping[str, str]]]) -> None:
+        nodelets = [msg.NodeletConfig(name, config_message(config)) for name, config in moves]
+        self._change("connect", srv.Connect, nodelets=nodelets)
 
     def get_model(self, timeout: float = ASK_TIMEOUT) -> Model:
         return model_from(self._ask("get_model", srv.GetModel, timeout).model)

@@ -249,8 +249,8 @@ class Doctor:
                 )
 
     def _statistics(self, nodelet: NodeletStatus) -> Optional[Finding]:
-        if nodelet.rewired_by_reload:
-            return None  # in a stock C++ nodelet manager it has no proxy
+        if nodelet.is_fixed:
+            return None  # it has no proxy
         try:
             errors = self.client.get_statistics(nodelet.name).callback_errors
         except DyKnowError as error:
@@ -281,7 +281,7 @@ class Doctor:
         """Find processes that host nodelets without the guards of the manager."""
         if not self.model.revision:
             return
-        hosts = {each.node for each in self.model.nodelets if not each.rewired_by_reload}
+        hosts = {each.node for each in self.model.nodelets if not each.is_fixed}
         for host in sorted(hosts & set(self.nodes)):
             parameter = names.join(host, guards_key(self.client.manager))
             try:

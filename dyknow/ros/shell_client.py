@@ -15,7 +15,7 @@ import re
 import socket
 import time
 import xmlrpc.client
-from typing import Any, Callable, Container, Dict, FrozenSet, List, Optional, Sequence, TypeVar
+from typing import Any, Callable, Dict, FrozenSet, List, Optional, Sequence, Tuple, TypeVar
 from xml.parsers.expat import ExpatError
 
 from dyknow_msgs import msg
@@ -143,12 +143,21 @@ class ShellClient(ManagerClient):
                 found[name] = value
         return found
 
-    def published(self, hosts: Container[str]) -> FrozenSet[str]:
-        """Topics that nodes publish on, other than these nodelet managers."""
-        publishers, _, _ = self._on_master(lambda: self._master.ask("getSystemState"))
-        return frozenset(
-            topic for topic, nodes in publishers if any(node not in hosts for node in nodes)
-        )
+    def topics_in_use(self) -> Tuple[FrozenSet[str], FrozenSet[str]]:
+        """Topics that have a publisher, and topics that have a subscriber."""
+        published, heard, _ = self._on_master(lambda: self._master.ask("getSystemState"))
+        return frozenset(name for name, _ in published), frozenset(name for name, _ in heard)
+
+    def is_nodelet(self, name: str) -> bool:
+        """Whether the master knows a nodelet or node with ports of this name."""
+
+        def ask() -> bool:
+            try:
+                return bool(self._master.ask("lookupService", names.join(name, "get_config")))
+            except LookupError:
+                return False
+
+        return self._on_master(ask)
 
     def is_own_manager(self, name: str) -> bool:
         """Whether a nodelet manager is one that the DyKnow manager starts when it is needed."""

@@ -138,8 +138,8 @@ def _change(kept: Kept, client: BaseManagerClient) -> List[ReversibleStep]:
             ReversibleStep(
                 f"connecting '{name}'",
                 name,
-                lambda: client.set_config(name, moves),
-                lambda: client.set_config(name, before),
+                lambda: client.connect([(name, moves)]),
+                lambda: client.connect([(name, before)]),
             )
         )
     if wanted.is_protected != present.is_protected:

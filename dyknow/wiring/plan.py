@@ -20,7 +20,7 @@ from typing import (
 )
 
 from dyknow.datatypes import types_fit
-from dyknow.errors import InvalidParameters
+from dyknow.errors import FixedTopics, InvalidParameters
 from dyknow.manager.specifications.findings import shorten
 from dyknow.manager.specifications.given import bindings_of, completed, set_on_load
 from dyknow.manager.specifications.values import value_of
@@ -256,8 +256,11 @@ def _plan_present(
     if not is_replaced:
         outdated = _otherwise_made(blueprint, nodelet, present, stored)
     declared = frozenset(port.name for port in blueprint.ports)
+    kept = Kept(nodelet, present, outdated, declared)
     if not replace or blueprint.node or not (is_replaced or outdated):
-        plan.kept.append(Kept(nodelet, present, outdated, declared))
+        if present.is_fixed and kept.moves:
+            plan.problems.append(str(FixedTopics(nodelet.name, present.manager)))
+        plan.kept.append(kept)
         return False
     if present.is_protected:
         plan.problems.append(
@@ -265,7 +268,7 @@ def _plan_present(
             f"first: dyknow unprotect {nodelet.name}"
         )
         return False
-    plan.remade.append(Kept(nodelet, present, outdated, declared))
+    plan.remade.append(kept)
     return True
 
 

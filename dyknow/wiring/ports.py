@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Container, Dict, Iterable, List
+from typing import TYPE_CHECKING, Container, Iterable, List
 
 from dyknow import names
 from dyknow.datatypes import types_fit
@@ -13,7 +13,7 @@ from dyknow.errors import DyKnowError
 from dyknow.model.transformation import IN, OUT
 
 if TYPE_CHECKING:
-    from dyknow.model.graph import NodeletStatus, PortState
+    from dyknow.model.graph import PortState
 
 
 def by_name(ports: Iterable[PortState]) -> List[PortState]:
@@ -59,33 +59,28 @@ def choose_topic(
     nodelet: str,
     out: PortState,
     into: PortState,
-    nodelets: Iterable[NodeletStatus],
     published: Container[str],
+    taken: Container[str] = (),
 ) -> str:
     """Choose the topic on which an out-port and an in-port meet.
 
-    The one that the out-port publishes on already, so that others who listen keep their stream;
-    else the one where the in-port waits, if nobody publishes on it; else a new one, named after
-    the out-port: the in-port hears the out-port, and only that.
+    It is the one that the out-port publishes on already, so that other listeners keep their
+    stream; else the in-port's, unless something else publishes there; else one that is named after
+    the out-port: the in-port receives from the out-port, and from nothing else.
 
     Args:
         nodelet: global name of the out-port's nodelet.
         out: the out-port.
         into: the in-port.
-        nodelets: all that run.
-        published: topics that ordinary nodes publish on.
+        published: topics that have a publisher, whether port or ordinary node.
+        taken: topics that ports are connected to.
     """
     if out.topic:
         return out.topic
-    directions: Dict[str, List[str]] = {}
-    for each in nodelets:
-        for port in each.ports:
-            directions.setdefault(port.topic, []).append(port.direction)
-    is_fed = into.topic in published or OUT in directions.get(into.topic, ())
-    if into.topic and not is_fed:
+    if into.topic and into.topic not in published:
         return into.topic
     wish = topic_after(nodelet, out.name)
     topic, number = wish, 2
-    while topic in directions or topic in published:
+    while topic in published or topic in taken:
         topic, number = f"{wish}_{number}", number + 1
     return topic

@@ -127,7 +127,7 @@ def _nodelet_tip(nodelet: NodeletStatus) -> str:
         for word, holds in (
             ("protected", nodelet.is_protected),
             ("in a process of its own", nodelet.isolated),
-            ("connecting it loads it again", nodelet.rewired_by_reload),
+            ("its topics are fixed", nodelet.is_fixed),
         )
         if holds
     ]

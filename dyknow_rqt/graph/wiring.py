@@ -10,7 +10,7 @@ from typing import Iterator, List, Tuple
 from dyknow import names
 from dyknow.datatypes import types_fit
 from dyknow.model.graph import PortRef, PortState
-from dyknow.model.transformation import IN
+from dyknow.model.transformation import IN, OUT
 from dyknow.wiring import ports
 from dyknow.wiring.ports import CannotConnect
 from dyknow_rqt.graph.changes import Rewire
@@ -55,7 +55,10 @@ def choose_topic(snapshot: Snapshot, source: PortRef, sink: PortRef) -> str:
         raise CannotConnect(f"{source if out_port is None else sink} is gone")
     ports.check_ends(str(source), out_port, str(sink), in_port)
     published = snapshot.taken.union(*(node.publishes for node in snapshot.nodes))
-    return ports.choose_topic(source.nodelet, out_port, in_port, snapshot.nodelets, published)
+    known = [port for nodelet in snapshot.nodelets for port in nodelet.ports]
+    published |= {port.topic for port in known if port.direction == OUT}
+    taken = {port.topic for port in known}
+    return ports.choose_topic(source.nodelet, out_port, in_port, published, taken)
 
 
 def connect(snapshot: Snapshot, one: PortRef, other: PortRef) -> Rewire:

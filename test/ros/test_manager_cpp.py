@@ -83,7 +83,7 @@ class CppTest(ManagerCase):
         self.client.spawn("resize", "/robot/resize", {"image": "/copy", "~image": "/small"})
         self.assertEqual(size_on("/small"), (4, 3))
         found = self.manager.nodelet("/robot/resize")
-        self.assertEqual((found.kind, found.rewired_by_reload), (NodeletKind.CPP, False))
+        self.assertEqual((found.kind, found.is_fixed), (NodeletKind.CPP, False))
         self.assertEqual((found.manager, found.state), (CPP, State.RUNNING))
         self.assert_declared({"image": "/copy", "~image": "/small"})
         self.assertEqual(rospy.get_param("/robot/resize/scale_width"), 0.5)
@@ -220,7 +220,7 @@ class CppTest(ManagerCase):
 
 
 class StockTest(ManagerCase):
-    """Where the library cannot stand in front of libroscpp, nodelets are loaded again."""
+    """Where the library cannot stand in front of libroscpp, topics are fixed."""
 
     def test_a_failing_self_check(self):
         linked = subprocess.run(["ldd", str(find_library())], stdout=subprocess.PIPE, text=True)
@@ -239,13 +239,18 @@ class StockTest(ManagerCase):
         self.assertIn("cannot be connected while they run", manager.output)
         self.assertIn(f"of {roscpp} is found before that of", manager.output)
         found = manager.nodelet("/resize")
-        self.assertEqual((found.kind, found.rewired_by_reload), (NodeletKind.CPP, True))
-        client.set_config("/resize", {"~image": "/smaller"})
-        self.assertEqual(size_on("/smaller"), (4, 3))
-        with self.assertRaisesRegex(Refused, "sideways"):
-            client.set_config("/resize", {"sideways": "/x"})
+        self.assertEqual((found.kind, found.is_fixed), (NodeletKind.CPP, True))
+        for connect in (
+            lambda: client.set_config("/resize", {"~image": "/smaller"}),
+            lambda: client.connect([("resize", {"~image": "/smaller"})]),
+        ):
+            with self.assertRaisesRegex(Refused, "the topics of '/resize' are fixed.*rewirable"):
+                connect()
+        shown = {port.name: port.topic for port in client.get_config("/resize")}
+        self.assertEqual(shown["~image"], "/small")
+        self.assertEqual(size_on("/small"), (4, 3))
         statistics = rospy.ServiceProxy("/resize/get_statistics", GetStatistics)()
-        self.assertEqual(statistics.reconfigurations, 1)
+        self.assertEqual(statistics.reconfigurations, 0)
         self.assertEqual([math.isnan(port.rate) for port in statistics.ports], [True] * 4)
         traffic = client.get_statistics("/resize").ports
         self.assertEqual([port.messages for port in traffic], [None] * 4)
@@ -264,6 +269,7 @@ class ExternalTest(ManagerCase):
         self.assertIs(manager.nodelet("/ours_resize").kind, NodeletKind.CPP)
         self.assertIn("~image", manager.topics("/ours_resize"))
         self.assertEqual(manager.topics("/stock_resize"), {})
+        self.assertTrue(manager.nodelet("/stock_resize").is_fixed)
         manager.client.set_config("/ours_resize", {"~image": "/small"})
         eventually(
             lambda: manager.topics("/ours_resize")["~image"] == "/small", 2.0, "it is shown"
@@ -272,7 +278,7 @@ class ExternalTest(ManagerCase):
         for name in ("/ours", "/stock"):
             manager.client.spawn("resize", f"{name}_spawned", manager=name)
             found = manager.nodelet(f"{name}_spawned")
-            self.assertEqual(found.rewired_by_reload, name == "/stock")
+            self.assertEqual(found.is_fixed, name == "/stock")
             manager.client.destroy(f"{name}_spawned")
 
 

@@ -103,8 +103,8 @@ def _describe(nodelet: NodeletStatus, snapshot: Model) -> Iterator[str]:
     if nodelet.parameters:
         given = ", ".join(f"{each.name}={each.text}" for each in nodelet.parameters)
         yield f"Parameters given at the spawn: {given}"
-    if nodelet.rewired_by_reload:
-        yield "Re-wiring: loads it again (its nodelet manager is a stock one)"
+    if nodelet.is_fixed:
+        yield "Re-wiring: its topics are fixed (its nodelet manager has no live ports)"
     ends = _ends(snapshot)
     for direction, title in ((IN, "In-ports"), (OUT, "Out-ports")):
         yield ""

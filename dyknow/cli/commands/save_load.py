@@ -14,7 +14,6 @@ from dyknow.cli.command import Command
 from dyknow.cli.files import write_file
 from dyknow.cli.shell import FAILED, Shell
 from dyknow.cli.tables import count
-from dyknow.cli.views import shows
 from dyknow.errors import Problem, SpecificationError
 from dyknow.guards import NO_GUARDS
 from dyknow.wiring.load import steps_of
@@ -120,7 +119,6 @@ def _load(arguments: argparse.Namespace, shell: Shell) -> Optional[int]:
         failed = carry_out(steps_of(plan, client), arguments.keep_going)
         for step, cause in failed:
             shell.error(f"{step.what}: {cause}")
-        _wait(shell, plan)
     subjects = [step.subject for step, _ in failed]
     result = _json(plan, subjects)
     result["file"] = arguments.file
@@ -149,13 +147,6 @@ def _read(file: str, limit: Callable[[], int]) -> Wiring:
     except OSError as error:
         problem = Problem(file, 0, f"cannot be read: {error.strerror}")
         raise SpecificationError([problem]) from error
-
-
-def _wait(shell: Shell, plan: LoadPlan) -> None:
-    """Wait until the model shows the new connections, so that the next command sees them."""
-    moved = {kept.wanted.name: kept.moves for kept in plan.kept if kept.moves}
-    if moved and not shell.client.wait_for_model(lambda model: shows(model, moved)):
-        shell.warn("done, but the manager's model does not show all of it yet")
 
 
 def _json(plan: LoadPlan, failed: List[str]) -> Dict[str, Any]:

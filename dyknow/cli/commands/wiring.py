@@ -1,29 +1,37 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""`connect` and `disconnect`: the topics of ports."""
+"""`connect` and `disconnect`: the topics of ports; all ends move, or none."""
 
 from __future__ import annotations
 
 import argparse
-from typing import Dict, List, Optional, Sequence, Union
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Dict, List, Sequence, Set, Tuple, Union
 
 from dyknow.cli import completion
 from dyknow.cli.arguments import graph_name, port_or_topic, port_reference
 from dyknow.cli.command import Command
-from dyknow.cli.connecting import (
-    PortMove,
-    apply,
-    connect,
-    connect_to_topic,
-    find_port,
-)
 from dyknow.cli.json_output import Json
 from dyknow.cli.shell import Shell
-from dyknow.cli.views import shows
-from dyknow.model.graph import PortRef
+from dyknow.cli.views import state_of, unknown_nodelet
+from dyknow.errors import FixedTopics, NodeletUnreachable, Refused
+from dyknow.model.graph import PortRef, PortState
 from dyknow.model.transformation import IN, OUT
 from dyknow.similar import did_you_mean
+from dyknow.wiring.ports import CannotConnect, by_name, check_ends, choose_topic, topic_after
+
+if TYPE_CHECKING:
+    from dyknow.ros.shell_client import ShellClient
+
+
+@dataclass(frozen=True)
+class PortMove:
+    """A port, its topic before the move and its topic after it; empty for disconnected."""
+
+    port: PortRef
+    before: str
+    after: str
 
 
 def _connect_arguments(parser: argparse.ArgumentParser) -> None:
@@ -73,35 +81,68 @@ def _connect_problem(arguments: argparse.Namespace) -> str:
 def _connect(arguments: argparse.Namespace, shell: Shell) -> None:
     source, target = _end(shell, arguments.source), _end(shell, arguments.target)
     if isinstance(source, str) and isinstance(target, PortRef):
-        topic, changes = source, connect_to_topic(shell.client, target, source, IN)
-        _warn_without_publisher(shell, source)
+        topic, moves = source, _connect_to_topic(shell.client, target, source, IN)
+        published, _ = shell.client.topics_in_use()
+        if topic not in published:  # its name may be mistyped
+            hint = did_you_mean(topic, published)
+            shell.warn(f"connected, but no node publishes on '{topic}' yet{hint}")
     elif isinstance(source, PortRef) and isinstance(target, str):
-        topic, changes = target, connect_to_topic(shell.client, source, target, OUT)
+        topic, moves = target, _connect_to_topic(shell.client, source, target, OUT)
     elif isinstance(source, PortRef) and isinstance(target, PortRef):
         wish = shell.resolve(arguments.topic) if arguments.topic else ""
-        topic, changes = connect(shell.client, source, target, wish)
-    _wait(shell, changes)
+        topic, moves = _connect_ports(shell.client, source, target, wish)
     way = " -> ".join(dict.fromkeys((str(source), topic, str(target))))
     shell.show(
         {
-            "out": _end_json(source),
-            "in": _end_json(target),
+            "out": None if isinstance(source, str) else _reference_json(source),
+            "in": None if isinstance(target, str) else _reference_json(target),
             "topic": topic,
-            "changed": [_change_json(change) for change in changes],
+            "changed": [_move_json(move) for move in moves],
         },
-        [way + ("" if changes else " (as it was)")],
+        [way + ("" if moves else " (as it was)")],
     )
 
 
-def _warn_without_publisher(shell: Shell, topic: str) -> None:
-    """Warn when no port and no node publishes on a topic: its name may be mistyped."""
-    ports = [port for nodelet in shell.client.get_graph().nodelets for port in nodelet.ports]
-    sources = {port.topic for port in ports if port.direction == OUT}
-    if topic not in sources:
-        published = sources | shell.client.published(())
-        if topic not in published:
-            hint = did_you_mean(topic, published - {""})
-            shell.warn(f"connected, but no node publishes on '{topic}' yet{hint}")
+def _connect_ports(
+    client: ShellClient, source: PortRef, target: PortRef, topic: str
+) -> Tuple[str, List[PortMove]]:
+    """Connect an out-port to an in-port; return the topic, and the moves that were made."""
+    out, into = _find_port(client, source), _find_port(client, target)
+    check_ends(str(source), out, str(target), into)
+    topic = topic or out.topic or _free_topic(client, source.nodelet, out, into)
+    # The in-port first: it receives the first message that is published on the topic.
+    ends = (PortMove(target, into.topic, topic), PortMove(source, out.topic, topic))
+    return topic, _apply(client, ends)
+
+
+def _free_topic(client: ShellClient, nodelet: str, out: PortState, into: PortState) -> str:
+    published, heard = client.topics_in_use()
+    taken: Set[str] = set()
+    if topic_after(nodelet, out.name) in heard | published:  # perhaps by a port
+        graph = client.get_graph()
+        taken = {port.topic for each in graph.nodelets for port in each.ports}
+    return choose_topic(nodelet, out, into, published, taken)
+
+
+def _connect_to_topic(
+    client: ShellClient, reference: PortRef, topic: str, direction: str
+) -> List[PortMove]:
+    """Connect a port of this direction to a topic; return the moves that were made."""
+    nodelet = client.get_graph().nodelet(topic) if client.is_nodelet(topic) else None
+    if nodelet is not None:
+        other = OUT if direction == IN else IN
+        ports = ", ".join(p.name for p in by_name(nodelet.ports) if p.direction == other)
+        raise CannotConnect(
+            f"'{topic}' is a nodelet; expected a topic, or its port as {topic}:PORT; its "
+            f"{other}-ports: {ports or 'none'}"
+        )
+    port = _find_port(client, reference)
+    if port.direction != direction:
+        raise CannotConnect(
+            f"cannot connect: '{reference}' is an {port.direction}-port; swap the two, the stream "
+            "leads from the first to the second"
+        )
+    return _apply(client, [PortMove(reference, port.topic, topic)])
 
 
 def _disconnect_arguments(parser: argparse.ArgumentParser) -> None:
@@ -114,51 +155,94 @@ def _disconnect_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _disconnect(arguments: argparse.Namespace, shell: Shell) -> None:
-    changes: List[PortMove] = []
-    for reference in dict.fromkeys(_resolved(shell, each) for each in arguments.ports):
-        port = find_port(shell.client, reference)
-        changes.append(PortMove(reference, port.topic, ""))
-    made = [change for change in changes if change.before]
-    apply(shell.client, made)
-    _wait(shell, made)
+    references = dict.fromkeys(_resolved(shell, each) for each in arguments.ports)
+    wanted = [PortMove(each, _find_port(shell.client, each).topic, "") for each in references]
     shell.show(
-        {"changed": [_change_json(change) for change in made]},
+        {"changed": [_move_json(move) for move in _apply(shell.client, wanted)]},
         [
-            f"{change.port} has left {change.before}"
-            if change.before
-            else f"{change.port} was not connected"
-            for change in changes
+            f"{move.port} has left {move.before}"
+            if move.before
+            else f"{move.port} was not connected"
+            for move in wanted
         ],
     )
+
+
+def _ports_of(client: ShellClient, nodelet: str) -> Tuple[PortState, ...]:
+    """Ask a nodelet for its ports.
+
+    Raises:
+        CannotConnect: there is no such nodelet, or its topics are fixed.
+        NodeletUnreachable: it does not answer.
+    """
+    try:
+        return client.get_config(nodelet)
+    except NodeletUnreachable as silence:
+        model = client.get_graph()
+        present = model.nodelet(nodelet)
+        if present is None:
+            raise CannotConnect(unknown_nodelet(nodelet, model)) from None
+        if present.is_fixed:
+            raise CannotConnect(str(FixedTopics(nodelet, present.manager))) from silence
+        raise NodeletUnreachable(f"{silence}; it is {state_of(present)}") from silence
+
+
+def _find_port(client: ShellClient, reference: PortRef) -> PortState:
+    """Return the port that a reference means.
+
+    A port that a lazy nodelet declares may be connected before the nodelet subscribes with it: its
+    proxy keeps the topic until then.
+
+    Raises:
+        CannotConnect: the nodelet has no such port; its ports are named.
+    """
+    ports = list(_ports_of(client, reference.nodelet))
+    if all(port.name != reference.port for port in ports):
+        shown = client.get_graph().nodelet(reference.nodelet)
+        names = {port.name for port in ports}
+        ports += [port for port in (shown.ports if shown else ()) if port.name not in names]
+    for port in ports:
+        if port.name == reference.port:
+            return port
+    known = ", ".join(f"{port.name} ({port.direction})" for port in ports) or "none"
+    hint = did_you_mean(reference.port, [port.name for port in ports])
+    raise CannotConnect(
+        f"nodelet '{reference.nodelet}' has no port '{reference.port}'; its ports: {known}{hint}"
+    )
+
+
+def _apply(client: ShellClient, wanted: Sequence[PortMove]) -> List[PortMove]:
+    """Move ports in this order, all or none; return the moves that were needed.
+
+    Raises:
+        CannotConnect: one was refused; the text says so if one could not be moved back.
+    """
+    moves = [move for move in wanted if move.before != move.after]
+    by_nodelet: Dict[str, Dict[str, str]] = {}
+    for move in moves:
+        by_nodelet.setdefault(move.port.nodelet, {})[move.port.port] = move.after
+    if moves:
+        try:
+            client.connect(list(by_nodelet.items()))
+        except Refused as error:
+            raise CannotConnect(f"cannot connect: {error}") from error
+    return moves
 
 
 def _end(shell: Shell, end: Union[PortRef, str]) -> Union[PortRef, str]:
     return shell.resolve(end) if isinstance(end, str) else _resolved(shell, end)
 
 
-def _end_json(end: Union[PortRef, str]) -> Optional[Json]:
-    return None if isinstance(end, str) else _reference_json(end)
-
-
 def _resolved(shell: Shell, reference: PortRef) -> PortRef:
     return PortRef(shell.resolve(reference.nodelet), reference.port)
-
-
-def _wait(shell: Shell, changes: Sequence[PortMove]) -> None:
-    """Wait until the model shows the change, so that the next command sees it."""
-    wanted: Dict[str, Dict[str, str]] = {}
-    for change in changes:
-        wanted.setdefault(change.port.nodelet, {})[change.port.port] = change.after
-    if wanted and not shell.client.wait_for_model(lambda model: shows(model, wanted)):
-        shell.warn("done, but the manager's model does not show it yet")
 
 
 def _reference_json(reference: PortRef) -> Json:
     return {"nodelet": reference.nodelet, "port": reference.port}
 
 
-def _change_json(change: PortMove) -> Json:
-    return {**_reference_json(change.port), "before": change.before, "after": change.after}
+def _move_json(move: PortMove) -> Json:
+    return {**_reference_json(move.port), "before": move.before, "after": move.after}
 
 
 COMMANDS = (

@@ -468,8 +468,8 @@ class Assembly:
             if record.name == publisher or record.transformation is None:
                 continue
             ports = dict.fromkeys(ports_on(record, OUT, topic), "")
-            is_unresponsive = record.name in self._request.unresponsive
-            if ports and record.state is State.RUNNING and not is_unresponsive:
+            stays = record.is_fixed or record.name in self._request.unresponsive
+            if ports and record.state is State.RUNNING and not stays:
                 self._transaction.connect(record.name, ports)
 
     # Parts of a step

@@ -20,7 +20,14 @@ import contextlib
 from dataclasses import replace
 from typing import Callable, Dict, FrozenSet, Iterator, List, Mapping, Optional, Set, Tuple
 
-from dyknow.errors import Busy, DyKnowError, HostError, HostTimeout, WrongStream
+from dyknow.errors import (
+    Busy,
+    DyKnowError,
+    FixedTopics,
+    HostError,
+    HostTimeout,
+    WrongStream,
+)
 from dyknow.manager.claim import Claim
 from dyknow.manager.claims.claim_table import ClaimTable
 from dyknow.manager.claims.ends import Consumer, NodeletEnds, Producer, ends_of
@@ -242,10 +249,9 @@ class Connector:
         """
         for topic in config.values():
             self._manager.guards.check_topic(topic)
-        if self._graph.get(name).rewired_by_reload:
-            self._manager.lifecycle.reload(name, config)
-            self.remember()
-            return
+        record = self._graph.get(name)
+        if record.is_fixed:
+            raise FixedTopics(name, record.manager)
         try:
             self._manager.host.connect(name, config)
         except HostTimeout:
@@ -274,7 +280,7 @@ class Connector:
         hanging: Set[str] = set()
         for name in sorted(self._unknown):
             record = self._graph.find(name)
-            if record is None or record.rewired_by_reload:
+            if record is None:
                 self._forget(name)
             elif (
                 record.state is State.RUNNING

@@ -143,7 +143,7 @@ class FlowMeter:
                 topics.setdefault(port, []).append(place)
             elif record is None:
                 continue
-            elif record.rewired_by_reload:
+            elif record.is_fixed:
                 topics.setdefault(record.topics.get(port, ""), []).append(place)
             else:
                 asked.setdefault(record.manager, {}).setdefault(name, []).append(place)

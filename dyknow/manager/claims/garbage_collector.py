@@ -83,7 +83,6 @@ class GarbageCollector:
                     for port in (tagged if record.name in needed else own)
                     if (record.name, port.name, port.topic) not in wires
                 )
-            # In one call, since a nodelet of a stock C++ manager is loaded again by each.
             self._disconnect(record, ports)
         self._reconfigure()
         for topic, producer, consumer in self._connector.topology().mismatches():
@@ -188,7 +187,8 @@ class GarbageCollector:
         return self._is_reachable(record) and self._try(record, action)
 
     def _is_reachable(self, record: Record) -> bool:
-        return record.state is State.RUNNING and record.name not in self._monitor.unresponsive
+        is_movable = record.state is State.RUNNING and not record.is_fixed
+        return is_movable and record.name not in self._monitor.unresponsive
 
     def _try(self, record: Record, action: Callable[[], None]) -> bool:
         """Do something with a nodelet, unless its pause is not over; whether it was done."""

@@ -410,7 +410,7 @@ class FirstMessageMonitor:
         """Begin to wait, now that a claim's stream was changed; returns the claim's detail."""
         self._since[claim.claim_id] = self._clock()
         record = self._graph.find(goal[0])
-        can_be_asked = record is not None and not record.rewired_by_reload
+        can_be_asked = record is not None and not record.is_fixed
         limits = (claim.request.max_silence, claim.request.min_rate, claim.request.max_age)
         if can_be_asked or any(limits):  # with a limit the topic is listened to
             return NO_MESSAGE

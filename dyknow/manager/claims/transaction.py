@@ -129,9 +129,9 @@ class Transaction:
             reached = {name: ports for name, ports in more.items() if self._is_reachable(name)}
             if not reached:
                 if is_forgetful or self._connector.in_the_way(record, config, True):
-                    raise HostError(
-                        f"{min(more)} has to be disconnected first, and does not answer"
-                    )
+                    first = self._manager.graph.get(min(more))
+                    why = "has fixed topics" if first.is_fixed else "does not answer"
+                    raise HostError(f"{first.name} has to be disconnected first, and {why}")
                 is_forgetful = True  # they are reconfigured as soon as they answer
             for name, ports in sorted(reached.items()):
                 topics = self._manager.graph.get(name).topics
@@ -140,8 +140,9 @@ class Transaction:
                 cut.setdefault(name, {}).update(before)
 
     def _is_reachable(self, name: str) -> bool:
-        is_running = self._manager.graph.get(name).state is State.RUNNING
-        return is_running and name not in self._unresponsive
+        record = self._manager.graph.get(name)
+        is_movable = record.state is State.RUNNING and not record.is_fixed
+        return is_movable and name not in self._unresponsive
 
     def _connect_again(self, cut: Mapping[str, Mapping[str, str]]) -> None:
         """Connect those that people connected, and that fit together again, as one.

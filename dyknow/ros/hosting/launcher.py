@@ -243,8 +243,8 @@ class Launcher:
             return True  # as it is wherever roscpp was there to build with
         except LookupError:
             _log.warning(
-                "nodelets in %s cannot be connected while they run, and are loaded again for "
-                "that; its log says why, or it was built without roscpp",
+                "nodelets in %s cannot be connected while they run: their topics are fixed; its "
+                "log says why, or it was built without roscpp",
                 name,
             )
             return False

@@ -14,6 +14,7 @@ from typing import Callable, Deque, Optional, Set, Tuple
 import rospy
 from dyknow_msgs.msg import Model as ModelMessage
 
+from dyknow.locks import turn_lock
 from dyknow.manager.claims.reconciler import StreamReconciler
 from dyknow.manager.manager import Manager
 from dyknow.model.graph import Model
@@ -128,7 +129,8 @@ class ModelPublisher:
         self._before = before
         self._shown: Optional[Tuple[int, int]] = None
         self._publisher = rospy.Publisher(topic, ModelMessage, latch=True, queue_size=1)
-        self._worker = PeriodicWorker("publishing the model", self._publish, pause=_MODEL_PERIOD)
+        self._turn = turn_lock("model on its topic")
+        self._worker = PeriodicWorker("publishing the model", self.publish, pause=_MODEL_PERIOD)
         self._worker.start()
 
     def note_change(self) -> None:
@@ -140,10 +142,12 @@ class ModelPublisher:
         self._worker.close(1.0)
         self._publisher.unregister()
 
-    def _publish(self) -> None:
-        self._before()
-        model = self._take()
-        revisions = (model.revision, model.library_revision)
-        if revisions != self._shown:
-            self._publisher.publish(self._messages.topic(model))
-            self._shown = revisions
+    def publish(self) -> None:
+        """Publish the present model, unless it was published."""
+        with self._turn:
+            self._before()
+            model = self._take()
+            revisions = (model.revision, model.library_revision)
+            if revisions != self._shown:
+                self._publisher.publish(self._messages.topic(model))
+                self._shown = revisions

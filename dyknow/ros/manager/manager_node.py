@@ -34,7 +34,7 @@ from dyknow.nodelet.middleware import Closable
 from dyknow.periodic import PeriodicWorker
 from dyknow.ros.exit_codes import FAILED
 from dyknow.ros.hosting.children import Children
-from dyknow.ros.hosting.cpp_nodelets import CppNodelets
+from dyknow.ros.hosting.fixed_nodelets import FixedNodelets
 from dyknow.ros.hosting.host import RosHost
 from dyknow.ros.hosting.launcher import Launcher
 from dyknow.ros.installed import missing_here
@@ -120,7 +120,7 @@ class ManagerNode(Closable):
             self._workers.run,
         )
         self._messages = ModelMessages()
-        self._cpp = CppNodelets(self.manager)
+        self._fixed = FixedNodelets(self.manager)
         self._watch = Watch(self.manager, self._after_look)
         self._listener = Listener(self._hear)
         #: Whether another manager goes on in this name: then the end is not on purpose.
@@ -133,7 +133,7 @@ class ManagerNode(Closable):
         self._load_transformations()
         self._host.look_for_nodes(self.manager.library.nodes())  # claims may need them
         self._publisher = ModelPublisher(
-            "~model", self.manager.graph_model, self._messages, self._cpp.follow
+            "~model", self.manager.graph_model, self._messages, self._fixed.follow
         )
         self.manager.on_change = self._publisher.note_change
         self._introduce()
@@ -143,7 +143,9 @@ class ManagerNode(Closable):
         self._after_change()
         self._streams = StreamNode(self.manager, reconciler, self._after_change, self._running)
         self.manager.on_change = self._on_change
-        self._services = ManagerServices(self.manager, self._messages, self._after_change)
+        self._services = ManagerServices(
+            self.manager, self._messages, self._after_change, self._publisher.publish
+        )
         self._publisher.note_change()
         self._watch.start()
         self._backups.start()
@@ -179,7 +181,7 @@ class ManagerNode(Closable):
         self._watch.close(1.0)
         self._backups.close(1.0)
         self._publisher.close()
-        self._cpp.close()
+        self._fixed.close()
         self._children.end_all()
         self._workers.close(_WORKERS_PATIENCE)
         if not self.leaves:
@@ -252,7 +254,7 @@ class ManagerNode(Closable):
         return protected
 
     def _after_change(self) -> None:
-        self._cpp.follow()
+        self._fixed.follow()
         self._grant()
         self._host.protect(self._protected())  # first, since the next line hands them over
         self._listener.follow(self._announcers())

@@ -97,7 +97,11 @@ class ManagerServices(_Services):
     """Services for transformations and nodelets."""
 
     def __init__(
-        self, manager: Manager, messages: ModelMessages, after_change: Callable[[], None]
+        self,
+        manager: Manager,
+        messages: ModelMessages,
+        after_change: Callable[[], None],
+        publish: Callable[[], None],
     ) -> None:
         """Offer the services.
 
@@ -105,14 +109,17 @@ class ManagerServices(_Services):
             manager: does the work.
             messages: makes the answers of get_model.
             after_change: called after each attempt to change something, before it is answered.
+            publish: publishes the model, so that readers of its topic see a change at once.
         """
         super().__init__(manager, after_change)
         self._messages = messages
+        self._publish = publish
         self._offer("add_transformation", srv.AddTransformation, self._add_transformation)
         self._offer("remove_transformation", srv.RemoveTransformation, self._remove)
         self._offer("spawn", srv.Spawn, self._spawn)
         self._offer("destroy", srv.Destroy, self._destroy)
         self._offer("set_protection", srv.SetProtection, self._set_protection)
+        self._offer("connect", srv.Connect, self._connect)
         self._offer("get_model", srv.GetModel, self._get_model)
 
     def _add_transformation(self, request: Any) -> Any:
@@ -183,6 +190,19 @@ class ManagerServices(_Services):
 
         what = f"{'protecting' if request.is_protected else 'releasing'} '{request.name}'"
         return srv.SetProtectionResponse(*self._outcome(request, what, protect))
+
+    def _connect(self, request: Any) -> Any:
+        def connect() -> None:
+            moves = [(each.nodelet, config_pairs(each.config)) for each in request.nodelets]
+            texts = [
+                text for name, pairs in moves for entry in ((name,), *pairs) for text in entry
+            ]
+            self._check_sizes(*texts, entries=max([len(moves), *(len(p) for _, p in moves)]))
+            self._manager.connect([(name, _mapping(name, pairs)) for name, pairs in moves])
+            self._publish()
+
+        what = f"connecting {', '.join(repr(each.nodelet) for each in request.nodelets)}"
+        return srv.ConnectResponse(*self._outcome(request, what, connect))
 
     def _get_model(self, request: Any) -> Any:
         return self._messages.response(self._manager.get_model())

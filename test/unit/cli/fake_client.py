@@ -9,7 +9,7 @@ import io
 import json
 import shlex
 from dataclasses import dataclass
-from typing import Any, Callable, Container, Sequence
+from typing import Any, Callable, Sequence
 
 from unit.manager.world import World
 
@@ -20,6 +20,7 @@ from dyknow.errors import NodeletUnreachable
 from dyknow.model.graph import Model
 from dyknow.model.statistics import NodeletStatistics, PortStatistics
 from dyknow.model.streams import StreamEvent
+from dyknow.model.transformation import IN, OUT
 from dyknow.simulated import SimulatedManagerClient
 
 #: What changes nothing is not noted.
@@ -40,6 +41,7 @@ class FakeClient(SimulatedManagerClient):
     Attributes:
         calls: the changes that were asked for, in order.
         fail: called before each of them with its name and subject; may raise.
+        asked: called with the name of each method that asks the manager or a nodelet.
         hung: nodelets that do not answer.
         ordinary: topics that ordinary nodes publish on.
     """
@@ -50,6 +52,7 @@ class FakeClient(SimulatedManagerClient):
         super().__init__(world.host, world.manager, clock=lambda: 0.0, now=lambda: 0.0)
         self.world = world
         self.fail: Callable[[str, str], None] = lambda call, subject: None
+        self.asked: Callable[[str], None] = lambda method: None
         self.hung: set[str] = set()
         self.uncounted: set[str] = set()
         self.ordinary: set[str] = set()
@@ -87,13 +90,20 @@ class FakeClient(SimulatedManagerClient):
             name: known[f"{nodelet}/{name}"] for name in parameters if f"{nodelet}/{name}" in known
         }
 
-    def published(self, hosts: Container[str]) -> frozenset[str]:
-        return frozenset(self.ordinary)
+    def topics_in_use(self) -> tuple[frozenset[str], frozenset[str]]:
+        ports = [port for each in self.host.running for port in self.host.ports(each)]
+        published = {each.topic for each in ports if each.direction == OUT}
+        heard = {each.topic for each in ports if each.direction == IN}
+        return frozenset((self.ordinary | published) - {""}), frozenset(heard - {""})
+
+    def is_nodelet(self, name: str) -> bool:
+        return name in self.host.running
 
     def is_own_manager(self, name: str) -> bool:
         return name.startswith("/fake_")
 
     def _note(self, method: str, subject: str) -> None:
+        self.asked(method)
         if method not in _QUESTIONS:
             call = method.replace("_stream", "")
             self.calls.append((call, subject))

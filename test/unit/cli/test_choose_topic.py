@@ -25,6 +25,7 @@ from dyknow_rqt.graph.wiring import choose_topic
         ({"/other": "/cam/image"}, [], "/cam/image_2"),
         ({"/other": "/cam/image", "/relay": "/cam/image_2"}, ["/cam/image_2"], "/cam/image_3"),
         ({"/relay": "/b"}, ["/b", "/cam/image"], "/cam/image_2"),
+        ({"/waiting": "/cam/image"}, [], "/cam/image_2"),
     ],
 )
 def test_command_line_and_window_choose_the_same(
@@ -34,8 +35,9 @@ def test_command_line_and_window_choose_the_same(
     client.world.spawn("camera", "cam")
     client.world.spawn("camera", "other")
     client.world.spawn("relay", "relay")
+    client.world.spawn("relay", "waiting")
     client.ordinary.update(ordinary)
-    ports = {"/cam": "image", "/other": "image", "/relay": "in"}
+    ports = {"/cam": "image", "/other": "image", "/relay": "in", "/waiting": "in"}
     for nodelet, place in topics.items():
         client.set_config(nodelet, {ports[nodelet]: place})
     publishers = [(each, ["/usb_cam"]) for each in ordinary]

@@ -9,7 +9,7 @@ import pytest
 from unit.cli.fake_client import FakeClient, run
 from unit.manager.world import World
 
-from dyknow.errors import Refused
+from dyknow.errors import HostError
 from dyknow.wiring.ports import types_fit
 
 
@@ -56,7 +56,7 @@ def test_a_port_that_a_lazy_nodelet_declares_is_connected_before_it_subscribes(
     client.world.host.lazy["pkg/Native"] = ("image",)
     client.world.spawn("native", "lazy")
     assert run(client, "connect /raw lazy:image").lines == ["/raw -> /lazy:image"]
-    assert client.calls == [("set_config", "/lazy")]
+    assert client.calls == [("connect", "/lazy")]
     error = run(client, "connect /raw lazy:imag").err
     assert "has no port 'imag'; its ports: image (in), ~out (out); did you mean image?" in error
     assert run(client, "disconnect lazy:image").lines == ["/lazy:image has left /raw"]
@@ -76,7 +76,7 @@ def test_an_in_port_is_connected_to_a_topic(client: FakeClient) -> None:
         "topic": "/raw",
         "changed": [],
     }
-    assert client.calls == [("set_config", "/robot/relay")]
+    assert client.calls == [("connect", "/robot/relay")]
 
 
 def test_a_topic_without_a_publisher_is_reported(client: FakeClient) -> None:
@@ -121,7 +121,7 @@ def test_a_topic_at_the_wrong_end_is_refused(client: FakeClient, line: str, said
 
 def test_the_reader_is_moved_first(client: FakeClient) -> None:
     run(client, "connect cam:image robot/relay:in")
-    assert client.calls == [("set_config", "/robot/relay"), ("set_config", "/cam")]
+    assert client.calls == [("connect", "/robot/relay, /cam")]
 
 
 def test_what_is_connected_already_is_left_alone(client: FakeClient) -> None:
@@ -134,7 +134,7 @@ def test_what_is_connected_already_is_left_alone(client: FakeClient) -> None:
 
 def test_both_ports_of_one_nodelet_are_moved_at_once(client: FakeClient) -> None:
     run(client, "connect robot/relay:out robot/relay:in")
-    assert client.calls == [("set_config", "/robot/relay")]
+    assert client.calls == [("connect", "/robot/relay")]
     assert topics(client) == {
         "/robot/relay:in": "/robot/relay/out",
         "/robot/relay:out": "/robot/relay/out",
@@ -144,11 +144,11 @@ def test_both_ports_of_one_nodelet_are_moved_at_once(client: FakeClient) -> None
 def test_the_reader_goes_back_if_the_writer_is_refused(client: FakeClient) -> None:
     client.set_config("/robot/relay", {"in": "/before"})
 
-    def fail(call: str, subject: str) -> None:
-        if subject == "/cam":
-            raise Refused("/cam: nothing was changed: topic '/x' carries std_msgs/String")
+    def fail(operation: str, argument: str) -> None:
+        if (operation, argument) == ("connect", "/cam"):
+            raise HostError("/cam: nothing was changed: topic '/x' carries std_msgs/String")
 
-    client.fail = fail
+    client.world.host.fail = fail
     outcome = run(client, "connect cam:image robot/relay:in --topic x")
     assert outcome.code == 1
     assert outcome.err == (
@@ -157,14 +157,34 @@ def test_the_reader_goes_back_if_the_writer_is_refused(client: FakeClient) -> No
     assert topics(client) == {"/robot/relay:in": "/before"}
 
 
-def test_an_undoing_that_fails_is_told(client: FakeClient) -> None:
-    def fail(call: str, subject: str) -> None:
-        if subject == "/cam" or len(client.calls) > 2:
-            raise Refused(f"{subject} does not want to")
+@pytest.mark.parametrize(
+    ("line", "calls"),
+    [
+        ("connect cam:image robot/relay:in", ["get_config", "get_config", "connect"]),
+        ("connect cam:image robot/relay:in --topic /raw", ["get_config", "get_config", "connect"]),
+        ("connect /raw robot/relay:in", ["get_config", "connect"]),
+        ("disconnect cam:image robot/relay:in", ["get_config", "get_config", "connect"]),
+    ],
+)
+def test_connecting_takes_few_calls_and_no_graph(
+    client: FakeClient, line: str, calls: list[str]
+) -> None:
+    run(client, "connect /before robot/relay:in")
+    asked: list[str] = []
+    client.asked = asked.append
+    assert run(client, line).code == 0
+    assert asked == calls
 
-    client.fail = fail
-    error = run(client, "connect cam:image robot/relay:in").err
-    assert "/cam does not want to; connecting '/robot/relay' could not be taken back: " in error
+
+def test_a_nodelet_with_fixed_topics_says_how_to_get_live_ports(client: FakeClient) -> None:
+    client.world.spawn("native", "fixed", config={"image": "/raw"})
+    for line in ("connect cam:image fixed:image --topic /x", "disconnect fixed:image"):
+        outcome = run(client, line)
+        assert outcome.code == 1
+        assert "the topics of '/fixed' are fixed" in outcome.err
+        assert "launch-prefix 'rosrun dyknow rewirable'" in outcome.err
+    assert topics(client) == {"/fixed:image": "/raw"}
+    assert "Re-wiring: its topics are fixed" in run(client, "info fixed").out
 
 
 @pytest.mark.parametrize(

@@ -54,7 +54,7 @@ class TestList:
             "manager": "/fake_0",
             "protected": False,
             "isolated": False,
-            "rewired_by_reload": False,
+            "fixed": False,
             "kind": "nodelet",
             "host": "",
             "state": "running",

@@ -208,7 +208,7 @@ class Field:
                 continue
             for port in self.host.nodelet(name).ports.values():
                 topic = record.topics.get(port.name, "")
-                if record.rewired_by_reload and not topic:  # plain ones use their own topic
+                if record.is_fixed and not topic:  # it uses a topic of its own
                     topic = f"{name}/disconnected/{port.name}"
                 assert topic == port.topic
         assert set(self.by_hand) <= set(records), "nothing that was made by hand is removed"

@@ -117,9 +117,8 @@ class Lives(Field):
         elif dice.random() < 0.5:
             new = None
             action = partial(self.manager.destroy, name)
-        elif self.manager.graph.get(name).rewired_by_reload:
-            new = (*old[:3], pairs, old[4])
-            action = partial(self.manager.reconfigure, name, topics)
+        elif self.manager.graph.get(name).is_fixed:
+            return
         else:
             new = (*old[:3], pairs, old[4])
             action = partial(self.connect, name, topics)

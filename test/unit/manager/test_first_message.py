@@ -152,10 +152,12 @@ def test_where_somebody_listens_anyway_it_is_known(field: Field) -> None:
     assert [each.topic for each in field.host.listeners] == ["/referee/ball"]
 
 
-def test_plain_cpp_nodelets_cannot_be_asked(field: Field) -> None:
-    field.host.cpp.add("soccer/Localization")
+def test_nodelets_with_fixed_topics_cannot_be_asked(field: Field) -> None:
+    field.host.cpp.add("soccer/Camera")
     field.host.stock = True
-    claim = field.acquire().claim
+    field.spawn("bottom camera", "/mine", config={"image": "/mine/image"})
+    claim = field.acquire("YUV(field)").claim
+    assert claim.topic == "/mine/image"
     field.settle(5.0)
     assert details(field) == [UNKNOWN.format(claim.topic)]
     assert not [call for call in field.host.calls if call[0] == "listen"]

@@ -242,11 +242,9 @@ def test_an_ordinary_topic_takes_over_through_a_relay(field: Field) -> None:
         field.acquire("FieldPosition(goal)")
 
 
-@pytest.mark.parametrize("stock", [True, False])
 @pytest.mark.parametrize("plain", ["Subsampler", "Localization", "Camera", "Ceiling"])
-def test_cpp_nodelets_take_part(field: Field, plain: str, stock: bool) -> None:
+def test_cpp_nodelets_take_part(field: Field, plain: str) -> None:
     field.host.cpp.add(f"soccer/{plain}")
-    field.host.stock = stock
     field.manager.add_transformation(OTHER)
     claim = field.acquire(max_silence=1.0).claim
     field.settle(5.0)

@@ -12,7 +12,10 @@ from unit.manager.world import World
 from dyknow.errors import (
     Busy,
     Denied,
+    DyKnowError,
+    FixedTopics,
     HostError,
+    HostTimeout,
     InvalidConfiguration,
     InvalidName,
     LimitExceeded,
@@ -210,9 +213,9 @@ def test_a_nodelet_goes_to_its_neighbours_else_to_the_emptiest(world: World) -> 
         world.spawn("native", "d", manager=first)
 
 
-def test_a_plain_nodelet_is_wired_by_remapping_and_rewired_by_reload(world: World) -> None:
+def test_a_nodelet_in_a_stock_manager_keeps_its_topics(world: World) -> None:
     record = world.spawn("native", "robot/n", config={"image": "/cam/image", "~out": "/small"})
-    assert record.rewired_by_reload
+    assert record.is_fixed and record.status.is_fixed
     assert world.host.nodelet("/robot/n").request.remappings == {
         "/robot/image": "/cam/image",
         "/robot/n/out": "/small",
@@ -221,19 +224,27 @@ def test_a_plain_nodelet_is_wired_by_remapping_and_rewired_by_reload(world: Worl
         ("image", "/cam/image"),
         ("~out", "/small"),
     ]
-    world.manager.reconfigure("/robot/n", {"image": "/other"})
-    assert world.host.nodelet("/robot/n").request.remappings["/robot/image"] == "/other"
-    assert world.host.nodelet("/robot/n").request.remappings["/robot/n/out"] == "/small"
+    with pytest.raises(FixedTopics, match="launch-prefix 'rosrun dyknow rewirable'"):
+        world.manager.connect([("robot/n", {"image": "/other"})])
+    world.manager.look({"/robot/n"})
+    assert world.manager.graph.get("/robot/n").topics == {"image": "/cam/image", "~out": "/small"}
+    world.host.kill(record.manager)
+    world.manager.look(set())
+    assert world.manager.graph.get("/robot/n").is_fixed
+    assert world.host.nodelet("/robot/n").request.remappings["/robot/image"] == "/cam/image"
 
-    def fail_once(operation: str, argument: str) -> None:
-        if operation == "loaded":
-            world.host.fail = lambda operation, argument: None
-            raise HostError("no")
 
-    world.host.fail = fail_once
-    with pytest.raises(SpawnFailed):
-        world.manager.reconfigure("/robot/n", {"image": "/third"})
-    assert world.host.nodelet("/robot/n").request.remappings["/robot/image"] == "/other"
+def test_a_manager_without_live_ports_is_used_only_if_it_is_asked_for(world: World) -> None:
+    world.host.stock = True
+    world.host.add(stock := "/stock", NodeletKind.CPP)
+    world.host.stock = False
+    world.host.sources["pkg/Native"] = [
+        ("image", "in", "sensor_msgs/Image"),
+        ("~out", "out", "sensor_msgs/Image"),
+    ]
+    assert world.spawn("native", "a").manager != stock
+    assert not world.manager.graph.get("/a").is_fixed
+    assert world.spawn("native", "b", manager=stock).is_fixed
 
 
 @pytest.fixture
@@ -250,7 +261,7 @@ def live(world: World) -> World:
 
 def test_a_cpp_nodelet_is_wired_by_remapping_and_rewired_live(live: World) -> None:
     record = live.spawn("native", "robot/n", config={"image": "/cam/image"})
-    assert (record.kind, record.rewired_by_reload) == (NodeletKind.CPP, False)
+    assert (record.kind, record.is_fixed) == (NodeletKind.CPP, False)
     assert live.host.nodelet("/robot/n").request.remappings == {
         "/robot/image": "/cam/image",
         "/robot/n/out": "/robot/n/disconnected/out",
@@ -263,8 +274,6 @@ def test_a_cpp_nodelet_is_wired_by_remapping_and_rewired_live(live: World) -> No
     live.host.connect("/robot/n", {"image": "/other"})
     live.manager.look({"/robot/n"})
     assert live.manager.graph.get("/robot/n").topics == {"image": "/other"}
-    with pytest.raises(HostError, match="not re-wired by a reload"):
-        live.manager.reconfigure("/robot/n", {"image": "/third"})
 
 
 def test_a_cpp_nodelet_comes_back_with_what_was_moved(live: World) -> None:
@@ -321,7 +330,7 @@ def test_guards_refuse_topics_numbers_and_every_change_in_read_only_mode() -> No
         lambda: frozen.manager.set_protection("a", True),
         lambda: frozen.manager.add_transformation("<x/>"),
         lambda: frozen.manager.remove_transformation("a"),
-        lambda: frozen.manager.reconfigure("a", {}),
+        lambda: frozen.manager.connect([("a", {})]),
     ):
         with pytest.raises(Denied, match="read_only"):
             change()
@@ -338,3 +347,43 @@ def test_replaced_transformations_leave_running_nodelets_as_they_are(world: Worl
     world.host.kill("/fake_0")
     world.manager.look()
     assert world.host.nodelet("/a").request.source == "pkg/Camera"
+
+
+def test_ports_of_several_nodelets_are_connected_as_one(world: World) -> None:
+    world.spawn("camera", "cam")
+    world.spawn("relay", "relay")
+    world.manager.connect([("relay", {"in": "/raw"}), ("cam", {"image": "/raw"})])
+    shown = {each.name: dict(each.topics) for each in world.manager.graph.all()}
+    assert shown == {"/cam": {"image": "/raw"}, "/relay": {"in": "/raw"}}
+    world.host.calls.clear()
+    for moves, error in (
+        ([("relay", {"in": "/other"}), ("nix", {"image": "/other"})], UnknownNodelet),
+        ([("relay", {"in": "/other"}), ("cam", {"image": "no name"})], InvalidName),
+    ):
+        with pytest.raises(error):
+            world.manager.connect(moves)
+    assert not [call for call in world.host.calls if call[0] == "connect"]
+    with pytest.raises(HostError, match="unknown port 'nix'"):
+        world.manager.connect([("relay", {"in": "/other"}), ("cam", {"nix": "/other"})])
+    assert world.host.nodelet("/relay").ports["in"].topic == "/raw"
+
+
+def test_a_move_that_cannot_be_taken_back_is_reported(world: World) -> None:
+    world.spawn("camera", "cam")
+    world.spawn("relay", "relay")
+    connected = []
+
+    def fail(operation: str, argument: str) -> None:
+        if operation == "connect":
+            connected.append(argument)
+            if connected != ["/relay"]:
+                raise HostTimeout(f"{argument} does not answer")
+
+    world.host.fail = fail
+    with pytest.raises(
+        DyKnowError,
+        match="/cam does not answer; connecting '/relay' could not be taken back: /relay does not",
+    ):
+        world.manager.connect([("relay", {"in": "/raw"}), ("cam", {"image": "/raw"})])
+    assert connected == ["/relay", "/cam", "/relay"]
+    assert world.manager.graph.get("/relay").topics == {"in": "/raw"}, "the model is true"

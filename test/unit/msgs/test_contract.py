@@ -67,7 +67,7 @@ MESSAGES = {
         "string manager",
         "bool is_protected",
         "bool isolated",
-        "bool rewired_by_reload",
+        "bool is_fixed",
         "uint8 state",
         "string detail",
         "Port[] ports",
@@ -76,6 +76,7 @@ MESSAGES = {
         "Parameter[] parameters",
     ),
     "NodeletChanges": ("string[] nodelets", "string[] details"),
+    "NodeletConfig": ("string nodelet", "PortConfig[] config"),
     "Model": (
         "uint64 revision",
         "uint64 library_revision",
@@ -116,6 +117,7 @@ PLAN = ("string[] spawned", "string[] reused", "float64 cost")
 SERVICES = {
     "GetConfig": (EMPTY, ("Port[] ports",)),
     "SetConfig": (("PortConfig[] config",), ANSWER),
+    "Connect": (("NodeletConfig[] nodelets",), ANSWER),
     "GetStatistics": (
         EMPTY,
         (
