@@ -62,7 +62,7 @@ def problems(text: str | bytes) -> list[str]:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("", "w.xml:1: no element; expected <wiring>"),
+        ("", "w.xml:1: no element found at column 1; expected well-formed XML"),
         ("<wiring", "w.xml:1: unclosed token"),
         ("<other/>", "w.xml:1: unexpected <other> as the root; expected <wiring>"),
         ("<wiring/>", "w.xml:1: <wiring> has no attribute version; expected one, '1'"),
