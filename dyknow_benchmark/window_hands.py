@@ -23,9 +23,9 @@ from dyknow.model.graph import Model, NodeletStatus, State
 from dyknow_benchmark import progress, system
 from dyknow_benchmark.session import MeasurementFailed, Session
 from dyknow_rqt.canvas.view import GraphView
+from dyknow_rqt.example_graphs import spawn_relay, tree
 from dyknow_rqt.ros_remote import RosRemote
 from dyknow_rqt.simulated import SimulatedRemote
-from dyknow_rqt.tree_graph import spawn_relay, tree
 from dyknow_rqt.window import DyKnowWidget, spare_imports
 
 #: Seconds between two nodelets that come back in the simulated manager.

@@ -22,10 +22,9 @@ from python_qt_binding.QtWidgets import (
     QWidget,
 )
 
-from dyknow_rqt.filter_edit import FilterEdit
-from dyknow_rqt.flow_layout import FlowLayout
+from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.graph.figure import Boxes, Group, Options
-from dyknow_rqt.qt_slot import qt_slot
+from dyknow_rqt.widgets import FilterEdit, FlowLayout
 
 _TYPING = 250  # ms
 #: Pixels: from this width on the whole bar is shown.

@@ -14,25 +14,22 @@ from python_qt_binding.QtWidgets import QAction, QFileDialog, QMenu, QVBoxLayout
 from dyknow.errors import InvalidName
 from dyknow.model.graph import PortRef
 from dyknow.wiring.ports import CannotConnect
-from dyknow_rqt.background_calls import BackgroundCalls
+from dyknow_rqt.background_calls import BackgroundCalls, qt_slot
 from dyknow_rqt.canvas.appearance import edge_refs, gap_of, sizes_of
 from dyknow_rqt.canvas.items import Item, PortItem
 from dyknow_rqt.canvas.view import GraphView, Target
-from dyknow_rqt.graph.boxes import figure_of
 from dyknow_rqt.graph.changes import Rewire
-from dyknow_rqt.graph.dot import to_dot
-from dyknow_rqt.graph.figure import Figure, Group
+from dyknow_rqt.graph.figure import Figure, Group, figure_of
 from dyknow_rqt.graph.geometry import Drawing
+from dyknow_rqt.graph.layout import to_dot
 from dyknow_rqt.graph.snapshot import Snapshot
 from dyknow_rqt.graph.wiring import connect, connect_topic, disconnect, partners
 from dyknow_rqt.graph_bar import GraphBar
-from dyknow_rqt.graph_menus import GraphActions, menu_of, menu_of_ground, menu_of_port
+from dyknow_rqt.graph_menus import GraphActions, WiringFiles, menu_of, menu_of_ground, menu_of_port
 from dyknow_rqt.layouter import Layouter
 from dyknow_rqt.monitor import Monitor
-from dyknow_rqt.qt_slot import qt_slot
 from dyknow_rqt.selection import Selection
-from dyknow_rqt.sign import Sign
-from dyknow_rqt.wiring_files import WiringFiles
+from dyknow_rqt.widgets import Sign
 
 #: Milliseconds that a view must keep its size before the graph follows.
 _TURNING = 200

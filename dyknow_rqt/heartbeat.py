@@ -12,9 +12,8 @@ from python_qt_binding.QtCore import QObject, QTimer, Signal
 
 from dyknow.errors import DyKnowError, PeerTimeout
 from dyknow.model.streams import StreamStatus
-from dyknow_rqt.background_calls import BackgroundCalls
+from dyknow_rqt.background_calls import BackgroundCalls, qt_slot
 from dyknow_rqt.graph.contact import Contact
-from dyknow_rqt.qt_slot import qt_slot
 from dyknow_rqt.remote import Remote
 
 _LOG = logging.getLogger("rosout.dyknow_rqt")

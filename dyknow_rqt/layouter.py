@@ -11,12 +11,10 @@ from typing import Mapping, Optional, Tuple
 
 from python_qt_binding.QtCore import QObject, QProcess, QTimer, Signal
 
-from dyknow_rqt.background_calls import BackgroundCalls
-from dyknow_rqt.graph.arranged import arranged
-from dyknow_rqt.graph.dot import to_dot
+from dyknow_rqt.background_calls import BackgroundCalls, qt_slot
 from dyknow_rqt.graph.figure import Figure
 from dyknow_rqt.graph.geometry import Drawing, Size
-from dyknow_rqt.qt_slot import qt_slot
+from dyknow_rqt.graph.layout import arranged, to_dot
 
 _LOG = logging.getLogger("rosout.dyknow_rqt")
 #: Seconds that graphviz may take.

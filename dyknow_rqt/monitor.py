@@ -33,14 +33,12 @@ from dyknow.errors import DyKnowError, HostError, PeerTimeout, Refused
 from dyknow.model.client import BaseManagerClient
 from dyknow.model.graph import State
 from dyknow.model.transformation import Transformation
-from dyknow_rqt.background_calls import BackgroundCalls
-from dyknow_rqt.graph.changes import CannotUndo, Change
+from dyknow_rqt.background_calls import BackgroundCalls, qt_slot
+from dyknow_rqt.graph.changes import CannotUndo, Change, UndoHistory
 from dyknow_rqt.graph.contact import PATIENCE
-from dyknow_rqt.graph.history import UndoHistory
 from dyknow_rqt.graph.rates import Meter, in_turns
 from dyknow_rqt.graph.snapshot import PlainNode, Side, Snapshot, plain_nodes, taken_topics
 from dyknow_rqt.heartbeat import Heartbeat
-from dyknow_rqt.qt_slot import qt_slot
 from dyknow_rqt.remote import Remote
 
 if TYPE_CHECKING:

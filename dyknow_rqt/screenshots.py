@@ -19,10 +19,9 @@ from python_qt_binding.QtTest import QTest
 from python_qt_binding.QtWidgets import QApplication, QStyleFactory
 
 from dyknow.model.graph import PortRef
+from dyknow_rqt.example_graphs import soccer, tree
 from dyknow_rqt.graph.figure import Boxes
 from dyknow_rqt.simulated import SimulatedRemote
-from dyknow_rqt.soccer_graph import soccer
-from dyknow_rqt.tree_graph import tree
 from dyknow_rqt.window import DyKnowWidget
 
 

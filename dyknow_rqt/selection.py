@@ -9,10 +9,10 @@ from typing import FrozenSet, Iterable, List, Union
 
 from python_qt_binding.QtCore import QObject, Signal
 
+from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.graph.figure import Edge, Figure, VertexKind, key_of
 from dyknow_rqt.graph.snapshot import Snapshot
 from dyknow_rqt.monitor import Monitor
-from dyknow_rqt.qt_slot import qt_slot
 from dyknow_rqt.stream_watch import StreamWatch
 
 #: The key of a vertex, or an arrow.

@@ -21,9 +21,9 @@ from python_qt_binding.QtWidgets import (
     QWidget,
 )
 
-from dyknow_rqt.canvas.colours import colours_of
+from dyknow_rqt.background_calls import qt_slot
+from dyknow_rqt.canvas.appearance import colours_of
 from dyknow_rqt.graph.contact import Status
-from dyknow_rqt.qt_slot import qt_slot
 
 _NOTE_TIME = 6000  # ms
 _KEPT = 50

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Optional, Sequence, Tuple
 
 from python_qt_binding.QtCore import QObject, Signal
 
+from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.monitor import Monitor
-from dyknow_rqt.qt_slot import qt_slot
 
 if TYPE_CHECKING:
     from dyknow.model.streams import StreamStatus

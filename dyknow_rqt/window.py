@@ -19,20 +19,20 @@ from python_qt_binding.QtWidgets import (
     QWidget,
 )
 
-from dyknow_rqt.canvas.colours import colours_of
+from dyknow_rqt.background_calls import qt_slot
+from dyknow_rqt.canvas.appearance import colours_of
 from dyknow_rqt.graph_panel import GraphPanel
-from dyknow_rqt.keys import KeysDialog
 from dyknow_rqt.monitor import Monitor
 from dyknow_rqt.panels.active import ActivePanel
 from dyknow_rqt.panels.connect import ConnectPanel
 from dyknow_rqt.panels.create import CreatePanel
 from dyknow_rqt.panels.library import LibraryPanel
 from dyknow_rqt.panels.streams import StreamsPanel
-from dyknow_rqt.qt_slot import qt_slot
 from dyknow_rqt.remote import Remote
 from dyknow_rqt.selection import Selection
 from dyknow_rqt.status_line import StatusLine
 from dyknow_rqt.stream_watch import StreamWatch
+from dyknow_rqt.widgets import KeysDialog
 
 #: Pixels: a window that is less wide than high and than this is narrow; one smaller than the
 #: second in both is small.

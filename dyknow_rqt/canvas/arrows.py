@@ -22,13 +22,12 @@ from python_qt_binding.QtGui import (
 )
 from python_qt_binding.QtWidgets import QGraphicsItem
 
-from dyknow_rqt.canvas.appearance import RATE_SCALE
-from dyknow_rqt.canvas.colours import Colours, Tone
+from dyknow_rqt.background_calls import qt_slot
+from dyknow_rqt.canvas.appearance import RATE_SCALE, Colours, Tone
 from dyknow_rqt.canvas.items import PORT_RADIUS, Item
 from dyknow_rqt.graph.figure import Edge
 from dyknow_rqt.graph.geometry import Point, Rectangle, Size
 from dyknow_rqt.graph.rates import PortRate
-from dyknow_rqt.qt_slot import qt_slot
 
 _ARROW = 8.0
 _NUMBER = re.compile(r"[\d.]+")

@@ -13,9 +13,9 @@ from python_qt_binding.QtWidgets import QGraphicsItem, QGraphicsRectItem
 
 from dyknow.model.graph import PortRef
 from dyknow.model.transformation import IN
-from dyknow_rqt.canvas.colours import Colours, Tone
+from dyknow_rqt.background_calls import qt_slot
+from dyknow_rqt.canvas.appearance import Colours, Tone
 from dyknow_rqt.graph.geometry import Rectangle
-from dyknow_rqt.qt_slot import qt_slot
 
 PORT_RADIUS = 4.0
 

@@ -21,8 +21,8 @@ from python_qt_binding.QtCore import (
 from python_qt_binding.QtGui import QPainter, QPen, QPixmap
 from python_qt_binding.QtWidgets import QWidget
 
+from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.canvas.scene import GraphScene
-from dyknow_rqt.qt_slot import qt_slot
 
 #: Pixels: its largest size, and its distance from the edges of the view.
 _LARGEST, _MARGIN = QSizeF(180, 130), 8

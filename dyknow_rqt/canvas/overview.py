@@ -19,8 +19,8 @@ from python_qt_binding.QtGui import (
 )
 
 if TYPE_CHECKING:
+    from dyknow_rqt.canvas.appearance import Colours
     from dyknow_rqt.canvas.arrows import EdgeItem
-    from dyknow_rqt.canvas.colours import Colours
     from dyknow_rqt.canvas.items import BoxItem
     from dyknow_rqt.canvas.vertices import VertexItem
 

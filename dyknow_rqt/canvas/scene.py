@@ -26,30 +26,32 @@ from python_qt_binding.QtSvg import QSvgGenerator
 from python_qt_binding.QtWidgets import QGraphicsScene, QToolTip
 
 from dyknow.model.graph import PortRef
-from dyknow_rqt.background_calls import BackgroundCalls
+from dyknow_rqt.background_calls import BackgroundCalls, qt_slot
 from dyknow_rqt.canvas.appearance import (
     Appearance,
+    Tone,
     appearance_of,
+    colours_of,
     edge_refs,
     edge_traffic,
+    greys_of,
     port_tip,
     vertex_tip,
 )
 from dyknow_rqt.canvas.arrows import EdgeItem
-from dyknow_rqt.canvas.colours import Tone, colours_of, greys_of
 from dyknow_rqt.canvas.items import BoxItem, Item, PortItem
 from dyknow_rqt.canvas.overview import FAR, Overview, paint_titles
 from dyknow_rqt.canvas.vertices import VertexItem
 from dyknow_rqt.graph.figure import Edge, Figure, Group, VertexKind
-from dyknow_rqt.graph.geometry import Drawing, Rectangle
-from dyknow_rqt.graph.labels import place_labels
+from dyknow_rqt.graph.geometry import Drawing, Rectangle, place_labels
 from dyknow_rqt.graph.rates import PortRate
 from dyknow_rqt.graph.snapshot import Snapshot
-from dyknow_rqt.qt_slot import qt_slot
 
 Key = TypeVar("Key")
 #: Pixels that can be dragged beyond the drawing.
 _MARGIN = 3000.0
+#: Pixels of the largest image that is written.
+_MOST_PIXELS = 16_000_000.0
 _FRAME = 16.0
 #: Seconds of drawing until the next turn of the event loop.
 _SLICE = 0.02
@@ -334,12 +336,15 @@ class GraphScene(QGraphicsScene):
         self._render(generator, area)
 
     def save_image(self, path: str, scale: float = 2.0) -> None:
-        """Write the drawing as PNG, or what the name of the file says.
+        """Write the drawing as an image; the ending of the file says of which kind.
+
+        Large drawings are written smaller than `scale` says, so that they fit into memory.
 
         Raises:
             OSError: the file cannot be written, or the kind of image is not known.
         """
         area = self._picture_area()
+        scale = min(scale, (_MOST_PIXELS / (area.width() * area.height())) ** 0.5)
         image = QImage((area.size() * scale).toSize(), QImage.Format_ARGB32)
         image.fill(self._colours.paper)
         self._render(image, area)

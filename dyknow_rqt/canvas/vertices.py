@@ -22,12 +22,11 @@ from python_qt_binding.QtWidgets import QGraphicsItem
 
 from dyknow.model.graph import PortRef, State
 from dyknow.model.transformation import IN, OUT
-from dyknow_rqt.canvas.appearance import Appearance
-from dyknow_rqt.canvas.colours import Colours, Tone
+from dyknow_rqt.background_calls import qt_slot
+from dyknow_rqt.canvas.appearance import Appearance, Colours, Tone
 from dyknow_rqt.canvas.items import PORT_RADIUS, Item, PortItem
 from dyknow_rqt.graph.figure import Vertex, VertexKind
 from dyknow_rqt.graph.geometry import Size
-from dyknow_rqt.qt_slot import qt_slot
 
 
 class VertexItem(Item):

@@ -19,13 +19,13 @@ from python_qt_binding.QtWidgets import (
 )
 
 from dyknow.model.graph import PortRef
+from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.canvas.arrows import EdgeItem
 from dyknow_rqt.canvas.items import Item, PortItem
 from dyknow_rqt.canvas.minimap import Minimap
 from dyknow_rqt.canvas.scene import GraphScene
 from dyknow_rqt.canvas.vertices import VertexItem
 from dyknow_rqt.graph.figure import Group, VertexKind
-from dyknow_rqt.qt_slot import qt_slot
 
 #: Where a connection may end: at a port, or at the topic of that name.
 Target = Union[None, str, PortRef]

@@ -10,7 +10,7 @@ as it was before the change.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Dict, List, Mapping, Sequence, Tuple
+from typing import Dict, List, Mapping, Optional, Sequence, Tuple, Union
 
 from dyknow.errors import DyKnowError
 from dyknow.model.client import BaseManagerClient
@@ -209,3 +209,60 @@ class Protect(Change):
     def inverse(self, snapshot: Snapshot, library: Library) -> Change:
         """Set the protection to what it is now."""
         return Protect(self.name, not self.is_protected)
+
+
+#: The most changes that can be undone.
+DEPTH = 100
+
+
+@dataclass(frozen=True)
+class DoneChange:
+    """A change that was made, and its inverse or the reason why it has none."""
+
+    change: Change
+    back: Union[Change, CannotUndo]
+
+
+class UndoHistory:
+    """Two stacks: changes to undo and changes to redo."""
+
+    def __init__(self) -> None:
+        self._done: List[DoneChange] = []
+        self._undone: List[Change] = []
+
+    def note(self, change: Change, back: Union[Change, CannotUndo]) -> None:
+        """Note a change; nothing can be redone after it."""
+        self._done.append(DoneChange(change, back))
+        del self._done[:-DEPTH]
+        self._undone.clear()
+
+    def note_undone(self) -> None:
+        """Note that the last change was undone."""
+        self._undone.append(self._done.pop().change)
+
+    def note_redone(self, change: Change, back: Union[Change, CannotUndo]) -> None:
+        """Note that the last undone change was redone."""
+        self._undone.pop()
+        self._done.append(DoneChange(change, back))
+
+    def drop(self) -> None:
+        """Forget the last change, which cannot be undone, so that those before it can be."""
+        self._done.pop()
+
+    @property
+    def last(self) -> Optional[DoneChange]:
+        """The change that undo undoes, or None."""
+        return self._done[-1] if self._done else None
+
+    @property
+    def next(self) -> Optional[Change]:
+        """The change that redo makes, or None."""
+        return self._undone[-1] if self._undone else None
+
+    @property
+    def texts(self) -> Tuple[str, str]:
+        """The changes that undo and redo would make, in words; empty for none."""
+        return (
+            self.last.change.text if self.last is not None else "",
+            self.next.text if self.next is not None else "",
+        )

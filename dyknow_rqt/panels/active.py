@@ -12,12 +12,11 @@ from python_qt_binding.QtWidgets import QHBoxLayout, QPushButton, QVBoxLayout, Q
 
 from dyknow.model.graph import NodeletKind, State
 from dyknow.model.transformation import IN
+from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.graph.changes import DestroyNodelet, Protect, protection
 from dyknow_rqt.graph.snapshot import Snapshot
 from dyknow_rqt.monitor import Monitor
-from dyknow_rqt.panels.panel import Panel
-from dyknow_rqt.panels.tables import KeyedTable
-from dyknow_rqt.qt_slot import qt_slot
+from dyknow_rqt.panels.tables import KeyedTable, Panel
 from dyknow_rqt.selection import Selection
 from dyknow_rqt.status_line import StatusLine
 

@@ -26,6 +26,7 @@ from dyknow.errors import InvalidName
 from dyknow.model.graph import PortRef, PortState
 from dyknow.model.transformation import IN, OUT
 from dyknow.wiring.ports import CannotConnect
+from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.graph.snapshot import Snapshot
 from dyknow_rqt.graph.wiring import (
     choose_topic,
@@ -36,8 +37,7 @@ from dyknow_rqt.graph.wiring import (
     topics_for,
 )
 from dyknow_rqt.monitor import Monitor
-from dyknow_rqt.panels.panel import Panel
-from dyknow_rqt.qt_slot import qt_slot
+from dyknow_rqt.panels.tables import Panel
 from dyknow_rqt.status_line import StatusLine
 
 

@@ -20,15 +20,14 @@ from python_qt_binding.QtWidgets import (
 )
 
 from dyknow.model.transformation import IN, Transformation
-from dyknow_rqt.graph.library_changes import (
+from dyknow_rqt.background_calls import qt_slot
+from dyknow_rqt.graph.wiring_changes import (
     AddTransformations,
     as_specification,
     remove_transformations,
 )
 from dyknow_rqt.monitor import Monitor
-from dyknow_rqt.panels.panel import Panel
-from dyknow_rqt.panels.tables import KeyedTable
-from dyknow_rqt.qt_slot import qt_slot
+from dyknow_rqt.panels.tables import KeyedTable, Panel
 from dyknow_rqt.status_line import StatusLine
 
 _FILES = "Specifications (*.xml);;All files (*)"

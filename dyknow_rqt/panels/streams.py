@@ -29,11 +29,10 @@ from python_qt_binding.QtWidgets import (
 
 from dyknow.model.streams import ClaimState, StreamRequest
 from dyknow.model.transformation import OUT, Transformation
+from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.graph.stream_changes import AcquireStream, ReleaseStream, ReplanStream
 from dyknow_rqt.monitor import Monitor
-from dyknow_rqt.panels.panel import Panel
-from dyknow_rqt.panels.tables import KeyedTable
-from dyknow_rqt.qt_slot import qt_slot
+from dyknow_rqt.panels.tables import KeyedTable, Panel
 from dyknow_rqt.selection import Selection
 from dyknow_rqt.status_line import StatusLine
 from dyknow_rqt.stream_watch import StreamWatch

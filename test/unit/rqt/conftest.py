@@ -10,7 +10,7 @@ import pytest
 
 @pytest.fixture
 def remote():
-    from dyknow_rqt.soccer_graph import soccer
+    from dyknow_rqt.example_graphs import soccer
 
     return soccer()
 

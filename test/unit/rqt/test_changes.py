@@ -15,14 +15,14 @@ from dyknow.model.graph import PortRef, SpawnRequest
 from dyknow.model.statistics import NodeletStatistics, PortStatistics
 from dyknow.wiring.ports import CannotConnect
 from dyknow.wiring.wiring import wiring_of
+from dyknow_rqt.example_graphs import soccer
 from dyknow_rqt.graph.changes import (
     CannotUndo,
     DestroyNodelet,
     Protect,
     SpawnNodelet,
+    UndoHistory,
 )
-from dyknow_rqt.graph.history import UndoHistory
-from dyknow_rqt.graph.library_changes import AddTransformations, remove_transformations
 from dyknow_rqt.graph.rates import Meter, in_turns
 from dyknow_rqt.graph.snapshot import Snapshot
 from dyknow_rqt.graph.wiring import (
@@ -32,8 +32,7 @@ from dyknow_rqt.graph.wiring import (
     partners,
     topics_for,
 )
-from dyknow_rqt.graph.wiring_changes import LoadWiring
-from dyknow_rqt.soccer_graph import soccer
+from dyknow_rqt.graph.wiring_changes import AddTransformations, LoadWiring, remove_transformations
 
 CEILING = PortRef("/field/ceiling_camera", "field_position")
 TRACKER = PortRef("/field/tracker", "position")

@@ -11,7 +11,7 @@ import pytest
 from python_qt_binding.QtGui import QPalette
 from unit.rqt.seeing import SIGHTS, contrast, difference
 
-from dyknow_rqt.canvas.colours import colours_of, greys_of
+from dyknow_rqt.canvas.appearance import colours_of, greys_of
 from dyknow_rqt.screenshots import dark_palette
 
 

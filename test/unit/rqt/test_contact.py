@@ -13,11 +13,11 @@ from unit.rqt.hands import create, until, vertex_keys
 from unit.rqt.seeing import contrast
 
 from dyknow.model.graph import State
-from dyknow_rqt.canvas.colours import colours_of
+from dyknow_rqt.canvas.appearance import colours_of
+from dyknow_rqt.example_graphs import soccer
 from dyknow_rqt.graph.changes import Protect
 from dyknow_rqt.graph.contact import Contact
 from dyknow_rqt.screenshots import dark_palette
-from dyknow_rqt.soccer_graph import soccer
 from dyknow_rqt.window import DyKnowWidget
 
 

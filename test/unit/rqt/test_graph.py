@@ -12,13 +12,10 @@ import pydot
 import pytest
 
 from dyknow.model.graph import NodeletStatus, PortState, State
-from dyknow_rqt.graph.boxes import figure_of
-from dyknow_rqt.graph.dot import BadLayout, read_layout, to_dot
-from dyknow_rqt.graph.figure import Boxes, Options, VertexKind
+from dyknow_rqt.graph.figure import Boxes, Options, VertexKind, figure_of
 from dyknow_rqt.graph.filters import BadFilter, completions, parse
 from dyknow_rqt.graph.geometry import Layout, Point, Size
-from dyknow_rqt.graph.layered import layered
-from dyknow_rqt.graph.port_order import without_crossings
+from dyknow_rqt.graph.layout import BadLayout, layered, read_layout, to_dot, without_crossings
 from dyknow_rqt.graph.snapshot import PlainNode, Snapshot, plain_nodes
 from dyknow_rqt.graph.stabilise import backwards, moved, stabilise
 

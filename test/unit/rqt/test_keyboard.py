@@ -23,7 +23,7 @@ from unit.rqt.hands import (
     until,
 )
 
-from dyknow_rqt.keys import KEYS, KeysDialog
+from dyknow_rqt.widgets import KEYS, KeysDialog
 
 
 def test_everything_is_reached_with_the_tab_key(qtbot, window):

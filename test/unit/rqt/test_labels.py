@@ -12,8 +12,7 @@ from hypothesis import strategies as some
 from unit.rqt.hands import until
 
 from dyknow_rqt.graph.figure import Edge
-from dyknow_rqt.graph.geometry import Point, Rectangle, Size
-from dyknow_rqt.graph.labels import place_labels
+from dyknow_rqt.graph.geometry import Point, Rectangle, Size, place_labels
 
 SIZE = Size(40.0, 12.0)
 

@@ -11,7 +11,7 @@ from python_qt_binding.QtGui import QImage
 from unit.rqt.hands import centre_of, click, until, vertex_keys
 
 from dyknow_rqt.canvas.overview import FAR
-from dyknow_rqt.tree_graph import tree
+from dyknow_rqt.example_graphs import tree
 from dyknow_rqt.window import DyKnowWidget
 
 _COUNT = 200
@@ -24,12 +24,16 @@ def crowd():
 
 @pytest.fixture
 def window(qtbot, crowd):
+    return window_on(qtbot, crowd, _COUNT, 1366, 768)
+
+
+def window_on(qtbot, crowd, count, width, height):
     widget = DyKnowWidget(crowd)
     qtbot.addWidget(widget, before_close_func=lambda w: w.shut_down())
-    widget.resize(1366, 768)
+    widget.resize(width, height)
     widget.show()
     widget.start()
-    until(qtbot, lambda: len(widget.graph.drawn.vertices) == 2 * _COUNT)
+    until(qtbot, lambda: len(widget.graph.drawn.vertices) == 2 * count)
     return widget
 
 
@@ -97,7 +101,9 @@ def test_what_is_too_small_for_names_is_painted_together_and_hit_all_the_same(qt
     assert not item.is_far
 
 
-def test_a_picture_has_names_also_of_what_is_seen_from_far(window, tmp_path):
+def test_a_picture_has_names_also_of_what_is_seen_from_far(qtbot, tmp_path):
+    window = window_on(qtbot, tree(40), 40, 400, 300)
+    assert window.graph.view.zoom < FAR
     window.graph.save(str(tmp_path / "graph.svg"))
     assert "nodelet7" in (tmp_path / "graph.svg").read_text()
     assert window.graph.view.scene().vertices["n_/part0/nodelet0"].is_far

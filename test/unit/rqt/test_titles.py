@@ -9,7 +9,7 @@ import pytest
 from python_qt_binding.QtCore import QRectF
 from python_qt_binding.QtGui import QColor, QFont, QFontMetricsF, QImage, QPainter, QPalette
 
-from dyknow_rqt.canvas.colours import colours_of
+from dyknow_rqt.canvas.appearance import colours_of
 from dyknow_rqt.canvas.overview import FAR, paint_titles
 from dyknow_rqt.graph.geometry import Point, Size, boxes_around
 

@@ -19,9 +19,9 @@ from unit.rqt.hands import (
     vertex_keys,
 )
 
+from dyknow_rqt.example_graphs import tree
 from dyknow_rqt.layouter import Layouter
 from dyknow_rqt.screenshots import dark_palette
-from dyknow_rqt.tree_graph import tree
 from dyknow_rqt.window import DyKnowWidget, make_room
 
 
@@ -91,6 +91,7 @@ def test_settings_are_kept(qtbot, window, remote):
     assert other.state()["period"] == "1.0" and other.tabs.currentIndex() == 2
 
 
+@pytest.mark.long
 def test_five_hundred_nodelets_stay_usable(qtbot):
     remote = tree(500)
     widget = DyKnowWidget(remote)

@@ -1,12 +1,13 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""A made-up graph for pictures and tests: a robot on a soccer field."""
+"""Graphs for pictures and tests: a soccer robot's, and trees of any size."""
 
 from __future__ import annotations
 
 from typing import Dict, Tuple
 
+from dyknow.model.client import BaseManagerClient
 from dyknow.model.graph import NodeletKind, State
 from dyknow.model.transformation import Parameter
 from dyknow_rqt.simulated import SimulatedRemote
@@ -162,3 +163,31 @@ def _specification() -> str:
         lines.append("</ports>" + (f"<tags>{''.join(tags)}</tags>" if tags else ""))
         parts.append("".join(lines) + "</transformation>")
     return f"<transformations>{''.join(parts)}</transformations>"
+
+
+_RELAY = (
+    "<transformation><label>relay</label><source>dyknow/Relay</source><ports>"
+    '<port type="in">in</port><port type="out">out</port></ports></transformation>'
+)
+
+
+def tree(count: int) -> SimulatedRemote:
+    """A simulated manager with so many nodelets."""
+    remote = SimulatedRemote()
+    remote.client.add_transformation(_RELAY)
+    for number in range(count):
+        spawn_relay(remote.client, number)
+    return remote
+
+
+def spawn_relay(client: BaseManagerClient, number: int) -> None:
+    """Spawn the next relay of a tree.
+
+    There are ten in a namespace, where each leads to two of them; a namespace leads to five.
+    """
+    group, place = divmod(number, 10)
+    topics = {"out": f"/part{group}/stream{place}"}
+    if number:
+        source = (group, (place - 1) // 2) if place else ((group - 1) // 5, 9)
+        topics["in"] = "/part{}/stream{}".format(*source)
+    client.spawn("relay", f"/part{group}/nodelet{place}", topics)
