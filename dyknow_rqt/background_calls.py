@@ -106,7 +106,7 @@ class BackgroundCalls(QObject):
         self._workers.close()
 
     def _deliver(self) -> None:
-        """Take in one result: what hands do meanwhile comes between it and the next."""
+        """Take in one result: user input in the meantime comes between it and the next."""
         if self._closed.is_set() or not self._results:
             self._turns.stop()
             return

@@ -29,7 +29,7 @@ from dyknow_rqt.widgets import FilterEdit, FlowLayout
 _TYPING = 250  # ms
 #: Pixels: from this width on the whole bar is shown.
 _WIDE = 800
-#: What is wider than that is folded before it gets so narrow.
+#: Wider parts are folded before the text gets so narrow.
 _LEAST = 190
 #: A view is narrow if it is so many times higher than wide.
 _NARROW = 1.2
@@ -186,7 +186,7 @@ class GraphBar(QWidget):
 
     @qt_slot
     def collapse(self, groups: Iterable[Group]) -> None:
-        """Draw these boxes as one vertex each, and no others."""
+        """Draw these boxes as one vertex each, and only these."""
         self.collapsed = frozenset(groups)
         self._tell_structure()
 
@@ -256,7 +256,7 @@ class GraphBar(QWidget):
 
     @qt_slot
     def resizeEvent(self, event: QEvent) -> None:  # noqa: N802
-        """Fold what does not fit into two lines, unless the user has said what to show."""
+        """Fold the rows beyond two lines, unless the user has said what to show."""
         super().resizeEvent(event)
         if not self._is_chosen:
             self._fold(self.width() >= _WIDE)

@@ -58,7 +58,7 @@ class WiringFiles:
 
         Raises:
             OSError: the file cannot be read.
-            SpecificationError: it is no wiring; with all problems.
+            SpecificationError: it is not a wiring; with all problems.
         """
         with open(path, "rb") as file:
             wiring = read_wiring(file.read(), path.rpartition("/")[2])
@@ -82,7 +82,7 @@ class WiringFiles:
 
 
 class GraphActions(QObject):
-    """What the user asks for in the graph; the parts of the window that do it connect."""
+    """Requests of the user in the graph; the parts of the window that do it connect."""
 
     #: Connect a port; the nodelet, and the port or an empty text.
     connection_wanted = Signal(str, str)

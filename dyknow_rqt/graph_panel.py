@@ -79,7 +79,7 @@ class GraphPanel(QWidget):
         self.failed.emit(text)
 
     def close_down(self) -> None:
-        """End what makes figures and layouts."""
+        """End the threads that make figures and layouts."""
         self._calls.close()
         self.layouter.close()
         self.view.scene().close_down()
@@ -161,7 +161,7 @@ class GraphPanel(QWidget):
 
     @qt_slot
     def _follow_drawing(self, drawing: Drawing) -> None:
-        """Show what has just been drawn."""
+        """Show the new drawing."""
         self._selection.keep_drawn(drawing.figure)
         self._follow_selection()
         if drawing.figure.vertices and (not self._has_fitted or drawing.is_anew):
@@ -193,7 +193,7 @@ class GraphPanel(QWidget):
 
     @qt_slot
     def _dragged(self, start: PortRef, target: Target) -> None:
-        """Say what the connection carries, and what happens if it ends here."""
+        """Describe the type of the connection, and its effect if it ends here."""
         port = self._monitor.snapshot.port(start)
         datatype = port.datatype if port is not None else ""
         lines = [datatype or "type not known yet"]
@@ -235,7 +235,7 @@ class GraphPanel(QWidget):
 
     @qt_slot
     def _show_menu(self, item: Optional[Item], place: QPoint) -> None:
-        """Show the menu of a port, of the background, or of what is selected with the item."""
+        """Show the menu of a port, of the background, or of the selection with the item."""
         snapshot, actions = self._monitor.snapshot, self.graph_actions
         if isinstance(item, PortItem):
             self._popup(menu_of_port(item.ref, snapshot, actions, self), place)
@@ -249,7 +249,7 @@ class GraphPanel(QWidget):
             self.show_menu(place)
 
     def _add_boxes(self, menu: QMenu, place: QPoint) -> None:
-        """Add what can be done with boxes, of which one may be at a place of the view."""
+        """Add the actions for boxes, of which one may be at a place of the view."""
         group = self.view.box_at(place)
         menu.addSeparator()
         if group:
@@ -267,7 +267,7 @@ class GraphPanel(QWidget):
 
     @qt_slot
     def show_menu(self, place: QPoint) -> None:
-        """Show the menu of what is selected."""
+        """Show the menu of the selection."""
         menu = menu_of(self._selection, self._monitor.snapshot, self.graph_actions, self)
         self._popup(menu, place)
 
@@ -277,7 +277,7 @@ class GraphPanel(QWidget):
 
     @qt_slot
     def _take_selection(self) -> None:
-        """Take what the user, not a change of the drawing, has selected in it."""
+        """Take the selection that the user, not a change of the drawing, has selected in it."""
         if not (self._is_following or self.view.scene().is_drawing):
             scene = self.view.scene()
             items = (*scene.vertices.items(), *scene.edges.items())
@@ -285,7 +285,7 @@ class GraphPanel(QWidget):
 
     @qt_slot
     def _follow_selection(self) -> None:
-        """Show what is selected."""
+        """Show the selection."""
         scene = self.view.scene()
         self._is_following = True
         for key, item in (*scene.vertices.items(), *scene.edges.items()):
@@ -335,7 +335,7 @@ class GraphPanel(QWidget):
 
     @qt_slot
     def _grey(self) -> None:
-        """Grey what is stale."""
+        """Grey stale contents."""
         self.view.scene().set_palette(self.view.palette(), not self._monitor.is_linked)
 
     def eventFilter(self, watched: object, event: QEvent) -> bool:  # noqa: N802

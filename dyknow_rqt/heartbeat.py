@@ -24,7 +24,7 @@ _PERIOD = 1000
 class Heartbeat(QObject):
     """Tells the status of the contact once a second; the question itself has another use.
 
-    The manager is asked for its claims, since that tells whether its services work. Master and
+    The manager is queried for its claims, since that shows whether its services work. Master and
     manager have a thread each, so that one that hangs is not mistaken for both.
     """
 
@@ -48,7 +48,7 @@ class Heartbeat(QObject):
         self._timer.timeout.connect(self._beat)
 
     def start(self) -> None:
-        """Begin to ask."""
+        """Start polling."""
         self._timer.start()
         self._beat()
 
@@ -58,7 +58,7 @@ class Heartbeat(QObject):
         self._calls.close()
 
     def note_word(self) -> None:
-        """Note that the manager told something by itself."""
+        """Note an announcement of the manager."""
         self._contact.hear_manager()
         self._tell()
 

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Makes layouts in another process, with a time limit; what belongs to them is in a thread."""
+"""Makes layouts in another process, with a time limit; their preparation runs in a thread."""
 
 from __future__ import annotations
 

@@ -48,11 +48,11 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 _LOG = logging.getLogger("rosout.dyknow_rqt")
-#: Nodelets whose statistics are read in one look; the others follow in the next.
+#: Nodelets whose statistics are read in one look; the rest follow in the next.
 _ASKED = 40
 #: Seconds that reading the statistics may take in one look.
 _ASKING = 1.0
-#: The master's state is asked for at most in one of so many parts of the time.
+#: The master's state is queried at most in one of so many parts of the time.
 _SELDOM = 20
 
 
@@ -120,7 +120,7 @@ class Monitor(QObject):
         self.set_period(period)
 
     def start(self) -> None:
-        """Begin to listen and to read."""
+        """Start listening and reading."""
         self.remote.start(
             lambda model: self._calls.deliver(lambda: self._hear(model)),
             lambda event: self._calls.deliver(lambda: self.stream_event.emit(event)),
@@ -160,11 +160,11 @@ class Monitor(QObject):
         """Read everything now, unless that is under way."""
         if self._looking:
             if time.monotonic() - self._look_began > PATIENCE:
-                self._forget_rates()  # somebody does not answer
+                self._forget_rates()  # a nodelet does not answer
         else:
             self._looking, self._look_began = True, time.monotonic()
             names, self._turn = in_turns(
-                # A lost one would delay the others.
+                # A lost one would delay the rest.
                 (n.name for n in self.snapshot.nodelets if n.state is State.RUNNING),
                 self._turn,
                 _ASKED,
@@ -303,7 +303,7 @@ class Monitor(QObject):
             nodes = plain_nodes(publishers, subscribers, topics, hosts)
             taken = taken_topics(publishers, model.nodelets, hosts)
         except (DyKnowError, LookupError):
-            pass  # what the master told last is shown
+            pass  # the master's last state is shown
         statistics: List[Tuple[str, Optional[NodeletStatistics], float]] = []
         end = time.monotonic() + _ASKING
         for name in names:

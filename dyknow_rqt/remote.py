@@ -18,7 +18,7 @@ from dyknow_rqt.graph.snapshot import Side
 
 
 class Remote(ABC):
-    """A DyKnow manager, what it tells by itself, and the ROS master.
+    """A DyKnow manager with its announcements, and the ROS master.
 
     Every method but ``start`` and ``close`` may block and is called in worker threads. They raise
     what the methods of the client raise.
@@ -50,7 +50,7 @@ class Remote(ABC):
 
     @abstractmethod
     def graph(self) -> Model:
-        """Return what runs, as it was heard last or else as the manager answers."""
+        """Return the graph, as it was received last or else as the manager answers."""
 
     @abstractmethod
     def system_state(self) -> Tuple[Side, Side]:

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What is selected in the window: one thing for graph, tables, menus and keys."""
+"""The selection of the window: one thing for graph, tables, menus and keys."""
 
 from __future__ import annotations
 

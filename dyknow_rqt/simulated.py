@@ -26,7 +26,7 @@ class SimulatedRemote(Remote):
     """
 
     def __init__(self) -> None:
-        """Begin with nothing, with a master and a manager that are up."""
+        """Start empty, with a master and a manager that are up."""
         self.master = "http://localhost:11311"
         self.has_master = True
         self.address = "rosrpc://localhost:40001"
@@ -48,7 +48,7 @@ class SimulatedRemote(Remote):
         self.client.on_event = lambda event: None
 
     def graph(self) -> Model:
-        """Ask for what runs."""
+        """Query the graph."""
         return self.client.get_graph()
 
     def system_state(self) -> Tuple[Side, Side]:

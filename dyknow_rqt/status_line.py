@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The line at the bottom of the window: results, errors and questions, and who is heard."""
+"""The line at the bottom of the window: results, errors, questions, contact to the manager."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class StatusLine(QWidget):
         for button in (self.yes, self.no, self.dismiss):
             row.addWidget(button)
         row.addWidget(self.contact)
-        #: Takes back what the line asks, or dismisses what it says; works in the whole window.
+        #: Declines the question of the line, or dismisses its message; works in the whole window.
         self.decline = QAction(self)
         self.decline.setShortcut(QKeySequence(Qt.Key_Escape))
         self.decline.setShortcutContext(Qt.WidgetWithChildrenShortcut)
@@ -87,19 +87,19 @@ class StatusLine(QWidget):
             self.clear()
 
     def begin(self, text: str) -> None:
-        """Show what is being done."""
+        """Show the running change."""
         if self._answer is None:
             self._show(text, alarm=False)
 
     def note(self, text: str) -> None:
-        """Show for a while what was done."""
+        """Show for a while the finished change."""
         if self._answer is None:
             self._show(text, alarm=False)
             self._timer.start(_NOTE_TIME)
 
     @qt_slot
     def show_status(self, status: Status) -> None:
-        """Show who is heard, and since when."""
+        """Show whether manager and master answer, and since when."""
         self._status = status
         self.contact.setText(status.short if status.is_sound else f"⚠ {status.short}")
         self.contact.setToolTip(status.text)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class StreamWatch(QObject):
-    """Reads the list after each event and each change, and takes what the heartbeat hears."""
+    """Reads the list after each event and each change, and takes the results of the heartbeat."""
 
     #: The list has changed.
     changed = Signal()
@@ -37,7 +37,7 @@ class StreamWatch(QObject):
 
     @qt_slot
     def ask(self) -> None:
-        """Read all claims; one call at a time, and once more if it was asked for meanwhile."""
+        """Read all claims; one call at a time, and once more if it was requested meanwhile."""
         if self._asking:
             self._again = True
             return

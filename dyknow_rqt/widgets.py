@@ -30,7 +30,7 @@ class FilterEdit(QLineEdit):
 
     #: The filter has changed.
     filter_changed = Signal()
-    #: The text is no filter: the reason.
+    #: The text is not a filter: the reason.
     refused = Signal(str)
     #: The text is a filter again: the reason that was given before.
     mended = Signal(str)
@@ -203,7 +203,7 @@ class Sign(QLabel):
         self.setGeometry(0, 0, width, self.heightForWidth(width) if is_warning else 160)
 
 
-#: Keys, and what they do.
+#: The keys and their actions.
 KEYS = (
     ("F5, Ctrl+R", "read everything now"),
     ("Ctrl+0", "fit everything into the view"),

@@ -88,7 +88,7 @@ class DyKnowWidget(QWidget):
         self._listen()
 
     def sizeHint(self) -> QSize:  # noqa: N802
-        """What shows a small graph beside the control panel."""
+        """Layout of a small graph beside the control panel."""
         return QSize(1200, 760)
 
     @qt_slot
@@ -114,7 +114,7 @@ class DyKnowWidget(QWidget):
         self.tabs.setVisible(on)
 
     def start(self) -> None:
-        """Begin to read the graph."""
+        """Start reading the graph."""
         self.monitor.start()
 
     def shut_down(self) -> None:
@@ -184,8 +184,8 @@ class DyKnowWidget(QWidget):
 
     @qt_slot
     def _grey(self) -> None:
-        """Grey what the panels show while it may be stale."""
-        palette = QPalette()  # what is not set in it is inherited
+        """Grey the panels while their contents may be stale."""
+        palette = QPalette()  # unset colours are inherited
         if not self.monitor.is_linked:
             muted = colours_of(self.palette()).muted
             for role in (QPalette.Text, QPalette.WindowText, QPalette.ButtonText):
@@ -218,7 +218,7 @@ class DyKnowWidget(QWidget):
 
 
 def spare_imports() -> None:
-    """Let no garbage collection look at what was imported: it would stop the window for 0.1 s."""
+    """Freeze imported objects out of the GC: a full collection pauses the window for 0.1 s."""
     gc.collect()
     gc.freeze()
 

@@ -105,7 +105,7 @@ RATE_SCALE = 0.78
 
 
 class Appearance(NamedTuple):
-    """What a vertex shows besides its name."""
+    """The text of a vertex besides its name."""
 
     state: State = State.RUNNING
     is_protected: bool = False

@@ -90,7 +90,7 @@ class EdgeItem(Item):
 
     @property
     def label_shape(self) -> str:
-        """Its label without the numbers: what determines the room that it needs."""
+        """Its label without the numbers, which determines its width."""
         name = [self.edge.topic] if self.shows_name else []
         rate = "00.0 Hz" if self.traffic is None else _NUMBER.sub("00.0", self.traffic.text)
         return "\n".join([*name, rate])

@@ -23,7 +23,7 @@ PORT_RADIUS = 4.0
 class Item(QGraphicsRectItem):
     """The base of all items: colours, a tone, and a way to report errors.
 
-    Its rectangle is what it paints in: Qt asks for that so often that Python must not answer.
+    It paints within its rectangle: Qt asks for that so often that Python must not answer.
     """
 
     def __init__(self, colours: Colours, parent: Optional[QGraphicsItem] = None) -> None:

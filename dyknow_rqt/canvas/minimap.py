@@ -67,7 +67,7 @@ class Minimap(QWidget):
 
     @qt_slot
     def paintEvent(self, event: Any) -> None:  # noqa: N802
-        """Draw the picture, and a frame around what is seen."""
+        """Draw the picture, and a frame around the visible part."""
         painter = QPainter(self)
         painter.drawPixmap(0, 0, self._picture)
         corner, scale = self._frame()
@@ -109,7 +109,7 @@ class Minimap(QWidget):
         self.update()
 
     def _frame(self) -> Tuple[QPointF, float]:
-        """The corner of what it shows, and its scale."""
+        """The corner of the shown area, and its scale."""
         whole = self._scene.drawing_area()
         scale = min(self.width() / whole.width(), self.height() / whole.height())
         room = QPointF(self.width() / scale, self.height() / scale)

@@ -35,7 +35,7 @@ _NARROW, _MARGIN = 90.0, 3.0
 
 
 class _Stroke(NamedTuple):
-    """What is painted with one pen and one brush."""
+    """Shapes that are painted with one pen and one brush."""
 
     pen: QPen
     brush: QBrush
@@ -85,7 +85,7 @@ def paint_titles(
 
     Args:
         painter: in the coordinates of the drawing.
-        titles: what they belong to, and their texts.
+        titles: their owners and their texts.
         font: at full size.
         colours: of the drawing.
     """
@@ -140,7 +140,7 @@ def _shapes(vertices: Iterable[VertexItem]) -> Iterable[_Stroke]:
 
 
 def _look(pen: QPen) -> Tuple[float, int]:
-    """What pens of one look have in common; those that stand out come last."""
+    """The attributes that pens of one look share; those that stand out come last."""
     return pen.widthF(), pen.color().rgba()
 
 

@@ -110,7 +110,7 @@ class GraphScene(QGraphicsScene):
     def show_drawing(self, drawing: Drawing) -> None:
         """Draw something else in slices, then emit ``shown``.
 
-        What is in both keeps its item and its selection.
+        Things in both keep their items and their selection.
         """
         self._steps = self._drawing(drawing)
         self._go_on()
@@ -209,7 +209,7 @@ class GraphScene(QGraphicsScene):
     # Painting
 
     def set_zoom(self, zoom: float) -> None:
-        """Let the overview paint what is too small for names."""
+        """Let the overview paint things that are too small for names."""
         if self._is_far != (zoom < FAR):
             self._is_far = zoom < FAR
             for item in self._items():
@@ -219,7 +219,7 @@ class GraphScene(QGraphicsScene):
 
     @qt_slot
     def drawForeground(self, painter: QPainter, area: QRectF) -> None:  # noqa: N802
-        """Paint what is not painted by items."""
+        """Paint the things that are not painted by items."""
         boxes = sorted(self._boxes.items(), key=lambda each: (len(each[0]), each[0]))
         titles = [(box.area, box.name) for _, box in boxes]
         if self._is_far:
@@ -245,11 +245,11 @@ class GraphScene(QGraphicsScene):
             self.update()
 
     def event(self, event: QEvent) -> bool:
-        """Handle an event; in Python, so that items are asked without a wait for each of them."""
+        """Handle an event; in Python, so that items are queried without a wait for each of them."""
         return bool(super().event(event))
 
     def set_palette(self, palette: QPalette, is_stale: bool = False) -> None:
-        """Use the colours of another palette, or its greys for what is stale."""
+        """Use the colours of another palette, or its greys for stale contents."""
         self._colours = greys_of(palette) if is_stale else colours_of(palette)
         self.setBackgroundBrush(self._colours.paper)
         for item in self._items():
@@ -260,7 +260,7 @@ class GraphScene(QGraphicsScene):
     def highlight(self, thing: Union[None, str, Edge]) -> None:
         """Highlight a vertex (red) and its neighbours, or an arrow and its ends, until the next.
 
-        Sources are blue, sinks green, what is both is purple.
+        Sources are blue, sinks green, things that are both are purple.
         """
         self._highlighted = thing
         tones: Dict[object, Tone] = {}
@@ -362,7 +362,7 @@ class GraphScene(QGraphicsScene):
             self._calls.run(self._labels(), self._take_labels, self._take_no_labels)
 
     def _labels(self) -> Callable[[], Mapping[Edge, Rectangle]]:
-        """Return what finds places for the labels, in any thread."""
+        """Return a function that finds places for the labels, in any thread."""
         areas = [area for item in self.vertices.values() for area in item.inked]
         areas += [box.title_area for box in self._boxes.values()]
         curves = {edge: item.curve for edge, item in self.edges.items()}

@@ -176,7 +176,7 @@ class GraphView(QGraphicsView):
 
     @qt_slot
     def mousePressEvent(self, event: Any) -> None:  # noqa: N802
-        """Begin a connection on a port; anything else as usual."""
+        """Start a connection on a port; anything else as usual."""
         port = self._port_at(event.pos()) if event.button() == Qt.LeftButton else None
         if port is None:
             is_ground = self._item_at(event.pos()) is None
@@ -246,7 +246,7 @@ class GraphView(QGraphicsView):
 
     @qt_slot
     def contextMenuEvent(self, event: Any) -> None:  # noqa: N802
-        """Ask for a menu on what is under the pointer, or on what is selected."""
+        """Request a menu on the item under the pointer, or on the selection."""
         if event.reason() == event.Keyboard:
             chosen = self.scene().selectedItems()
             item = chosen[0] if chosen else None
@@ -260,7 +260,7 @@ class GraphView(QGraphicsView):
     # Keys
 
     def event(self, event: QEvent) -> bool:
-        """Keep Escape from others while a connection is drawn: it ends that."""
+        """Keep Escape from other widgets while a connection is drawn: it ends that."""
         is_key = event.type() == QEvent.ShortcutOverride
         if is_key and event.key() == Qt.Key_Escape and self._from is not None:
             event.accept()
@@ -317,7 +317,7 @@ class GraphView(QGraphicsView):
 
     @qt_slot
     def _follow(self) -> None:
-        """Follow a change of what is seen."""
+        """Follow a change of the visible part."""
         self.scene().set_zoom(self.zoom)
         self._minimap.follow(self.seen)
 

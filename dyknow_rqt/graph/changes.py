@@ -34,24 +34,24 @@ class Change:
         raise NotImplementedError
 
     def apply(self, client: BaseManagerClient) -> Change:
-        """Make the change; return it with what is known afterwards."""
+        """Make the change; return it with the facts that are known afterwards."""
         raise NotImplementedError
 
     def inverse(self, snapshot: Snapshot, library: Library) -> Change:
         """Return the change that undoes this one, given the state before it.
 
         Raises:
-            CannotUndo: there is no way back.
+            CannotUndo: it cannot be undone.
         """
         raise CannotUndo("there is no way back")
 
     def check(self, client: BaseManagerClient) -> None:
-        """Check that nobody else has changed the same things since; called before an undo.
+        """Check that no other client has changed the same things since; called before an undo.
 
         The snapshot of the window may be older than its own last change.
 
         Raises:
-            CannotUndo: somebody has.
+            CannotUndo: one has.
         """
 
 
@@ -72,7 +72,7 @@ class Rewire(Change):
 
     @property
     def text(self) -> str:
-        """What is done."""
+        """The change in words."""
         return self.text_
 
     @property
@@ -99,7 +99,7 @@ class Rewire(Change):
         return self
 
     def inverse(self, snapshot: Snapshot, library: Library) -> Change:
-        """Connect the ports to what they are connected to now."""
+        """Connect the ports to their present topics."""
         now = []
         for ref, _ in self.topics:
             port = snapshot.port(ref)
@@ -137,7 +137,7 @@ class SpawnNodelet(Change):
 
     @property
     def text(self) -> str:
-        """What is done."""
+        """The change in words."""
         return f"create {self.request.name}"
 
     def apply(self, client: BaseManagerClient) -> Change:
@@ -158,7 +158,7 @@ class DestroyNodelet(Change):
 
     @property
     def text(self) -> str:
-        """What is done."""
+        """The change in words."""
         return f"destroy {self.name}"
 
     def apply(self, client: BaseManagerClient) -> Change:
@@ -179,7 +179,7 @@ class DestroyNodelet(Change):
 
 
 def protection(names: Sequence[str], snapshot: Snapshot) -> Tuple[List[str], bool]:
-    """Decide what a switch of the protection of nodelets does.
+    """Decide how a switch of the protection of nodelets wores.
 
     Returns:
         The nodelets to protect, those that are not yet; or if all are, all of them, to release.
@@ -198,7 +198,7 @@ class Protect(Change):
 
     @property
     def text(self) -> str:
-        """What is done."""
+        """The change in words."""
         return f"{'protect' if self.is_protected else 'release'} {self.name}"
 
     def apply(self, client: BaseManagerClient) -> Change:
@@ -207,7 +207,7 @@ class Protect(Change):
         return self
 
     def inverse(self, snapshot: Snapshot, library: Library) -> Change:
-        """Set the protection to what it is now."""
+        """Set the protection to its present value."""
         return Protect(self.name, not self.is_protected)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import time
 from typing import Callable, NamedTuple, Optional
 
-#: Seconds without an answer after which somebody is called silent.
+#: Seconds without an answer after which a peer counts as silent.
 PATIENCE = 2.5
 
 
@@ -16,10 +16,10 @@ class Status(NamedTuple):
     """The contact at one moment, for people.
 
     Attributes:
-        is_current: the manager answers, so what is shown is what there is.
+        is_current: the manager answers, so the shown state is current.
         is_sound: and the master answers and knows it.
-        short: what is the case, in a few words.
-        text: that, and what it means for what is shown.
+        short: the state, in a few words.
+        text: the state, and its meaning for the shown graph.
     """
 
     is_current: bool
@@ -64,7 +64,7 @@ class Contact:
         clock: Callable[[], float] = time.monotonic,
         now: Callable[[], float] = time.time,
     ) -> None:
-        """Begin with nothing heard.
+        """Start without any answer.
 
         Args:
             manager: its name.
@@ -78,7 +78,7 @@ class Contact:
         self._since = 0.0
 
     def hear_manager(self) -> None:
-        """Note that the manager answered, or told something."""
+        """Note that the manager answered, or announced something."""
         if not self._of_manager.is_well:
             self._since = self._now()
         self._of_manager.hear()

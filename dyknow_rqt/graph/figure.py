@@ -60,7 +60,7 @@ class VertexKind(enum.Enum):
 
 
 class Boxes(enum.Enum):
-    """What makes a box; the values are what the user is shown."""
+    """The grouping of boxes; the values are shown to the user."""
 
     NAMESPACES = "namespaces"
     MANAGERS = "nodelet managers"
@@ -125,7 +125,7 @@ class Edge(NamedTuple):
 
 @dataclass(frozen=True)
 class Options:
-    """What the user wants to see.
+    """The options of the view.
 
     Attributes:
         topics: draw topics as rectangles; else arrows lead from nodelet to nodelet.
@@ -135,7 +135,7 @@ class Options:
         hide_leaf_topics: leave out topics with one end only.
         hide_debug: leave out names that are in every graph.
         show_nodes: show ordinary nodes that use these topics.
-        boxes: what makes a box.
+        boxes: the grouping of boxes.
         depth: how many parts of a namespace make boxes, or of a host and a nodelet manager; 0 for
             no boxes.
         collapsed: boxes that are drawn as one vertex.
@@ -157,7 +157,7 @@ class Options:
 
 @dataclass(frozen=True)
 class Figure:
-    """What is drawn; vertices and edges are sorted, so that equal figures look the same."""
+    """The things to draw; vertices and edges are sorted, so that equal figures look the same."""
 
     vertices: Tuple[Vertex, ...] = ()
     edges: Tuple[Edge, ...] = ()

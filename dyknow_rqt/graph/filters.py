@@ -13,7 +13,7 @@ _PLAIN = re.compile(r"[A-Za-z0-9_/]*\Z")
 
 
 class BadFilter(ValueError):
-    """A part of a filter is no regular expression."""
+    """A part of a filter is not a regular expression."""
 
     def __init__(self, part: str, reason: object) -> None:
         self.part = part
@@ -57,11 +57,11 @@ def parse(text: str) -> Filter:
 
 
 def completions(text: str, names: Iterable[str]) -> List[str]:
-    """What the last part of a filter could become; whole texts, sorted.
+    """Completions of the last part of a filter; whole texts, sorted.
 
     Args:
-        text: what has been typed.
-        names: what exists; their namespaces are offered too.
+        text: the typed text.
+        names: the existing names; their namespaces are offered too.
     """
     head, comma, last = text.rpartition(",")
     stem = last.strip()

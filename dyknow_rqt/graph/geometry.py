@@ -133,7 +133,7 @@ class Drawing:
     """A figure with the sizes and the places of its parts.
 
     Attributes:
-        figure: what is drawn; the ports of its vertices are in an order without crossings.
+        figure: the drawn figure; the ports of its vertices are in an order without crossings.
         sizes: of the vertices.
         layout: places of all parts.
         is_anew: made without regard to the drawing before.
@@ -166,7 +166,7 @@ def boxes_around(
         groups: namespace of each vertex.
         centres: of the vertices.
         sizes: of the vertices.
-        margin: between a box and what it holds.
+        margin: between a box and its contents.
         title: height of the line with the name.
     """
     found: Dict[Tuple[str, ...], Rectangle] = {}
@@ -210,7 +210,7 @@ def place_labels(
     Args:
         curves: control points of cubic Bézier curves, 3 n + 1 of them.
         sizes: of the labels.
-        obstacles: what labels must not cover, besides curves and each other.
+        obstacles: rectangles that labels must not cover, besides curves and each other.
 
     Returns:
         The areas of the labels; those that find no room are left out.

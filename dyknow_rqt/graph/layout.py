@@ -30,7 +30,7 @@ from dyknow_rqt.graph.stabilise import stabilise
 def without_crossings(figure: Figure, layout: Layout) -> List[Vertex]:
     """Sort the ports, from top to bottom, by their arrows.
 
-    Ports without an arrow keep their places; the others change places among themselves.
+    Ports without an arrow keep their places; the rest change places among themselves.
     """
     heights: Dict[Tuple[str, str], List[Tuple[float, float]]] = {}
     for edge in figure.edges:
@@ -279,13 +279,13 @@ def arranged(
 ) -> Tuple[Drawing, str]:
     """Place the parts of a figure.
 
-    All but graphviz works from left to right, and what is to flow downwards is turned for that.
+    All but graphviz works from left to right, and a downward flow is turned for that.
 
     Args:
         figure: what to draw.
         sizes: of its vertices.
-        answer: what graphviz says.
-        before: what is on the screen; None to make a drawing without regard to it.
+        answer: the output of graphviz.
+        before: the drawing on the screen; None to make a drawing without regard to it.
 
     Returns:
         The drawing, and why a simpler layout had to be used; empty if that was not so.

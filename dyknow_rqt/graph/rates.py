@@ -46,7 +46,7 @@ class _Count:
 
 
 class Meter:
-    """Keeps the rates that the proxies tell, and computes those of drops, which they only count.
+    """Keeps the rates that the proxies report, and computes those of drops, which they only count.
 
     Drops are counted over the last one to two stretches of ``_STRETCH`` seconds. What a proxy
     tells falls slowly once no messages come; here it is 0 as soon as several are overdue.
@@ -63,7 +63,7 @@ class Meter:
 
         Args:
             nodelet: its name.
-            statistics: what it answered.
+            statistics: its answer.
             now: when, in seconds by a steady clock.
         """
         for port in statistics.ports:
@@ -89,7 +89,7 @@ class Meter:
             self._traffic[ref] = PortRate(rate, drops, port.messages, port.dropped)
 
     def miss(self, nodelet: str) -> None:
-        """Note that a nodelet did not answer: what its rates are is not known."""
+        """Note that a nodelet did not answer: its rates are unknown."""
         for ref in [ref for ref in self._traffic if ref.nodelet == nodelet]:
             self._forget(ref)
 

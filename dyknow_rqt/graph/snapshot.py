@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The computation graph at one moment, as the window was told of it."""
+"""The computation graph at one moment, as the window received it."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Snapshot:
     """The computation graph at one moment; two are equal when there is nothing to redraw.
 
     Attributes:
-        nodelets: what the manager shows.
+        nodelets: the nodelets of the manager's model.
         nodes: ordinary nodes that use topics of nodelets.
         taken: topics after out-ports that are not connected, where ordinary nodes publish.
     """
@@ -82,10 +82,10 @@ def plain_nodes(
     """Find the ordinary nodes that use some topics.
 
     Args:
-        publishers: of all topics, as the master tells.
+        publishers: of all topics, as the master reports.
         subscribers: the same.
         topics: those that matter.
-        hosts: nodelet managers; what they use, their nodelets use.
+        hosts: nodelet managers; their topics are used by their nodelets.
     """
     sides: List[Mapping[str, List[str]]] = []
     for side in (publishers, subscribers):
@@ -111,9 +111,9 @@ def taken_topics(
     """Find topics after out-ports that are not connected, where ordinary nodes publish.
 
     Args:
-        publishers: of all topics, as the master tells.
+        publishers: of all topics, as the master reports.
         nodelets: all that run.
-        hosts: nodelet managers; what they use, their nodelets use.
+        hosts: nodelet managers; their topics are used by their nodelets.
     """
     wishes = {
         topic_after(nodelet.name, port.name)

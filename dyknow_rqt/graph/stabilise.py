@@ -3,7 +3,7 @@
 
 """Keeps a drawing where it is when a part of it changes.
 
-graphviz computes each layout from nothing: one more nodelet can move all others. If it would move
+graphviz computes each layout from nothing: one more nodelet can move the whole drawing. If it would move
 more than a few, the old places are kept, and only new vertices, or those that had no connection
 before, are placed beside their neighbours. If that makes arrows point backwards that need not, or
 if much has changed, the new layout is used as it is.
@@ -26,7 +26,7 @@ from dyknow_rqt.graph.geometry import (
 
 #: So many vertices may move when something is added or removed.
 MOST_MOVED = 4
-#: If at most so many nodelets come or go, the others keep their places.
+#: If at most so many nodelets come or go, the rest keep their places.
 FEW = 2
 #: At most so many new vertices are placed one by one; with more the new layout is used.
 MOST_PLACED = 12
@@ -44,7 +44,7 @@ def stabilise(
     """Move the vertices of a new layout to their old places, if that looks well.
 
     Args:
-        old: what is on the screen.
+        old: the drawing on the screen.
         before: the figure of it.
         new: what graphviz says of the figure to come.
         after: the figure to come.
@@ -170,7 +170,7 @@ def _strangers(
 def _curves(
     fresh: Layout, centres: Mapping[str, Point], after: Figure, sizes: Mapping[str, Size]
 ) -> Dict[Edge, Tuple[Point, ...]]:
-    """Shift the curves whose two ends moved equally; compute the others again."""
+    """Shift the curves whose two ends moved equally; compute the rest again."""
     curves: Dict[Edge, Tuple[Point, ...]] = {}
     for edge in after.edges:
         tail = centres[edge.tail].minus(fresh.centres[edge.tail])

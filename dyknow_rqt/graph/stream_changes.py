@@ -19,7 +19,7 @@ class AcquireStream(Change):
     """Acquires a stream; one that is not possible yet is made when it becomes possible.
 
     Attributes:
-        request: what is asked for.
+        request: the request for the stream.
         claim_id: of the claim; known after the change.
         outcome: what became of it, for people; known after the change.
     """
@@ -30,7 +30,7 @@ class AcquireStream(Change):
 
     @property
     def text(self) -> str:
-        """What is done."""
+        """The change in words."""
         return f"acquire {self.request.tag}" + (f": {self.outcome}" if self.outcome else "")
 
     def apply(self, client: BaseManagerClient) -> Change:
@@ -57,7 +57,7 @@ class ReleaseStream(Change):
 
     @property
     def text(self) -> str:
-        """What is done."""
+        """The change in words."""
         return f"release {self.tag}"
 
     def apply(self, client: BaseManagerClient) -> Change:
@@ -79,7 +79,7 @@ class ReplanStream(Change):
 
     @property
     def text(self) -> str:
-        """What is done."""
+        """The change in words."""
         return f"replan {self.tag}"
 
     def apply(self, client: BaseManagerClient) -> Change:

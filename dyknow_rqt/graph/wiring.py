@@ -78,7 +78,7 @@ def connect_topic(snapshot: Snapshot, ref: PortRef, topic: str) -> Rewire:
 
     Raises:
         CannotConnect: the graph knows another type of the topic, or there is no such port.
-        InvalidName: it is no name of a topic.
+        InvalidName: it is not the name of a topic.
     """
     port = snapshot.port(ref)
     if port is None:

@@ -35,7 +35,7 @@ class AddTransformations(Change):
     Attributes:
         specification: XML text.
         origin: where it comes from, for people.
-        labels: of what it adds; known after the change.
+        labels: of the added transformations; known after the change.
     """
 
     specification: str
@@ -44,7 +44,7 @@ class AddTransformations(Change):
 
     @property
     def text(self) -> str:
-        """What is done."""
+        """The change in words."""
         return f"import {self.origin}"
 
     def apply(self, client: BaseManagerClient) -> Change:
@@ -62,7 +62,7 @@ class AddTransformations(Change):
 
 @dataclass(frozen=True)
 class RestoreTransformations(Change):
-    """Puts transformations into the library and removes others."""
+    """Puts transformations into the library and removes the rest."""
 
     put: Tuple[Transformation, ...]
     take: Tuple[str, ...]
@@ -70,7 +70,7 @@ class RestoreTransformations(Change):
 
     @property
     def text(self) -> str:
-        """What is done."""
+        """The change in words."""
         return self.text_
 
     def apply(self, client: BaseManagerClient) -> Change:
@@ -82,7 +82,7 @@ class RestoreTransformations(Change):
         return self
 
     def inverse(self, snapshot: Snapshot, library: Library) -> Change:
-        """Restore these labels to what they are now."""
+        """Restore these labels to their present transformations."""
         touched = [each.label for each in self.put] + list(self.take)
         return RestoreTransformations(
             tuple(library[label] for label in touched if label in library),
@@ -115,9 +115,9 @@ class LoadWiring(Change):
     """Loads a wiring; nodelets that it does not name are left alone.
 
     Attributes:
-        wiring: what is wanted.
+        wiring: the wanted wiring.
         origin: where it comes from, for people.
-        plan: what was changed; known after the change.
+        plan: the changes; known after the change.
     """
 
     wiring: Wiring
@@ -126,11 +126,11 @@ class LoadWiring(Change):
 
     @property
     def text(self) -> str:
-        """What is done."""
+        """The change in words."""
         return f"load {self.origin}"
 
     def apply(self, client: BaseManagerClient) -> Change:
-        """Check the whole wiring, then change what differs; undo that if a step fails."""
+        """Check the whole wiring, then apply the differences; undo them if a step fails."""
         model, managers = client.get_model(), client.nodelet_managers()
         plan = plan_load(self.wiring, model, managers, replace=True, any_manager=True)
         if plan.problems:
@@ -139,7 +139,7 @@ class LoadWiring(Change):
         return replace(self, plan=plan)
 
     def inverse(self, snapshot: Snapshot, library: Library) -> Change:
-        """Destroy the new nodelets and restore the others."""
+        """Destroy the new nodelets and restore the old ones."""
         if self.plan is None:
             raise CannotUndo("it is not known what was changed")
         return Several(tuple(_ways_back(self.plan)), f"undo: {self.text}")
@@ -154,7 +154,7 @@ class Several(Change):
 
     @property
     def text(self) -> str:
-        """What is done."""
+        """The change in words."""
         return self.text_
 
     def apply(self, client: BaseManagerClient) -> Change:
@@ -164,7 +164,7 @@ class Several(Change):
         return self
 
     def check(self, client: BaseManagerClient) -> None:
-        """Check that nobody else has changed the same things since."""
+        """Check that no other client has changed the same things since."""
         for change in self.changes:
             change.check(client)
 

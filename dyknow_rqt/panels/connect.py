@@ -120,7 +120,7 @@ class ConnectPanel(Panel):
         state = (found.port(port) if port else None) or found.ports[-1]
         ref = PortRef(nodelet, state.name)
         if state.direction == IN:
-            # The source is chosen first: only what fits it is offered for the other end.
+            # The source is chosen first: only fitting topics are offered for the other end.
             for other in partners(snapshot, ref):
                 self.source.choose(other)
                 break
@@ -132,7 +132,7 @@ class ConnectPanel(Panel):
 
     @qt_slot
     def showEvent(self, event: QEvent) -> None:  # noqa: N802
-        """Catch up with what was not followed while it was not seen."""
+        """Catch up with changes that were missed while it was hidden."""
         super().showEvent(event)
         self._follow()
 
@@ -156,7 +156,7 @@ class ConnectPanel(Panel):
 
     @qt_slot
     def _follow(self) -> None:
-        """Offer what fits the choice; choices that still fit are kept. Only where it is seen."""
+        """Offer the fitting topics; choices that still fit are kept. Only where it is seen."""
         if not self.isVisible():
             return
         snapshot = self._monitor.snapshot

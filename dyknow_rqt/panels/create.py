@@ -36,7 +36,7 @@ from dyknow_rqt.status_line import StatusLine
 
 
 class GivenFields(QWidget):
-    """A field for each variable and each parameter; what stays empty is not given.
+    """A field for each variable and each parameter; empty fields are not given.
 
     Attributes:
         fields: by name, those of the transformation.
@@ -80,10 +80,10 @@ class GivenFields(QWidget):
         self.more = self._add("More", "rate=5 frame=map", tip)
 
     def given(self) -> Tuple[Parameter, ...]:
-        """Return what was given, with the types left to the manager.
+        """Return the given parameters, with the types left to the manager.
 
         Raises:
-            InvalidParameters: what was written for further parameters is something else.
+            InvalidParameters: the text for further parameters is something else.
         """
         texts = [(name, field.text().strip()) for name, field in self.fields.items()]
         found = [Parameter(name, "", text) for name, text in texts if text]

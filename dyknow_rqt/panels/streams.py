@@ -120,7 +120,7 @@ class StreamsPanel(Panel):
 
     @qt_slot
     def _acquire(self) -> None:
-        """The plan is asked for first: then the stream is there already."""
+        """The plan is requested first: then the stream is there already."""
         request = self.request()
         self._explain(request, lambda: self._monitor.do(AcquireStream(request)))
 

@@ -170,7 +170,7 @@ class KeyedTable(QTableView):
         self.setSortingEnabled(True)
 
     def event(self, event: QEvent) -> bool:
-        """Handle an event; in Python, so that cells are asked for without a wait for each."""
+        """Handle an event; in Python, so that cells are queried without a wait for each."""
         return bool(super().event(event))
 
     def viewportEvent(self, event: QEvent) -> bool:  # noqa: N802
@@ -213,7 +213,7 @@ class KeyedTable(QTableView):
         return [row[0][0] for row in self._rows.shown]
 
     def choose(self, names: Iterable[str], current: Optional[str] = None) -> None:
-        """Select the rows of these keys and no others, and make one the current row."""
+        """Select the rows of these keys only, and make one the current row."""
         selection = self.selectionModel()
         places = [self._rows.places[name] for name in names if name in self._rows.places]
         if current in self._rows.places:
@@ -229,7 +229,7 @@ class KeyedTable(QTableView):
         selection.select(chosen, selection.ClearAndSelect | selection.Rows)
 
     def follow(self, names: Iterable[str]) -> None:
-        """Select the rows of these keys and no others, as the user has done elsewhere."""
+        """Select the rows of these keys only, as the user has done elsewhere."""
         if set(names) != set(self.chosen()):
             self._refilling = True
             self.choose(names)
