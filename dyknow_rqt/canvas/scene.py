@@ -245,7 +245,7 @@ class GraphScene(QGraphicsScene):
             self.update()
 
     def event(self, event: QEvent) -> bool:
-        """Handle an event; in Python, so that items are queried without a wait for each of them."""
+        """Handle an event; in Python, so that items are queried without waits."""
         return bool(super().event(event))
 
     def set_palette(self, palette: QPalette, is_stale: bool = False) -> None:
