@@ -3,10 +3,10 @@
 
 """Keeps a drawing where it is when a part of it changes.
 
-graphviz computes each layout from nothing: one more nodelet can move the whole drawing. If it would
-move more than a few, the old places are kept, and only new vertices, or those that had no connection
-before, are placed beside their neighbours. If that makes arrows point backwards that need not, or
-if much has changed, the new layout is used as it is.
+graphviz computes each layout from nothing: one more nodelet can move the whole drawing. If it
+would move more than a few vertices, the old places are kept, and only new vertices, or those that
+had no connection before, are placed beside their neighbours. If that turns arrows backwards
+without need, or if much has changed, the new layout is used as it is.
 """
 
 from __future__ import annotations
