@@ -18,7 +18,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from dyknow.nodelet.nodelet import Nodelet
+    from dyknow.nodelet.handle import Nodelet
     from dyknow.proxy.handle import NodeHandle
     from dyknow.ros.acquiring import acquire
     from dyknow.ros.client import ManagerClient

@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What nodelet_core is for C++, in Python and without ROS: bus, scheduler, handles, loader."""
+"""The runtime of nodelets, as nodelet_core is for C++, in Python and without ROS."""
 
-from dyknow.nodelet.nodelet import Nodelet
+from dyknow.nodelet.handle import Nodelet
 
 __all__ = ["Nodelet"]

@@ -31,18 +31,18 @@ from dyknow.nodelet.middleware import OutsidePublisher, OutsideSubscriber, Trans
 from dyknow.nodelet.scheduler import Clock
 from dyknow.periodic import in_background
 
-#: Seconds that the registration of an old topic stays at most while its messages are being sent.
+#: How long the registration of an old topic stays at most while its messages are being sent, in s.
 _LONGEST_DRAIN = 30.0
-#: Seconds for sending what endpoints have published before they go for good.
-_LAST_WORDS = 0.2
-#: Seconds in which nobody waits for that any more: somebody does not read.
-_NO_WORDS = 2.0
+#: How long `release()` waits for queued messages to be sent, in seconds.
+_RELEASE_DRAIN = 0.2
+#: After such a wait timed out, skip it for this long: some subscriber is stalled.
+_DRAIN_PAUSE = 2.0
 #: Seconds for receiving what old publishers have sent; it has come to this machine already.
 _LONGEST_DRAIN_IN = 0.1
 
 Endpoint = Union[Publication, Subscription]
 Registration = Union[OutsidePublisher, OutsideSubscriber]
-Move = Tuple[Endpoint, str]
+Fences = Mapping[str, Callable[[str], bool]]
 
 
 @dataclass
@@ -54,16 +54,12 @@ class _Topic:
     connections: List[Connection] = field(default_factory=list)
 
     @property
-    def ends(self) -> List[Union[Publication, Connection]]:
-        return [*self.publications, *self.connections]
-
-    @property
     def route(self) -> Tuple[Connection, ...]:
         return tuple(self.connections)
 
 
 @dataclass(eq=False)
-class _Plan:
+class _Part:
     """One endpoint's part in a switch, filled in as the steps are taken.
 
     Attributes:
@@ -71,7 +67,7 @@ class _Plan:
         topic: where to; empty for nowhere.
         link: the new connection of a subscription.
         registration: on the new topic.
-        register_after: whether that is made after the switch.
+        is_late: whether that is made after the switch.
         drained: the connection that receives no more from outside, until the switch.
         old: registration on the topic that the endpoint leaves.
     """
@@ -80,13 +76,24 @@ class _Plan:
     topic: str
     link: Optional[Connection] = None
     registration: Optional[Registration] = None
-    register_after: bool = False
+    is_late: bool = False
     drained: Optional[Connection] = None
     old: Optional[Registration] = None
 
+    def check_open(self) -> None:
+        if self.endpoint.closed:
+            raise HandleClosed(f"an endpoint of topic '{self.topic}'")
+
 
 class Bus:
-    """Delivers by reference between the endpoints of one process."""
+    """Delivers by reference between the endpoints of one process.
+
+    Args:
+        transport: the outside.
+        clock: steady time.
+        check_topic: raises Denied if nothing must be connected to a topic. It is called for
+            every endpoint of the process, whatever connects it.
+    """
 
     def __init__(
         self,
@@ -94,23 +101,15 @@ class Bus:
         clock: Clock = time.monotonic,
         check_topic: Optional[Callable[[str], None]] = None,
     ) -> None:
-        """Begin without topics.
-
-        Args:
-            transport: the outside.
-            clock: steady time.
-            check_topic: raises Denied if nothing must be connected to a topic. It is called for
-                every endpoint of the process, whatever connects it.
-        """
         self._transport = transport
         self._check_topic = check_topic
         self._clock = clock
         self._lock = state_lock("bus")
         self._topics: Dict[str, _Topic] = {}
-        self._making: List[_Plan] = []
+        self._making: List[_Part] = []
         self._leaving: List[Tuple[Endpoint, OutsidePublisher]] = []
         self._patient_from = clock()
-        self._fences: Mapping[str, Callable[[str], bool]] = {}
+        self._fences: Fences = {}
 
     def datatype_of(self, topic: str) -> str:
         """Type name of a topic that is alive, in this process or outside; empty if it is not."""
@@ -123,14 +122,12 @@ class Bus:
     def owners(self, topic: str) -> Tuple[List[str], List[str]]:
         """Nodelets of this process that publish on a topic, and those that subscribe to it."""
         with self._lock:
-            present = self._topics.get(topic)
-            if present is None:
-                return [], []
+            present = self._topics.get(topic, _Topic(None))
             publishers = {each.owner for each in present.publications}
             return sorted(publishers), sorted({each.owner for each in present.connections})
 
-    def fence(self, fences: Mapping[str, Callable[[str], bool]]) -> None:
-        """Ask before each message on these topics whether its nodelet may publish it now.
+    def fence(self, fences: Fences) -> None:
+        """Check before each message on these topics whether its nodelet may publish it now.
 
         Args:
             fences: by topic, a function of the nodelet's name that must be quick. Other topics
@@ -144,8 +141,8 @@ class Bus:
 
     def rewire(
         self,
-        moves: Sequence[Move],
-        between: Optional[Callable[[], None]] = None,
+        moves: Sequence[Tuple[Endpoint, str]],
+        on_switch: Optional[Callable[[], None]] = None,
         patience: float = 0.0,
     ) -> None:
         """Connect every endpoint to its new topic (empty: to none), all in one switch.
@@ -153,7 +150,7 @@ class Bus:
         Args:
             moves: endpoint and global topic name; an endpoint that is on its topic already
                 stays untouched.
-            between: called at the switch, after the last old and before the first new message
+            on_switch: called at the switch, after the last old and before the first new message
                 can be queued. The lock of the bus is held: it may only queue something.
             patience: seconds to wait, in all, for peers outside.
 
@@ -161,24 +158,24 @@ class Bus:
             Denied: a guard forbids a topic; nothing was changed.
             TypeMismatch: a topic has another type in this process; nothing was changed.
             HandleClosed: an endpoint was released meanwhile; nothing was changed.
-            Exception: a registration failed; nothing was changed, unless ``between`` was called.
+            Exception: a registration failed; nothing was changed, unless ``on_switch`` was called.
         """
-        plans = [_Plan(endpoint, topic) for endpoint, topic in moves if endpoint.topic != topic]
-        for plan in plans:
-            if plan.topic and self._check_topic is not None:
-                self._check_topic(plan.topic)
+        parts = [_Part(endpoint, topic) for endpoint, topic in moves if endpoint.topic != topic]
+        for part in parts:
+            if part.topic and self._check_topic is not None:
+                self._check_topic(part.topic)
         deadline = self._clock() + patience
         try:
-            self._make(plans, deadline)
-            self._drain(plans, patience)
-            self._switch(plans, between)
+            self._make(parts, deadline)
+            self._drain(parts, patience)
+            self._switch(parts, on_switch)
         except BaseException:
-            self._undo(plans)
+            self._undo(parts)
             raise
         try:
-            self._register(plans)
+            self._register_late(parts)
         finally:
-            self._break(plans, deadline)
+            self._break(parts, deadline)
 
     def release(self, endpoints: Sequence[Endpoint]) -> None:
         """Take endpoints off the bus for good: messages that wait for them are dropped.
@@ -187,7 +184,7 @@ class Bus:
         """
         made: List[Optional[Registration]] = []
         with self._lock:
-            made += [plan.registration for plan in self._making if plan.endpoint in endpoints]
+            made += [part.registration for part in self._making if part.endpoint in endpoints]
             made += [old for endpoint, old in self._leaving if endpoint in endpoints]
             self._leaving = [each for each in self._leaving if each[0] not in endpoints]
             for endpoint in endpoints:
@@ -202,93 +199,93 @@ class Bus:
                         made.append(connection.outside)
                         self._unlink(connection, discard=True)
         now = self._clock()
-        deadline = now + _LAST_WORDS if now >= self._patient_from else now
+        deadline = now + _RELEASE_DRAIN if now >= self._patient_from else now
         for registration in made:
             if isinstance(registration, OutsidePublisher):
                 left = max(0.0, deadline - self._clock())
                 if not registration.drain(left) and left:
-                    self._patient_from = self._clock() + _NO_WORDS
+                    self._patient_from = self._clock() + _DRAIN_PAUSE
             if registration is not None:
                 registration.close()
 
-    # The five steps of a switch.
+    # The steps of a switch.
 
-    def _make(self, plans: List[_Plan], deadline: float) -> None:
+    def _make(self, parts: List[_Part], deadline: float) -> None:
         with self._lock:
-            for plan in plans:
-                if not plan.topic:
+            for part in parts:
+                if not part.topic:
                     continue
-                topic = self._topic(plan.topic, plan.endpoint.datatype)
-                if isinstance(plan.endpoint, Subscription):
-                    plan.register_after = bool(topic.publications)
-                    plan.link = Connection(plan.endpoint, plan.topic)
-                    self._link(topic, plan.link)
+                topic = self._topic(part.topic, part.endpoint.datatype)
+                if isinstance(part.endpoint, Subscription):
+                    part.is_late = bool(topic.publications)
+                    part.link = Connection(part.endpoint, part.topic)
+                    topic.connections.append(part.link)
+                    for publication in topic.publications:
+                        publication.reroute(topic.route, newcomers=(part.link,))
                 else:
-                    plan.register_after = bool(topic.connections)
-            self._making += plans
-        early = [plan for plan in plans if plan.topic and not plan.register_after]
-        for plan in early:
-            plan.registration = self._make_registration(plan)
-            self._check_open(plan)  # a release before this did not know of the registration
-        for plan in early:
-            registration, seconds = plan.registration, max(0.0, deadline - self._clock())
+                    part.is_late = bool(topic.connections)
+            self._making += parts
+        early = [part for part in parts if part.topic and not part.is_late]
+        for part in early:
+            self._register(part)
+            part.check_open()  # a concurrent release() may have missed this registration
+        for part in early:
+            registration, seconds = part.registration, max(0.0, deadline - self._clock())
             if seconds and isinstance(registration, OutsidePublisher):
                 registration.wait(seconds)
-            elif seconds and isinstance(registration, OutsideSubscriber) and plan.link is not None:
-                registration.wait(plan.link.arrived, seconds)
+            elif seconds and isinstance(registration, OutsideSubscriber) and part.link is not None:
+                registration.wait(part.link.arrived, seconds)
 
-    def _drain(self, plans: List[_Plan], patience: float) -> None:
+    def _drain(self, parts: List[_Part], patience: float) -> None:
         """Receive what old publishers outside have sent by now: it goes before the new."""
         with self._lock:
-            self._check(plans)
+            self._check(parts)
         until = self._clock() + min(patience, _LONGEST_DRAIN_IN)
-        for plan in plans:
-            endpoint = plan.endpoint
-            connection = endpoint.connection if isinstance(endpoint, Subscription) else None
+        for part in parts:
+            connection = getattr(part.endpoint, "connection", None)
             if patience and connection is not None and connection.outside is not None:
-                plan.drained = connection
+                part.drained = connection
                 connection.outside.drain(until - self._clock())
 
-    def _switch(self, plans: List[_Plan], between: Optional[Callable[[], None]]) -> None:
+    def _switch(self, parts: List[_Part], on_switch: Optional[Callable[[], None]]) -> None:
         with self._lock:
-            self._check(plans)
-            for plan in plans:
-                if isinstance(plan.endpoint, Publication):
-                    self._move(plan, plan.endpoint)
-            for plan in plans:
-                if isinstance(plan.endpoint, Subscription):
-                    old, plan.endpoint.connection = plan.endpoint.connection, plan.link
-                    if plan.link is not None and isinstance(plan.registration, OutsideSubscriber):
-                        plan.link.outside = plan.registration
+            self._check(parts)
+            for part in parts:
+                if isinstance(part.endpoint, Publication):
+                    self._move(part, part.endpoint)
+            for part in parts:
+                if isinstance(part.endpoint, Subscription):
+                    old, part.endpoint.connection = part.endpoint.connection, part.link
+                    if part.link is not None and isinstance(part.registration, OutsideSubscriber):
+                        part.link.outside = part.registration
                     if old is not None:
-                        plan.old = old.outside
+                        part.old = old.outside
                         self._unlink(old, discard=False)
-            if between is not None:
-                between()
-            for plan in plans:
-                if plan.link is not None:
-                    plan.link.open()
-            self._made(plans)
+            if on_switch is not None:
+                on_switch()
+            for part in parts:
+                if part.link is not None:
+                    part.link.open()
+            self._made(parts)
 
-    def _register(self, plans: List[_Plan]) -> None:
+    def _register_late(self, parts: List[_Part]) -> None:
         failures: List[BaseException] = []
-        for plan in plans:
+        for part in parts:
             try:
-                if plan.register_after:
-                    plan.registration = self._make_registration(plan)
+                if part.is_late:
+                    self._register(part)
             except BaseException as error:  # the others are switched too and need theirs
                 failures.append(error)
-            registration, endpoint = plan.registration, plan.endpoint
-            owed = NOTHING
+            registration, endpoint, owed = part.registration, part.endpoint, NOTHING
             with self._lock:
                 if isinstance(endpoint, Publication):
-                    current = endpoint.topic == plan.topic and not endpoint.closed
+                    current = endpoint.topic == part.topic and not endpoint.closed
                     if current and isinstance(registration, OutsidePublisher):
                         owed = endpoint.set_outside(registration)
                 else:
-                    current = endpoint.connection is plan.link
-                    if plan.link is not None and isinstance(registration, OutsideSubscriber):
-                        plan.link.outside = registration
+                    current = endpoint.connection is part.link
+                    if part.link is not None and isinstance(registration, OutsideSubscriber):
+                        part.link.outside = registration
             if registration is not None and not current:  # released or moved on meanwhile
                 registration.close()
             elif isinstance(endpoint, Publication) and isinstance(registration, OutsidePublisher):
@@ -299,13 +296,13 @@ class Bus:
         if failures:
             raise failures[0]
 
-    def _break(self, plans: List[_Plan], deadline: float) -> None:
-        for plan in plans:
+    def _break(self, parts: List[_Part], deadline: float) -> None:
+        for part in parts:
             left = max(0.0, deadline - self._clock())
-            if isinstance(plan.old, OutsidePublisher) and not plan.old.drain(left):
-                self._leave_later(plan.endpoint, plan.old)
-            elif plan.old is not None:
-                plan.old.close()
+            if isinstance(part.old, OutsidePublisher) and not part.old.drain(left):
+                self._leave_later(part.endpoint, part.old)
+            elif part.old is not None:
+                part.old.close()
 
     def _leave_later(self, endpoint: Endpoint, registration: OutsidePublisher) -> None:
         """Withdraw a registration once a slow network has taken all that was published on it."""
@@ -323,19 +320,19 @@ class Bus:
 
         in_background("dyknow-drain", leave)
 
-    def _undo(self, plans: List[_Plan]) -> None:
+    def _undo(self, parts: List[_Part]) -> None:
         with self._lock:
-            self._made(plans)
-            for plan in plans:
-                if plan.link is not None:
-                    self._unlink(plan.link, discard=True)
-            for plan in plans:
-                self._forget(plan.topic)
-        for plan in plans:
-            if plan.registration is not None:
-                plan.registration.close()
-            if plan.drained is not None:
-                self._subscribe_again(plan.endpoint, plan.drained)
+            self._made(parts)
+            for part in parts:
+                if part.link is not None:
+                    self._unlink(part.link, discard=True)
+            for part in parts:
+                self._forget(part.topic)
+        for part in parts:
+            if part.registration is not None:
+                part.registration.close()
+            if part.drained is not None:
+                self._subscribe_again(part.endpoint, part.drained)
 
     def _subscribe_again(self, endpoint: Endpoint, connection: Connection) -> None:
         """Renew the registration of a connection that was drained, but is not left."""
@@ -344,9 +341,7 @@ class Bus:
             if endpoint.closed or old is None:
                 return
         old.close()
-        registration = self._transport.subscribe(
-            connection.topic, endpoint.datatype, connection.push, endpoint.options
-        )
+        registration = self._subscribe(connection, endpoint)
         with self._lock:
             current = not endpoint.closed
             if current:
@@ -354,36 +349,30 @@ class Bus:
         if not current:
             registration.close()
 
-    @staticmethod
-    def _check_open(plan: _Plan) -> None:
-        if plan.endpoint.closed:
-            raise HandleClosed(f"an endpoint of topic '{plan.topic}'")
-
-    # The table; every method below is called with the lock held, except ``_make_registration``.
-
-    def _check(self, plans: List[_Plan]) -> None:
-        for plan in plans:
-            self._check_open(plan)
-            if plan.topic:
-                self._topic(plan.topic, plan.endpoint.datatype)
-
-    def _made(self, plans: List[_Plan]) -> None:
-        self._making = [plan for plan in self._making if plan not in plans]
-
-    def _make_registration(self, plan: _Plan) -> Registration:
-        endpoint = plan.endpoint
-        if isinstance(endpoint, Publication):
-            return self._transport.advertise(
-                plan.topic,
-                endpoint.datatype,
-                endpoint.latch,
-                endpoint.queue_size,
-                endpoint.options,
+    def _register(self, part: _Part) -> None:
+        end = part.endpoint
+        if isinstance(end, Publication):
+            part.registration = self._transport.advertise(
+                part.topic, end.datatype, end.latch, end.queue_size, end.options
             )
-        assert plan.link is not None
+        elif part.link is not None:
+            part.registration = self._subscribe(part.link, end)
+
+    def _subscribe(self, connection: Connection, end: Endpoint) -> OutsideSubscriber:
         return self._transport.subscribe(
-            plan.topic, endpoint.datatype, plan.link.push, endpoint.options
+            connection.topic, end.datatype, connection.push, end.options
         )
+
+    # The table; every method below is called with the lock held.
+
+    def _check(self, parts: List[_Part]) -> None:
+        for part in parts:
+            part.check_open()
+            if part.topic:
+                self._topic(part.topic, part.endpoint.datatype)
+
+    def _made(self, parts: List[_Part]) -> None:
+        self._making = [part for part in self._making if part not in parts]
 
     def _topic(self, name: str, datatype: Any) -> _Topic:
         topic = self._topics.get(name)
@@ -400,16 +389,12 @@ class Bus:
         topic = self._topics.get(name)
         if topic is None:
             return
-        ends = topic.ends
-        if not ends:
+        ends: List[Union[Publication, Connection]] = [*topic.publications, *topic.connections]
+        datatypes = [end.datatype for end in ends]
+        if not datatypes:
             del self._topics[name]
-        elif all(end.datatype._md5sum == "*" for end in ends):
-            topic.datatype = ends[0].datatype
-
-    def _link(self, topic: _Topic, connection: Connection) -> None:
-        topic.connections.append(connection)
-        for publication in topic.publications:
-            publication.reroute(topic.route, newcomers=(connection,))
+        elif all(each._md5sum == "*" for each in datatypes):
+            topic.datatype = datatypes[0]
 
     def _unlink(self, connection: Connection, discard: bool) -> None:
         topic = self._topics.get(connection.topic)
@@ -426,14 +411,14 @@ class Bus:
             topic.publications.remove(publication)
             self._forget(publication.topic)
 
-    def _move(self, plan: _Plan, publication: Publication) -> None:
-        plan.old = publication.outside
+    def _move(self, part: _Part, publication: Publication) -> None:
+        part.old = publication.outside
         self._leave(publication)
-        if not plan.topic:
+        if not part.topic:
             publication.disconnect()
             return
-        topic = self._topic(plan.topic, publication.datatype)
+        topic = self._topic(part.topic, publication.datatype)
         topic.publications.append(publication)
-        made = plan.registration
+        made = part.registration
         outside = made if isinstance(made, OutsidePublisher) else None
-        publication.connect(plan.topic, outside, topic.route, self._fences.get(plan.topic))
+        publication.connect(part.topic, outside, topic.route, self._fences.get(part.topic))

@@ -5,7 +5,7 @@
 
 A process that ended by a native crash can no longer say which nodelet was at work. So each thread
 that runs code of nodelets notes whose it is, in a word of its own of a small mapped file. The
-kernel keeps what was written there, whatever ends the process.
+kernel keeps the file, whatever ends the process.
 
 The file is an array of 64-bit words. The first is the id of the process, 0 once that has ended in
 order; the others belong to threads and hold the mark of a nodelet (``names.mark``), or 0. A mark
@@ -23,7 +23,7 @@ from typing import FrozenSet, Iterator, List
 
 from dyknow.locks import state_lock
 
-#: Threads that can be told apart; those beyond share the last word.
+#: Threads that can be told apart; further ones share the last word.
 _THREADS = 511
 _WORD = struct.Struct("=Q")
 _SIZE = (1 + _THREADS) * _WORD.size
@@ -40,10 +40,10 @@ class CrashRecord:
     """The words of this process."""
 
     def __init__(self, path: str = "") -> None:
-        """Begin with no nodelet at work.
+        """Make the file, with no nodelet at work.
 
         Args:
-            path: the file, which takes the place of one that is there; empty for none.
+            path: the file, which replaces an older one; empty for none.
 
         Raises:
             OSError: the file cannot be made.
@@ -62,13 +62,13 @@ class CrashRecord:
     def give_back(self, index: int) -> None:
         """Free the word of a thread that ends."""
         with self._lock:
-            self.words[index] = 0
+            self.words[index] = 0.0
             if index != self._free[0]:
                 self._free.append(index)
 
     @contextlib.contextmanager
     def noting(self, mark: int, unloading: bool = False) -> Iterator[None]:
-        """Note whose code this thread runs meanwhile.
+        """Note whose code this thread runs in the block.
 
         Args:
             mark: of the nodelet.
@@ -83,7 +83,7 @@ class CrashRecord:
 
     def close(self) -> None:
         """Note that the process ends in order, even if nodelets are still at work."""
-        self.words[0] = 0
+        self.words[0] = 0.0
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ def read(path: str, pid: int) -> AtWork:
 
     Raises:
         OSError: the file cannot be read.
-        ValueError: it is not that of the process.
+        ValueError: it does not belong to the process.
     """
     with open(path, "rb") as file:
         found = file.read(_SIZE + 1)

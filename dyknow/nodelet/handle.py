@@ -1,22 +1,23 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The plain NodeHandle: rospy's API in the name and on the queue of one nodelet, on topics.
+"""The base class of nodelets, and the plain NodeHandle that it hands out.
 
-It declares topics here; derived from it, the one of ``dyknow.proxy`` declares ports.
+The handle has rospy's API in the name and on the queue of one nodelet. This one declares topics;
+derived from it, the one of ``dyknow.proxy`` declares ports.
 """
 
 from __future__ import annotations
 
 import queue
-from typing import Any, Callable, Optional, Union
+from typing import Any, Callable, Dict, List, Optional, Set, Tuple, Union
 
 from dyknow import names
+from dyknow.errors import HandleClosed
 from dyknow.nodelet import pubsub
 from dyknow.nodelet.bus import Endpoint
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.middleware import Closable
-from dyknow.nodelet.service import Service
 from dyknow.nodelet.timers import Timer
 
 #: rospy's default, in bytes.
@@ -26,12 +27,12 @@ DEFAULT_BUFF_SIZE = 65536
 class PlainNodeHandle:
     """rospy's functions for one nodelet: ``rospy.X`` becomes ``handle.X``.
 
-    Relative names begin in ``namespace``, a ``~`` stands for the nodelet. What depends on neither
-    names nor queues (``Time``, ``Duration``, ``Rate``, ``loginfo``, ``ROSException`` …) is
-    rospy's own.
+    Relative names begin in ``namespace``, a ``~`` stands for the nodelet. The members that depend
+    on neither names nor queues (``Time``, ``Duration``, ``Rate``, ``loginfo``, ``ROSException`` …)
+    are rospy's own. The signatures are rospy's too, and written here alone.
     """
 
-    #: Where messages come, in errors.
+    #: The preposition of a message's origin, in errors.
     _place = "on"
 
     def __init__(self, context: Context, namespace: str, concurrent: bool = False) -> None:
@@ -47,7 +48,7 @@ class PlainNodeHandle:
         self.concurrent = concurrent
 
     def __getattr__(self, name: str) -> Any:
-        """Return what is the same in ROS."""
+        """Return a member that is the same in ROS."""
         if name.startswith("__"):
             raise AttributeError(name)
         return self.context.runtime.node.member(name, self)
@@ -57,8 +58,8 @@ class PlainNodeHandle:
     def resolve_name(self, name: str, caller_id: Optional[str] = None) -> str:
         """Make a name global and remap it: the load request's table first, then the process's.
 
-        As in rospy, ``~`` alone is the nodelet's own namespace, and any characters will do, since
-        those of a parameter's name are free.
+        As in rospy, ``~`` alone is the nodelet's own namespace, and names of parameters may have
+        any characters.
         """
         private = caller_id or self.context.name
         namespace = self.namespace if caller_id is None else names.parent(caller_id)
@@ -109,7 +110,7 @@ class PlainNodeHandle:
     ) -> pubsub.Subscriber:
         """Subscribe to a topic; the arguments are those of ``rospy.Subscriber``."""
         strand = self.context.new_strand(name) if self.concurrent else self.context.strand
-        options = _given(buff_size=buff_size if buff_size != DEFAULT_BUFF_SIZE else None)
+        options = _given(buff_size=buff_size)
         return self._subscribe(
             name, data_class, callback, callback_args, queue_size, strand, **options
         )
@@ -141,7 +142,7 @@ class PlainNodeHandle:
             self.context.drop_strand(args[-1])
             raise
 
-    # What is on topics here, and on ports in ``dyknow.proxy``.
+    # On topics here, and on ports in ``dyknow.proxy``.
 
     def _make_publisher(
         self,
@@ -186,10 +187,7 @@ class PlainNodeHandle:
         error_handler: Any = None,
     ) -> Service:
         """Offer a service; its handler runs on the nodelet's queue, between its callbacks."""
-        options = _given(
-            buff_size=buff_size if buff_size != DEFAULT_BUFF_SIZE else None,
-            error_handler=error_handler,
-        )
+        options = _given(buff_size=buff_size, error_handler=error_handler)
         service = self.resolve_name(names.check(name, "service name"))
         return Service(self.context, service, service_class, handler, self.concurrent, options)
 
@@ -224,6 +222,10 @@ class PlainNodeHandle:
         self.context.unload()
 
 
+def _given(**options: Any) -> Any:
+    return {key: value for key, value in options.items() if value and value != DEFAULT_BUFF_SIZE}
+
+
 class Inbox(Closable):
     """One message, handed from a callback to a thread that waits for it."""
 
@@ -254,5 +256,152 @@ class Inbox(Closable):
         return entry[0]
 
 
-def _given(**options: Any) -> Any:
-    return {key: value for key, value in options.items() if value}
+_Reply = Tuple[Any, Optional[BaseException]]
+
+
+class Service(Closable):
+    """An offered service; use it as a ``rospy.Service``.
+
+    It is called on any thread, and answered on the nodelet's queue.
+    """
+
+    def __init__(
+        self,
+        context: Context,
+        resolved_name: str,
+        service_class: Any,
+        handler: Callable[[Any], Any],
+        concurrent: bool,
+        options: Dict[str, Any],
+    ) -> None:
+        """Offer a service under a global name.
+
+        Args:
+            context: the nodelet that answers.
+            resolved_name: global name.
+            service_class: class with the request and response types.
+            handler: makes the response of a request, with rospy's rules for what it returns.
+            concurrent: whether calls may overlap with each other and with other callbacks.
+            options: further arguments for ``rospy.Service``.
+        """
+        self.resolved_name = resolved_name
+        self.service_class = service_class
+        self.handler = handler
+        self._context = context
+        self._concurrent = concurrent
+        self._waiting: Set[queue.SimpleQueue[Optional[_Reply]]] = set()
+        self._offered = context.runtime.services.offer(
+            resolved_name, service_class, self._call, options
+        )
+        context.close_with(self)
+
+    def shutdown(self, reason: str = "") -> None:
+        """Withdraw the service; callers that still wait get an error."""
+        self._context.forget(self)
+        self.close()
+
+    def close(self) -> None:
+        """Withdraw the service, as part of the unload."""
+        self._offered.close()
+        self.handler = _withdrawn  # the handler refers to the nodelet, and that to the service
+        for reply in list(self._waiting):
+            reply.put(None)
+
+    def _call(self, request: Any) -> Any:
+        context = self._context
+        reply: queue.SimpleQueue[Optional[_Reply]] = queue.SimpleQueue()
+        self._waiting.add(reply)
+        strand = context.new_strand(self.resolved_name) if self._concurrent else context.strand
+        try:
+            strand.post(lambda: reply.put(self._answer(request)))
+            outcome = None if context.closed else reply.get()
+        finally:
+            self._waiting.discard(reply)
+            if self._concurrent:
+                context.drop_strand(strand)
+        if outcome is None:
+            raise context.runtime.node.interrupted(
+                f"service '{self.resolved_name}': nodelet {context.name} was unloaded"
+            )
+        response, error = outcome
+        try:
+            if error is not None:
+                raise error
+            return response
+        finally:
+            del error, outcome  # its traceback refers to this frame
+
+    def _answer(self, request: Any) -> _Reply:
+        try:
+            return self.handler(request), None
+        except Exception as error:  # the boundary: raised again where the caller waits
+            self._context.callback_errors += 1
+            return None, error
+        except BaseException as error:  # sys.exit(): must end neither this worker nor the caller
+            self._context.failed(f"service '{self.resolved_name}'", error)
+            return None, RuntimeError(f"the handler raised {type(error).__name__}: {error}")
+
+
+def _withdrawn(request: Any) -> Any:
+    raise HandleClosed("the service")
+
+
+class Nodelet:
+    """Derive from this, set things up in ``on_init`` and return; callbacks do the rest.
+
+    ``on_init`` runs once, before any callback; what it raises makes the load fail and is the
+    answer to the request. ``on_shutdown`` runs once at the unload, which waits for it at most 1 s.
+    """
+
+    _context: Optional[Context] = None
+
+    def on_init(self) -> None:
+        """Create publishers, subscribers, timers and services here."""
+        raise NotImplementedError(f"{type(self).__name__} does not define on_init()")
+
+    def on_shutdown(self) -> None:
+        """Put away what is not made through a handle; publishing still works here."""
+
+    def bind(self, context: Context) -> None:
+        """Give the nodelet its place; the loader calls this before ``on_init``."""
+        self._context = context
+
+    @property
+    def context(self) -> Context:
+        """The nodelet's share of the runtime."""
+        if self._context is None:
+            raise RuntimeError(
+                f"{type(self).__name__} has no name and no handles before on_init(): "
+                "set up there, not in __init__()"
+            )
+        return self._context
+
+    @property
+    def name(self) -> str:
+        """Global name."""
+        return self.context.name
+
+    @property
+    def my_argv(self) -> List[str]:
+        """Arguments of the load request."""
+        return list(self.context.my_argv)
+
+    @property
+    def node_handle(self) -> PlainNodeHandle:
+        """Handle in the namespace that the nodelet stands in; callbacks never overlap."""
+        return PlainNodeHandle(self.context, names.parent(self.name))
+
+    @property
+    def private_node_handle(self) -> PlainNodeHandle:
+        """Handle in the nodelet's own namespace; callbacks never overlap."""
+        return PlainNodeHandle(self.context, self.name)
+
+    @property
+    def mt_node_handle(self) -> PlainNodeHandle:
+        """Like ``node_handle``; callbacks of different subscriptions may overlap."""
+        return PlainNodeHandle(self.context, names.parent(self.name), concurrent=True)
+
+    @property
+    def mt_private_node_handle(self) -> PlainNodeHandle:
+        """Like ``private_node_handle``; callbacks of different subscriptions may overlap."""
+        return PlainNodeHandle(self.context, self.name, concurrent=True)

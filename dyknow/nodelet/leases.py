@@ -4,9 +4,9 @@
 """Which nodelets of this process may publish on topics of claims at this moment.
 
 A topic of a claim has one publisher at a time. A DyKnow manager that cannot reach a nodelet
-manager replaces what that supplied to claims, but cannot stop it. So each nodelet manager holds a
-lease, which its DyKnow manager renews several times a second, and stops publishing on topics of
-claims when the lease has run out. The manager replaces nothing before that
+manager replaces its parts of claims, but cannot stop them. So each nodelet manager holds a lease,
+which its DyKnow manager renews several times a second, and stops publishing on topics of claims
+when the lease has run out. The manager replaces nothing before that
 (``dyknow.ros.hosting.lease_keeper``).
 
 A lease is counted from a moment of this process's own clock that the manager has confirmed: it
@@ -16,15 +16,17 @@ read when a message is published, so a process that goes on after a pause sends 
 
 A manager that was killed, is being restarted or is stopped replaces nothing either. Shortly before
 a lease runs out, this process looks at the manager's host: one that refuses the connection, or
-takes it and does not answer, has no manager at work, and the lease is extended. One that is silent
-may be cut off. A lease that has run out is given again by the manager alone, which names the
-nodelets that are to publish; others stay silent on these topics.
+takes it and does not answer, has no manager at work, and the lease is extended. A silent host may
+be cut off. Only the manager renews a lease that has run out. It names the nodelets that are to
+publish; the other nodelets stay silent on these topics.
 """
 
 from __future__ import annotations
 
 import enum
+import functools
 import time
+from dataclasses import dataclass
 from typing import Callable, Dict, FrozenSet, Iterable, Mapping, Tuple
 
 from dyknow.locks import state_lock
@@ -35,7 +37,7 @@ LOOK_AHEAD = 1.2
 EXTENSION = 1.5
 
 Fence = Callable[[str], bool]
-"""Says whether a nodelet may publish on one topic now."""
+"""Returns whether a nodelet may publish on one topic now."""
 
 
 class Sight(enum.Enum):
@@ -51,26 +53,31 @@ def suspended_clock() -> float:
     return time.clock_gettime(time.CLOCK_BOOTTIME)
 
 
+@dataclass(eq=False)
 class _Lease:
-    """What one manager has granted; replaced as a whole, but for its end."""
+    """What one manager has granted; replaced as a whole, but for its end.
 
-    def __init__(
-        self,
-        uri: str,
-        until: float,
-        producers: Mapping[str, str],
-        fenced: FrozenSet[Tuple[str, str]],
-    ) -> None:
-        self.uri = uri
-        self.until = until
-        #: By topic of a claim, the nodelet that publishes there.
-        self.producers = producers
-        #: Nodelets, each with a topic, that were replaced while the lease had run out.
-        self.fenced = fenced
+    Attributes:
+        uri: address of the manager's node.
+        until: when it runs out.
+        producers: by topic of a claim, the nodelet that publishes there.
+        fenced: nodelets, each with a topic, that were replaced while the lease had run out.
+    """
+
+    uri: str
+    until: float
+    producers: Mapping[str, str]
+    fenced: FrozenSet[Tuple[str, str]]
 
 
 class Leases:
-    """The leases of one process, one for each manager; safe from any thread."""
+    """The leases of one process, one for each manager; safe from any thread.
+
+    Args:
+        owners: returns the nodelets of this process that publish on a topic.
+        guard: called with a fence for each topic of a claim, whenever these change.
+        clock: time that runs on while the process is stopped, in seconds.
+    """
 
     def __init__(
         self,
@@ -78,13 +85,6 @@ class Leases:
         guard: Callable[[Mapping[str, Fence]], None],
         clock: Callable[[], float] = suspended_clock,
     ) -> None:
-        """Begin without leases.
-
-        Args:
-            owners: returns the nodelets of this process that publish on a topic.
-            guard: called with a fence for each topic of a claim, whenever these change.
-            clock: time that runs on while the process is stopped, in seconds.
-        """
         self._owners = owners
         self._guard = guard
         self._clock = clock
@@ -105,34 +105,29 @@ class Leases:
         Args:
             manager: who grants the lease.
             uri: address of its node.
-            confirmed: what an earlier call returned; 0 if none has been answered yet.
+            confirmed: the result of an earlier call; 0 if none has been answered yet.
             duration: seconds from then until the lease runs out.
             producers: by topic of a claim, the nodelet that publishes there; empty to end the
                 lease without a fence.
         """
         now = self._clock()
-        present = {topic: frozenset(self._owners(topic)) for topic in producers}
+        present = {(name, topic) for topic in producers for name in self._owners(topic)}
         with self._state_lock:
             known = self._leases.get(manager)
             if not producers:
                 self._leases.pop(manager, None)
             elif known is not None or confirmed:
-                until = confirmed + duration
-                fenced = frozenset() if known is None else known.fenced
+                until, fenced = confirmed + duration, set()
                 if known is not None:
-                    if known.until < now:  # replaced parts are among those that publish
-                        fenced |= {(name, topic) for topic in present for name in present[topic]}
+                    # Once it has run out, replaced parts may be among those that publish.
+                    fenced = {*known.fenced, *(present if known.until < now else ())}
                     until = max(until, known.until)
-                fenced = frozenset(
-                    (name, topic)
-                    for name, topic in fenced
-                    if producers.get(topic, name) != name and name in present[topic]
-                )
-                self._leases[manager] = _Lease(uri, until, dict(producers), fenced)
+                still = ((n, t) for n, t in fenced & present if producers.get(t, n) != n)
+                self._leases[manager] = _Lease(uri, until, dict(producers), frozenset(still))
             topics = frozenset(t for each in self._leases.values() for t in each.producers)
             is_new, self._topics = topics != self._topics, topics
         if is_new:
-            self._guard({topic: self._fence(topic) for topic in topics})
+            self._guard({t: functools.partial(self.may_publish, topic=t) for t in topics})
         return self._clock()
 
     def may_publish(self, nodelet: str, topic: str) -> bool:
@@ -158,6 +153,3 @@ class Leases:
             with self._state_lock:
                 if sight is Sight.NOT_AT_WORK and self._clock() < lease.until:
                     lease.until = max(lease.until, now + EXTENSION)
-
-    def _fence(self, topic: str) -> Fence:
-        return lambda nodelet: self.may_publish(nodelet, topic)

@@ -1,36 +1,46 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What remains of nodelets after their unload: code that still runs, and memory.
+"""What remains of nodelets after their unload, and callbacks that do not return.
 
 An unload waits for no callback, so code of a nodelet may run on after it. And a nodelet may be
 part of a reference cycle. As long as either is so, the nodelet is kept in a list here, without
 a reference to it, and examined now and then.
+
+A nodelet with a callback that does not return answers its services and is listed as before, and
+the callback of a nodelet that was unloaded goes on: Python cannot end a thread. Both are
+announced.
 """
 
 from __future__ import annotations
 
+import logging
 import threading
 import weakref
 from dataclasses import dataclass
-from typing import Any, Callable, List, Tuple
+from typing import TYPE_CHECKING, Any, Callable, Dict, List
 
 from dyknow.locks import state_lock
 from dyknow.nodelet.context import Context
-from dyknow.nodelet.cycles import break_cycles
-from dyknow.nodelet.handle import PlainNodeHandle
-from dyknow.nodelet.memory import return_free_memory
+from dyknow.nodelet.handle import PlainNodeHandle, Service
+from dyknow.nodelet.memory import break_cycles, return_free_memory
 from dyknow.nodelet.pubsub import Publisher, Subscriber
-from dyknow.nodelet.service import Service
 from dyknow.nodelet.timers import Timer
-from dyknow.periodic import attempt, in_background
+from dyknow.periodic import STEADY, Clock, PeriodicWorker, attempt, in_background
 
-#: Seconds between two looks, and at least between two returns of memory to the system.
+if TYPE_CHECKING:
+    from dyknow.nodelet.loader import Loader
+
+#: Seconds between two examinations, and at least between two returns of memory to the system.
 _PERIOD = 0.5
-#: Looks after the last code has ended, until a nodelet that is not free is left to Python.
+#: Examinations after the last code has ended, until a nodelet that is not free is left to Python.
 _LOOKS = 4
-#: What belongs to the runtime, and does not refer to a nodelet any more.
+#: Objects of the runtime, which do not refer to a nodelet any more.
 _OURS = (Context, PlainNodeHandle, Publisher, Subscriber, Service, Timer)
+#: Rounds in the time after which a callback is reported.
+_ROUNDS = 4
+
+_log = logging.getLogger("rosout.dyknow")
 
 
 @dataclass
@@ -42,7 +52,7 @@ class _Leftover:
     looks: int = _LOOKS
 
     def is_gone(self) -> bool:
-        """Look; whether there is nothing left, or nothing that can be done."""
+        """Examine it; whether nothing is left, or nothing that can be freed."""
         if self.age() > 0.0:
             return False
         while self.hooks:
@@ -52,14 +62,13 @@ class _Leftover:
 
 
 class Leftovers:
-    """The nodelets of one loader that were unloaded and are not gone yet."""
+    """The nodelets of one loader that were unloaded and are not gone yet.
+
+    Args:
+        give_back: returns free memory to the system, after unloads.
+    """
 
     def __init__(self, give_back: Callable[[], object] = return_free_memory) -> None:
-        """Begin without any.
-
-        Args:
-            give_back: returns free memory to the system, after unloads.
-        """
         self._lock = state_lock("leftovers")
         self._left: List[_Leftover] = []
         self._give_back = give_back
@@ -90,19 +99,19 @@ class Leftovers:
         if starts:
             in_background("freeing nodelets", self._look)
 
-    def running(self) -> List[Tuple[str, float]]:
-        """List the nodelets whose code still runs, with the seconds since it began."""
+    def running(self) -> Dict[str, float]:
+        """Nodelets whose code still runs, sorted by name, with the seconds since it began."""
         with self._lock:
             left = list(self._left)
         ages = sorted((each.name, each.age()) for each in left)
-        return [(name, age) for name, age in ages if age > 0.0]
+        return {name: age for name, age in ages if age > 0.0}
 
     def close(self) -> None:
-        """Look no more."""
+        """Stop the examinations."""
         self._closed.set()
 
     def _look(self) -> None:
-        """Look until nothing is left, and return memory after each look."""
+        """Examine until nothing is left, and return memory each time."""
         while not self._closed.wait(_PERIOD):
             gone = [each for each in list(self._left) if each.is_gone()]
             with self._lock:
@@ -112,3 +121,78 @@ class Leftovers:
             self._give_back()
             if is_over:
                 return
+
+
+class StuckCallbacks:
+    """Announces the nodelets of a process with callbacks that do not return, and the remains."""
+
+    def __init__(
+        self,
+        loader: Loader,
+        host: str,
+        after: float,
+        announce: Callable[[str], None],
+        clock: Clock = STEADY,
+    ) -> None:
+        """Prepare; ``start`` starts the thread.
+
+        Args:
+            loader: has the nodelets.
+            host: the node that the process is, for advice.
+            after: seconds after which a callback that has not returned is reported.
+            announce: called with the name of a nodelet whose ``detail`` has changed.
+            clock: steady time between the rounds.
+        """
+        self._loader = loader
+        self._host = host
+        self._announce = announce
+        self._after = after
+        self._due: Dict[str, float] = {}  # age at which a nodelet is announced again
+        self._remains_due: Dict[str, float] = {}
+        what = "looking for callbacks that do not return"
+        self._worker = PeriodicWorker(what, self.look, after / _ROUNDS, clock=clock)
+        self.start = self._worker.start
+        self.close = self._worker.close
+
+    def look(self) -> None:
+        """Announce changes, and a callback that still runs each time that its age has doubled."""
+        ages = self._ages()
+        before = set(self._due)
+        stuck = _due_now(self._due, ages, self._after)
+        for name in sorted({*stuck, *(before - set(self._due)) & set(ages)}):
+            self._announce(name)
+        running = self._loader.leftovers.running()
+        for name in _due_now(self._remains_due, running, self._after):
+            _log.warning("%s; %s", _remains_text(name, running[name]), self._cure)
+
+    def detail(self, nodelet: str) -> str:
+        """Describe a nodelet's callback that does not return; empty if it has none."""
+        age = self._ages().get(nodelet, 0.0)
+        return f"a callback has been running for {age:.0f} s" if age >= self._after else ""
+
+    def remains(self) -> List[str]:
+        """Describe the code of unloaded nodelets that still runs, a line for each."""
+        return [_remains_text(*each) for each in self._loader.leftovers.running().items()]
+
+    def _ages(self) -> Dict[str, float]:
+        return {each.name: each.callback_age() for each in self._loader.contexts()}
+
+    @property
+    def _cure(self) -> str:
+        return (
+            f"it ends with its process alone: rosnode kill {self._host}, which a DyKnow manager "
+            "starts again with the other nodelets; spawn such a nodelet isolated"
+        )
+
+
+def _remains_text(name: str, age: float) -> str:
+    return f"{name} was unloaded, but code of it has been running for {age:.0f} s"
+
+
+def _due_now(due: Dict[str, float], ages: Dict[str, float], after: float) -> List[str]:
+    """Return the names that are to be announced, and note when each is again."""
+    for name in [name for name in due if ages.get(name, 0.0) < after]:
+        del due[name]
+    now = [name for name, age in sorted(ages.items()) if age >= due.get(name, after)]
+    due.update({name: 2.0 * ages[name] for name in now})
+    return now

@@ -11,6 +11,7 @@ of a nodelet runs, so a slow ``on_init`` blocks neither ``list`` nor other loads
 from __future__ import annotations
 
 import enum
+import functools
 import logging
 import threading
 import time
@@ -22,10 +23,10 @@ from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Type
 from dyknow.errors import LoadFailed, NameTaken, UnknownNodelet, UnloadedMeanwhile
 from dyknow.locks import state_condition
 from dyknow.nodelet.context import Context, Runtime
-from dyknow.nodelet.cycles import clear_frames
+from dyknow.nodelet.handle import Nodelet
 from dyknow.nodelet.leftovers import Leftovers
+from dyknow.nodelet.memory import clear_frames
 from dyknow.nodelet.middleware import Closable
-from dyknow.nodelet.nodelet import Nodelet
 from dyknow.periodic import in_background
 
 #: Seconds that an unload waits for ``on_shutdown``.
@@ -44,33 +45,32 @@ class _State(enum.Enum):
     UNLOADING = "still being unloaded"
 
 
-@dataclass(eq=False)
-class _Entry:
-    """One taken name."""
-
-    context: Context
-    state: _State = _State.LOADING
-    nodelet: Optional[Nodelet] = None
-    runs: List[_Run] = field(default_factory=list)
-
-    def age(self) -> float:
-        """Seconds for which code of the nodelet has been running; 0.0 if none runs."""
-        runs = [time.monotonic() - run.began for run in self.runs if not run.done.is_set()]
-        return max([self.context.callback_age(), *runs])
-
-
-class _Run:
-    """A call on a thread of its own, which the caller may stop waiting for."""
+class _Run(Closable):
+    """Code of a nodelet on a thread of its own, which the caller may stop waiting for."""
 
     def __init__(self, call: Callable[[], Any], name: str) -> None:
-        self.began = time.monotonic()
         self.error: Optional[BaseException] = None
-        self.done = threading.Event()
-        self._call = call
-        in_background(name, self._run)
+        self._began = time.monotonic()
+        self._is_running = True
+        self._over = threading.Event()
+        in_background(name, functools.partial(self._run, [call]))
 
-    def _run(self) -> None:
-        call, self._call = self._call, _nothing
+    @property
+    def age(self) -> float:
+        """Seconds for which it has been running; 0.0 once it has ended."""
+        return time.monotonic() - self._began if self._is_running else 0.0
+
+    def wait(self, seconds: Optional[float] = None) -> bool:
+        """Wait until it ends or is closed, at most until so many seconds after it began."""
+        left = None if seconds is None else max(0.0, self._began + seconds - time.monotonic())
+        return self._over.wait(left)
+
+    def close(self) -> None:
+        """End the wait; the code may go on."""
+        self._over.set()
+
+    def _run(self, calls: List[Callable[[], Any]]) -> None:
+        call = calls.pop()
         try:
             call()
         except BaseException as error:  # the boundary of the thread; the waiting one raises it
@@ -80,12 +80,25 @@ class _Run:
             self.error = error.with_traceback(trace.tb_next if trace is not None else None)
             del trace
         finally:
-            del call  # first: nobody who sees the end finds a reference to the nodelet here
-            self.done.set()
+            del call  # first: whoever sees the end finds no reference to the nodelet here
+            self._is_running = False
+            self._over.set()
 
 
-def _nothing() -> None:
-    """Do nothing."""
+@dataclass(eq=False)
+class _Entry:
+    """One taken name."""
+
+    context: Context
+    state: _State = _State.LOADING
+    nodelet: Optional[Nodelet] = None
+    runs: List[_Run] = field(default_factory=list)
+    #: Runs ``on_shutdown``; None for a nodelet that never ran.
+    shutdown: Optional[_Run] = None
+
+    def age(self) -> float:
+        """Seconds for which code of the nodelet has been running; 0.0 if none runs."""
+        return max([self.context.callback_age(), *(run.age for run in self.runs)])
 
 
 class Loader:
@@ -116,14 +129,11 @@ class Loader:
         self.leftovers = Leftovers()
 
     def list(self) -> List[str]:
-        """Names of the nodelets that run, sorted."""
-        with self._changed:
-            return sorted(
-                name for name, entry in self._entries.items() if entry.state is _State.RUNNING
-            )
+        """Names of the running nodelets, sorted."""
+        return [context.name for context in self.contexts()]
 
     def contexts(self) -> List[Context]:
-        """Contexts of the nodelets that run, sorted by name."""
+        """Contexts of the running nodelets, sorted by name."""
         with self._changed:
             running = [each for each in self._entries.values() if each.state is _State.RUNNING]
         return sorted((each.context for each in running), key=lambda context: context.name)
@@ -179,8 +189,8 @@ class Loader:
                 raise UnloadedMeanwhile(name, "load")
             run = _Run(lambda: self._start(entry, nodelet_class), f"{name} on_init")
             entry.runs.append(run)
-            context.close_with(_Signal(run.done))  # an unload ends the wait
-            run.done.wait()
+            context.close_with(run)  # an unload ends the wait
+            run.wait()
             error, run.error = run.error, None
             if error is not None and not context.closed:
                 raise LoadFailed(name, type_name, error) from error
@@ -201,13 +211,13 @@ class Loader:
     def unload(self, name: str) -> None:
         """Unload a nodelet: when this returns nothing of it is registered and the name is free.
 
-        Queued messages are dropped. A callback that runs is not waited for: its late publishes
+        Queued messages are dropped. A running callback is not waited for: its late publishes
         are refused. A nodelet that is still in its ``on_init`` can be unloaded too.
 
         Raises:
             UnknownNodelet: no nodelet of that name is loaded.
         """
-        self._finish(self._begin(name, None))
+        self._finish(name, self._shut_down(name, None))
 
     def close(self) -> None:
         """Unload everything, the newest first.
@@ -216,20 +226,20 @@ class Loader:
         """
         with self._changed:
             loaded = list(self._entries)
-        unloads = []
+        entries = {}
         for name in reversed(loaded):
             try:
-                unload = self._begin(name, None, wanted=False)
+                entry = entries[name] = self._shut_down(name, None, wanted=False)
             except UnknownNodelet:
                 continue  # another unload was faster
-            unload.wait(_HEAD_START)
-            unloads.append(unload)
-        for unload in unloads:
-            self._finish(unload)
+            if entry.shutdown is not None:
+                entry.shutdown.wait(_HEAD_START)
+        for name, entry in entries.items():
+            self._finish(name, entry)
         self.leftovers.close()
 
-    def _begin(self, name: str, only: Optional[_Entry], wanted: bool = True) -> _Unload:
-        """Begin an unload: one that was asked for, or (not ``wanted``) the end of the process."""
+    def _shut_down(self, name: str, only: Optional[_Entry], wanted: bool = True) -> _Entry:
+        """Stop callbacks, call ``on_shutdown``: for an unload or (not ``wanted``) at the end."""
         with self._changed:
             entry = self._entries.get(name)
             known = [each for each, one in self._entries.items() if one.state is _State.RUNNING]
@@ -238,22 +248,26 @@ class Loader:
             was_running = entry.state is _State.RUNNING
             entry.state = _State.UNLOADING
         entry.context.stop()
-        return _Unload(name, entry, self._shut_down(entry, wanted) if was_running else None)
+        if was_running and entry.nodelet is not None:
+            hooks = [entry.nodelet.on_shutdown, *entry.context.shutdown_hooks]
+            call = functools.partial(self._call_hooks, entry.context, hooks, wanted)
+            entry.shutdown = _Run(call, f"{name} on_shutdown")
+            entry.runs.append(entry.shutdown)
+        return entry
 
-    def _finish(self, unload: _Unload) -> None:
-        name, context = unload.name, unload.entry.context
-        if not unload.wait(SHUTDOWN_PATIENCE):
+    def _finish(self, name: str, entry: _Entry) -> None:
+        context, shutdown = entry.context, entry.shutdown
+        if shutdown is not None and not shutdown.wait(SHUTDOWN_PATIENCE):
             _log.warning(
                 "%s: on_shutdown has not returned after %g s; it is not waited for any longer",
                 name,
                 SHUTDOWN_PATIENCE,
             )
-        was_running = unload.shutdown is not None
-        if was_running and context.callback_age() > 0.0:
+        if shutdown is not None and context.callback_age() > 0.0:
             _log.info("%s: unloaded while a callback runs; it is not waited for", name)
         context.close()
-        self._free(name, unload.entry)
-        if was_running:
+        self._free(name, entry)
+        if shutdown is not None:
             self._on_unloaded(name)
 
     @staticmethod
@@ -264,8 +278,18 @@ class Loader:
             nodelet.bind(context)
             nodelet.on_init()
 
+    @staticmethod
+    def _call_hooks(context: Context, hooks: List[Callable[[], None]], wanted: bool) -> None:
+        with context.runtime.executor.record.noting(context.mark, unloading=wanted):
+            while hooks:
+                try:
+                    hooks.pop(0)()
+                except BaseException:  # the boundary: the other hooks and the unload go on
+                    trace = traceback.format_exc()
+                    _log.error("%s: on_shutdown raised\n%s", context.name, trace)
+
     def _free(self, name: str, entry: _Entry) -> None:
-        """Give the name back, and the nodelet's memory."""
+        """Free the name, and the nodelet's memory."""
         with self._changed:
             if self._entries.get(name) is entry:
                 del self._entries[name]
@@ -280,53 +304,6 @@ class Loader:
     def _unload_self(self, name: str, entry: _Entry) -> None:
         # By its entry: another nodelet may have the name by now.
         try:
-            self._finish(self._begin(name, entry))
+            self._finish(name, self._shut_down(name, entry))
         except UnknownNodelet:
             _log.info("%s: asked to be unloaded twice", name)
-
-    @staticmethod
-    def _shut_down(entry: _Entry, wanted: bool) -> _Run:
-        context = entry.context
-        assert entry.nodelet is not None
-        hooks = [entry.nodelet.on_shutdown, *context.shutdown_hooks]
-
-        def shut_down() -> None:
-            with context.runtime.executor.record.noting(context.mark, unloading=wanted):
-                while hooks:
-                    try:
-                        hooks.pop(0)()
-                    except BaseException:  # the boundary: the other hooks and the unload go on
-                        _log.error(
-                            "%s: on_shutdown raised\n%s", context.name, traceback.format_exc()
-                        )
-
-        run = _Run(shut_down, f"{context.name} on_shutdown")
-        entry.runs.append(run)
-        return run
-
-
-@dataclass
-class _Unload:
-    """An unload that has begun."""
-
-    name: str
-    entry: _Entry
-    #: What ``on_shutdown`` is doing; None for a nodelet that did not run yet.
-    shutdown: Optional[_Run]
-    began: float = field(default_factory=time.monotonic)
-
-    def wait(self, seconds: float) -> bool:
-        """Wait for ``on_shutdown`` until so many seconds after it began."""
-        left = max(0.0, self.began + seconds - time.monotonic())
-        return self.shutdown is None or self.shutdown.done.wait(left)
-
-
-class _Signal(Closable):
-    """Sets an event when the context is closed."""
-
-    def __init__(self, event: threading.Event) -> None:
-        self._event = event
-
-    def close(self) -> None:
-        """Set the event."""
-        self._event.set()

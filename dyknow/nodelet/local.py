@@ -3,8 +3,8 @@
 
 """A middleware without ROS: everything stays in this process.
 
-The public fake beside the real one: runs nodelets in tests and wherever there is no roscore. Its
-time is set by hand, its "outside" are lists that a test looks at.
+The public fake beside the real one: it runs nodelets in tests and wherever there is no roscore.
+Its time is set by hand, its "outside" are lists that a test reads.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from dyknow.nodelet.middleware import (
 
 @dataclass(frozen=True)
 class LocalTimerEvent:
-    """What a timer callback is told, in seconds; the field names are rospy's."""
+    """A timer event in seconds; the field names are rospy's."""
 
     last_expected: Optional[float]
     last_real: Optional[float]
@@ -39,60 +39,85 @@ class LocalTimerEvent:
 
 
 class ManualTicker(Ticker):
-    """Time that stands still until ``advance``."""
+    """Time that stands still until ``advance``.
+
+    The thread of the timers waits here. ``next_due`` returns only once that thread has fired
+    what is due and waits again, so a test never races with it.
+    """
 
     def __init__(self) -> None:
-        self.seconds = 0.0
+        self._seconds = 0.0
         self._changed = state_condition("manual ticker")
+        self._used = False  # there was a timer, so the thread runs
+        self._waiting = False
         self._woken = False
+        self._due: Optional[float] = None
 
     def now(self) -> float:
         """Seconds advanced so far."""
-        return self.seconds
+        return self._seconds
 
     def advance(self, seconds: float) -> None:
-        """Let time pass."""
+        """Let time pass; negative seconds set it back, as simulated time may be."""
+        self.set(self._seconds + seconds)
+
+    def set(self, seconds: float) -> None:
+        """Set the time; timers that are due by then fire on their thread."""
         with self._changed:
-            self.seconds += seconds
+            if self._used and seconds < self._seconds:
+                self._woken = True  # the thread has to see it
+            self._seconds = seconds
             self._changed.notify_all()
 
-    def wait(self, until: Optional[float]) -> None:
-        """Block until ``advance`` or ``wake`` end it."""
+    def next_due(self, timeout: float = 10.0) -> Optional[float]:
+        """Wait until everything due was fired; return when the next timer is due, None for never.
+
+        Raises:
+            TimeoutError: the thread is still at work after ``timeout`` seconds.
+        """
         with self._changed:
-            self._changed.wait_for(
-                lambda: self._woken or (until is not None and self.seconds >= until)
-            )
-            self._woken = False
+            if not self._changed.wait_for(self._is_settled, timeout):
+                raise TimeoutError(f"the timers have not fired within {timeout:g} s")
+            return self._due
+
+    def wait(self, until: Optional[float]) -> None:
+        """Block until the time is ``until`` (None: for ever), or until ``wake``."""
+        with self._changed:
+            self._waiting, self._due = True, until
+            self._changed.notify_all()
+            self._changed.wait_for(lambda: self._woken or self._is_due())
+            self._waiting = self._woken = False
 
     def wake(self) -> None:
-        """End the present or the next ``wait``."""
+        """End the present or the next ``wait``: timers came or went."""
         with self._changed:
-            self._woken = True
+            self._used = self._woken = True
             self._changed.notify_all()
 
     def event(self, last: Any, expected: float, real: float, duration: Any) -> Any:
         """Make an event in plain seconds."""
         return LocalTimerEvent(
-            last.current_expected if last else None,
-            last.current_real if last else None,
-            expected,
-            real,
-            duration,
+            last and last.current_expected, last and last.current_real, expected, real, duration
         )
+
+    def _is_due(self) -> bool:
+        return self._due is not None and self._seconds >= self._due
+
+    def _is_settled(self) -> bool:
+        return not self._used or (self._waiting and not self._woken and not self._is_due())
 
 
 class LocalPublisher(OutsidePublisher):
-    """Hands what goes out to the listeners of ``LocalTransport.listen``."""
+    """Calls the listeners of ``LocalTransport.listen``."""
 
     def __init__(self, transport: LocalTransport, topic: str, datatype: Any) -> None:
         self.transport = transport
         self.topic = topic
         self.datatype = datatype
         self.connections: List[Callable[[Any], None]] = transport.listeners.setdefault(topic, [])
-        self.open = True
         self.in_flight = 0
-        transport.publishers.append(self)
         self.changed: Optional[Callable[[], None]] = None
+        transport.publishers.append(self)
 
     @property
     def heard(self) -> bool:
@@ -104,17 +129,17 @@ class LocalPublisher(OutsidePublisher):
         return tuple(self.connections)
 
     def publish(self, message: Any) -> None:
-        """Hand the message to every listener."""
+        """Call every listener."""
         for listener in self.connections:
             listener(message)
 
     def publish_to(self, peer: Any, message: Any) -> None:
-        """Hand the message to one listener."""
+        """Call one listener."""
         if peer in self.connections:
             peer(message)
 
     def latch(self, message: Any) -> None:
-        """Hand the message on; this fake keeps none for later listeners."""
+        """Publish; this fake keeps no message for later listeners."""
         self.publish(message)
 
     def wait(self, seconds: float) -> None:
@@ -126,11 +151,7 @@ class LocalPublisher(OutsidePublisher):
 
     def close(self) -> None:
         """Withdraw the registration."""
-        assert_no_state_lock(f"withdrawing {self.topic}")
-        if self.open:
-            self.open = False
-            self.transport.publishers.remove(self)
-            self.transport.registrations.remove(("publisher", self.topic))
+        self.transport.withdraw(self.transport.publishers, self)
 
 
 class LocalSubscriber(OutsideSubscriber):
@@ -143,7 +164,6 @@ class LocalSubscriber(OutsideSubscriber):
         self.topic = topic
         self.datatype = datatype
         self.receive = receive
-        self.open = True
         self.drained = False
         transport.subscribers.append(self)
 
@@ -155,16 +175,12 @@ class LocalSubscriber(OutsideSubscriber):
         """Return at once: a publisher outside is known only when it sends."""
 
     def drain(self, seconds: float) -> None:
-        """Receive no more: what was sent was received at once."""
+        """Stop receiving; local delivery is synchronous, so nothing is in flight."""
         self.drained = True
 
     def close(self) -> None:
         """Withdraw the registration."""
-        assert_no_state_lock(f"withdrawing {self.topic}")
-        if self.open:
-            self.open = False
-            self.transport.subscribers.remove(self)
-            self.transport.registrations.remove(("subscriber", self.topic))
+        self.transport.withdraw(self.transport.subscribers, self)
 
 
 class LocalTransport(Transport):
@@ -174,7 +190,6 @@ class LocalTransport(Transport):
         listeners: subscribers outside, by topic.
         publishers: registered publishers.
         subscribers: registered subscribers.
-        registrations: every registration that is not withdrawn, as (kind, topic).
         types: topics that live outside, with their types.
     """
 
@@ -182,8 +197,13 @@ class LocalTransport(Transport):
         self.listeners: Dict[str, List[Callable[[Any], None]]] = {}
         self.publishers: List[LocalPublisher] = []
         self.subscribers: List[LocalSubscriber] = []
-        self.registrations: List[Tuple[str, str]] = []
         self.types: Dict[str, str] = {}
+
+    @property
+    def registrations(self) -> List[Tuple[str, str]]:
+        """Every registration that is not withdrawn, as (kind, topic), sorted."""
+        made = [("publisher", each.topic) for each in self.publishers]
+        return sorted([*made, *(("subscriber", each.topic) for each in self.subscribers)])
 
     def send(self, topic: str, message: Any) -> None:
         """Publish from outside."""
@@ -194,29 +214,27 @@ class LocalTransport(Transport):
     def listen(self, topic: str, listener: Callable[[Any], None]) -> None:
         """Subscribe from outside."""
         self.listeners.setdefault(topic, []).append(listener)
-        self._tell_publishers(topic)
+        self._notify_publishers(topic)
 
     def stop_listening(self, topic: str, listener: Callable[[Any], None]) -> None:
         """End a subscription that ``listen`` made."""
         self.listeners[topic].remove(listener)
-        self._tell_publishers(topic)
+        self._notify_publishers(topic)
 
-    def _tell_publishers(self, topic: str) -> None:
+    def _notify_publishers(self, topic: str) -> None:
         for publisher in list(self.publishers):
             if publisher.topic == topic and publisher.changed is not None:
                 publisher.changed()
 
-    def advertise(
-        self,
-        topic: str,
-        datatype: Any,
-        latch: bool,
-        queue_size: Optional[int],
-        options: Dict[str, Any],
-    ) -> LocalPublisher:
+    def withdraw(self, made: List[Any], registration: Any) -> None:
+        """Remove a registration from the publishers or subscribers, if it is there."""
+        assert_no_state_lock(f"withdrawing {registration.topic}")
+        if registration in made:
+            made.remove(registration)
+
+    def advertise(self, topic: str, datatype: Any, *details: Any) -> LocalPublisher:
         """Register a publisher."""
         assert_no_state_lock(f"advertising {topic}")
-        self.registrations.append(("publisher", topic))
         return LocalPublisher(self, topic, datatype)
 
     def subscribe(
@@ -224,7 +242,6 @@ class LocalTransport(Transport):
     ) -> LocalSubscriber:
         """Register a subscriber."""
         assert_no_state_lock(f"subscribing to {topic}")
-        self.registrations.append(("subscriber", topic))
         return LocalSubscriber(self, topic, datatype, receive)
 
     def datatype_of(self, topic: str) -> str:
@@ -243,20 +260,20 @@ class LocalTransport(Transport):
 class LocalService(Closable):
     """One offered service."""
 
-    services: LocalServices
+    handlers: Dict[str, Handler]
     name: str
 
     def close(self) -> None:
         """Withdraw it."""
         assert_no_state_lock(f"withdrawing {self.name}")
-        self.services.handlers.pop(self.name, None)
+        self.handlers.pop(self.name, None)
 
 
 class LocalServices(Services):
-    """Services that ``call`` asks.
+    """Services that a test calls.
 
     Attributes:
-        handlers: what answers, by global name.
+        handlers: the handlers, by global name.
     """
 
     def __init__(self) -> None:
@@ -272,7 +289,7 @@ class LocalServices(Services):
         """Offer a service to ``call``."""
         assert_no_state_lock(f"offering {service}")
         self.handlers[service] = handler
-        return LocalService(self, service)
+        return LocalService(self.handlers, service)
 
 
 class LocalNode(Node):

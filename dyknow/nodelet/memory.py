@@ -1,29 +1,133 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The heap of the C library, for processes from which large nodelets come and go.
+"""Memory of nodelets that come and go: frees an object that only itself holds, returns the heap.
 
-By default each thread may get a heap of its own, up to eight for each core. What is free at its
-end stays with the process, some 40 MB once a block of 20 MB was freed, and nothing but
-the next free in the same heap returns it. With one heap all of it can be returned at any time.
-Threads hardly contend for it, since most of them wait for the interpreter's lock anyway.
+The functions for the heap of the C library do nothing where that is not the GNU library.
 """
 
 from __future__ import annotations
 
 import contextlib
 import ctypes
+import gc
+import sys
+import traceback
+import types
+import weakref
+from typing import Any, Dict, List, Optional, Set, Tuple, Type
 
 _M_ARENA_MAX = -8
+#: Objects that are examined to free one; with more it is left to Python.
+_MOST = 20_000
+#: Types that are not looked into: they refer to what the whole process shares, or to running code.
+_OPAQUE: Tuple[Type[Any], ...] = (
+    type,
+    types.ModuleType,
+    types.CodeType,
+    types.FrameType,
+    types.TracebackType,
+    types.GeneratorType,
+    types.CoroutineType,
+)
 
 
 def use_one_heap() -> None:
-    """Have all threads share one heap; call it before threads start. Needs the GNU library."""
+    """Have all threads share one heap of the C library; call it before threads start.
+
+    By default each thread may get a heap of its own, up to eight for each core. What is free at
+    its end stays with the process, some 40 MB once a block of 20 MB was freed, and nothing but the
+    next free in the same heap returns it. With one heap all of it can be returned at any time.
+    Threads hardly contend for it, since most of them wait for the interpreter's lock anyway.
+    """
     with contextlib.suppress(AttributeError):
         ctypes.CDLL(None).mallopt(_M_ARENA_MAX, 1)
 
 
 def return_free_memory() -> None:
-    """Return what is free to the system; other threads run meanwhile. Needs the GNU library."""
+    """Return free memory to the system; other threads run meanwhile."""
     with contextlib.suppress(AttributeError):
         ctypes.CDLL(None).malloc_trim(0)
+
+
+def break_cycles(
+    reference: weakref.ReferenceType[Any], opaque: Tuple[Type[Any], ...] = ()
+) -> bool:
+    """Empty an object if only reference cycles through itself hold it; returns whether it is gone.
+
+    A nodelet that keeps an object of a library (message_filters, actionlib, dynamic_reconfigure)
+    and passed one of its methods to it as a callback is part of a reference cycle. Python frees it
+    with its next full collection. That comes after a number of new objects, whatever their size,
+    so a few nodelets with large buffers fill the memory first; and a collection on request would
+    stop every other nodelet of the process for some 0.1 s. So one object is examined as the
+    garbage collector examines all: does every reference to it come from an object that it reaches
+    itself? An object with a finalizer is left to Python, which calls that before it breaks cycles.
+
+    Args:
+        reference: the object.
+        opaque: further types that are not looked into: they do not refer to the object.
+    """
+    found = [reference()]
+    if found[0] is None:
+        return True
+    if not hasattr(type(found[0]), "__del__") and _is_garbage(found, (*_OPAQUE, *opaque)):
+        vars(found[0]).clear()
+    found.clear()
+    return reference() is None
+
+
+def clear_frames(error: BaseException) -> None:
+    """Empty the frames that an exception came through, and those of its causes.
+
+    An exception that is kept would keep all their variables; its traceback stays readable.
+    """
+    waiting: List[Optional[BaseException]] = [error]
+    seen: Set[int] = set()
+    while waiting:
+        each = waiting.pop()
+        if each is not None and id(each) not in seen:
+            seen.add(id(each))
+            traceback.clear_frames(each.__traceback__)
+            waiting += [each.__cause__, each.__context__]
+
+
+def _is_garbage(found: List[Any], opaque: Tuple[Type[Any], ...]) -> bool:
+    """Whether nothing holds the one object in ``found`` but what it refers to, which is added."""
+    places = {id(found[0]): 0}
+    edges: List[List[int]] = []
+    held: Dict[int, int] = {}
+    for each in found:  # which grows
+        inner: List[int] = []
+        for other in _referents(each, opaque):
+            if not gc.is_tracked(other):
+                continue
+            place = places.setdefault(id(other), len(found))
+            if place == len(found):
+                if place >= _MOST:
+                    return False
+                found.append(other)
+            inner.append(place)
+            held[place] = held.get(place, 0) + 1
+        edges.append(inner)
+    each = other = None
+    found.append(object())  # refers to nothing, and nothing here to it
+    own = sys.getrefcount(found[-1])
+    found.pop()
+    waiting = [
+        place
+        for place in range(len(found))
+        if sys.getrefcount(found[place]) - held.get(place, 0) > own
+    ]
+    alive = set(waiting)
+    while waiting:
+        for place in edges[waiting.pop()]:
+            if place not in alive:
+                alive.add(place)
+                waiting.append(place)
+    return 0 not in alive
+
+
+def _referents(each: Any, opaque: Tuple[Type[Any], ...]) -> List[Any]:
+    if isinstance(each, types.FunctionType):
+        return [part for part in (each.__closure__, each.__defaults__) if part is not None]
+    return [] if isinstance(each, opaque) else gc.get_referents(each)

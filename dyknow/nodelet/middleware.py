@@ -24,7 +24,7 @@ from dyknow.errors import DyKnowError, HandleClosed
 Receive = Callable[[Any], None]
 Handler = Callable[[Any], Any]
 
-#: Stands for all listeners of this process: among the peers of a publication they are one.
+#: Stands for all subscribers of this process: among the peers of a publication they are one.
 HERE: Any = object()
 
 
@@ -41,15 +41,15 @@ class OutsidePublisher(ABC):
     @property
     @abstractmethod
     def heard(self) -> bool:
-        """Whether there are listeners; looked at on every publish, so it must be quick."""
+        """Whether there are subscribers; checked on every publish, so it must be quick."""
 
     @abstractmethod
     def peers(self) -> Tuple[Any, ...]:
-        """Listeners outside: one for each other process, ``HERE`` for rospy's own in this one."""
+        """Subscribers outside: one for each process, ``HERE`` for rospy's own in this one."""
 
     @abstractmethod
     def publish(self, message: Any) -> None:
-        """Serialise ``message`` once and send it to every listener outside."""
+        """Serialise ``message`` once and send it to every subscriber outside."""
 
     @abstractmethod
     def publish_to(self, peer: Any, message: Any) -> None:
@@ -57,7 +57,7 @@ class OutsidePublisher(ABC):
 
     @abstractmethod
     def latch(self, message: Any) -> None:
-        """Send ``message`` to every listener, and keep it for later ones."""
+        """Send ``message`` to every subscriber, and keep it for later ones."""
 
     @abstractmethod
     def wait(self, seconds: float) -> None:
@@ -65,7 +65,7 @@ class OutsidePublisher(ABC):
 
     @abstractmethod
     def drain(self, seconds: float) -> bool:
-        """Wait until everything published is handed to the network; False when time is up."""
+        """Wait until every published message was sent; False when time is up."""
 
     @abstractmethod
     def close(self) -> None:
@@ -88,13 +88,13 @@ class OutsideSubscriber(ABC):
         """Return when messages flow from the outside publishers, or none are there, or time is up.
 
         Args:
-            arrived: waits at most that many seconds for a first message and tells whether it came.
-            seconds: how long to wait for all of it.
+            arrived: waits at most that many seconds for a first message; whether it came.
+            seconds: for all of it.
         """
 
     @abstractmethod
     def drain(self, seconds: float) -> None:
-        """Receive what outside publishers have sent by now and no more; return when time is up."""
+        """Drain the sockets, then stop reading; give up after ``seconds``."""
 
     @abstractmethod
     def close(self) -> None:
@@ -128,7 +128,7 @@ class Transport(ABC):
             datatype: message class.
             latch: whether late subscribers get the last message.
             queue_size: messages kept for each slow outside subscriber; None for the default.
-            options: further arguments of ``rospy.Publisher`` that were given.
+            options: further arguments for ``rospy.Publisher``.
         """
 
     @abstractmethod
@@ -143,17 +143,17 @@ class Transport(ABC):
 
     @abstractmethod
     def build(self, datatype: Any, args: Sequence[Any], kwds: Dict[str, Any]) -> Any:
-        """Make a message from what was given to ``publish``, with rospy's rules and errors."""
+        """Make a message of the arguments of ``publish``, with rospy's rules and errors."""
 
     def age_of(self, message: Any) -> Optional[float]:
-        """Return the seconds since the time that a message bears; None if it bears none.
+        """Return the seconds since the time stamp of a message; None if it has none.
 
         It is called while a message is published: it does not wait, and raises nothing.
         """
         return None
 
     def adapt(self, datatype: Any, receive: Receive) -> Receive:
-        """Wrap ``receive`` so that it can be given any message of this process.
+        """Wrap ``receive`` so that it can be called with any message of this process.
 
         The same function comes back unless ``datatype`` stands for "any type".
         """
@@ -203,13 +203,16 @@ class Ticker(ABC):
 
 
 class Node(ABC):
-    """The node of ROS that this process is."""
+    """The node of ROS that this process is.
 
-    #: What a closed handle raises; all three are made of a text that says what it is about.
+    Attributes:
+        closed: raised by a closed handle; each of the three takes a message naming the operation.
+        interrupted: raised by a wait or a service call whose nodelet is unloaded.
+        timed_out: raised by a wait for a message that did not come in time.
+    """
+
     closed: Type[Exception] = HandleClosed
-    #: What a wait or a service call raises when its nodelet is unloaded.
     interrupted: Type[Exception] = DyKnowError
-    #: What a wait for a message raises when none came in time.
     timed_out: Type[Exception] = DyKnowError
 
     @abstractmethod
@@ -222,7 +225,7 @@ class Node(ABC):
 
     @abstractmethod
     def member(self, name: str, handle: Any) -> Any:
-        """Return what the attribute ``name`` of a NodeHandle is where DyKnow adds nothing to ROS.
+        """Return the attribute ``name`` of a NodeHandle where DyKnow adds nothing to ROS.
 
         Raises:
             AttributeError: ROS has no such thing, or a nodelet must not use it.

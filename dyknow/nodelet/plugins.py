@@ -1,25 +1,40 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Look-up of nodelet classes by the names that packages declare.
+"""Nodelet classes: which ones packages declare, and their import as the code on disk at the load.
 
 A package exports ``<dyknow plugin="${prefix}/FILE.xml"/>``; the file lists ``<library>`` elements
 with ``<class name= type= base_class_type="dyknow.Nodelet">`` in them, as nodelet and rqt plugins
-do. Only what is declared can be loaded.
+do. Only declared classes can be loaded.
+
+Nodelets of a package share its modules. When a file of it has changed since they were imported,
+the next load begins a new *generation*, with modules of its own; running nodelets keep theirs.
+The modules of a package that uses libraries of the middleware are not shared: those act in the
+name of one nodelet.
 """
 
 from __future__ import annotations
 
+import importlib
+import os
+import sys
 from dataclasses import dataclass
+from importlib.machinery import PathFinder
 from pathlib import Path
-from typing import Callable, Dict, Iterable, List, Tuple
+from typing import Callable, Dict, FrozenSet, Iterable, List, Mapping, Optional, Tuple, Type
 
 from lxml import etree
 
 from dyknow.errors import BrokenPlugin, UnknownNodeletType
 from dyknow.locks import state_lock
+from dyknow.nodelet.context import Context
+from dyknow.nodelet.handle import Nodelet
+from dyknow.nodelet.importer import Importer, Module
+from dyknow.nodelet.module_files import CatkinFinder, Stamp, source_files, stamps
 
-BASE_CLASS = "dyknow.Nodelet"
+_BASE_CLASS = "dyknow.Nodelet"
+#: The runtime's own package, which is never loaded again.
+_OURS = "dyknow"
 
 
 @dataclass(frozen=True)
@@ -42,7 +57,7 @@ class PluginClass:
     """One declared class.
 
     Attributes:
-        name: what ``source`` and load requests say, ``package/Class``.
+        name: its name in ``source`` and in load requests, ``package/Class``.
         type: dotted path of the Python class.
         description: one line for people, may be empty.
         library: directory that the module is searched in first, used if it exists.
@@ -81,9 +96,9 @@ def read(plugin_file: PluginFile) -> List[PluginClass]:
             if not name or not type_name:
                 raise BrokenPlugin(where, "expected <class name=… type=…>")
             base = element.get("base_class_type")
-            if base != BASE_CLASS:
+            if base != _BASE_CLASS:
                 raise BrokenPlugin(
-                    where, f"expected base_class_type='{BASE_CLASS}' for '{name}', found {base!r}"
+                    where, f"expected base_class_type='{_BASE_CLASS}' for '{name}', found {base!r}"
                 )
             description = " ".join((element.findtext("description") or "").split())
             classes.append(PluginClass(name, type_name, description, directory, plugin_file.file))
@@ -123,7 +138,7 @@ class Plugins:
             return [self._classes[name] for name in sorted(self._classes)]
 
     def find(self, name: str) -> PluginClass:
-        """Return what is declared as ``name``; one refresh if it is not known yet.
+        """Return the class that is declared as ``name``; one refresh if it is not known yet.
 
         Raises:
             UnknownNodeletType: no package declares it.
@@ -135,3 +150,104 @@ class Plugins:
             if declared is None:
                 raise UnknownNodeletType(name, self._classes, self._broken)
         return declared
+
+
+@dataclass(frozen=True)
+class Package:
+    """The modules that a declared class comes with.
+
+    Attributes:
+        tops: their top-level names.
+        folders: where they are, if that is a folder of plug-ins and not on ``sys.path``.
+        files: their source files, by module name.
+    """
+
+    tops: FrozenSet[str]
+    folders: List[str]
+    files: Mapping[str, str]
+
+    @classmethod
+    def find(cls, top: str, library: str) -> Package:
+        """Find the package of a top-level module; ``library`` is searched first."""
+        if not os.path.isdir(library) or PathFinder.find_spec(top, [library]) is None:
+            return cls(frozenset((top,)), [], source_files(top))
+        tops = {each.partition(".")[0] for each in os.listdir(library) if each.endswith(".py")}
+        tops = {top, *tops}
+        files = {n: f for each in sorted(tops) for n, f in source_files(each, [library]).items()}
+        return cls(frozenset(tops), [library], files)
+
+
+@dataclass(frozen=True)
+class _Generation:
+    """Modules of a package, and the files that they were made of.
+
+    Attributes:
+        stamps: of all files of the package, when it began.
+        importer: has the modules; None for the process's own.
+    """
+
+    stamps: Mapping[str, Stamp]
+    importer: Optional[Importer]
+
+
+class ClassImports:
+    """Imports classes for nodelets.
+
+    Args:
+        library_importer: returns an importer of a nodelet's own if the module of that name in the
+            package uses libraries of the middleware, else None.
+    """
+
+    def __init__(
+        self,
+        library_importer: Callable[[Context, str, Package], Optional[Importer]] = lambda *_: None,
+    ) -> None:
+        self._library_importer = library_importer
+        self._generations: Dict[str, _Generation] = {}
+        CatkinFinder.install()
+
+    def load(self, declared: PluginClass, context: Context) -> Type[Nodelet]:
+        """Import a declared class.
+
+        Raises:
+            BrokenPlugin: it does not import, or is not a Nodelet.
+        """
+        what = f"nodelet type '{declared.name}' ({declared.type}, declared in '{declared.file}')"
+        module_name, _, class_name = declared.type.rpartition(".")
+        if not module_name:
+            raise BrokenPlugin(what, "expected a dotted path 'module.Class'")
+        try:
+            module = self._module(module_name, str(declared.library.resolve()), context)
+        except (Exception, SystemExit) as error:  # an import runs the author's code
+            raise BrokenPlugin(
+                what, f"cannot import '{module_name}': {type(error).__name__}: {error}"
+            ) from error
+        found = getattr(module, class_name, None)
+        if found is None:
+            raise BrokenPlugin(what, f"module '{module_name}' has no class '{class_name}'")
+        if not isinstance(found, type) or not issubclass(found, Nodelet):
+            raise BrokenPlugin(what, f"'{declared.type}' does not derive from {_BASE_CLASS}")
+        return found
+
+    def _module(self, name: str, library: str, context: Context) -> Module:
+        top = name.partition(".")[0]
+        if top == _OURS:
+            return importlib.import_module(name)
+        importlib.invalidate_caches()  # files may be new
+        package = Package.find(top, library)
+        importer = self._library_importer(context, name, package)
+        if importer is None:
+            importer = self._current(top, package).importer
+        return importlib.import_module(name) if importer is None else importer.import_module(name)
+
+    def _current(self, top: str, package: Package) -> _Generation:
+        now = stamps(package.files.values())
+        generation = self._generations.get(top)
+        if generation is None:
+            generation = _Generation(now, None)
+            sys.path[:0] = [each for each in package.folders if each not in sys.path]
+        elif generation.stamps != now:
+            importer = Importer(package.tops.__contains__, search=package.folders)
+            generation = _Generation(now, importer)
+        self._generations[top] = generation
+        return generation

@@ -292,7 +292,7 @@ class NodeletProxy(Closable):
             except BaseException as error:  # the boundary: the switch stands all the same
                 context.failed("a reconfiguration", error)
 
-        def between() -> None:
+        def on_switch() -> None:
             for port, topic in changes:
                 port.topic = topic
             self._reconfigurations += 1
@@ -300,7 +300,7 @@ class NodeletProxy(Closable):
                 context.strand.post(tell)
 
         try:
-            context.runtime.bus.rewire(moves, between, PATIENCE)
+            context.runtime.bus.rewire(moves, on_switch, PATIENCE)
         except HandleClosed as closed:
             if context.closed:
                 raise UnloadedMeanwhile(self.name, "reconfiguration") from closed

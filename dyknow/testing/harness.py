@@ -8,22 +8,26 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from typing import Any, Dict, List, Mapping, Optional, Sequence, Type, TypeVar
+from typing import Any, Collection, Dict, List, Mapping, Optional, Sequence, Type, TypeVar
 
 import rospy
 
 from dyknow import names
+from dyknow.errors import UnknownPort
 from dyknow.nodelet.context import Context, Runtime
-from dyknow.nodelet.handle import PlainNodeHandle
+from dyknow.nodelet.handle import Nodelet, PlainNodeHandle
 from dyknow.nodelet.loader import Loader
 from dyknow.nodelet.middleware import Handler, Middleware
-from dyknow.nodelet.nodelet import Nodelet
 from dyknow.nodelet.pubsub import Publisher
 from dyknow.nodelet.scheduler import ManualExecutor
 from dyknow.proxy.proxy import NodeletProxy
-from dyknow.testing.load_ports import check_ports, remappings_of_ports
-from dyknow.testing.middleware import HarnessNode, HarnessServices, HarnessTransport, LogEntry
-from dyknow.testing.stepped_time import SteppedTicker
+from dyknow.testing.middleware import (
+    HarnessNode,
+    HarnessServices,
+    HarnessTicker,
+    HarnessTransport,
+    LogEntry,
+)
 
 #: Seconds of real time after which another thread is given up.
 _PATIENCE = 10.0
@@ -42,8 +46,7 @@ class CallbackFailed(AssertionError):
 class _Anything:
     """Fits messages of every type, without serialising them."""
 
-    _type = "*"
-    _md5sum = "*"
+    _type = _md5sum = "*"
 
 
 class NodeletHarness:
@@ -68,7 +71,7 @@ class NodeletHarness:
 
     def __init__(self) -> None:
         """Make an empty harness; use it in a ``with`` block, or ``close`` it."""
-        self._ticker = SteppedTicker()
+        self._ticker = HarnessTicker()
         self._services = HarnessServices()
         self._node = HarnessNode(self._ticker, self._services, self.call)
         self._executor = ManualExecutor(self._ticker.now)
@@ -297,3 +300,23 @@ class _FailureLog(logging.Handler):
 
 def _global(name: str) -> str:
     return names.resolve(name, "/", "/")
+
+
+def remappings_of_ports(nodelet: str, ports: Mapping[str, str]) -> Dict[str, str]:
+    """Return the remappings, of global names, that connect ports of a nodelet at its load.
+
+    What a port's name resolves to depends on the handle that declares it, which is not known yet:
+    each is remapped in the namespace that the nodelet stands in and in its own.
+    """
+    return {
+        names.resolve(port, namespace, nodelet): names.resolve(topic, "/", nodelet)
+        for port, topic in ports.items()
+        for namespace in (names.parent(nodelet), nodelet)
+    }
+
+
+def check_ports(wanted: Collection[str], known: Collection[str]) -> None:
+    """Raise UnknownPort if a wanted port is not there."""
+    for port in wanted:
+        if port not in known:
+            raise UnknownPort(port, known)

@@ -11,12 +11,18 @@ from typing import Any, Callable, Dict, List, Optional, Sequence
 
 import rospy
 import rospy.msg
+import rospy.timer
 from rospy.impl.tcpros_service import convert_return_to_response
 
-from dyknow.nodelet.local import LocalNode, LocalService, LocalServices, LocalTransport
+from dyknow.nodelet.local import (
+    LocalNode,
+    LocalService,
+    LocalServices,
+    LocalTransport,
+    ManualTicker,
+)
 from dyknow.nodelet.middleware import Handler
 from dyknow.ros.errors import ClosedHandle, Interrupted, MessageTimeout
-from dyknow.testing.stepped_time import SteppedTicker
 
 #: What of rospy needs neither a node nor a master.
 _PLAIN = frozenset(
@@ -44,6 +50,16 @@ class LogEntry:
 
     level: str
     text: str
+
+
+class HarnessTicker(ManualTicker):
+    """Time that a test sets, with rospy's events."""
+
+    def event(self, last: Any, expected: float, real: float, duration: Any) -> Any:
+        """Make a ``rospy.timer.TimerEvent``."""
+        before = (None, None) if last is None else (last.current_expected, last.current_real)
+        now = map(rospy.Time.from_sec, (expected, real))
+        return rospy.timer.TimerEvent(*before, *now, duration)
 
 
 class HarnessTransport(LocalTransport):
@@ -84,7 +100,7 @@ class HarnessNode(LocalNode):
 
     def __init__(
         self,
-        ticker: SteppedTicker,
+        ticker: HarnessTicker,
         services: HarnessServices,
         call_service: Callable[[str, Any], Any],
     ) -> None:

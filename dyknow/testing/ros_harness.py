@@ -24,7 +24,7 @@ from roslib.packages import find_node
 from dyknow import names
 from dyknow.ros.client import ProxyClient
 from dyknow.ros.master import Master
-from dyknow.testing.load_ports import check_ports, remappings_of_ports
+from dyknow.testing.harness import check_ports, remappings_of_ports
 
 #: Seconds that anything may take on a busy machine.
 _PATIENCE = 30.0

@@ -35,11 +35,11 @@ from dyknow.locks import state_condition
 from dyknow.model.graph import NodeletKind
 from dyknow.nodelet.context import Context, Runtime
 from dyknow.nodelet.crash_record import CrashRecord
+from dyknow.nodelet.handle import Nodelet
+from dyknow.nodelet.leftovers import StuckCallbacks
 from dyknow.nodelet.loader import Loader
 from dyknow.nodelet.middleware import Closable
-from dyknow.nodelet.nodelet import Nodelet
 from dyknow.nodelet.scheduler import Executor, WorkerPool
-from dyknow.nodelet.stuck import StuckCallbacks
 from dyknow.proxy.proxy import NodeletProxy
 from dyknow.ros import descriptors, programs
 from dyknow.ros.bonding.bonds import Bonds
@@ -355,8 +355,7 @@ class NodeletManager(Closable):
 
 def _declared_classes() -> Callable[[str, Context], Type[Nodelet]]:
     # Here: a script in a process of its own does not wait for the parser of XML.
-    from dyknow.nodelet.class_imports import ClassImports
-    from dyknow.nodelet.plugins import Plugins
+    from dyknow.nodelet.plugins import ClassImports, Plugins
     from dyknow.ros.nodelets.packages import plugin_files
     from dyknow.ros.scripts.libraries import importer_with_libraries
 

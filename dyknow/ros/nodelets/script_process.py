@@ -25,7 +25,7 @@ from dyknow.errors import CannotRun
 from dyknow.locks import turn_lock
 from dyknow.model.graph import NodeletKind
 from dyknow.nodelet.context import Context
-from dyknow.nodelet.nodelet import Nodelet
+from dyknow.nodelet.handle import Nodelet
 from dyknow.periodic import in_background
 from dyknow.ros.nodelets.guard_parameters import SPAWNED
 from dyknow.ros.nodelets.nodelet_manager import NodeletManager, Settings

@@ -8,11 +8,11 @@ from __future__ import annotations
 from typing import Optional
 
 from dyknow import names
-from dyknow.nodelet.class_imports import Package
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.handle import PlainNodeHandle
 from dyknow.nodelet.importer import Importer
 from dyknow.nodelet.module_files import reached_from
+from dyknow.nodelet.plugins import Package
 from dyknow.ros.scripts.guest import Guest
 from dyknow.ros.scripts.guest_modules import DEPENDENTS, library_importer
 

@@ -14,9 +14,9 @@ import rospy
 
 from dyknow.errors import CannotRun, NeedsProcess, ScriptEnded
 from dyknow.nodelet.context import Context
+from dyknow.nodelet.handle import Nodelet
 from dyknow.nodelet.middleware import Closable
 from dyknow.nodelet.module_files import script_file
-from dyknow.nodelet.nodelet import Nodelet
 from dyknow.periodic import in_background
 from dyknow.ros.programs import find_script
 from dyknow.ros.scripts.guest import HOOKS_PATIENCE, Guest

@@ -15,7 +15,7 @@ import rospy.msg
 
 from dyknow.errors import PeerTimeout
 from dyknow.locks import assert_no_state_lock
-from dyknow.nodelet.cycles import clear_frames
+from dyknow.nodelet.memory import clear_frames
 from dyknow.nodelet.middleware import (
     Closable,
     Handler,

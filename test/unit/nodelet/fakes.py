@@ -129,7 +129,7 @@ class World:
     @property
     def registrations(self) -> List[Any]:
         """What is registered outside, sorted."""
-        return sorted(self.transport.registrations)
+        return self.transport.registrations
 
     def close(self) -> None:
         """End the threads."""

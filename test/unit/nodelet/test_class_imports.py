@@ -12,9 +12,8 @@ from typing import Any, Iterator, List
 
 import pytest
 
-from dyknow.nodelet.class_imports import ClassImports
 from dyknow.nodelet.importer import Importer
-from dyknow.nodelet.plugins import PluginClass
+from dyknow.nodelet.plugins import ClassImports, PluginClass
 
 NODELET = """
 import dyknow

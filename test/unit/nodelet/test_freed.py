@@ -24,8 +24,8 @@ from unit.nodelet.fakes import (
 
 import dyknow
 from dyknow.errors import LoadFailed
-from dyknow.nodelet.cycles import break_cycles
-from dyknow.nodelet.nodelet import Nodelet
+from dyknow.nodelet.handle import Nodelet
+from dyknow.nodelet.memory import break_cycles
 
 world = pool_world(3)
 
@@ -303,7 +303,7 @@ def test_an_object_among_very_many_is_left_to_python(monkeypatch: pytest.MonkeyP
     each.many = [[number, each] for number in range(100)]  # type: ignore[attr-defined]
     reference = weakref.ref(each)
     del each
-    monkeypatch.setattr("dyknow.nodelet.cycles._MOST", 50)
+    monkeypatch.setattr("dyknow.nodelet.memory._MOST", 50)
     assert not break_cycles(reference)
     monkeypatch.undo()
     assert break_cycles(reference)

@@ -31,8 +31,8 @@ from dyknow.errors import (
     UnloadedMeanwhile,
 )
 from dyknow.nodelet import loader as loader_module
+from dyknow.nodelet.handle import Nodelet
 from dyknow.nodelet.loader import Loader
-from dyknow.nodelet.nodelet import Nodelet
 
 world = pool_world(3)
 

@@ -133,7 +133,7 @@ def test_messages_from_outside_that_come_during_the_switch_follow_the_old_ones(w
     world.transport.subscribe = early_subscribe
     world.bus.rewire(
         [(subscription_of(subscriber), "/new")],
-        between=lambda: nh.context.strand.post(lambda: got.append(Message("between"))),
+        on_switch=lambda: nh.context.strand.post(lambda: got.append(Message("between"))),
         patience=1.0,
     )
     world.drain()
@@ -220,7 +220,7 @@ def test_a_refused_registration_undoes_the_whole_switch(world):
     with pytest.raises(RuntimeError):
         world.bus.rewire(
             [(publication_of(publisher), "/b"), (subscription_of(subscriber), "/c")],
-            between=lambda: told.append(1),
+            on_switch=lambda: told.append(1),
         )
     assert told == []
     assert world.registrations == before

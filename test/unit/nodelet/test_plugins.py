@@ -12,10 +12,9 @@ from typing import cast
 import pytest
 
 from dyknow.errors import BrokenPlugin, UnknownNodeletType
-from dyknow.nodelet.class_imports import ClassImports
 from dyknow.nodelet.context import Context
-from dyknow.nodelet.nodelet import Nodelet
-from dyknow.nodelet.plugins import PluginClass, PluginFile, Plugins, read
+from dyknow.nodelet.handle import Nodelet
+from dyknow.nodelet.plugins import ClassImports, PluginClass, PluginFile, Plugins, read
 
 GOOD = """
 <library path="src">

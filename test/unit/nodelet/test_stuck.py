@@ -13,9 +13,9 @@ import pytest
 from unit.nodelet.fakes import FakeClock, Message, World, make_pool_world, wait_for, wait_until
 
 import dyknow
+from dyknow.nodelet.handle import Nodelet
+from dyknow.nodelet.leftovers import StuckCallbacks
 from dyknow.nodelet.loader import Loader
-from dyknow.nodelet.nodelet import Nodelet
-from dyknow.nodelet.stuck import StuckCallbacks
 
 
 class Hanging(Nodelet):

@@ -116,7 +116,7 @@ def test_a_subscriber_that_moves_gets_a_gapless_piece_of_each_topic(world):
     for number in switches(*streams.values()):
         world.bus.rewire(
             [(subscriber.subscription, "/" + "ba"[number % 2])],
-            between=lambda: sink.context.strand.post(lambda: visits.append([])),
+            on_switch=lambda: sink.context.strand.post(lambda: visits.append([])),
         )
     for stream in streams.values():
         stream.going = False

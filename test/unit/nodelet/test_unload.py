@@ -26,10 +26,9 @@ from unit.nodelet.fakes import (
 
 from dyknow.errors import HandleClosed, UnknownNodelet
 from dyknow.nodelet import loader as loader_module
-from dyknow.nodelet.handle import PlainNodeHandle
+from dyknow.nodelet.handle import Nodelet, PlainNodeHandle
 from dyknow.nodelet.loader import Loader
 from dyknow.nodelet.local import LocalPublisher
-from dyknow.nodelet.nodelet import Nodelet
 
 world = pool_world(3)
 
