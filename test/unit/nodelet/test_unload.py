@@ -81,10 +81,17 @@ def test_a_failure_while_closing_leaves_nothing_else_behind(world, caplog):
             for name in ("a", "b", "c"):
                 self.node_handle.Service(name, object, print)
 
+    offer = world.services.offer
+
+    def offer_one_that_fails(name, *args):
+        offered = offer(name, *args)
+        if name == "/b":
+            offered.close = lambda: 1 / 0
+        return offered
+
+    world.services.offer = offer_one_that_fails
     loader = world.loader(full=Full)
     loader.load("/n", "full")
-    offered = loader.get("/n").context._closables[1]._offered
-    offered.close = lambda: 1 / 0
     loader.unload("/n")
     assert sorted(world.services.handlers) == ["/b"]
     assert world.registrations == []
