@@ -1,4 +1,4 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The demonstration: camera frames through a chain of nodelets that is re-wired while it runs."""
+"""The demonstrations: ``story`` on the field of the case study ``soccer``, and ``rewiring``."""

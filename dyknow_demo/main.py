@@ -9,10 +9,9 @@ import argparse
 import signal
 import sys
 from pathlib import Path
-from typing import List, Optional, Sequence
+from typing import Optional, Sequence
 
 from dyknow.errors import DyKnowError
-from dyknow_demo.options import positive
 
 DONE, FAILED, INTERRUPTED = 0, 1, 130
 
@@ -30,7 +29,7 @@ def main(argv: Optional[Sequence[str]] = None) -> int:
     """
     given = sys.argv[1:] if argv is None else argv
     # roslaunch and rostest append arguments of theirs, such as __name:=demo.
-    arguments: List[str] = [each for each in given if ":=" not in each]
+    arguments = [each for each in given if ":=" not in each]
     # SIGTERM ends it as Ctrl-C does: the processes that it started end with it.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
@@ -43,19 +42,20 @@ def main(argv: Optional[Sequence[str]] = None) -> int:
         return FAILED
 
 
-def _run(arguments: List[str]) -> bool:
-    """Run a demonstration; what it needs is imported after its options are known to be right."""
+def _run(arguments: Sequence[str]) -> bool:
+    """Run a demonstration; what it needs is imported once its options are known to be right."""
     if _OTHER in arguments:
-        from dyknow_demo.rewiring import command as rewiring
+        options = _rewiring_parser().parse_args([each for each in arguments if each != _OTHER])
+        from dyknow_demo import rewiring
 
-        return rewiring.run([each for each in arguments if each != _OTHER])
-    options = _parse(arguments)
-    from dyknow_demo.soccer.story import Script, play
+        return rewiring.play(options)
+    options = _soccer_parser().parse_args(arguments)
+    from dyknow_demo import story
 
-    return play(options.manager, Script(options.seconds, options.max_silence, options.pictures))
+    return story.play(options)
 
 
-def _parse(arguments: Sequence[str]) -> argparse.Namespace:
+def _soccer_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="rosrun dyknow demo",
         description="Asks for the position of a ball on a soccer field. A robot tracks it with "
@@ -66,20 +66,20 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
         "else 1; 130 after Ctrl-C.",
     )
     parser.add_argument(
-        "--rewiring",
+        _OTHER,
         action="store_true",
         help="re-wire a chain of camera frames by hand instead, and count the frames; "
         "'--rewiring --help' has its options",
     )
     parser.add_argument(
         "--seconds",
-        type=positive,
+        type=_positive,
         default=8.0,
         help="time for each of the three acts (%(default)g)",
     )
     parser.add_argument(
         "--max-silence",
-        type=positive,
+        type=_positive,
         default=2.0,
         metavar="SECONDS",
         help="time without a position that is allowed (%(default)g)",
@@ -97,4 +97,47 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
         metavar="NAME",
         help="manager that runs and knows the soccer field; by default one is started",
     )
-    return parser.parse_args(arguments)
+    return parser
+
+
+def _rewiring_parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="rosrun dyknow demo --rewiring",
+        description="Runs camera frames through a chain of nodelets, re-wires the chain while it "
+        "runs, and counts the frames that were lost or doubled. Uses the ROS master that "
+        "ROS_MASTER_URI names, or starts one for itself.",
+        epilog="Exit code: 0 if no frame was lost, doubled or out of order, else 1; 130 after "
+        "Ctrl-C.",
+    )
+    parser.add_argument(
+        "--frames",
+        type=_folder,
+        metavar="DIR",
+        help="folder of JPEG or PNG files; by default shared/data/robocup_msl beside the "
+        "checkout, if it is there",
+    )
+    parser.add_argument("--rendered", action="store_true", help="render frames, use no files")
+    parser.add_argument(
+        "--seconds",
+        type=_positive,
+        default=6.0,
+        help="time for each of the six wirings (%(default)g)",
+    )
+    parser.add_argument(
+        "--rate", type=_positive, default=30.0, help="frames a second of each camera (%(default)g)"
+    )
+    return parser
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not 0 < value < 1e6:
+        raise argparse.ArgumentTypeError(f"expected a number above 0, not {text}")
+    return value
+
+
+def _folder(text: str) -> Path:
+    folder = Path(text)
+    if not folder.is_dir():
+        raise argparse.ArgumentTypeError(f"no folder '{text}'")
+    return folder

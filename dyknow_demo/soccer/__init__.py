@@ -5,5 +5,5 @@
 
 ``geometry``; the simulated truth, ``world``, what cameras see of it, ``rendering``; the robot's
 vision, ``planes``, ``finder``, ``learnt`` and ``sighting``; the ``nodelets`` around all that.
-``evaluate`` and ``learn`` measure it. The demonstration is ``story``, which prints ``telling``.
+``evaluate`` and ``learn`` measure it.
 """

@@ -22,7 +22,7 @@ import numpy as np
 from tqdm import tqdm
 
 from dyknow_demo.images import SHARED_FRAMES, Pixels, image_files
-from dyknow_demo.soccer.finder import Box
+from dyknow_demo.soccer.finder import YELLOW, Box, find_balls
 from dyknow_demo.soccer.geometry import Array
 from dyknow_demo.soccer.learnt import Region, best_regions, regions
 from dyknow_demo.soccer.planes import pyramid
@@ -136,6 +136,7 @@ class Example(NamedTuple):
 
     Attributes:
         balls: number of annotated balls.
+        by_limits: whether the best find by the fixed limits of the colour yellow is a ball.
         found: regions of the frame as it is.
         hits: for each region whether it hits a ball.
         features: (n, numbers) of regions to learn from, in several lights.
@@ -143,6 +144,7 @@ class Example(NamedTuple):
     """
 
     balls: int
+    by_limits: bool
     found: Sequence[Region]
     hits: Sequence[bool]
     features: Sequence[Array]
@@ -167,7 +169,9 @@ def example_of(frame: AnnotatedFrame, number: int) -> Example:
         features += [some[each].features for each in (*good, *bad)]
         is_ball += [1.0] * len(good) + [0.0] * len(bad)
     hits = [any(is_hit(ball, _box(each)) for ball in balls) for each in found]
-    return Example(len(balls), found, hits, features, is_ball)
+    limited = find_balls({each: planes_from_bgr(pixels, each) for each in (2, 4)}, YELLOW)[:1]
+    by_limits = any(is_hit(ball, each.box) for each in limited for ball in balls)
+    return Example(len(balls), by_limits, found, hits, features, is_ball)
 
 
 def _lit(pixels: Pixels, generator: np.random.Generator) -> Pixels:
@@ -275,7 +279,7 @@ def _judge(days: Dict[str, List[Example]]) -> float:
             inner[one, other] = score(days[one], forest)
             inner[other, one] = score(days[other], forest)
     print("best find of a frame, each day left out")
-    print(f"{'day':10}{'balls':>6}{'regions':>8}{'found':>6}{'false':>6}", end="")
+    print(f"{'day':10}{'balls':>6}{'limits':>7}{'regions':>8}{'found':>6}{'false':>6}", end="")
     print(f"{'recall':>8}{'precision':>10}{'threshold':>10}")
     rates = []
     for day, examples in days.items():
@@ -284,9 +288,10 @@ def _judge(days: Dict[str, List[Example]]) -> float:
         there = sum(any(each.hits) for each in examples)
         found, false = count(outer[day], threshold)
         rates.append((found / balls if balls else float("nan"), precision(found, false)))
-        print(f"{day:10}{balls:6}{there:8}{found:6}{false:6}", end="")
+        limited = sum(each.by_limits for each in examples)
+        print(f"{day:10}{balls:6}{limited:7}{there:8}{found:6}{false:6}", end="")
         print("{:8.2f}{:10.2f}{:10.2f}".format(*rates[-1], threshold))
-    print("{:36}{:8.2f}{:10.2f}\n".format("mean", *np.mean(rates, axis=0)))
+    print("{:43}{:8.2f}{:10.2f}\n".format("mean", *np.mean(rates, axis=0)))
     return choose([frame for day in outer.values() for frame in day])
 
 

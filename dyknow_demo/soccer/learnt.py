@@ -20,7 +20,7 @@ from dyknow_demo.images import Pixels
 from dyknow_demo.soccer.finder import (
     Find,
     area_of,
-    fit_round,
+    fit_circle,
     inner_points,
     make_find,
     outlines_in,
@@ -42,8 +42,6 @@ _LEAST_AREA, _LARGEST = 12, 110
 _BOX_STRETCH, _EXTENT = 4.2, 0.4
 #: Two finds overlap by at most this fraction of the smaller one's box.
 _SHARED = 0.3
-#: Omnidirectional cameras draw near balls as ellipses.
-_STRETCH = 2.2
 
 _Box = Tuple[int, int, int, int]
 
@@ -81,9 +79,9 @@ def find_learnt(
     finds = []
     for score, region in best_regions(regions(planes), forest, threshold):
         points = inner_points(region.outline, (planes.shape[2], planes.shape[1]))
-        fit = fit_round(points, _STRETCH)
-        if fit is not None:
-            finds.append(make_find(region.outline, fit, factor, score))
+        circle = fit_circle(points)
+        if circle is not None:
+            finds.append(make_find(region.outline, circle, factor, score))
     return finds
 
 

@@ -39,10 +39,11 @@ class DemoCase(unittest.TestCase):
 
     arguments = ()
 
-    def start(self, *arguments, env=None):
+    def start(self, *arguments, env=None, cwd=None):
         demo = subprocess.Popen(
             [sys.executable, "-u", "-m", "dyknow_demo", *self.arguments, *arguments],
             env=env,
+            cwd=cwd,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,

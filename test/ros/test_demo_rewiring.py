@@ -64,18 +64,6 @@ class RewiringDemoTest(DemoCase):
         self.assertFalse(is_running(pid))
         self.assertFalse(rosgraph.is_master_online(uri))
 
-    def test_usage(self):
-        code, output = self.run_demo("--help")
-        self.assertEqual(code, 0)
-        self.assertIn("--frames DIR", output)
-        for wrong in (["--frames", "/nowhere"], ["--seconds", "0"], ["--rate", "x"]):
-            code, output = self.run_demo(*wrong)
-            self.assertEqual(code, 2, output)
-        with tempfile.TemporaryDirectory() as folder:
-            code, output = self.run_demo("--frames", folder)
-        self.assertEqual(code, 1, output)
-        self.assertIn(f"no JPEG or PNG files in '{folder}'", output)
-
 
 if __name__ == "__main__":
     rostest.rosrun("dyknow", "demo_rewiring", RewiringDemoTest, sys.argv)

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import pytest
 
-from dyknow_demo.rewiring.accounting import Arrival, Published, Switch, account, gaps
-from dyknow_demo.rewiring.frame_names import FrameName
+from dyknow_demo.accounting import Arrival, FrameName, Published, Switch, account, gaps
 
 PERIOD = 0.03
 SIZE = (304, 400)

@@ -13,8 +13,8 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
 from dyknow_demo import images
-from dyknow_demo.field import render
-from dyknow_demo.rewiring.frame_names import FrameName
+from dyknow_demo.accounting import FrameName
+from dyknow_demo.nodelets import render
 
 
 def test_an_array_is_a_view_of_the_message():

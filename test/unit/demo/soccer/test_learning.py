@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from dyknow_demo.images import SHARED_FRAMES
-from dyknow_demo.soccer import evaluate, learn, learnt
-from dyknow_demo.soccer.evaluate import evaluate_frame
+from dyknow_demo.soccer import learn, learnt
 from dyknow_demo.soccer.learn import is_hit, overlap, planes_from_bgr, read_frames
 from dyknow_demo.soccer.learnt import regions
 from dyknow_demo.soccer.nodelets import BallDetector
@@ -125,11 +124,6 @@ def test_the_shipped_forest_is_of_the_frames(tmp_path):
     assert file.stat().st_size == pytest.approx(learnt.MODEL.stat().st_size, rel=0.05)
 
 
-real_frames = pytest.mark.skipif(
-    not SHARED_FRAMES.is_dir(), reason=f"there are no real frames in {SHARED_FRAMES}"
-)
-
-
 @pytest.fixture
 def annotated(tmp_path):
     image = np.full((400, 300, 3), (60, 120, 50), np.uint8)
@@ -156,42 +150,16 @@ def test_a_hit_overlaps_or_shares_the_middle():
     assert not is_hit(ball, (0.0, 0.0, 4.0, 4.0))
 
 
-def test_each_ball_takes_one_find(annotated):
-    (annotated / "b.txt").write_text("0 0.5 0.5 0.1333 0.1\n" * 2)
-    _, both = (evaluate_frame(frame) for frame in read_frames(annotated))
-    assert both.hits == [0, None]
-
-
-def test_balls_found_and_missed_are_counted(annotated, capsys):
-    frames = read_frames(annotated)
-    assert [frame.image.name for frame in frames] == ["a.png", "b.png"]
-    missed, found = (evaluate_frame(frame) for frame in frames)
-    assert (missed.hits, missed.finds) == ([None], [])
-    assert (found.hits, len(found.finds)) == ([0], 1)
-    assert evaluate.main(["--no-simulation", "--frames", str(annotated)]) == 0
-    assert "missed in: a.png" in capsys.readouterr().out
+def test_only_annotated_frames_are_read(annotated):
+    missed, found = read_frames(annotated)
+    assert [frame.image.name for frame in (missed, found)] == ["a.png", "b.png"]
+    assert list(found.balls) == [(0.5, 0.5, 0.1333, 0.1)]  # class 2 is no ball
+    without, example = learn.example_of(missed, 0), learn.example_of(found, 1)
+    assert (without.balls, without.by_limits, any(without.hits)) == (1, False, False)
+    assert (example.balls, example.by_limits, any(example.hits)) == (1, True, True)
 
 
 def test_a_bad_annotation_names_its_line(annotated):
     (annotated / "b.txt").write_text("0 0.5 0.5 0.1 0.1\n0 0.5 x 0.1 0.1\n")
     with pytest.raises(ValueError, match=r"b\.txt:2: '0 0\.5 x 0\.1 0\.1': expected 'class x_"):
         read_frames(annotated)
-
-
-def test_no_frames_is_an_error(tmp_path, capsys):
-    assert evaluate.main(["--no-simulation", "--frames", str(tmp_path)]) == 1
-    assert "no annotated frames" in capsys.readouterr().err
-
-
-@real_frames
-def test_recall_on_real_frames():
-    days = ("20190606", "20220715")  # of these the colour's limits are
-    frames = [frame for frame in read_frames(SHARED_FRAMES) if frame.day in days]
-    results = [evaluate_frame(frame) for frame in frames]
-    held_out = results[1::2]  # the thresholds were set on the others
-    assert sum(len(each.hits) for each in results) == len(results) == 36
-    # What doc/soccer.rst states, less one for another version of OpenCV.
-    assert sum(each.found for each in results) >= 32 - 1
-    assert sum(each.found for each in held_out) >= 15 - 1
-    assert sum(0 in each.hits for each in results) >= 32 - 1
-    assert sum(len(each.finds) - each.found for each in results) <= 18 + 3

@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from dyknow.model.graph import Model, NodeletStatus, PortState, State
-from dyknow_demo.soccer.telling import Stretch, Track, changes, draw, to_dot
+from dyknow_demo.telling import Stretch, Track, changes, draw, to_dot
 
 
 def nodelet(name, state=State.RUNNING, **ports):

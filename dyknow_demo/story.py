@@ -10,9 +10,9 @@ master or manager that runs is used; otherwise one is started, and ended with th
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import time
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Callable, Dict, Iterator, List, Optional
 
@@ -37,8 +37,8 @@ from dyknow_demo.processes import (
     forget_parameters,
     start_manager,
 )
-from dyknow_demo.soccer.telling import Track, changes, draw, to_dot
 from dyknow_demo.soccer.world import World
+from dyknow_demo.telling import Track, changes, draw, to_dot
 
 TAG = "FieldPosition(ball)"
 OWN_CAMERA, OTHER_CAMERA = "bottom_camera", "ceiling_camera"
@@ -51,27 +51,13 @@ _PATIENCE = 15.0  # s for the manager's own work
 _ORPHAN_TIMEOUT = 3.0  # s that nodelets may go on if the manager is killed
 
 
-@dataclass(frozen=True)
-class Script:
-    """How the story is told.
-
-    Attributes:
-        seconds: for each act.
-        max_silence: seconds without a position that the claim allows.
-        pictures: folder for the drawings.
-    """
-
-    seconds: float
-    max_silence: float
-    pictures: Path
-
-
-def play(manager: str, script: Script) -> bool:
+def play(options: argparse.Namespace) -> bool:
     """Tell the story; True if the position was never lost and all went as told.
 
     Args:
-        manager: a running one that knows the field; empty to start one.
-        script: how to tell it.
+        options: ``manager``, a running one that knows the field, or empty to start one;
+            ``seconds`` for each act; ``max_silence``, seconds without a position that the claim
+            allows; ``pictures``, the folder for the drawings.
 
     Raises:
         DyKnowError: something failed.
@@ -79,14 +65,14 @@ def play(manager: str, script: Script) -> bool:
     with Processes() as processes:
         _tell(f"ROS master: {find_master(processes)}")
         check_real_time()
-        with _manager(manager) as (client, check):
+        with _manager(options.manager) as (client, check):
             rospy.init_node("dyknow_demo", anonymous=True, disable_signals=True)
             try:
                 _wait_for_library(client, check)
-                _tell(f"asked for: {TAG}, and never without it for {script.max_silence:g} s")
+                _tell(f"asked for: {TAG}, and never without it for {options.max_silence:g} s")
                 request = StreamRequest(TAG, PointStamped._type)
                 _tell(client.acquire_stream(request, dry_run=True).plan)
-                return _Story(client, script, check).run()
+                return _Story(client, options, check).run()
             finally:
                 rospy.signal_shutdown("the demonstration is over")
 
@@ -112,7 +98,11 @@ def _manager(name: str) -> Iterator[tuple[ManagerClient, Callable[[], None]]]:
                 orphan_timeout=_ORPHAN_TIMEOUT,
             )
             _tell(f"manager: {MANAGER}, process {pid}")
-            yield client, processes.check
+            try:
+                yield client, processes.check
+            except DyKnowError:
+                processes.check(patience=0.5)  # a process that ended is the better explanation
+                raise
     finally:
         forget_parameters()
 
@@ -145,8 +135,10 @@ def _tell(text: str) -> None:
 class _Story:
     """The acts, and the stream as it is observed from outside: graph, events, positions."""
 
-    def __init__(self, client: ManagerClient, script: Script, check: Callable[[], None]) -> None:
-        self._client, self._script, self._check = client, script, check
+    def __init__(
+        self, client: ManagerClient, options: argparse.Namespace, check: Callable[[], None]
+    ) -> None:
+        self._client, self._options, self._check = client, options, check
         self._space = names.parent(client.manager)
         self._began = time.monotonic()
         self._model: Optional[Model] = None
@@ -161,7 +153,7 @@ class _Story:
         with dyknow.acquire(
             TAG,
             PointStamped,
-            max_silence=self._script.max_silence,
+            max_silence=self._options.max_silence,
             on_event=self._on_event,
             manager=self._client.manager,
         ) as self._stream:
@@ -184,7 +176,7 @@ class _Story:
 
     def _act(self, camera: str, act: str, title: str) -> None:
         """Follow the ball for a while; then check which nodelets do the work, and draw them."""
-        end = time.monotonic() + self._script.seconds
+        end = time.monotonic() + self._options.seconds
         while time.monotonic() < end:
             time.sleep(min(_PERIOD, max(0.0, end - time.monotonic())))
             self._check()
@@ -198,7 +190,7 @@ class _Story:
             self._problems.append(f"others do the tracking: {_tracking_of(model)}")
         needed = frozenset(self._stream.nodelets)
         dot = to_dot(title, model, self._first, needed, self._topic, self._space)
-        files = draw(dot, self._script.pictures.absolute(), f"soccer_{act}")
+        files = draw(dot, self._options.pictures.absolute(), f"soccer_{act}")
         _tell("drawn: " + ", ".join(str(file) for file in files))
 
     def _leave(self) -> str:
@@ -232,7 +224,7 @@ class _Story:
         self._wait_for_images_of(OWN_CAMERA)
 
     def _verdict(self) -> bool:
-        whole, limit = self._track.stretch(time.monotonic()), self._script.max_silence
+        whole, limit = self._track.stretch(time.monotonic()), self._options.max_silence
         if self._stream.topic != self._topic:
             self._problems.append(f"the topic has changed to {self._stream.topic}")
         problems = dict.fromkeys([*self._problems, *whole.shortcomings(limit)])

@@ -22,13 +22,36 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import dataclass
-from typing import Dict, Iterator, List, Sequence, Set, Tuple
-
-from dyknow_demo.rewiring.frame_names import FrameName
+from typing import Dict, List, NamedTuple, Sequence, Set, Tuple
 
 
-@dataclass(frozen=True)
-class Published:
+class FrameName(NamedTuple):
+    """One frame of one camera, which counts its frames from 0.
+
+    It travels in ``header.frame_id``, which every stage copies: rospy overwrites ``header.seq``
+    with a count of its own as soon as a node of another process listens.
+    """
+
+    camera: str
+    number: int
+
+    def __str__(self) -> str:
+        return f"{self.camera}#{self.number}"
+
+    @classmethod
+    def parse(cls, text: str) -> FrameName:
+        """Read a name back.
+
+        Raises:
+            ValueError: it is not of the form ``camera#number``.
+        """
+        camera, separator, number = text.rpartition("#")
+        if not separator:
+            raise ValueError(f"'{text}' names no camera frame: expected 'camera#number'")
+        return cls(camera, int(number))
+
+
+class Published(NamedTuple):
     """A frame that a camera published."""
 
     frame: FrameName
@@ -36,8 +59,7 @@ class Published:
     seen: float
 
 
-@dataclass(frozen=True)
-class Arrival:
+class Arrival(NamedTuple):
     """A frame at the end of the chain; ``size`` is its width and height in pixels."""
 
     frame: FrameName
@@ -46,8 +68,7 @@ class Arrival:
     size: Tuple[int, int]
 
 
-@dataclass(frozen=True)
-class Switch:
+class Switch(NamedTuple):
     """The chain is connected to ``camera`` (empty: to none) and counts for ``stage`` from now."""
 
     camera: str
@@ -90,14 +111,17 @@ class Account:
         return self.latencies[math.ceil(percent / 100 * len(self.latencies)) - 1]
 
 
-@dataclass(frozen=True)
-class _Visit:
+class _Visit(NamedTuple):
     """The time that the chain was connected to one camera in one wiring."""
 
     camera: str
     stage: str
     begin: float
     end: float
+
+    def may_have(self, each: Published) -> bool:
+        """Whether a frame may have been routed then."""
+        return each.sent <= self.end and each.seen >= self.begin
 
 
 def gaps(published: Sequence[Published]) -> int:
@@ -128,7 +152,7 @@ def account(
     lost: Counter[str] = Counter()
     strays: Set[FrameName] = set()
     for each in published:
-        at = [index for index, visit in enumerate(visits) if _overlap(each, visit)]
+        at = [index for index, visit in enumerate(visits) if visit.may_have(each)]
         own = [index for index in at if visits[index].camera == each.frame.camera]
         places[each.frame] = (own or at)[0]
         if len(own) == len(at) and not counts[each.frame]:
@@ -184,20 +208,13 @@ def _moment(
             wrong += surely_after and arrived is is_old
         return wrong
 
-    return min(sorted(_candidates(near, switch)), key=unexplained)
-
-
-def _candidates(near: Sequence[Published], switch: Switch) -> Iterator[float]:
-    yield switch.called
-    yield switch.returned
-    for each in near:
-        for moment in (each.sent, each.seen):
-            if switch.called <= moment <= switch.returned:
-                yield moment
-
-
-def _overlap(each: Published, visit: _Visit) -> bool:
-    return each.sent <= visit.end and each.seen >= visit.begin
+    moments = {
+        switch.called,
+        switch.returned,
+        *(t for each in near for t in (each.sent, each.seen)),
+    }
+    inside = (moment for moment in moments if switch.called <= moment <= switch.returned)
+    return min(sorted(inside), key=unexplained)
 
 
 class _Rows:
